@@ -31,6 +31,7 @@
  *            >>element      linear tetrahedron
  *            >>fem          assembly, mass, damping, loads, stress
  *            >>factor       the shared factor of a body's system matrix
+ *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
  *            >>newmark      implicit Newmark          >>pqr  the (p,q,r) family, central difference
  *            >>body         the pipeline that a user calls: create, prepare, step, read
@@ -171,9 +172,238 @@ typedef struct sfem_matrix {
  * >>api-model   finite elements: K, M, D, loads, stress
  * ============================================================================================ */
 
+typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
+
+/* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
+typedef struct sfem_material {
+    sfem_real young;   /* Young's modulus, Pa, > 0 */
+    sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5 */
+    sfem_real density; /* kg/m^3, > 0 */
+    sfem_real alpha;   /* mass damping, 1/s, >= 0 */
+    sfem_real beta;    /* stiffness damping, s, >= 0 */
+} sfem_material;
+
+SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped */
+
+/* What never changes while bodies move: mesh, materials, K, M, D. Shared by any number of bodies and
+ * threads; reference-counted, each body holds one. */
+typedef struct sfem_model sfem_model;
+
+typedef struct sfem_model_def {
+    const sfem_mesh *mesh;          /* copied */
+    sfem_material material;         /* of every tet, where materials is NULL */
+    const sfem_material *materials; /* [material_count] or NULL */
+    sfem_int material_count;
+    const sfem_int *tet_material; /* [tets] index into materials; NULL: mesh->region is the index */
+    sfem_mass mass;               /* lumped: rho V/4 a node; consistent: rho V/20 (1 + delta_ab) */
+    const sfem_matrix *damping;   /* added to D, N s/m: any symmetric matrix within K's pattern, or NULL */
+    sfem_allocator allocator;
+} sfem_model_def;
+
+SFEM_DEF sfem_model_def sfem_default_model_def(void);
+
+/* Builds a model of linear tetrahedra, K_e = V B^T C B.
+ *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet, a node in no tet),
+ *           SFEM_NOT_FINITE, SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
+ *           SFEM_TOO_LARGE; the text names the tet or node
+ *   cost    O(tets), about 0.2 us a tet */
+SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err);
+SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; memory goes with the last body */
+
+SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model);
+SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m */
+SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [nodes] row sums of M, kg */
+SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
+SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
+
+/* out = k K + m M + d D as a matrix of its own, on K's pattern, to be freed with sfem_matrix_free:
+ * (0,1,0) is M, (0,0,1) is D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
+SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
+                                        const sfem_allocator *allocator, sfem_matrix *out,
+                                        sfem_error *err);
+
+/* y = K x, M x or D x; arrays [nodes][3], y must not be x. */
+SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
+                                            const sfem_exec *exec);
+SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real *x, sfem_real *y,
+                                       const sfem_exec *exec);
+SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
+                                          const sfem_exec *exec);
+
+/* Cauchy stress of the displacement u [nodes][3] under small strain, constant in a tet:
+ * stress [tets][6] in the order xx yy zz xy xz yz, von_mises [tets], Pa; either may be NULL. */
+SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
+                                sfem_real *von_mises);
+/* 1/2 u.K u, J, summed from the tets' own strains. */
+SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem_real *u);
+
+/* Loads, added to force [nodes][3], N: gravity g (m/s^2) on a model; a traction t (Pa, dead) or a
+ * pressure p (Pa, against the outward normal) on surface triangles tri [count][3], at positions
+ * x [nodes][3] or, where x is NULL, at rest. */
+SFEM_DEF void sfem_add_gravity(const sfem_model *model, const sfem_real g[3], sfem_real *force);
+SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
+                                const sfem_int *tri, const sfem_real t[3], sfem_real *force);
+SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
+                                const sfem_int *tri, sfem_real p, sfem_real *force);
+
 /* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
+
+/* M u'' + D u' + K u = F. All three are of the family  A a = rhs, A = r M + (q/2) h D + p h^2 K, and
+ * share factors:
+ *   SFEM_PQR      one solve with a constant A:  A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w'
+ *                 [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for
+ *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
+ *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
+ *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step */
+typedef enum sfem_integrator { SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL } sfem_integrator;
+
+/* SFEM_MIXED keeps the factor in float: half the memory traffic, a residual of about 4e-7 on good
+ * meshes. Everything else stays double. */
+typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
+
+/* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
+ * damping a start of fourth order. */
+typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_start;
+
+#define SFEM_P_AUTO (-1.0) /* p = 1/12 where every mode is resolved (omega_max h < 2), else 1/4 */
+
+enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
+
+typedef struct sfem_body sfem_body;
+
+typedef struct sfem_body_def {
+    sfem_integrator integrator;
+    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
+                               * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
+                               * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
+    sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
+    sfem_start start;
+    int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
+                               * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
+    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s */
+    sfem_real gravity[3];     /* m/s^2 */
+    const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
+    const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
+    sfem_int pin_count;
+    sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use */
+    sfem_precision precision;
+    sfem_ordering ordering;   /* of the factorisation */
+    int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
+    sfem_allocator allocator;
+    sfem_exec exec;
+} sfem_body_def;
+
+/* (p,q,r) with p = 1/4, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
+SFEM_DEF sfem_body_def sfem_default_body_def(void);
+
+/* Creates a body at rest in its rest position. Nothing is factored yet. O(nodes).
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *def, sfem_body **out,
+                                      sfem_error *err);
+SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
+
+/* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
+ * has one with the same matrix and pins; the handles' columns (three solves a handle). The only
+ * function after creation that allocates. sfem_body_step calls it where it has to.
+ *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
+ *           nothing holds), SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
+
+/* One step of h seconds: predict, solve, finish. On failure the state is as it was.
+ *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE
+ *   cost    one product with K and one solve, O(nnz(L)) */
+SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
+
+/* The same in three parts, for callers who put forces and constraints of their own (contact) between
+ * them. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
+ * during this step. solve leaves the step's acceleration where sfem_body_acceleration points. finish
+ * takes the step. predict may be called again to give a step up. */
+SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
+SFEM_DEF void sfem_body_finish(sfem_body *body);
+SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
+SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2 */
+
+/* Static equilibrium K u = F under the forces, gravity, pins and handles of now; velocity becomes zero.
+ * Handles that are nodes count as pins here.
+ *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like */
+SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
+
+/* Loads. force [nodes][3] (NULL: none) is the load at the end of the next step and stays until changed;
+ * before the first step it is the load at the start as well, unless sfem_body_start is called between
+ * the two: it fixes the load, and the acceleration, at time 0. */
+SFEM_DEF sfem_status sfem_body_set_force(sfem_body *body, const sfem_real *force, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *body, sfem_int node, const sfem_real f[3],
+                                              sfem_error *err);
+SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *body, const sfem_real g[3], sfem_error *err);
+SFEM_DEF void sfem_body_start(sfem_body *body);
+
+/* State. displacement points at u [nodes][3]; positions and velocities are written to the caller's
+ * arrays. A new state starts the integrator afresh at the body's time; NULL means zero. Pinned axes keep
+ * their pins' place and no velocity. */
+SFEM_DEF const sfem_real *sfem_body_displacement(const sfem_body *body);
+SFEM_DEF void sfem_body_positions(const sfem_body *body, sfem_real *x);
+SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
+SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
+                                         sfem_error *err);
+SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
+
+/* The whole state as one block of bytes: save and load it on the same build and machine, into any body of
+ * the same model, pins and max_handles. It is checksummed; a block that does not fit is refused.
+ *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
+SFEM_DEF size_t sfem_body_state_size(const sfem_body *body);
+SFEM_DEF void sfem_body_save_state(const sfem_body *body, void *memory);
+SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, size_t bytes,
+                                          sfem_error *err);
+
+typedef struct sfem_energy {
+    sfem_real kinetic, elastic, load; /* 1/2 v.Mv, 1/2 u.Ku, -(F + Mg).u; J */
+    sfem_real total;                  /* their sum */
+    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load: for
+                          * (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+                          * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a's counterpart */
+} sfem_energy;
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
+
+typedef struct sfem_body_info {
+    sfem_int nodes, tets, free_nodes;
+    sfem_real p;              /* the p in use, after SFEM_P_AUTO */
+    sfem_real omega_max;      /* 1/s, upper estimate; 0 while nothing has asked for it */
+    sfem_real stable_step;    /* s; 0 means no limit */
+    int diagonal;             /* the step needs no factor */
+    size_t factor_nnz;        /* scalars in L */
+    size_t factor_bytes, body_bytes;
+    sfem_int factor_users;    /* bodies that share the factor */
+    sfem_int factors_made;    /* by this body, since it was created */
+} sfem_body_info;
+SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
+
+/* Pins hold a node where it was when it was pinned. Those of the definition are eliminated; this call
+ * replaces them all, and the next step prepares a new factor. move_pin sets where a pinned node is to be
+ * at the end of the next step. A reaction is the force of the support on the body, N, in the present
+ * state, by the equation of motion; zero on axes that are not held. */
+SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *body, sfem_int count, const sfem_int *pins,
+                                        const unsigned char *axes, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *body, sfem_int node, const sfem_real position[3],
+                                        sfem_error *err);
+SFEM_DEF void sfem_body_reactions(sfem_body *body, sfem_real *force /* [nodes][3] */);
+
+/* Handles take hold of a node, or of a point inside a tet (barycentric coordinates), while the body runs,
+ * without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l where H x' is the target.
+ * A handle's number stays its own until it is released. The force is that of the hand on the body over
+ * the last step, N. Handles that others already determine (five points of one tet) carry no force.
+ *   errors  SFEM_FULL past max_handles: pin the nodes instead; SFEM_BAD_ARGUMENT (pinned node, ...) */
+SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *body, sfem_int node, sfem_int *handle,
+                                         sfem_error *err);
+SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *body, sfem_int tet, const sfem_real bary[4],
+                                          sfem_int *handle, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, const sfem_real target[3],
+                                           sfem_error *err);
+SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
+SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
+SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
 
 #ifdef __cplusplus
 }
@@ -381,31 +611,2511 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 
 /* ============================================================================================
  * >>element   linear tetrahedron
+ *
+ * A tet with edge matrix Dm = [X1-X0, X2-X0, X3-X0] has the shape-function gradients g_1..g_3 = rows
+ * of Dm^-1 and g_0 = -(g_1+g_2+g_3); a displacement's gradient is G = sum u_a g_a^T.
  * ============================================================================================ */
+
+/* Rows 0..3 of g: the gradients of the four shape functions. Returns the volume. */
+static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sfem_real g[4][3])
+{
+    const sfem_int *t = mesh->tet + 4 * (size_t)tet;
+    const sfem_real *x0 = mesh->x + 3 * (size_t)t[0];
+    sfem_real e[3][3], volume6;
+    int a, i;
+    for (a = 0; a < 3; ++a) sfemi_sub3(mesh->x + 3 * (size_t)t[a + 1], x0, e[a]);
+    sfemi_cross(e[1], e[2], g[1]);
+    sfemi_cross(e[2], e[0], g[2]);
+    sfemi_cross(e[0], e[1], g[3]);
+    volume6 = sfemi_dot3(e[0], g[1]);
+    for (i = 0; i < 3; ++i) {
+        for (a = 1; a < 4; ++a) g[a][i] /= volume6;
+        g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
+    }
+    return volume6 / 6;
+}
+
+/* k = V (lambda ga gb^T + mu gb ga^T + mu (ga.gb) I): the block of nodes a, b of K_e. */
+static void sfemi_element_block(const sfem_real *ga, const sfem_real *gb, sfem_real lambda_v,
+                                sfem_real mu_v, sfem_real k[9])
+{
+    const sfem_real d = mu_v * sfemi_dot3(ga, gb);
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            k[3 * i + j] = lambda_v * ga[i] * gb[j] + mu_v * gb[i] * ga[j] + (i == j ? d : 0);
+}
+
+/* Small-strain tensor of the nodal displacements u, order xx yy zz xy xz yz, engineering shear. */
+static void sfemi_element_strain(const sfem_int *t, sfem_real g[4][3], const sfem_real *u,
+                                 sfem_real strain[6])
+{
+    sfem_real grad[3][3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
+    int a, i, j;
+    for (a = 1; a < 4; ++a) { /* differences from node 0, so that a translation gives exactly zero */
+        for (i = 0; i < 3; ++i) {
+            const sfem_real d = u[3 * (size_t)t[a] + (size_t)i] - u[3 * (size_t)t[0] + (size_t)i];
+            for (j = 0; j < 3; ++j) grad[i][j] += d * g[a][j];
+        }
+    }
+    strain[0] = grad[0][0];
+    strain[1] = grad[1][1];
+    strain[2] = grad[2][2];
+    strain[3] = grad[0][1] + grad[1][0];
+    strain[4] = grad[0][2] + grad[2][0];
+    strain[5] = grad[1][2] + grad[2][1];
+}
+
+/* Hooke's law. */
+static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real strain[6],
+                                sfem_real stress[6])
+{
+    const sfem_real trace = strain[0] + strain[1] + strain[2];
+    int i;
+    for (i = 0; i < 3; ++i) stress[i] = lambda * trace + 2 * mu * strain[i];
+    for (i = 3; i < 6; ++i) stress[i] = mu * strain[i];
+}
 
 /* ============================================================================================
  * >>fem   assembly, mass, damping, loads, stress
+ *
+ * K, D and a consistent M live on one pattern: the node graph, lower half by rows. M is a scalar a
+ * block (M_ij I), or a scalar a node when lumped.  D = alpha M + beta K + damping.
  * ============================================================================================ */
+
+typedef struct sfem_factor sfem_factor;
+
+struct sfem_model {
+    sfem_allocator allocator;
+    sfem_mesh mesh;
+    sfem_mass mass;
+    sfem_matrix stiffness;
+    sfem_int *row, *col;       /* the pattern, [nodes+1], [blocks] */
+    sfem_real *node_mass;      /* [nodes] row sums of M; 0 at a node that is in no tet */
+    sfem_real *block_mass;     /* [blocks] consistent M, or NULL */
+    sfem_real *damping;        /* [blocks][3][3] what alpha and beta leave of D, or NULL */
+    sfem_real alpha, beta;     /* Rayleigh damping that all tets share */
+    sfem_real *lambda, *mu;    /* [tets] Lame's parameters, Pa */
+    sfem_real *density;        /* [tets] kg/m^3 */
+    sfem_real *volume;         /* [tets] */
+    sfem_real total_mass;
+    int lock;                  /* guards what follows */
+    sfem_int references;
+    sfem_factor *factors;      /* those that bodies use now */
+};
+
+/* Sections this short need no more than a spin lock. */
+static void sfemi_lock(int *lock)
+{
+#if defined(__GNUC__)
+    while (__atomic_exchange_n(lock, 1, __ATOMIC_ACQUIRE)) continue;
+#elif defined(_MSC_VER)
+    while (_InterlockedExchange((volatile long *)lock, 1)) continue;
+#else
+    *lock = 1;
+#endif
+}
+
+static void sfemi_unlock(int *lock)
+{
+#if defined(__GNUC__)
+    __atomic_store_n(lock, 0, __ATOMIC_RELEASE);
+#elif defined(_MSC_VER)
+    _InterlockedExchange((volatile long *)lock, 0);
+#else
+    *lock = 0;
+#endif
+}
+
+SFEM_DEF sfem_material sfem_default_material(void)
+{
+    sfem_material m;
+    m.young = 1e6;
+    m.poisson = 0.3;
+    m.density = 1000;
+    m.alpha = m.beta = 0;
+    return m;
+}
+
+SFEM_DEF sfem_model_def sfem_default_model_def(void)
+{
+    sfem_model_def d;
+    memset(&d, 0, sizeof d);
+    d.material = sfem_default_material();
+    d.mass = SFEM_MASS_LUMPED;
+    return d;
+}
+
+static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int index, sfem_error *err)
+{
+    if (!(sfemi_finite(m->young) && m->young > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: Young's modulus is %g Pa, must be > 0",
+                          (int)index, m->young);
+    if (!(sfemi_finite(m->poisson) && m->poisson > -1 && m->poisson < 0.5))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "material %d: Poisson's ratio is %g, must lie in (-1, 0.5)", (int)index,
+                          m->poisson);
+    if (!(sfemi_finite(m->density) && m->density > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: density is %g kg/m^3, must be > 0",
+                          (int)index, m->density);
+    if (!(sfemi_finite(m->alpha) && m->alpha >= 0 && sfemi_finite(m->beta) && m->beta >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: damping (%g, %g) must be >= 0",
+                          (int)index, m->alpha, m->beta);
+    return SFEM_OK;
+}
+
+/* Which of the definition's materials a tet has. */
+static sfem_int sfemi_fem_material_of(const sfem_model_def *def, sfem_int tet)
+{
+    if (!def->materials) return 0;
+    if (def->tet_material) return def->tet_material[tet];
+    return def->mesh->region ? def->mesh->region[tet] : 0;
+}
+
+static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
+{
+    const sfem_int count = def->materials ? def->material_count : 1;
+    sfem_status status;
+    sfem_int i;
+    status = sfem_mesh_check(def->mesh, NULL, err);
+    if (status != SFEM_OK) return status;
+    if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
+    for (i = 0; i < count; ++i) {
+        status = sfemi_fem_check_material(def->materials ? def->materials + i : &def->material, i, err);
+        if (status != SFEM_OK) return status;
+    }
+    for (i = 0; i < def->mesh->tets; ++i) {
+        const sfem_int m = sfemi_fem_material_of(def, i);
+        if (m < 0 || m >= count)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, i,
+                                 "tet %d has material %d, there are %d", (int)i, (int)m, (int)count);
+    }
+    return SFEM_OK;
+}
+
+/* Counts (col NULL) or fills the lower-half pattern of the node graph: for each node, the nodes j <= i
+ * of its tets. start/list: tets of each node; mark [nodes]: last row that saw a node. */
+static sfem_int sfemi_fem_pattern_row(const sfem_mesh *mesh, const sfem_int *start,
+                                      const sfem_int *list, sfem_int i, sfem_int *mark, sfem_int *out)
+{
+    sfem_int count = 0, k, a;
+    mark[i] = i;
+    for (k = start[i]; k < start[i + 1]; ++k) {
+        const sfem_int *t = mesh->tet + 4 * (size_t)list[k];
+        for (a = 0; a < 4; ++a) {
+            sfem_int at = count;
+            if (t[a] >= i || mark[t[a]] == i) continue;
+            mark[t[a]] = i;
+            ++count;
+            if (!out) continue;
+            for (; at > 0 && out[at - 1] > t[a]; --at) out[at] = out[at - 1];
+            out[at] = t[a];
+        }
+    }
+    if (out) out[count] = i;
+    return count + 1;
+}
+
+static sfem_status sfemi_fem_pattern(sfem_model *model, sfem_error *err)
+{
+    const sfem_mesh *mesh = &model->mesh;
+    const sfem_allocator *al = &model->allocator;
+    sfem_int *start = NULL, *list = NULL, *mark = NULL, i, a, e;
+    sfem_status status = SFEM_OK;
+    if (mesh->tets > INT32_MAX / 10)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d tets overflow the index type", (int)mesh->tets);
+    SFEMI_NEW(sfem_int, start, al, (size_t)mesh->nodes + 2);
+    SFEMI_NEW(sfem_int, list, al, 4 * (size_t)mesh->tets);
+    SFEMI_NEW(sfem_int, mark, al, mesh->nodes);
+    SFEMI_NEW(sfem_int, model->row, al, (size_t)mesh->nodes + 1);
+    for (i = 0; i < 4 * mesh->tets; ++i) ++start[mesh->tet[i] + 2];
+    for (i = 0; i < mesh->nodes; ++i) start[i + 2] += start[i + 1];
+    for (e = 0; e < mesh->tets; ++e)
+        for (a = 0; a < 4; ++a) list[start[mesh->tet[4 * e + a] + 1]++] = e;
+    for (i = 0; i < mesh->nodes; ++i) mark[i] = -1;
+    for (i = 0; i < mesh->nodes; ++i)
+        model->row[i + 1] = model->row[i] + sfemi_fem_pattern_row(mesh, start, list, i, mark, NULL);
+    SFEMI_NEW(sfem_int, model->col, al, model->row[mesh->nodes]);
+    for (i = 0; i < mesh->nodes; ++i) mark[i] = -1;
+    for (i = 0; i < mesh->nodes; ++i)
+        sfemi_fem_pattern_row(mesh, start, list, i, mark, model->col + model->row[i]);
+done:
+    sfemi_delete(al, mark);
+    sfemi_delete(al, list);
+    sfemi_delete(al, start);
+    return status;
+}
+
+/* The place of block (i, j), i >= j, in the pattern; -1 if it is not there. */
+static sfem_int sfemi_fem_find(const sfem_int *row, const sfem_int *col, sfem_int i, sfem_int j)
+{
+    sfem_int low = row[i], high = row[i + 1] - 1;
+    while (low < high) {
+        const sfem_int mid = low + (high - low) / 2;
+        if (col[mid] < j) low = mid + 1;
+        else high = mid;
+    }
+    return col[low] == j ? low : -1;
+}
+
+/* Adds tet e to K, M and the part of D that is its own: alpha_e - alpha, beta_e - beta. */
+static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material *m)
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    const sfem_real da = m->alpha - model->alpha, db = m->beta - model->beta;
+    sfem_real g[4][3], k[9], node;
+    int a, b, i;
+    const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
+    model->lambda[e] = m->young * m->poisson / ((1 + m->poisson) * (1 - 2 * m->poisson));
+    model->mu[e] = m->young / (2 * (1 + m->poisson));
+    model->density[e] = m->density;
+    node = m->density * v / 20;
+    for (a = 0; a < 4; ++a) {
+        model->node_mass[t[a]] += 5 * node;
+        for (b = 0; b < 4; ++b) {
+            sfem_int at;
+            sfem_real *d, *kk;
+            if (t[a] < t[b]) continue;
+            at = sfemi_fem_find(model->row, model->col, t[a], t[b]);
+            kk = model->stiffness.val + 9 * (size_t)at;
+            sfemi_element_block(g[a], g[b], v * model->lambda[e], v * model->mu[e], k);
+            for (i = 0; i < 9; ++i) kk[i] += k[i];
+            if (model->block_mass) model->block_mass[at] += a == b ? 2 * node : node;
+            if (!model->damping) continue;
+            d = model->damping + 9 * (size_t)at;
+            for (i = 0; i < 9; ++i) d[i] += db * k[i];
+            for (i = 0; i < 9; i += 4)
+                d[i] += da * (model->block_mass ? (a == b ? 2 * node : node) : a == b ? 5 * node : 0);
+        }
+    }
+}
+
+static int sfemi_fem_damping_varies(const sfem_model_def *def)
+{
+    sfem_int i;
+    for (i = 1; def->materials && i < def->material_count; ++i)
+        if (def->materials[i].alpha != def->materials[0].alpha ||
+            def->materials[i].beta != def->materials[0].beta)
+            return 1;
+    return 0;
+}
+
+static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d, sfem_error *err)
+{
+    sfem_int i, k, j;
+    if (d->n != model->mesh.nodes)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping matrix has %d block rows, the mesh %d nodes",
+                          (int)d->n, (int)model->mesh.nodes);
+    for (i = 0; i < d->n; ++i) {
+        for (k = d->row[i]; k < d->row[i + 1]; ++k) {
+            const sfem_int at = sfemi_fem_find(model->row, model->col, i, d->col[k]);
+            if (at < 0)
+                return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, i, -1,
+                                     "damping block (%d, %d) is outside the pattern of K", (int)i,
+                                     (int)d->col[k]);
+            if (!sfemi_all_finite(d->val + 9 * (size_t)k, 9))
+                return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "damping block (%d, %d) is not finite",
+                                     (int)i, (int)d->col[k]);
+            for (j = 0; j < 9; ++j) model->damping[9 * (size_t)at + (size_t)j] += d->val[9 * (size_t)k + (size_t)j];
+        }
+    }
+    return SFEM_OK;
+}
+
+static void sfemi_fem_destroy(sfem_model *model)
+{
+    const sfem_allocator al = model->allocator;
+    sfem_mesh_free(&model->mesh);
+    sfemi_delete(&al, model->row);
+    sfemi_delete(&al, model->col);
+    sfemi_delete(&al, model->stiffness.val);
+    sfemi_delete(&al, model->node_mass);
+    sfemi_delete(&al, model->block_mass);
+    sfemi_delete(&al, model->damping);
+    sfemi_delete(&al, model->lambda);
+    sfemi_delete(&al, model->mu);
+    sfemi_delete(&al, model->density);
+    sfemi_delete(&al, model->volume);
+    sfemi_delete(&al, model);
+}
+
+static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *def, sfem_error *err)
+{
+    const sfem_allocator *al = &model->allocator;
+    const sfem_mesh *mesh = def->mesh;
+    sfem_status status = SFEM_OK;
+    size_t blocks;
+    SFEMI_TRY(sfem_mesh_copy(mesh->nodes, mesh->x, mesh->tets, mesh->tet, al, &model->mesh, err));
+    if (mesh->region) {
+        SFEMI_NEW(sfem_int, model->mesh.region, al, mesh->tets);
+        memcpy(model->mesh.region, mesh->region, (size_t)mesh->tets * sizeof *mesh->region);
+    }
+    SFEMI_TRY(sfemi_fem_pattern(model, err));
+    blocks = (size_t)model->row[mesh->nodes];
+    SFEMI_NEW(sfem_real, model->stiffness.val, al, 9 * blocks);
+    SFEMI_NEW(sfem_real, model->node_mass, al, mesh->nodes);
+    SFEMI_NEW(sfem_real, model->lambda, al, mesh->tets);
+    SFEMI_NEW(sfem_real, model->mu, al, mesh->tets);
+    SFEMI_NEW(sfem_real, model->density, al, mesh->tets);
+    SFEMI_NEW(sfem_real, model->volume, al, mesh->tets);
+    if (def->mass == SFEM_MASS_CONSISTENT) SFEMI_NEW(sfem_real, model->block_mass, al, blocks);
+    if (def->damping || sfemi_fem_damping_varies(def))
+        SFEMI_NEW(sfem_real, model->damping, al, 9 * blocks);
+    model->stiffness.n = mesh->nodes;
+    model->stiffness.row = model->row;
+    model->stiffness.col = model->col;
+done:
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err)
+{
+    const sfem_material *materials = def->materials ? def->materials : &def->material;
+    sfem_model *model = NULL;
+    sfem_status status;
+    sfem_int i;
+    SFEM_ASSERT(def && out && def->mesh);
+    SFEMI_TRY(sfemi_fem_check(def, err));
+    SFEMI_NEW(sfem_model, model, &def->allocator, 1);
+    model->allocator = def->allocator;
+    model->references = 1;
+    model->mass = def->mass;
+    SFEMI_TRY(sfemi_fem_allocate(model, def, err));
+    if (!sfemi_fem_damping_varies(def)) {
+        model->alpha = materials->alpha;
+        model->beta = materials->beta;
+    }
+    for (i = 0; i < model->mesh.tets; ++i)
+        sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
+    for (i = 0; i < model->mesh.nodes; ++i) model->total_mass += model->node_mass[i];
+    if (def->damping) SFEMI_TRY(sfemi_fem_add_damping(model, def->damping, err));
+    if (!sfemi_all_finite(model->stiffness.val, 9 * (size_t)model->row[model->mesh.nodes])) {
+        status = sfemi_fail(err, SFEM_NOT_FINITE, "the stiffness matrix overflows: check the units");
+        goto done;
+    }
+    *out = model;
+    return SFEM_OK;
+done:
+    if (model) sfemi_fem_destroy(model);
+    return status;
+}
+
+SFEM_DEF void sfem_model_free(sfem_model *model)
+{
+    sfem_int left;
+    if (!model) return;
+    sfemi_lock(&model->lock);
+    left = --model->references;
+    sfemi_unlock(&model->lock);
+    if (left == 0) sfemi_fem_destroy(model);
+}
+
+SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model) { return &model->mesh; }
+SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model) { return &model->stiffness; }
+SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model) { return model->node_mass; }
+SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model) { return model->volume; }
+SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model) { return model->total_mass; }
+
+/* block = k K + m M + d D at place `at` of the pattern, (i, j) its row and column. D is resolved into
+ * K, M and the rest by the caller: ck, cm, cd multiply K, M and model->damping. */
+static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sfem_real ck, sfem_real cm,
+                            sfem_real cd, sfem_real block[9])
+{
+    const sfem_real *k = model->stiffness.val + 9 * (size_t)at;
+    const sfem_real m = model->block_mass        ? model->block_mass[at]
+                        : model->col[at] == i ? model->node_mass[i]
+                                              : 0;
+    int j;
+    for (j = 0; j < 9; ++j) block[j] = ck * k[j];
+    for (j = 0; j < 9; j += 4) block[j] += cm * m;
+    if (model->damping && cd != 0)
+        for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
+}
+
+SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
+                                        const sfem_allocator *allocator, sfem_matrix *out,
+                                        sfem_error *err)
+{
+    sfem_matrix a;
+    sfem_int i, at;
+    sfem_status status = sfem_matrix_create(model->mesh.nodes, model->row, model->col, allocator, &a, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < a.n; ++i)
+        for (at = a.row[i]; at < a.row[i + 1]; ++at)
+            sfemi_fem_block(model, at, i, k + d * model->beta, m + d * model->alpha, d,
+                            a.val + 9 * (size_t)at);
+    *out = a;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
+                                            const sfem_exec *exec)
+{
+    sfem_matrix_multiply(&model->stiffness, x, y, exec);
+}
+
+/* y += scale M x. */
+static void sfemi_fem_add_mass(const sfem_model *model, sfem_real scale, const sfem_real *x,
+                               sfem_real *y)
+{
+    sfem_int i, at;
+    int c;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real *xi = x + 3 * (size_t)i;
+        sfem_real *yi = y + 3 * (size_t)i;
+        if (!model->block_mass) {
+            for (c = 0; c < 3; ++c) yi[c] += scale * model->node_mass[i] * xi[c];
+            continue;
+        }
+        for (at = model->row[i]; at < model->row[i + 1]; ++at) {
+            const sfem_real m = scale * model->block_mass[at];
+            const size_t j = 3 * (size_t)model->col[at];
+            for (c = 0; c < 3; ++c) yi[c] += m * x[j + (size_t)c];
+            if (model->col[at] == i) continue;
+            for (c = 0; c < 3; ++c) y[j + (size_t)c] += m * xi[c];
+        }
+    }
+}
+
+SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real *x, sfem_real *y,
+                                       const sfem_exec *exec)
+{
+    (void)exec;
+    memset(y, 0, 3 * (size_t)model->mesh.nodes * sizeof *y);
+    sfemi_fem_add_mass(model, 1, x, y);
+}
+
+/* y += the part of D x that is neither alpha M nor beta K. */
+static void sfemi_fem_add_damping_rest(const sfem_model *model, const sfem_real *x, sfem_real *y)
+{
+    sfem_int i, at;
+    int r, c;
+    for (i = 0; model->damping && i < model->mesh.nodes; ++i) {
+        const sfem_real *xi = x + 3 * (size_t)i;
+        sfem_real *yi = y + 3 * (size_t)i;
+        for (at = model->row[i]; at < model->row[i + 1]; ++at) {
+            const sfem_real *d = model->damping + 9 * (size_t)at;
+            const sfem_real *xj = x + 3 * (size_t)model->col[at];
+            sfem_real *yj = y + 3 * (size_t)model->col[at];
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c) yi[r] += d[3 * r + c] * xj[c];
+            if (yj == yi) continue;
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c) yj[c] += d[3 * r + c] * xi[r];
+        }
+    }
+}
+
+SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
+                                          const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    size_t i;
+    sfem_matrix_multiply(&model->stiffness, x, y, exec);
+    for (i = 0; i < n; ++i) y[i] *= model->beta;
+    sfemi_fem_add_mass(model, model->alpha, x, y);
+    sfemi_fem_add_damping_rest(model, x, y);
+}
+
+SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
+                                sfem_real *von_mises)
+{
+    sfem_int e;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        sfem_real g[4][3], strain[6], s[6];
+        sfemi_element_gradients(&model->mesh, e, g);
+        sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
+        sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
+        if (stress) memcpy(stress + 6 * (size_t)e, s, sizeof s);
+        if (von_mises)
+            von_mises[e] =
+                sqrt(((s[0] - s[1]) * (s[0] - s[1]) + (s[1] - s[2]) * (s[1] - s[2]) +
+                      (s[2] - s[0]) * (s[2] - s[0])) / 2 +
+                     3 * (s[3] * s[3] + s[4] * s[4] + s[5] * s[5]));
+    }
+}
+
+SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem_real *u)
+{
+    sfem_real energy = 0;
+    sfem_int e;
+    int i;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        sfem_real g[4][3], strain[6], s[6], density = 0;
+        sfemi_element_gradients(&model->mesh, e, g);
+        sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
+        sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
+        for (i = 0; i < 6; ++i) density += strain[i] * s[i];
+        energy += model->volume[e] * density / 2;
+    }
+    return energy;
+}
+
+SFEM_DEF void sfem_add_gravity(const sfem_model *model, const sfem_real g[3], sfem_real *force)
+{
+    size_t i;
+    for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) force[i] += model->node_mass[i / 3] * g[i % 3];
+}
+
+/* Twice the area vector of a triangle, outward for an outward triangle. */
+static void sfemi_fem_area2(const sfem_mesh *mesh, const sfem_real *x, const sfem_int *tri,
+                            sfem_real area2[3])
+{
+    const sfem_real *at = x ? x : mesh->x;
+    sfem_real u[3], v[3];
+    sfemi_sub3(at + 3 * (size_t)tri[1], at + 3 * (size_t)tri[0], u);
+    sfemi_sub3(at + 3 * (size_t)tri[2], at + 3 * (size_t)tri[0], v);
+    sfemi_cross(u, v, area2);
+}
+
+SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
+                                const sfem_int *tri, const sfem_real t[3], sfem_real *force)
+{
+    sfem_int k;
+    int a, c;
+    for (k = 0; k < count; ++k) {
+        sfem_real area2[3], third;
+        sfemi_fem_area2(mesh, x, tri + 3 * (size_t)k, area2);
+        third = sqrt(sfemi_dot3(area2, area2)) / 6;
+        for (a = 0; a < 3; ++a)
+            for (c = 0; c < 3; ++c)
+                force[3 * (size_t)tri[3 * (size_t)k + (size_t)a] + (size_t)c] += third * t[c];
+    }
+}
+
+SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
+                                const sfem_int *tri, sfem_real p, sfem_real *force)
+{
+    sfem_int k;
+    int a, c;
+    for (k = 0; k < count; ++k) {
+        sfem_real area2[3];
+        sfemi_fem_area2(mesh, x, tri + 3 * (size_t)k, area2);
+        for (a = 0; a < 3; ++a)
+            for (c = 0; c < 3; ++c)
+                force[3 * (size_t)tri[3 * (size_t)k + (size_t)a] + (size_t)c] -= p * area2[c] / 6;
+    }
+}
 
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
+ *
+ * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
+ * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. All bodies of a model with the
+ * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
+ * goes when its last body lets go. A factor never changes after it is made.
  * ============================================================================================ */
+
+typedef struct sfemi_factor_key {
+    sfem_real ck, cm, cd;
+    const unsigned char *mask; /* [nodes] axes held */
+    sfem_precision precision;
+    sfem_ordering ordering;
+} sfemi_factor_key;
+
+struct sfem_factor {
+    sfem_factor *next;
+    sfem_int references;
+    sfemi_factor_key key; /* its mask is the factor's own */
+    unsigned char *mask;
+    sfem_int free_nodes;
+    sfem_int *node;     /* [free_nodes] their numbers in the mesh */
+    sfem_real *inverse; /* [free_nodes][3] if A is diagonal, else NULL */
+    sfem_ldl *ldl;      /* else this */
+};
+
+static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, size_t nodes)
+{
+    return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
+           f->key.precision == key->precision && f->key.ordering == key->ordering &&
+           memcmp(f->mask, key->mask, nodes) == 0;
+}
+
+static void sfemi_factor_destroy(sfem_model *model, sfem_factor *f)
+{
+    const sfem_allocator *al = &model->allocator;
+    if (!f) return;
+    sfem_ldl_free(f->ldl);
+    sfemi_delete(al, f->inverse);
+    sfemi_delete(al, f->node);
+    sfemi_delete(al, f->mask);
+    sfemi_delete(al, f);
+}
+
+static void sfemi_factor_release(sfem_model *model, sfem_factor *f)
+{
+    sfem_factor **link;
+    sfem_int left;
+    if (!f) return;
+    sfemi_lock(&model->lock);
+    left = --f->references;
+    for (link = &model->factors; left == 0 && *link; link = &(*link)->next) {
+        if (*link != f) continue;
+        *link = f->next;
+        break;
+    }
+    sfemi_unlock(&model->lock);
+    if (left == 0) sfemi_factor_destroy(model, f);
+}
+
+/* A factor in the model's list that has this key, or with `like` set, one whose analysis serves it (same
+ * pins, other coefficients); retained, or NULL. */
+static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key *key, int like)
+{
+    const size_t nodes = (size_t)model->mesh.nodes;
+    sfem_factor *f;
+    sfemi_lock(&model->lock);
+    for (f = model->factors; f; f = f->next) {
+        sfemi_factor_key k = *key;
+        if (like) {
+            if (!f->ldl) continue;
+            k.ck = f->key.ck;
+            k.cm = f->key.cm;
+            k.cd = f->key.cd;
+        }
+        if (!sfemi_factor_matches(f, &k, nodes)) continue;
+        ++f->references;
+        break;
+    }
+    sfemi_unlock(&model->lock);
+    return f;
+}
+
+/* The rows and columns of A that are free, with held axes of partly held nodes decoupled. */
+static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_factor *f, sfem_matrix *out,
+                                       sfem_error *err)
+{
+    const sfem_allocator *al = &model->allocator;
+    sfem_int *number = NULL, *row = NULL, *col = NULL, i, k, at, blocks = 0;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, number, al, model->mesh.nodes);
+    SFEMI_NEW(sfem_int, row, al, (size_t)f->free_nodes + 1);
+    SFEMI_NEW(sfem_int, col, al, model->row[model->mesh.nodes]);
+    for (i = 0; i < model->mesh.nodes; ++i) number[i] = -1;
+    for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k;
+    for (k = 0; k < f->free_nodes; ++k) {
+        i = f->node[k];
+        for (at = model->row[i]; at < model->row[i + 1]; ++at)
+            if (number[model->col[at]] >= 0) col[blocks++] = number[model->col[at]];
+        row[k + 1] = blocks;
+    }
+    SFEMI_TRY(sfem_matrix_create(f->free_nodes, row, col, al, out, err));
+    blocks = 0;
+    for (k = 0; k < f->free_nodes; ++k) {
+        i = f->node[k];
+        for (at = model->row[i]; at < model->row[i + 1]; ++at) {
+            const sfem_int j = model->col[at];
+            sfem_real *b = out->val + 9 * (size_t)blocks;
+            int r, c;
+            if (number[j] < 0) continue;
+            sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c))
+                        b[3 * r + c] = 0;
+            ++blocks;
+        }
+    }
+done:
+    sfemi_delete(al, col);
+    sfemi_delete(al, row);
+    sfemi_delete(al, number);
+    return status;
+}
+
+static sfem_status sfemi_factor_compute(sfem_model *model, sfem_factor *f, const sfem_exec *exec,
+                                        sfem_error *err)
+{
+    sfem_factor *like;
+    sfem_matrix a;
+    sfem_status status;
+    sfem_error place;
+    memset(&place, 0, sizeof place);
+    status = sfemi_factor_matrix(model, f, &a, err);
+    if (status != SFEM_OK) return status;
+    like = sfemi_factor_find(model, &f->key, 1);
+    if (like) {
+        status = sfem_ldl_create_like(like->ldl, &a, &f->ldl, &place);
+    } else {
+        sfem_real *x = (sfem_real *)sfemi_new(&model->allocator, 3 * (size_t)f->free_nodes, sizeof *x);
+        sfem_ldl_def def = sfem_default_ldl_def();
+        sfem_int k;
+        def.ordering = f->key.ordering;
+        def.mixed = f->key.precision == SFEM_MIXED;
+        def.allocator = model->allocator;
+        def.exec = *exec;
+        def.x = x; /* a hint: without memory for it the ordering does without */
+        for (k = 0; x && k < f->free_nodes; ++k)
+            memcpy(x + 3 * (size_t)k, model->mesh.x + 3 * (size_t)f->node[k], 3 * sizeof *x);
+        status = sfem_ldl_create(&def, &a, &f->ldl, &place);
+        sfemi_delete(&model->allocator, x);
+    }
+    sfemi_factor_release(model, like);
+    sfem_matrix_free(&a);
+    if (status == SFEM_NOT_SPD && place.node >= 0)
+        return sfemi_fail_at(err, status, f->node[place.node], -1, "node %d is held by nothing",
+                             (int)f->node[place.node]);
+    if (status != SFEM_OK && err) *err = place;
+    return status;
+}
+
+/* Makes a factor of its own, in nobody's list yet. */
+static sfem_status sfemi_factor_make(sfem_model *model, const sfemi_factor_key *key,
+                                     const sfem_exec *exec, sfem_factor **out, sfem_error *err)
+{
+    const sfem_allocator *al = &model->allocator;
+    const size_t nodes = (size_t)model->mesh.nodes;
+    sfem_factor *f = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int i, k = 0;
+    int c;
+    SFEMI_NEW(sfem_factor, f, al, 1);
+    SFEMI_NEW(unsigned char, f->mask, al, nodes);
+    memcpy(f->mask, key->mask, nodes);
+    f->key = *key;
+    f->key.mask = f->mask;
+    f->references = 1;
+    for (i = 0; i < model->mesh.nodes; ++i) f->free_nodes += f->mask[i] != SFEM_AXIS_ALL;
+    SFEMI_NEW(sfem_int, f->node, al, f->free_nodes);
+    for (i = 0; i < model->mesh.nodes; ++i)
+        if (f->mask[i] != SFEM_AXIS_ALL) f->node[k++] = i;
+    if (key->ck == 0 && (key->cd == 0 || !model->damping) && !model->block_mass) {
+        SFEMI_NEW(sfem_real, f->inverse, al, 3 * (size_t)f->free_nodes);
+        for (k = 0; k < f->free_nodes; ++k)
+            for (c = 0; c < 3; ++c)
+                f->inverse[3 * k + c] = 1 / (key->cm * model->node_mass[f->node[k]]);
+    } else if (f->free_nodes > 0) {
+        SFEMI_TRY(sfemi_factor_compute(model, f, exec, err));
+    }
+    *out = f;
+    return SFEM_OK;
+done:
+    sfemi_factor_destroy(model, f);
+    return status;
+}
+
+/* The factor with this key, from the list or new; *made counts new ones. */
+static sfem_status sfemi_factor_get(sfem_model *model, const sfemi_factor_key *key,
+                                    const sfem_exec *exec, sfem_factor **out, sfem_int *made,
+                                    sfem_error *err)
+{
+    sfem_status status;
+    *out = sfemi_factor_find(model, key, 0);
+    if (*out) return SFEM_OK;
+    status = sfemi_factor_make(model, key, exec, out, err);
+    if (status != SFEM_OK) return status;
+    ++*made;
+    sfemi_lock(&model->lock);
+    (*out)->next = model->factors;
+    model->factors = *out;
+    sfemi_unlock(&model->lock);
+    return SFEM_OK;
+}
+
+static size_t sfemi_factor_work_size(const sfem_factor *f, sfem_int rhs)
+{
+    return 3 * (size_t)f->free_nodes * (size_t)rhs + (f->ldl ? sfem_ldl_work_size(f->ldl, rhs) : 0);
+}
+
+/* x = A^-1 b on the free axes of `rhs` vectors [nodes][3]; the held axes of x are left alone. b and x
+ * may be the same. work: sfemi_factor_work_size. */
+static void sfemi_factor_solve(const sfem_factor *f, sfem_int nodes, sfem_int rhs, const sfem_real *b,
+                               sfem_real *x, sfem_real *work, const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)nodes, m = 3 * (size_t)f->free_nodes;
+    sfem_int s, k;
+    int c;
+    for (s = 0; s < rhs; ++s)
+        for (k = 0; k < f->free_nodes; ++k)
+            for (c = 0; c < 3; ++c)
+                work[(size_t)s * m + 3 * (size_t)k + (size_t)c] =
+                    f->mask[f->node[k]] >> c & 1 ? 0 : b[(size_t)s * n + 3 * (size_t)f->node[k] + (size_t)c];
+    if (f->ldl) sfem_ldl_solve(f->ldl, rhs, work, work + (size_t)rhs * m, exec);
+    for (s = 0; s < rhs; ++s)
+        for (k = 0; k < f->free_nodes; ++k)
+            for (c = 0; c < 3; ++c) {
+                const size_t at = (size_t)s * m + 3 * (size_t)k + (size_t)c;
+                if (f->mask[f->node[k]] >> c & 1) continue;
+                x[(size_t)s * n + 3 * (size_t)f->node[k] + (size_t)c] =
+                    f->inverse ? f->inverse[3 * k + c] * work[at] : work[at];
+            }
+}
+
+/* ============================================================================================
+ * >>state   what of a body changes, in one block of memory
+ * ============================================================================================ */
+
+/* Something that holds points in place: the history that gives its velocity and acceleration. */
+typedef struct sfemi_hold {
+    sfem_real target[3]; /* position at the end of the next step */
+    sfem_real past[3];   /* position at the start of the last one */
+    sfem_int age;        /* steps since it was taken, up to 2 */
+} sfemi_hold;
+
+typedef struct sfemi_handle {
+    sfemi_hold hold;
+    sfem_int used, node[4];
+    sfem_real weight[4];
+    sfem_real force[3]; /* N, on the body, over the last step */
+} sfemi_handle;
+
+typedef struct sfemi_state_head {
+    char magic[8];
+    uint32_t version, checksum;
+    uint64_t size, key; /* key: what it belongs to */
+    sfem_real time, h;  /* h: of the last step */
+    sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
+    sfem_int load_age;  /* steps since the load last changed, up to 2 */
+    sfem_int loaded;    /* the load was ever set */
+    sfem_int unused;
+} sfemi_state_head;
+
+enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RUNNING };
+
+/* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
+ * the mean velocity over the last step for (p,q,r). */
+typedef struct sfemi_state {
+    sfemi_state_head *head;
+    sfem_real *u, *w, *a;  /* [nodes][3] */
+    sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
+    sfemi_hold *pin;       /* [pin_count] */
+    sfemi_handle *handle;  /* [max_handles] */
+} sfemi_state;
+
+static size_t sfemi_state_bytes(sfem_int nodes, sfem_int pins, sfem_int handles)
+{
+    return sizeof(sfemi_state_head) + 18 * (size_t)nodes * sizeof(sfem_real) +
+           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
+}
+
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, sfem_int pins)
+{
+    const size_t n = 3 * (size_t)nodes;
+    sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
+    int k;
+    s->head = (sfemi_state_head *)block;
+    s->u = at;
+    s->w = at + n;
+    s->a = at + 2 * n;
+    for (k = 0; k < 3; ++k) s->force[k] = at + (3 + (size_t)k) * n;
+    s->pin = (sfemi_hold *)(void *)(at + 6 * n);
+    s->handle = (sfemi_handle *)(void *)(s->pin + pins);
+}
+
+/* FNV-1a [Fowler, Noll, Vo 1991]. */
+static uint64_t sfemi_state_hash(uint64_t hash, const void *data, size_t bytes)
+{
+    const unsigned char *p = (const unsigned char *)data;
+    size_t i;
+    for (i = 0; i < bytes; ++i) hash = (hash ^ p[i]) * 0x100000001b3u;
+    return hash;
+}
+
+static uint32_t sfemi_state_checksum(const void *block, size_t bytes)
+{
+    sfemi_state_head head;
+    uint64_t hash;
+    memcpy(&head, block, sizeof head);
+    head.checksum = 0;
+    hash = sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head);
+    hash = sfemi_state_hash(hash, (const char *)block + sizeof head, bytes - sizeof head);
+    return (uint32_t)(hash ^ hash >> 32);
+}
 
 /* ============================================================================================
  * >>handle   pins and handles set, moved and released while the body runs
+ *
+ * With A^-1 at hand, a constraint H a = c on a = A^-1 (b + H^T l) asks for  (H A^-1 H^T) l = c - H A^-1 b.
+ * The columns Y = A^-1 H^T of a handle, three of them, are solved for when it is taken; a step costs one
+ * small dense solve and one sum over the columns, whatever moves.
  * ============================================================================================ */
 
+typedef struct sfemi_grip {
+    sfem_int count;   /* handles in use */
+    sfem_int *slot;   /* [max] their numbers */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
+    sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
+    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
+    sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
+    sfem_real *lambda; /* [3 max] */
+    sfem_real *place;  /* [3 max] where the handles are before a step */
+    int dirty;        /* the set of handles or the factor changed */
+} sfemi_grip;
+
+/* In-place L D L^T of a small symmetric matrix, lower, row-major with the given stride. A row whose
+ * pivot is lost depends on those before it: its pivot becomes 0, which leaves it out. */
+static void sfemi_grip_factor(sfem_real *a, sfem_int n, sfem_int stride)
+{
+    sfem_int i, j, k;
+    for (i = 0; i < n; ++i) {
+        const sfem_real whole = a[i * stride + i];
+        for (j = 0; j < i; ++j) {
+            sfem_real sum = a[i * stride + j];
+            for (k = 0; k < j; ++k) sum -= a[i * stride + k] * a[k * stride + k] * a[j * stride + k];
+            a[i * stride + j] = a[j * stride + j] > 0 ? sum / a[j * stride + j] : 0;
+        }
+        for (k = 0; k < i; ++k) a[i * stride + i] -= a[i * stride + k] * a[i * stride + k] * a[k * stride + k];
+        if (!(a[i * stride + i] > 1e-9 * whole)) a[i * stride + i] = 0;
+    }
+}
+
+static void sfemi_grip_solve(const sfem_real *a, sfem_int n, sfem_int stride, sfem_real *x,
+                             sfem_int step)
+{
+    sfem_int i, k;
+    for (i = 0; i < n; ++i)
+        for (k = 0; k < i; ++k) x[i * step] -= a[i * stride + k] * x[k * step];
+    for (i = 0; i < n; ++i) x[i * step] = a[i * stride + i] > 0 ? x[i * step] / a[i * stride + i] : 0;
+    for (i = n - 1; i >= 0; --i)
+        for (k = i + 1; k < n; ++k) x[i * step] -= a[k * stride + i] * x[k * step];
+    for (i = 0; i < n; ++i)
+        if (!(a[i * stride + i] > 0)) x[i * step] = 0;
+}
+
+/* (H x) of one handle: the weighted mean over its nodes. */
+static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
+{
+    int k, c;
+    for (c = 0; c < 3; ++c) {
+        out[c] = 0;
+        for (k = 0; k < 4; ++k)
+            if (h->weight[k] != 0) out[c] += h->weight[k] * x[3 * (size_t)h->node[k] + (size_t)c];
+    }
+}
+
+/* Y = A^-1 H^T of one handle. scratch [3][nodes][3] may be y itself. */
+static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, sfem_real *y,
+                               sfem_real *work, const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)nodes;
+    int k, c;
+    memset(y, 0, 3 * n * sizeof *y);
+    for (c = 0; c < 3; ++c)
+        for (k = 0; k < 4; ++k)
+            if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
+                y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += h->weight[k];
+    sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+}
+
+/* Factors S = H Y and W = H M^-1 H^T over the handles in g->slot. */
+static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
+                              const unsigned char *mask)
+{
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_int k = g->count;
+    sfem_int i, j;
+    int a, b, p, q;
+    for (i = 0; i < k; ++i) {
+        const sfemi_handle *hi = handle + g->slot[i];
+        for (j = 0; j <= i; ++j) {
+            const sfemi_handle *hj = handle + g->slot[j];
+            for (b = 0; b < 3; ++b) {
+                sfem_real mean[3], w = 0;
+                sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+                for (p = 0; p < 4; ++p)
+                    for (q = 0; q < 4; ++q)
+                        if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
+                            !(mask[hi->node[p]] >> b & 1))
+                            w += hi->weight[p] * hj->weight[q] / model->node_mass[hi->node[p]];
+                g->wm[(b * k + i) * k + j] = w;
+            }
+        }
+    }
+    sfemi_grip_factor(g->s, 3 * k, 3 * k);
+    for (b = 0; b < 3; ++b) sfemi_grip_factor(g->wm + b * k * k, k, k);
+}
+
+/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
+static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
+{
+    const size_t n = 3 * (size_t)nodes;
+    sfem_int i;
+    size_t k;
+    int c;
+    for (i = 0; i < g->count; ++i) {
+        sfem_real mean[3];
+        sfemi_grip_mean(handle + g->slot[i], a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    for (i = 0; i < g->count; ++i) {
+        for (c = 0; c < 3; ++c) {
+            const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
+            for (k = 0; k < n; ++k) a[k] += l * y[k];
+        }
+    }
+}
+
+/* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
+ * lumped M serves: it only chooses among the changes. */
+static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
+                               const unsigned char *mask, sfem_real *x)
+{
+    const sfem_int k = g->count;
+    sfem_int i;
+    int c, p;
+    for (i = 0; i < k; ++i) {
+        sfem_real mean[3];
+        sfemi_grip_mean(handle + g->slot[i], x, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    for (c = 0; c < 3; ++c) sfemi_grip_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
+    for (i = 0; i < k; ++i) {
+        const sfemi_handle *h = handle + g->slot[i];
+        for (p = 0; p < 4; ++p)
+            for (c = 0; c < 3; ++c)
+                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
+                    x[3 * (size_t)h->node[p] + (size_t)c] +=
+                        h->weight[p] * g->lambda[3 * i + c] / model->node_mass[h->node[p]];
+    }
+}
+
+/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target: second
+ * order once three positions are known. */
+static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h, sfem_real v[3],
+                              sfem_real a[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real d = (hold->target[c] - x[c]) / h, before = (x[c] - hold->past[c]) / h;
+        a[c] = hold->age > 0 ? (d - before) / h : 0;
+        v[c] = d + h / 2 * a[c];
+    }
+}
+
+static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
+{
+    memcpy(hold->past, x, sizeof hold->past);
+    if (hold->age < 2) ++hold->age;
+}
+
+/* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
+struct sfem_body {
+    sfem_allocator allocator;
+    sfem_exec exec;
+    sfem_model *model;
+    sfem_body_def def;   /* without its pins */
+    sfem_int pin_count;
+    sfem_int *pin;       /* [pin_count] nodes, each once */
+    unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
+    sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
+    sfemi_state state;
+    sfemi_grip grip;
+    /* prepared */
+    sfem_factor *factor;
+    sfem_real h, p;      /* what the factor is for */
+    sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
+    sfem_real omega_max; /* 0: not known */
+    sfem_int factors_made;
+    sfem_real *work;     /* for the factor's solves */
+    size_t work_size;
+    /* the step under way */
+    int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
+    sfem_real step;      /* its h */
+    sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+};
+
+enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
+
+/* Coefficients of A = r M + (q/2) h D + p h^2 K for the body's integrator, D resolved into K, M, rest. */
+typedef struct sfemi_coefficients {
+    sfem_real p, q, r;
+} sfemi_coefficients;
+
+static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real p)
+{
+    sfemi_coefficients k;
+    k.p = p;
+    k.q = b->def.integrator == SFEM_PQR ? b->def.q : 1;
+    k.r = b->def.integrator == SFEM_PQR ? b->def.r : 1;
+    if (b->def.integrator == SFEM_NEWMARK) k.q = 2 * b->def.gamma;
+    return k;
+}
+
+/* rhs = load[0] F+ + load[1] F + load[2] F- + their sum M g - K zk - M zm - (rest of D) zd. */
+static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_mass)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real all = load[0] + load[1] + load[2];
+    const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
+    const sfem_real *g = b->def.gravity;
+    size_t i;
+    sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
+    for (i = 0; i < n / 3; ++i) {
+        const sfem_real m = all * model->node_mass[i];
+        b->rhs[3 * i] = m * g[0] - b->rhs[3 * i];
+        b->rhs[3 * i + 1] = m * g[1] - b->rhs[3 * i + 1];
+        b->rhs[3 * i + 2] = m * g[2] - b->rhs[3 * i + 2];
+    }
+    if (b->state.head->loaded && b->state.head->load_age >= 2)
+        for (i = 0; i < n; ++i) b->rhs[i] += all * f0[i];
+    else if (b->state.head->loaded)
+        for (i = 0; i < n; ++i) b->rhs[i] += load[0] * f0[i] + load[1] * f1[i] + load[2] * f2[i];
+    if (with_mass) sfemi_fem_add_mass(model, -1, b->zm, b->rhs);
+    if (model->damping) {
+        for (i = 0; i < n; ++i) b->zd[i] = -b->zd[i];
+        sfemi_fem_add_damping_rest(model, b->zd, b->rhs);
+    }
+}
+
+/* Solves M a = rhs on the free axes; a consistent M by conjugate gradients to rounding, with its diagonal
+ * as preconditioner (its condition is below 20, whatever the mesh). Uses rhs, zk, zm as scratch. */
+static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    sfem_real *r = b->rhs, *p = b->zk, *ap = b->zm, rz = 0, rz0;
+    size_t i;
+    int k;
+    for (i = 0; i < n; ++i) {
+        const int held = b->mask[i / 3] >> (i % 3) & 1;
+        r[i] = held ? 0 : r[i];
+        p[i] = held ? 0 : r[i] / model->node_mass[i / 3];
+        a[i] = model->block_mass ? 0 : p[i];
+        rz += r[i] * p[i];
+    }
+    rz0 = rz;
+    for (k = 0; model->block_mass && k < 200 && rz > 1e-32 * rz0; ++k) {
+        sfem_real pap = 0, step, next = 0;
+        sfem_model_multiply_mass(model, p, ap, &b->exec);
+        for (i = 0; i < n; ++i) pap += p[i] * ap[i];
+        step = rz / pap;
+        for (i = 0; i < n; ++i) {
+            if (b->mask[i / 3] >> (i % 3) & 1) continue;
+            a[i] += step * p[i];
+            r[i] -= step * ap[i];
+            next += r[i] * r[i] / model->node_mass[i / 3];
+        }
+        for (i = 0; i < n; ++i)
+            if (!(b->mask[i / 3] >> (i % 3) & 1))
+                p[i] = r[i] / model->node_mass[i / 3] + next / rz * p[i];
+        rz = next;
+    }
+}
+
+/* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start. */
+static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real load[3] = {0, 1, 0};
+    const sfem_real *u = b->state.u, *v = b->state.w;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = u[i] + b->beta * v[i];
+        b->zm[i] = b->alpha * v[i];
+        if (b->zd) b->zd[i] = v[i];
+    }
+    sfemi_body_residual(b, load, b->alpha != 0);
+    sfemi_body_mass_solve(b, b->state.a);
+    for (i = 0; i < n; ++i) b->state.a[i] /= scale;
+}
+
+/* c - (what the handles would do without force), in units of acceleration, to grip.lambda:
+ * (target - H X - H u)/scale with u the displacement that is predicted. */
+static void sfemi_body_handle_gap(sfem_body *b, const sfem_real *u, sfem_real scale)
+{
+    sfem_int i;
+    int c;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfemi_handle *h = b->state.handle + b->grip.slot[i];
+        sfem_real rest[3], moved[3];
+        sfemi_grip_mean(h, b->model->mesh.x, rest);
+        sfemi_grip_mean(h, u, moved);
+        for (c = 0; c < 3; ++c)
+            b->grip.lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
+    }
+}
+
 /* ============================================================================================
- * >>newmark   implicit Newmark
+ * >>newmark   implicit Newmark                                                   [Newmark 1959]
+ *
+ *   (M + gamma h D + beta h^2 K) a' = F' - D v~ - K u~
+ *   u~ = u + h v + h^2 (1/2 - beta) a,  v~ = v + (1 - gamma) h a;  u' = u~ + beta h^2 a',  v' = v~ + gamma h a'
+ *
+ * Held nodes and handles: the constraint on u' alone makes v and a ring with growing amplitude for
+ * beta = 1/4, gamma = 1/2 (a' = -a - 4 v/h, a double root at -1). Their v' and a' are therefore taken from
+ * three positions of the target, and the rest of the body follows by the least change in the mass norm.
  * ============================================================================================ */
+
+/* The predictors of one axis. */
+static void sfemi_newmark_guess(const sfem_body *b, size_t i, sfem_real h, sfem_real *u, sfem_real *v)
+{
+    const sfemi_state *s = &b->state;
+    *u = s->u[i] + h * (s->w[i] + h * (0.5 - b->def.beta) * s->a[i]);
+    *v = s->w[i] + (1 - b->def.gamma) * h * s->a[i];
+}
+
+static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
+{
+    const sfem_real load[3] = {1, 0, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_int k;
+    size_t i;
+    int c, with_mass = b->alpha != 0;
+    if (b->state.head->started != SFEMI_RUNNING) sfemi_body_initial_acceleration(b, 1);
+    for (i = 0; i < n; ++i) {
+        sfem_real u, v;
+        sfemi_newmark_guess(b, i, h, &u, &v);
+        b->zk[i] = u + b->beta * v;
+        b->zm[i] = b->alpha * v;
+        if (b->zd) b->zd[i] = v;
+        b->acc[i] = 0;
+    }
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        sfem_real x[3], v[3], a[3];
+        for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c];
+        sfemi_hold_motion(b->state.pin + k, x, h, v, a);
+        for (c = 0; c < 3; ++c) {
+            i = at + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            b->zk[i] = b->state.pin[k].target[c] - b->model->mesh.x[i] + b->beta * v[c];
+            b->zm[i] = b->alpha * v[c] + a[c];
+            if (b->zd) b->zd[i] = v[c];
+            b->acc[i] = a[c];
+            with_mass |= b->model->block_mass != NULL && a[c] != 0;
+        }
+    }
+    sfemi_body_residual(b, load, with_mass);
+}
+
+static void sfemi_newmark_solve(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step;
+    size_t i;
+    sfem_real v;
+    if (!b->grip.count) return;
+    for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, h, &b->zk[i], &v);
+    sfemi_body_handle_gap(b, b->zk, b->def.beta * h * h);
+    sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+}
+
+static void sfemi_newmark_finish(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step;
+    sfemi_state *s = &b->state;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (i = 0; i < n; ++i) {
+        sfem_real u, v;
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        sfemi_newmark_guess(b, i, h, &u, &v);
+        s->u[i] = u + b->def.beta * h * h * b->acc[i];
+        s->w[i] = v + b->def.gamma * h * b->acc[i];
+        s->a[i] = b->acc[i];
+    }
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        sfem_real x[3], v[3], a[3];
+        for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
+        sfemi_hold_motion(s->pin + k, x, h, v, a);
+        for (c = 0; c < 3; ++c) {
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            s->u[at + (size_t)c] = s->pin[k].target[c] - b->model->mesh.x[at + (size_t)c];
+            s->w[at + (size_t)c] = v[c];
+            s->a[at + (size_t)c] = a[c];
+        }
+        sfemi_hold_advance(s->pin + k, x);
+    }
+}
+
+/* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
+static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
+{
+    sfem_real *const array[2] = {b->state.w, b->state.a};
+    sfem_int i;
+    int c, pass;
+    for (pass = 0; pass < 2 && b->grip.count; ++pass) {
+        for (i = 0; i < b->grip.count; ++i) {
+            sfem_real motion[2][3];
+            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step, motion[0],
+                              motion[1]);
+            for (c = 0; c < 3; ++c) b->grip.lambda[3 * i + c] = motion[pass][c];
+        }
+        sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
+    }
+}
 
 /* ============================================================================================
  * >>pqr   the (p,q,r) family, central difference
+ *         [Yuan et al. 2017, "A novel unconditionally stable explicit integration method ..."]
+ *
+ *   A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w',   A = r M + (q/2) h D + p h^2 K
+ *
+ * with w the mean velocity over a step. (p,1,1) is Newmark(beta = p, gamma = 1/2) in another form, under
+ * the load p F+ + (1-2p) F + p F-; p = 0 is central difference. The source starts with w = v0, which is
+ * first order; here the first step is Newmark's own,
+ *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
+ * and a step of another length, h1 before and h2 now, follows from the same two half-steps:
+ *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + (1/4-p)(h2^2-h1^2) D a + p h2 (F+ - F) + p h1 (F- - F).
+ * All are put as an equation for a = (w' - w)/h2, whose right side is a force.
+ * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
+
+/* b = F's - K (cf u - ck w) - D (cd w - ca a), see above. */
+typedef struct sfemi_pqr_terms {
+    sfem_real cf, ck, cd, ca, load[3];
+} sfemi_pqr_terms;
+
+static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
+{
+    return b->def.start == SFEM_START_FOURTH_ORDER && fabs(b->p - 1.0 / 12) < 1e-9 && b->alpha == 0 &&
+           b->beta == 0 && !b->model->damping;
+}
+
+static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
+{
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_real h1 = b->state.head->h;
+    sfemi_pqr_terms t;
+    if (b->state.head->started != SFEMI_RUNNING) {
+        const int fourth = sfemi_pqr_starts_at_fourth_order(b);
+        t.cf = 0.5;
+        t.ck = fourth ? -h2 / 6 : -k.p * h2;
+        t.cd = 0.5;
+        t.ca = (0.25 - k.p) * h2;
+        t.load[0] = fourth ? 1.0 / 6 : k.p;
+        t.load[1] = 0.5 - t.load[0];
+        t.load[2] = 0;
+    } else {
+        t.cf = (h1 + h2) / (2 * h2);
+        t.ck = k.p * (h1 - h2) * (h1 + h2) / h2;
+        t.cd = (h1 - k.q / 2 * (h1 - h2)) / h2;
+        t.ca = (0.25 - k.p) * (h2 - h1) * (h2 + h1) / h2;
+        t.load[0] = k.p;
+        t.load[2] = k.p * h1 / h2;
+        t.load[1] = t.cf - t.load[0] - t.load[2];
+    }
+    if (b->def.plain_load) {
+        t.load[0] = t.load[2] = 0;
+        t.load[1] = t.cf;
+    }
+    return t;
+}
+
+static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
+    int with_mass = b->alpha != 0, c;
+    sfemi_pqr_terms t;
+    sfem_int j;
+    size_t i;
+    if (s->head->started != SFEMI_RUNNING && damped && b->p != 0.25)
+        sfemi_body_initial_acceleration(b, k.r);
+    t = sfemi_pqr_weigh(b, h);
+    for (i = 0; i < n; ++i) {
+        const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
+        b->zk[i] = t.cf * s->u[i] - t.ck * s->w[i] + b->beta * dv;
+        b->zm[i] = b->alpha * dv;
+        if (b->zd) b->zd[i] = dv;
+        b->acc[i] = 0;
+    }
+    for (j = 0; j < b->pin_count; ++j) { /* held axes have a given a: their columns of A go to the right */
+        for (c = 0; c < 3; ++c) {
+            sfem_real a;
+            i = 3 * (size_t)b->pin[j] + (size_t)c;
+            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
+            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / h;
+            b->acc[i] = a;
+            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * a;
+            b->zm[i] += (k.r + k.q / 2 * h * b->alpha) * a;
+            if (b->zd) b->zd[i] += k.q / 2 * h * a;
+            with_mass |= b->model->block_mass != NULL && a != 0;
+        }
+    }
+    sfemi_body_residual(b, t.load, with_mass);
+}
+
+static void sfemi_pqr_solve(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step;
+    size_t i;
+    if (!b->grip.count) return;
+    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
+    sfemi_body_handle_gap(b, b->zk, h * h);
+    sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+}
+
+static void sfemi_pqr_finish(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step;
+    sfemi_state *s = &b->state;
+    /* the first step covers half the acceleration: report 2 (w1 - v0)/h, so that v1 = 2 w1 - v0 */
+    const sfem_real full = s->head->started == SFEMI_RUNNING ? 1 : 2;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (k = 0; k < b->pin_count; ++k) {
+        sfem_real x[3];
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            x[c] = b->model->mesh.x[i] + s->u[i];
+        }
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) {
+        s->w[i] += h * b->acc[i];
+        s->u[i] += h * s->w[i];
+        s->a[i] = full * b->acc[i];
+    }
+}
+
+/* Largest eigenvalue of the symmetric tridiagonal matrix (d [k], e [k-1]) by bisection on Sturm counts. */
+static sfem_real sfemi_pqr_tridiagonal_max(const sfem_real *d, const sfem_real *e, int k)
+{
+    sfem_real low = d[0], high = d[0];
+    int i, step;
+    for (i = 0; i < k; ++i) {
+        const sfem_real radius = (i ? fabs(e[i - 1]) : 0) + (i + 1 < k ? fabs(e[i]) : 0);
+        if (d[i] > low) low = d[i];
+        if (d[i] + radius > high) high = d[i] + radius;
+    }
+    for (step = 0; step < 60 && high - low > 1e-14 * high; ++step) {
+        const sfem_real mid = 0.5 * (low + high);
+        sfem_real q = d[0] - mid;
+        int below = q < 0; /* eigenvalues below mid */
+        for (i = 1; i < k; ++i) {
+            if (q == 0) q = 1e-300;
+            q = d[i] - mid - e[i - 1] * e[i - 1] / q;
+            below += q < 0;
+        }
+        if (below == k) high = mid;
+        else low = mid;
+    }
+    return high;
+}
+
+/* |last component| of the normalised eigenvector of theta: what the residual of its Ritz vector is
+ * proportional to. */
+static sfem_real sfemi_pqr_tridiagonal_last(const sfem_real *d, const sfem_real *e, int k, sfem_real theta)
+{
+    sfem_real before = 0, now = 1, sum = 1, next;
+    int i;
+    for (i = 0; i + 1 < k; ++i) {
+        next = ((theta - d[i]) * now - (i ? e[i - 1] * before : 0)) / e[i];
+        before = now;
+        now = next;
+        sum += now * now;
+        if (sum > 1e200) {
+            before *= 1e-100;
+            now *= 1e-100;
+            sum *= 1e-200;
+        }
+    }
+    return fabs(now) / sqrt(sum);
+}
+
+/* A bound that needs no iteration: the largest omega^2 of any single tet, by the Frobenius norm of K_e. On
+ * vectors without a rigid part M_e is rho V/20 when consistent, rho V/4 when lumped. */
+static sfem_real sfemi_pqr_element_bound(const sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_real most = 0;
+    sfem_int e;
+    int i, j, k;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        sfem_real g[4][3], block[9], sum = 0, mass;
+        const sfem_real v = sfemi_element_gradients(&model->mesh, e, g);
+        for (i = 0; i < 4; ++i)
+            for (j = 0; j < 4; ++j) {
+                sfemi_element_block(g[i], g[j], v * model->lambda[e], v * model->mu[e], block);
+                for (k = 0; k < 9; ++k) sum += block[k] * block[k];
+            }
+        mass = model->density[e] * v / (model->block_mass ? 20 : 4);
+        if (sqrt(sum) / mass > most) most = sqrt(sum) / mass;
+    }
+    return most;
+}
+
+/* An upper estimate of the largest omega: Lanczos on M^-1 K with a lumped M [Lanczos 1950], the Ritz value
+ * plus its residual, never above the bound by elements. A consistent M is at least a fifth of its
+ * lumped form, tet by tet, so its omega^2 is at most five times the lumped one. */
+static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
+{
+    enum { STEPS = 80 };
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real bound = sfemi_pqr_element_bound(b);
+    sfem_real d[STEPS], e[STEPS], *v = NULL, *before, *kv, norm = 0, top = 0;
+    uint64_t seed = 88172645463325252u;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    int k;
+    SFEMI_NEW(sfem_real, v, &b->allocator, 3 * n);
+    before = v + n;
+    kv = v + 2 * n;
+    for (i = 0; i < n; ++i) { /* xorshift [Marsaglia 2003] */
+        seed ^= seed << 13;
+        seed ^= seed >> 7;
+        seed ^= seed << 17;
+        v[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : (sfem_real)(seed >> 11) / 9007199254740992.0 - 0.5;
+        norm += v[i] * v[i] * model->node_mass[i / 3];
+    }
+    for (k = 0; k < STEPS && norm > 0; ++k) {
+        sfem_real dot = 0, root = sqrt(norm), theta;
+        for (i = 0; i < n; ++i) {
+            v[i] /= root;
+            before[i] *= k ? root : 0;
+        }
+        sfem_model_multiply_stiffness(model, v, kv, &b->exec);
+        for (i = 0; i < n; ++i) dot += v[i] * kv[i];
+        d[k] = dot;
+        norm = 0;
+        for (i = 0; i < n; ++i) {
+            const int held = b->mask[i / 3] >> (i % 3) & 1;
+            const sfem_real next = held ? 0 : kv[i] / model->node_mass[i / 3] - dot * v[i] - before[i];
+            before[i] = v[i];
+            v[i] = next;
+            norm += next * next * model->node_mass[i / 3];
+        }
+        e[k] = sqrt(norm);
+        theta = sfemi_pqr_tridiagonal_max(d, e, k + 1);
+        top = theta + e[k] * sfemi_pqr_tridiagonal_last(d, e, k + 1, theta);
+        if (top - theta < 1e-4 * theta) break;
+    }
+    if (model->block_mass) top *= 5;
+    b->omega_max = sqrt(top < bound ? top : bound);
+done:
+    sfemi_delete(&b->allocator, v);
+    return status;
+}
+
+/* The smallest h > 0 at which a h^2 + 2 half h + c, c > 0, turns negative; 0 if none. */
+static sfem_real sfemi_pqr_smallest_root(sfem_real a, sfem_real half, sfem_real c)
+{
+    const sfem_real root = half * half - a * c;
+    if (root < 0 || (half >= 0 && a >= 0)) return 0;
+    return c / (sqrt(root) - half); /* without cancellation */
+}
+
+/* The largest stable h, 0 for no limit: 4 r + 2 (q-1) h (alpha + beta w^2) + (4p-1) h^2 w^2 >= 0 at the
+ * largest omega w, from 4 A >= h^2 K + 2 h D. For Newmark 1/sqrt(gamma/2 - beta) [Hughes 1987]. */
+static sfem_real sfemi_pqr_stable_step(const sfem_body *b, sfem_real p)
+{
+    const sfemi_coefficients k = sfemi_body_coefficients(b, p);
+    const sfem_real w2 = b->omega_max * b->omega_max;
+    if (b->def.integrator == SFEM_NEWMARK) {
+        const sfem_real gap = b->def.gamma / 2 - b->def.beta;
+        return gap <= 0 ? 0 : 1 / sqrt(gap * w2);
+    }
+    return sfemi_pqr_smallest_root((4 * k.p - 1) * w2, (k.q - 1) * (b->alpha + b->beta * w2), 4 * k.r);
+}
+
+/* Does a step of any length need omega_max? */
+static int sfemi_pqr_needs_omega(const sfem_body *b)
+{
+    if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
+    if (b->def.integrator == SFEM_CENTRAL) return 1;
+    return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
+}
 
 /* ============================================================================================
  * >>body   the pipeline that a user calls: create, prepare, step, read
  * ============================================================================================ */
+
+SFEM_DEF sfem_body_def sfem_default_body_def(void)
+{
+    sfem_body_def d;
+    memset(&d, 0, sizeof d);
+    d.integrator = SFEM_PQR;
+    d.p = d.beta = 0.25;
+    d.q = d.r = 1;
+    d.gamma = 0.5;
+    d.max_handles = 16;
+    return d;
+}
+
+static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
+{
+    if ((unsigned)d->integrator > SFEM_CENTRAL)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
+    if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0 or SFEM_P_AUTO", d->p);
+    if (!(sfemi_finite(d->q) && d->q >= 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
+    if (!(sfemi_finite(d->r) && d->r > 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "r is %g, must be > 0", d->r);
+    if (!(sfemi_finite(d->beta) && d->beta > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's beta is %g, must be > 0 (central difference is an integrator of its own)", d->beta);
+    if (!(sfemi_finite(d->gamma) && d->gamma >= 0.5))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
+    if (!(sfemi_finite(d->alpha) && d->alpha >= 0 && sfemi_finite(d->beta_k) && d->beta_k >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha, d->beta_k);
+    if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    if (d->max_handles < 0 || d->max_handles > 1024)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024", (int)d->max_handles);
+    return SFEM_OK;
+}
+
+/* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
+static uint64_t sfemi_body_key(const sfem_body *b)
+{
+    const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
+                              b->def.integrator == SFEM_NEWMARK};
+    const uint64_t hash = sfemi_state_hash(0xcbf29ce484222325u, shape, sizeof shape);
+    return sfemi_state_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
+}
+
+static void sfemi_body_reset_head(sfem_body *b, size_t bytes)
+{
+    sfemi_state_head *head = b->state.head;
+    memcpy(head->magic, "sfemstat", 8);
+    head->version = 1;
+    head->size = bytes;
+    head->key = sfemi_body_key(b);
+}
+
+/* Pins as a mask and a list without repetition. Nodes in no tet are masked and not listed. */
+static sfem_status sfemi_body_collect_pins(const sfem_body *b, sfem_int count, const sfem_int *pins,
+                                           const unsigned char *axes, unsigned char *mask, sfem_int *list,
+                                           sfem_int *listed, sfem_error *err)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    sfem_int i;
+    *listed = 0;
+    if (count < 0 || (count > 0 && !pins))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin_count is %d without pins", (int)count);
+    for (i = 0; i < nodes; ++i) mask[i] = 0;
+    for (i = 0; i < count; ++i) {
+        const int held = axes ? axes[i] : SFEM_AXIS_ALL;
+        if (pins[i] < 0 || pins[i] >= nodes)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin %d names node %d, the mesh has %d", (int)i,
+                              (int)pins[i], (int)nodes);
+        if (held < 1 || held > SFEM_AXIS_ALL)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, pins[i], -1, "pin %d holds axes %d, must be 1 to 7",
+                                 (int)i, held);
+        if (!mask[pins[i]]) list[(*listed)++] = pins[i];
+        mask[pins[i]] = (unsigned char)(mask[pins[i]] | held);
+    }
+    for (i = 0; i < nodes; ++i)
+        if (b->model->node_mass[i] == 0) mask[i] = SFEM_AXIS_ALL;
+    return SFEM_OK;
+}
+
+/* Each pin holds its node where it is. */
+static void sfemi_body_place_pins(sfem_body *b)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->pin_count; ++k) {
+        sfemi_hold *hold = b->state.pin + k;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            hold->target[c] = hold->past[c] = b->model->mesh.x[at] + b->state.u[at];
+            if (b->mask[b->pin[k]] >> c & 1) b->state.w[at] = b->state.a[at] = 0;
+        }
+        hold->age = 0;
+    }
+}
+
+static void sfemi_body_destroy(sfem_body *b)
+{
+    const sfem_allocator al = b->allocator;
+    sfem_int i;
+    sfemi_factor_release(b->model, b->factor);
+    sfemi_factor_release(b->model, b->static_factor);
+    for (i = 0; b->grip.y && i < b->def.max_handles; ++i) sfemi_delete(&al, b->grip.y[i]);
+    sfemi_delete(&al, b->grip.y);
+    sfemi_delete(&al, b->grip.slot);
+    sfemi_delete(&al, b->grip.ready);
+    sfemi_delete(&al, b->grip.s);
+    sfemi_delete(&al, b->grip.wm);
+    sfemi_delete(&al, b->grip.lambda);
+    sfemi_delete(&al, b->grip.place);
+    sfemi_delete(&al, b->pin);
+    sfemi_delete(&al, b->mask);
+    sfemi_delete(&al, b->state.head);
+    sfemi_delete(&al, b->rhs);
+    sfemi_delete(&al, b->work);
+    sfem_model_free(b->model);
+    sfemi_delete(&al, b);
+}
+
+static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
+    const size_t vectors = b->model->damping ? 5 : 4;
+    sfem_status status = SFEM_OK;
+    size_t bytes;
+    void *block = NULL;
+    SFEMI_NEW(unsigned char, b->mask, al, nodes);
+    SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
+    SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
+                                      &b->pin_count, err));
+    bytes = sfemi_state_bytes(nodes, b->pin_count, def->max_handles);
+    SFEMI_NEW(char, block, al, bytes);
+    sfemi_state_lay_out(&b->state, block, nodes, b->pin_count);
+    sfemi_body_reset_head(b, bytes);
+    SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
+    b->acc = b->rhs + n;
+    b->zk = b->rhs + 2 * n;
+    b->zm = b->rhs + 3 * n;
+    b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
+    if (k > 0) {
+        SFEMI_NEW(sfem_int, b->grip.slot, al, k);
+        SFEMI_NEW(sfem_real *, b->grip.y, al, k);
+        SFEMI_NEW(sfem_int, b->grip.ready, al, k);
+        SFEMI_NEW(sfem_real, b->grip.s, al, 9 * k * k);
+        SFEMI_NEW(sfem_real, b->grip.wm, al, 3 * k * k);
+        SFEMI_NEW(sfem_real, b->grip.lambda, al, 3 * k);
+        SFEMI_NEW(sfem_real, b->grip.place, al, 3 * k);
+    }
+done:
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *def, sfem_body **out,
+                                      sfem_error *err)
+{
+    sfem_body *b = NULL;
+    sfem_status status;
+    SFEM_ASSERT(model && def && out);
+    SFEMI_TRY(sfemi_body_check(def, err));
+    SFEMI_NEW(sfem_body, b, &def->allocator, 1);
+    b->allocator = def->allocator;
+    b->exec = def->exec;
+    b->def = *def;
+    b->def.pins = NULL;
+    b->def.pin_axes = NULL;
+    b->alpha = model->alpha + def->alpha;
+    b->beta = model->beta + def->beta_k;
+    b->model = model;
+    sfemi_lock(&model->lock);
+    ++model->references;
+    sfemi_unlock(&model->lock);
+    SFEMI_TRY(sfemi_body_allocate(b, def, err));
+    sfemi_body_place_pins(b);
+    *out = b;
+    return SFEM_OK;
+done:
+    if (b) sfemi_body_destroy(b);
+    return status;
+}
+
+SFEM_DEF void sfem_body_free(sfem_body *body)
+{
+    if (body) sfemi_body_destroy(body);
+}
+
+/* Room for the solves with f, `rhs` at a time. */
+static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
+                                           sfem_error *err)
+{
+    const size_t size = sfemi_factor_work_size(f, rhs);
+    sfem_real *work;
+    sfem_status status = SFEM_OK;
+    if (size <= b->work_size) return SFEM_OK;
+    SFEMI_NEW(sfem_real, work, &b->allocator, size);
+    sfemi_delete(&b->allocator, b->work);
+    b->work = work;
+    b->work_size = size;
+done:
+    return status;
+}
+
+/* Columns and dense blocks of the handles for the body's factor. */
+static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int i, count = 0;
+    if (!g->dirty) return SFEM_OK;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        const int wanted = b->state.handle[i].used;
+        if ((wanted || b->def.no_allocation) && !g->y[i])
+            SFEMI_NEW(sfem_real, g->y[i], &b->allocator, 3 * n);
+        count += wanted;
+    }
+    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_body_reserve_work(b, b->factor, 3, err));
+    g->count = 0;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        if (!b->state.handle[i].used) continue;
+        if (!g->ready[i])
+            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, g->y[i], b->work,
+                               &b->exec);
+        g->ready[i] = 1;
+        g->slot[g->count++] = i;
+    }
+    sfemi_grip_gather(g, b->state.handle, b->model, b->mask);
+    g->dirty = 0;
+done:
+    return status;
+}
+
+/* Takes over a factor that the body owns a reference to. */
+static void sfemi_body_adopt(sfem_body *b, sfem_factor *f)
+{
+    sfem_int i;
+    if (f == b->factor) {
+        sfemi_factor_release(b->model, f); /* the body has one reference already */
+        return;
+    }
+    sfemi_factor_release(b->model, b->factor);
+    b->factor = f;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    b->grip.dirty = 1;
+}
+
+static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_real limit;
+    if (sfemi_pqr_needs_omega(b) && b->omega_max == 0) status = sfemi_pqr_find_omega(b, err);
+    if (status != SFEM_OK) return status;
+    *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
+         : b->def.integrator == SFEM_CENTRAL ? 0
+                                             : b->def.p;
+    if (*p == SFEM_P_AUTO) *p = b->omega_max * h < 2 ? 1.0 / 12 : 0.25;
+    limit = sfemi_pqr_stable_step(b, *p);
+    if (limit > 0 && h > limit)
+        return sfemi_fail(err, SFEM_UNSTABLE, "a step of %g s is beyond the stable one, %g s", h, limit);
+    return SFEM_OK;
+}
+
+static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
+{
+    return b->factor && h == b->h && !b->grip.dirty;
+}
+
+SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
+{
+    sfemi_coefficients k;
+    sfemi_factor_key key;
+    sfem_factor *f;
+    sfem_real p;
+    sfem_status status;
+    SFEM_ASSERT(b);
+    if (!(sfemi_finite(h) && h > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
+    if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
+    if (!b->factor || h != b->h) {
+        status = sfemi_body_choose_p(b, h, &p, err);
+        if (status != SFEM_OK) return status;
+        k = sfemi_body_coefficients(b, p);
+        key.ck = k.p * h * h + k.q / 2 * h * b->beta;
+        key.cm = k.r + k.q / 2 * h * b->alpha;
+        key.cd = b->model->damping ? k.q / 2 * h : 0;
+        key.mask = b->mask;
+        key.precision = b->def.precision;
+        key.ordering = b->def.ordering;
+        status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
+        if (status != SFEM_OK) return status;
+        status = sfemi_body_reserve_work(b, f, 1, err);
+        if (status != SFEM_OK) {
+            sfemi_factor_release(b->model, f);
+            return status;
+        }
+        sfemi_body_adopt(b, f);
+        b->h = h;
+        b->p = p;
+    }
+    return b->def.max_handles ? sfemi_body_prepare_handles(b, err) : (b->grip.dirty = 0, SFEM_OK);
+}
+
+SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
+{
+    SFEM_ASSERT(b);
+    if (!sfemi_body_is_prepared(b, h)) {
+        sfem_status status;
+        if (b->def.no_allocation)
+            return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
+        status = sfem_body_prepare(b, h, err);
+        if (status != SFEM_OK) return status;
+    }
+    b->step = h;
+    if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
+    else sfemi_pqr_predict(b, h);
+    b->phase = SFEMI_PREDICTED;
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
+    else sfemi_pqr_solve(b);
+    b->phase = SFEMI_IDLE;
+    if (!sfemi_all_finite(b->acc, n))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+    b->phase = SFEMI_SOLVED;
+    return SFEM_OK;
+}
+
+/* The load of the step that ends becomes that of the start of the next one. */
+static void sfemi_body_age_load(sfem_body *b)
+{
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    if (!b->state.head->loaded || b->state.head->load_age >= 2) return;
+    memcpy(b->state.force[2], b->state.force[1], bytes);
+    memcpy(b->state.force[1], b->state.force[0], bytes);
+    ++b->state.head->load_age;
+}
+
+SFEM_DEF void sfem_body_finish(sfem_body *b)
+{
+    sfemi_grip *g = &b->grip;
+    sfem_int i;
+    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    for (i = 0; i < g->count; ++i) {
+        memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
+        sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    }
+    if (b->def.integrator == SFEM_NEWMARK) {
+        sfemi_newmark_finish(b);
+        sfemi_newmark_settle_handles(b, g->place);
+    } else {
+        sfemi_pqr_finish(b);
+    }
+    for (i = 0; i < g->count; ++i)
+        sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
+    sfemi_body_age_load(b);
+    b->state.head->started = SFEMI_RUNNING;
+    b->state.head->time += b->step;
+    b->state.head->h = b->step;
+    b->phase = SFEMI_IDLE;
+}
+
+SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
+{
+    sfem_status status = sfem_body_predict(b, h, err);
+    if (status == SFEM_OK) status = sfem_body_solve(b, err);
+    if (status == SFEM_OK) sfem_body_finish(b);
+    return status;
+}
+
+SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *b) { return b->rhs; }
+SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *b) { return b->acc; }
+
+/* ---- loads and state ---- */
+
+SFEM_DEF void sfem_body_start(sfem_body *b)
+{
+    if (b->state.head->started == SFEMI_NOT_STARTED) b->state.head->started = SFEMI_LOAD_FIXED;
+}
+
+static void sfemi_body_load_changed(sfem_body *b)
+{
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    b->state.head->loaded = 1;
+    b->state.head->load_age = 0;
+    if (b->state.head->started != SFEMI_NOT_STARTED) return;
+    memcpy(b->state.force[1], b->state.force[0], bytes);
+    memcpy(b->state.force[2], b->state.force[0], bytes);
+    b->state.head->load_age = 2;
+}
+
+static sfem_status sfemi_body_check_nodes(const sfem_real *x, sfem_int nodes, const char *what,
+                                          sfem_error *err)
+{
+    size_t i;
+    for (i = 0; x && i < 3 * (size_t)nodes; ++i)
+        if (!sfemi_finite(x[i]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, (sfem_int)(i / 3), -1,
+                                 "the %s of node %d is not finite", what, (int)(i / 3));
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, const sfem_real *x,
+                                         const char *what, sfem_error *err)
+{
+    if (node < 0 || node >= b->model->mesh.nodes)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no node %d, the mesh has %d", (int)node,
+                          (int)b->model->mesh.nodes);
+    if (x && !sfemi_all_finite(x, 3))
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the %s of node %d is not finite", what,
+                             (int)node);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, sfem_error *err)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const sfem_status status = sfemi_body_check_nodes(force, nodes, "force", err);
+    if (status != SFEM_OK) return status;
+    if (force) memcpy(b->state.force[0], force, 3 * (size_t)nodes * sizeof *force);
+    else memset(b->state.force[0], 0, 3 * (size_t)nodes * sizeof *force);
+    sfemi_body_load_changed(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const sfem_real f[3],
+                                              sfem_error *err)
+{
+    const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
+    int c;
+    if (status != SFEM_OK) return status;
+    for (c = 0; c < 3; ++c) b->state.force[0][3 * (size_t)node + (size_t)c] += f[c];
+    sfemi_body_load_changed(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], sfem_error *err)
+{
+    if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    memcpy(b->def.gravity, g, sizeof b->def.gravity);
+    return SFEM_OK;
+}
+
+SFEM_DEF const sfem_real *sfem_body_displacement(const sfem_body *b) { return b->state.u; }
+SFEM_DEF sfem_real sfem_body_time(const sfem_body *b) { return b->state.head->time; }
+
+SFEM_DEF void sfem_body_positions(const sfem_body *b, sfem_real *x)
+{
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) x[i] = b->model->mesh.x[i] + b->state.u[i];
+}
+
+/* (p,q,r) keeps the mean velocity over a step: half a step of acceleration is missing from it. */
+SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
+{
+    const sfemi_state *s = &b->state;
+    const int mean = b->def.integrator != SFEM_NEWMARK && s->head->started == SFEMI_RUNNING;
+    const sfem_real half = mean ? s->head->h / 2 : 0;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] = s->w[i] + half * s->a[i];
+}
+
+/* Starts the integrator afresh from u and the velocity in w. */
+static void sfemi_body_restart(sfem_body *b)
+{
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_int i;
+    memset(b->state.a, 0, bytes);
+    memcpy(b->state.force[1], b->state.force[0], bytes);
+    memcpy(b->state.force[2], b->state.force[0], bytes);
+    b->state.head->load_age = 2;
+    b->state.head->started = SFEMI_NOT_STARTED;
+    for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
+    for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
+    b->phase = SFEMI_IDLE;
+}
+
+SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const sfem_real *v,
+                                         sfem_error *err)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    size_t i;
+    sfem_status status = sfemi_body_check_nodes(u, nodes, "displacement", err);
+    if (status == SFEM_OK) status = sfemi_body_check_nodes(v, nodes, "velocity", err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < 3 * (size_t)nodes; ++i) {
+        const int held = b->mask[i / 3] >> (i % 3) & 1;
+        if (!held) b->state.u[i] = u ? u[i] : 0;
+        b->state.w[i] = v && !held ? v[i] : 0;
+    }
+    sfemi_body_restart(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->state.head->size; }
+
+SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
+{
+    const size_t bytes = sfem_body_state_size(b);
+    uint32_t sum;
+    memcpy(memory, b->state.head, bytes);
+    sum = sfemi_state_checksum(memory, bytes);
+    memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
+}
+
+SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size_t bytes,
+                                          sfem_error *err)
+{
+    sfemi_state_head head;
+    sfem_int i;
+    if (bytes < sizeof head) return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
+    memcpy(&head, memory, sizeof head);
+    if (memcmp(head.magic, "sfemstat", 8) != 0) return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
+    if (head.version != 1)
+        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1", (unsigned)head.version);
+    if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
+        return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
+    if (head.size != b->state.head->size || head.key != b->state.head->key)
+        return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
+    memcpy(b->state.head, memory, bytes);
+    b->state.head->checksum = 0;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    b->grip.dirty = 1;
+    b->phase = SFEMI_IDLE;
+    return SFEM_OK;
+}
+
+/* ---- pins and handles ---- */
+
+SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem_int *pins,
+                                        const unsigned char *axes, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    const sfem_int nodes = b->model->mesh.nodes;
+    sfemi_state fresh, old = b->state;
+    unsigned char *mask = NULL;
+    sfem_int *list = NULL, listed, i;
+    void *block = NULL;
+    size_t bytes;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(unsigned char, mask, al, nodes);
+    SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
+    SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
+    bytes = sfemi_state_bytes(nodes, listed, b->def.max_handles);
+    SFEMI_NEW(char, block, al, bytes);
+    sfemi_state_lay_out(&fresh, block, nodes, listed);
+    memcpy(fresh.head, old.head, sizeof *old.head + 18 * (size_t)nodes * sizeof(sfem_real));
+    memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
+    sfemi_delete(al, old.head);
+    sfemi_delete(al, b->mask);
+    sfemi_delete(al, b->pin);
+    b->state = fresh;
+    b->mask = mask;
+    b->pin = list;
+    b->pin_count = listed;
+    b->omega_max = 0;
+    sfemi_body_reset_head(b, bytes);
+    sfemi_factor_release(b->model, b->factor);
+    b->factor = NULL;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    b->grip.dirty = 1;
+    sfemi_body_place_pins(b);
+    return SFEM_OK;
+done:
+    sfemi_delete(al, list);
+    sfemi_delete(al, mask);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_real position[3],
+                                        sfem_error *err)
+{
+    sfem_int k;
+    sfem_status status = sfemi_body_check_node(b, node, position, "position", err);
+    if (status != SFEM_OK) return status;
+    for (k = 0; k < b->pin_count && b->pin[k] != node; ++k) continue;
+    if (k == b->pin_count)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "node %d is not pinned", (int)node);
+    memcpy(b->state.pin[k].target, position, 3 * sizeof *position);
+    return SFEM_OK;
+}
+
+/* Takes the first free handle for the weighted nodes. */
+static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const sfem_real weight[4],
+                                   sfem_int *handle, sfem_error *err)
+{
+    sfemi_handle *h = NULL;
+    sfem_int k;
+    int c, loose = 0;
+    for (c = 0; c < 4; ++c) loose |= weight[c] != 0 && b->mask[node[c]] != SFEM_AXIS_ALL;
+    if (!loose)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes", (int)node[0]);
+    for (k = 0; k < b->def.max_handles && b->state.handle[k].used; ++k) continue;
+    if (k == b->def.max_handles)
+        return sfemi_fail(err, SFEM_FULL, "all %d handles are in use: pin the nodes instead", (int)k);
+    h = b->state.handle + k;
+    memset(h, 0, sizeof *h);
+    memcpy(h->node, node, sizeof h->node);
+    memcpy(h->weight, weight, sizeof h->weight);
+    h->used = 1;
+    sfem_body_handle_position(b, k, h->hold.target);
+    memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
+    b->grip.ready[k] = 0;
+    b->grip.dirty = 1;
+    *handle = k;
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *b, sfem_int node, sfem_int *handle, sfem_error *err)
+{
+    sfem_int nodes[4];
+    const sfem_real weight[4] = {1, 0, 0, 0};
+    const sfem_status status = sfemi_body_check_node(b, node, NULL, "", err);
+    if (status != SFEM_OK) return status;
+    nodes[0] = nodes[1] = nodes[2] = nodes[3] = node;
+    return sfemi_body_grab(b, nodes, weight, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem_real bary[4],
+                                          sfem_int *handle, sfem_error *err)
+{
+    if (tet < 0 || tet >= b->model->mesh.tets)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no tet %d, the mesh has %d", (int)tet,
+                          (int)b->model->mesh.tets);
+    if (!sfemi_all_finite(bary, 4) || fabs(bary[0] + bary[1] + bary[2] + bary[3] - 1) > 1e-6)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
+                             "barycentric coordinates %g %g %g %g do not add up to 1", bary[0], bary[1],
+                             bary[2], bary[3]);
+    return sfemi_body_grab(b, b->model->mesh.tet + 4 * (size_t)tet, bary, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const sfem_real target[3],
+                                           sfem_error *err)
+{
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    if (!sfemi_all_finite(target, 3))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
+    memcpy(b->state.handle[handle].hold.target, target, 3 * sizeof *target);
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
+{
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    memset(b->state.handle + handle, 0, sizeof *b->state.handle);
+    b->grip.ready[handle] = 0;
+    b->grip.dirty = 1;
+}
+
+SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_real force[3])
+{
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    memcpy(force, b->state.handle[handle].force, 3 * sizeof *force);
+}
+
+SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
+{
+    sfem_real u[3];
+    int c;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
+    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
+    for (c = 0; c < 3; ++c) x[c] += u[c];
+}
+
+SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
+{
+    const sfem_real load[3] = {1, 0, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int inertia = b->model->block_mass != NULL || b->alpha != 0;
+    sfem_real *v = b->acc;
+    size_t i;
+    sfem_body_velocities(b, v);
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = b->state.u[i] + b->beta * v[i];
+        b->zm[i] = b->state.a[i] + b->alpha * v[i];
+        if (b->zd) b->zd[i] = v[i];
+    }
+    b->phase = SFEMI_IDLE;
+    sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
+    for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+}
+
+/* ---- statics ---- */
+
+/* The body's pins and its node handles: what a static solution has to hold. */
+static void sfemi_body_static_mask(const sfem_body *b, unsigned char *mask)
+{
+    sfem_int k;
+    memcpy(mask, b->mask, (size_t)b->model->mesh.nodes);
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used && b->state.handle[k].weight[0] == 1)
+            mask[b->state.handle[k].node[0]] = SFEM_AXIS_ALL;
+}
+
+/* Known displacements to u, zero elsewhere. */
+static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
+{
+    const sfem_real *rest = b->model->mesh.x;
+    sfem_int k;
+    int c;
+    memset(u, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *u);
+    for (k = 0; k < b->def.max_handles; ++k) {
+        const sfemi_handle *h = b->state.handle + k;
+        const size_t at = 3 * (size_t)h->node[0];
+        for (c = 0; h->used && h->weight[0] == 1 && c < 3; ++c)
+            u[at + (size_t)c] = h->hold.target[c] - rest[at + (size_t)c];
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (b->mask[b->pin[k]] >> c & 1) u[at] = b->state.pin[k].target[c] - rest[at];
+        }
+}
+
+/* Point handles through their dense block, on the static factor. Leaves the columns marked as belonging
+ * to no factor of the body. */
+static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f, sfem_real *u, int apply,
+                                             sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    sfem_status status = SFEM_OK;
+    sfem_int k;
+    g->count = 0;
+    for (k = 0; k < b->def.max_handles; ++k) {
+        const sfemi_handle *h = b->state.handle + k;
+        g->ready[k] = 0;
+        if (!h->used || h->weight[0] == 1) continue;
+        if (!g->y[k]) SFEMI_NEW(sfem_real, g->y[k], &b->allocator, 9 * (size_t)b->model->mesh.nodes);
+        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, g->y[k], b->work, &b->exec);
+        g->slot[g->count++] = k;
+    }
+    if (apply && g->count) {
+        sfemi_grip_gather(g, b->state.handle, b->model, f->mask);
+        for (k = 0; k < g->count; ++k) {
+            sfem_real rest[3];
+            int c;
+            sfemi_grip_mean(b->state.handle + g->slot[k], b->model->mesh.x, rest);
+            for (c = 0; c < 3; ++c)
+                g->lambda[3 * k + c] = b->state.handle[g->slot[k]].hold.target[c] - rest[c];
+        }
+        sfemi_grip_apply(g, b->state.handle, b->model->mesh.nodes, u);
+        for (k = 0; k < g->count; ++k)
+            memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
+    }
+done:
+    g->count = 0;
+    g->dirty = 1;
+    return status;
+}
+
+/* The forces of node handles: what is out of balance there. */
+static void sfemi_body_static_forces(sfem_body *b)
+{
+    const sfem_real load[3] = {1, 0, 0};
+    sfem_int k;
+    int c;
+    memcpy(b->zk, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zk);
+    if (b->zd) memset(b->zd, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zd);
+    sfemi_body_residual(b, load, 0);
+    for (k = 0; k < b->def.max_handles; ++k) {
+        sfemi_handle *h = b->state.handle + k;
+        for (c = 0; h->used && h->weight[0] == 1 && c < 3; ++c)
+            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[3 * (size_t)h->node[0] + (size_t)c];
+    }
+}
+
+SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
+{
+    const sfem_real load[3] = {1, 0, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_factor_key key;
+    unsigned char *mask = NULL;
+    sfem_factor *f = NULL;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    SFEM_ASSERT(b);
+    memset(&key, 0, sizeof key);
+    b->phase = SFEMI_IDLE;
+    SFEMI_NEW(unsigned char, mask, &b->allocator, b->model->mesh.nodes);
+    sfemi_body_static_mask(b, mask);
+    key.ck = 1;
+    key.mask = mask;
+    key.ordering = b->def.ordering;
+    SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+    SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
+    SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
+    sfemi_body_static_known(b, b->zk);
+    memcpy(b->acc, b->zk, n * sizeof *b->acc);
+    if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
+    sfemi_body_residual(b, load, 0);
+    sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
+    if (!sfemi_all_finite(b->acc, n)) {
+        status = sfemi_fail(err, SFEM_NOT_FINITE, "the static solution is not finite");
+        goto done;
+    }
+    for (i = 0; i < n; ++i) b->state.u[i] = b->acc[i];
+    memset(b->state.w, 0, n * sizeof *b->state.w);
+    sfemi_body_restart(b);
+    sfemi_body_static_forces(b);
+    for (i = 0; i < (size_t)b->pin_count; ++i)
+        memcpy(b->state.pin[i].past, b->state.pin[i].target, sizeof b->state.pin[i].past);
+done:
+    sfemi_factor_release(b->model, b->static_factor);
+    b->static_factor = f; /* kept: loads change more often than pins */
+    sfemi_delete(&b->allocator, mask);
+    return status;
+}
+
+/* ---- what a body tells ---- */
+
+/* 1/2 x.M x, or x.K x with K's product in kx. */
+static sfem_real sfemi_body_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real h = s->head->h, *force = s->force[0];
+    const int running = s->head->started == SFEMI_RUNNING;
+    sfem_energy e;
+    size_t i;
+    b->phase = SFEMI_IDLE;
+    sfem_body_velocities(b, b->acc);
+    sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
+    e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
+    sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
+    e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    e.load = 0;
+    for (i = 0; i < n; ++i)
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+    e.total = e.conserved = e.kinetic + e.elastic + e.load;
+    if (!running) return e;
+    if (b->def.integrator == SFEM_NEWMARK) {
+        sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
+        e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
+    } else {
+        const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+        sfem_real wkw, load_w = 0;
+        sfem_model_multiply_mass(model, s->w, b->zm, &b->exec);
+        sfem_model_multiply_stiffness(model, s->w, b->rhs, &b->exec);
+        wkw = sfemi_body_dot(s->w, b->rhs, n);
+        for (i = 0; i < n; ++i)
+            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+        /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
+        e.conserved = k.r / 2 * sfemi_body_dot(s->w, b->zm, n) + k.p * h * h / 2 * wkw + e.elastic -
+                      h / 2 * sfemi_body_dot(s->u, b->rhs, n) + e.load + h / 2 * load_w;
+    }
+    return e;
+}
+
+SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_body_info info;
+    sfem_int i;
+    memset(&info, 0, sizeof info);
+    info.nodes = b->model->mesh.nodes;
+    info.tets = b->model->mesh.tets;
+    for (i = 0; i < info.nodes; ++i) info.free_nodes += b->mask[i] != SFEM_AXIS_ALL;
+    info.p = b->factor ? b->p : 0;
+    info.omega_max = b->omega_max;
+    info.factors_made = b->factors_made;
+    info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
+    for (i = 0; i < b->def.max_handles; ++i)
+        if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
+    if (!b->factor) return info;
+    if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
+    info.diagonal = b->factor->inverse != NULL;
+    if (b->factor->ldl) {
+        const sfem_ldl_info ldl = sfem_ldl_get_info(b->factor->ldl);
+        info.factor_nnz = ldl.nnz;
+        info.factor_bytes = ldl.bytes;
+    } else {
+        info.factor_nnz = 3 * (size_t)b->factor->free_nodes;
+        info.factor_bytes = info.factor_nnz * sizeof(sfem_real);
+    }
+    sfemi_lock(&b->model->lock);
+    info.factor_users = b->factor->references;
+    sfemi_unlock(&b->model->lock);
+    return info;
+}
 
 #ifdef __cplusplus
 }
