@@ -56,7 +56,7 @@ test: check check-examples ## build and run every test, and every example once
 bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
 
-bench-solver: $(BUILD)/bench/solver ## the solvers beside CHOLMOD, Eigen, METIS, BLAS where installed
+bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
@@ -67,7 +67,7 @@ strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign sym
 asan: ## the tests under address and undefined-behaviour sanitizers
 	$(MAKE) check BUILD=$(BUILD)/asan OPENMP=0 CFLAGS='-O1 -g' SANITIZE=address,undefined
 
-tsan: ## the tests named after threads under the thread sanitizer; FILTER='*' for all tests
+tsan: ## the tests named after threads under the thread sanitizer (all: FILTER='*')
 ifneq ($(THREADED)$(FILTER),)
 	$(MAKE) check BUILD=$(BUILD)/tsan OPENMP=0 CFLAGS='-O1 -g' SANITIZE=thread \
 	    FILTER='$(or $(FILTER),*thread*)' \
@@ -84,7 +84,7 @@ analyze: ## static analysis by gcc, clang and cppcheck, where installed
 	        -o $(BUILD)/analyze.out || exit 1; done
 	@! command -v cppcheck >/dev/null || { echo '== cppcheck'; cppcheck -q --std=c99 --language=c \
 	    --enable=warning,performance,portability -DSOFTFEM_IMPLEMENTATION --error-exitcode=1 \
-	    --suppress=missingIncludeSystem softfem.h; }
+	    --suppress=missingIncludeSystem --suppress=pointerSize softfem.h; }
 
 format: ## lay out examples, tests and benches by tests/.clang-format
 	clang-format -i --style=file:tests/.clang-format \
@@ -93,7 +93,7 @@ format: ## lay out examples, tests and benches by tests/.clang-format
 coverage: ## lines of softfem.h that the tests reach
 	rm -rf $(BUILD)/coverage
 	$(MAKE) check BUILD=$(BUILD)/coverage OPENMP=0 CFLAGS='-O0 -g --coverage'
-	cd $(BUILD)/coverage && gcov -o . softfem.o | grep -A1 "File 'softfem.h'"
+	gcov -n $(BUILD)/coverage/softfem.gcda $(BUILD)/coverage/tests/*.gcda | grep -A1 "File 'softfem.h'"
 
 clean: ## remove every product
 	rm -rf $(BUILD)
@@ -135,7 +135,7 @@ $(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
 	    $(BUILD)/softfem.o $(LDFLAGS) -lm
 
 # Other people's solvers, each only if a probe compiles: bench/solver.c sees SFEM_BENCH_CHOLMOD,
-# _METIS, _CBLAS; Eigen, which is C++, is reached through bench/solver_eigen.cpp and SFEM_BENCH_EIGEN.
+# SFEM_BENCH_METIS, SFEM_BENCH_CBLAS; and SFEM_BENCH_EIGEN if there is a bench/solver_eigen.cpp.
 $(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) softfem.h \
                        $(BUILD)/softfem.o
 	@mkdir -p $(@D)
@@ -161,7 +161,7 @@ $(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) s
 	if [ -n "$$missing" ]; \
 	then echo "left out; to compare with them too: apt-get install$$missing"; fi; \
 	$(CC) $(FLAGS) $$defines -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -c -o $@.o $< && \
-	$$link $(FLAGS_LINK) $(if $(filter 1,$(OPENMP)),-fopenmp) -o $@ $@.o $$objects \
+	$$link $(if $(filter 1,$(OPENMP)),-fopenmp) -o $@ $@.o $$objects \
 	    $(BUILD)/softfem.o $(LDFLAGS) $$libraries -lm
 
 # Everything is built anew when the compiler or its flags change.

@@ -61,6 +61,9 @@
 #ifdef SFEM_STATIC
 #if defined(__GNUC__)
 #define SFEM_DEF static __attribute__((unused))
+#if !defined(__clang__) && !defined(SOFTFEM_IMPLEMENTATION)
+#pragma GCC diagnostic ignored "-Wunused-function" /* gcc: declared static but never defined */
+#endif
 #else
 #define SFEM_DEF static
 #endif

@@ -6,7 +6,7 @@
  *     assert_ok(call, err)              call returns SFEM_OK, or its error text is printed
  *     assert_status(call, wanted)       call returns that status
  *     test_memory, test_allocator       counts blocks, fails the Nth allocation, finds leaks
- *     fail_every_allocation(f, user)    f with the 1st, 2nd, ... allocation failing, till it succeeds
+ *     fail_every_allocation(f, user)    f with its 1st, 2nd, ... allocation failing, till none does
  *     hash_reals(x, n)                  equal bits, equal hash
  *     test_random, random_*             repeatable numbers
  *     thread_exec(n)                    an sfem_exec on n POSIX threads
