@@ -62,6 +62,9 @@
 #ifdef SFEM_STATIC
 #if defined(__GNUC__)
 #define SFEM_DEF static __attribute__((unused))
+#if !defined(__clang__) && !defined(SOFTFEM_IMPLEMENTATION)
+#pragma GCC diagnostic ignored "-Wunused-function" /* gcc: declared static but never defined */
+#endif
 #else
 #define SFEM_DEF static
 #endif
@@ -140,8 +143,8 @@ typedef struct sfem_exec {
  * >>api-mesh   tetrahedral meshes
  * ============================================================================================ */
 
-/* A mesh owns its arrays; sfem_mesh_free releases them. A mesh may also point at the caller's arrays
- * (fill the fields, do not free it). A tet a b c d is right-handed: (b-a)x(c-a).(d-a) > 0. */
+/* A mesh owns its arrays; sfem_mesh_free releases them. A mesh may also point at the caller's
+ * arrays (fill the fields, do not free it). Tets a b c d are right-handed: (b-a)x(c-a).(d-a) > 0 */
 typedef struct sfem_mesh {
     sfem_int nodes, tets;
     sfem_real *x;     /* [nodes][3] rest positions, m */
@@ -149,6 +152,141 @@ typedef struct sfem_mesh {
     sfem_int *region; /* [tets]     the file's region or physical group, or NULL */
     sfem_allocator allocator;
 } sfem_mesh;
+
+/* MAKING ONE. All of these fill *out, whatever it held; sfem_mesh_free it afterwards. They allocate
+ * through `allocator` (NULL = malloc), which the mesh remembers.
+ *   errors  SFEM_BAD_ARGUMENT   a count below 1, a length that is not above 0 and finite
+ *           SFEM_TOO_LARGE      more nodes or tets than an sfem_int can number
+ *           SFEM_OUT_OF_MEMORY */
+
+typedef enum sfem_block_cells {
+    SFEM_CELL_5_TETS, /* cells and their mirror images alternate; quality .77 and 1 on cubes */
+    SFEM_CELL_6_TETS  /* Kuhn 1960: six equal tets round one diagonal; quality .65 on cubes */
+} sfem_block_cells;
+
+/* A box with one corner at the origin, cells[0] x cells[1] x cells[2] cells of 5 or 6 tets each.
+ * Node (i,j,k) is number (i (cells[1]+1) + j) (cells[2]+1) + k. */
+SFEM_DEF sfem_status sfem_mesh_block(const sfem_int cells[3], const sfem_real size[3],
+                                     sfem_block_cells kind, const sfem_allocator *allocator,
+                                     sfem_mesh *out, sfem_error *err);
+
+/* A cylinder round the x axis, from x = 0 to x = length: 3 rings (rings+1) + 1 nodes in each of
+ * layers+1 cross-sections, 18 rings^2 layers tets; the rim is a polygon of 6 rings sides. Nodes are
+ * numbered section by section. Quality > .55 where length/layers = radius/rings. */
+SFEM_DEF sfem_status sfem_mesh_cylinder(sfem_real radius, sfem_real length, sfem_int rings,
+                                        sfem_int layers, const sfem_allocator *allocator,
+                                        sfem_mesh *out, sfem_error *err);
+
+/* A ball about the origin in 20 rings^3 tets: concentric icosahedral shells of 10 r^2 + 2 nodes,
+ * r = 1 .. rings, round node 0; the surface is a geodesic sphere, its nodes on the sphere.
+ * Quality > .53, .82 in the mean. */
+SFEM_DEF sfem_status sfem_mesh_ball(sfem_real radius, sfem_int rings,
+                                    const sfem_allocator *allocator, sfem_mesh *out,
+                                    sfem_error *err);
+
+/* A copy of arrays: x [nodes][3], m; tet [tets][4], node numbers from 0. Left-handed tets are
+ * turned as by sfem_mesh_orient; anything else that sfem_mesh_check objects to is refused with its
+ * status. */
+SFEM_DEF sfem_status sfem_mesh_copy(sfem_int nodes, const sfem_real *x, sfem_int tets,
+                                    const sfem_int *tet, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err);
+
+/* Releases the arrays; all zero afterwards. NULL, an all-zero mesh and a second call do nothing. */
+SFEM_DEF void sfem_mesh_free(sfem_mesh *mesh);
+
+/* CHECKING. The quality of a tet is q = 6 sqrt(2) V / l^3, V its signed volume and l the root mean
+ * square of its six edges [Parthasarathy, Graichen, Hathaway 1994; the 3/2nd power of the mean
+ * ratio of Liu, Joe 1994]: 1 for the regular tet, 0 for a flat one, negative for an inverted one,
+ * the same at any scale. A tet counts as flat where |q| < 1e-12: its stiffness would be rounding
+ * error. */
+typedef struct sfem_mesh_report {
+    /* faults: a mesh with one of these cannot be used */
+    sfem_int not_finite;   /* nodes with a NaN or infinite coordinate */
+    sfem_int out_of_range; /* tets that name a node that is not there */
+    sfem_int repeated;     /* tets that name a node twice */
+    sfem_int flat;         /* tets without volume */
+    sfem_int inverted;     /* left-handed tets */
+    /* suspicious, but usable */
+    sfem_int unused;      /* nodes in no tet */
+    sfem_int coincident;  /* nodes at the very place of one with a lower number: a seam? */
+    sfem_int overlapping; /* faces with two tets on one side: tets twice, or through one another */
+    /* shape, over the tets without a fault of the first three kinds */
+    sfem_real volume, min_volume, max_volume; /* m^3, signed */
+    sfem_real min_quality, mean_quality;      /* see above */
+    sfem_int worst_tet;                       /* has min_quality; -1 if there is none */
+    sfem_real min_edge, max_edge;             /* m */
+    sfem_real box[2][3];                      /* m, of the finite nodes in use or not */
+    /* topology; -1 each where out_of_range or repeated is not 0 */
+    sfem_int components; /* parts that share no node */
+    sfem_int surface_triangles, surface_edges, surface_nodes;
+    sfem_int euler; /* surface nodes - edges + triangles: 2 for a ball, 0 for a ring */
+} sfem_mesh_report;
+
+/* Can this mesh be used? SFEM_OK, or the first fault, by number, in a sentence: an empty mesh, a
+ * coordinate that is not finite, then the lowest tet with any of the faults above.
+ *   report  NULL, or filled in, also for a mesh with faults; not where memory ran out
+ *   errors  SFEM_BAD_MESH, SFEM_NOT_FINITE; with a report also SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
+ *   cost    O(nodes + tets); allocates only for the report */
+SFEM_DEF sfem_status sfem_mesh_check(const sfem_mesh *mesh, sfem_mesh_report *report,
+                                     sfem_error *err);
+
+/* Swaps the last two nodes of every left-handed tet; returns how many. Allocates nothing. */
+SFEM_DEF sfem_int sfem_mesh_orient(sfem_mesh *mesh);
+
+/* The boundary: the faces with a tet on one side only, counterclockwise seen from outside (for
+ * right-handed tets), in the order of their tets. It is closed: each edge is used as often in one
+ * direction as in the other, even where the mesh overlaps itself.
+ *   errors  SFEM_BAD_MESH (node number out of range), SFEM_TOO_LARGE (2^29 tets),
+ *           SFEM_OUT_OF_MEMORY
+ *   cost    O(nodes + tets) */
+typedef struct sfem_surface {
+    sfem_int triangles;
+    sfem_int *tri; /* [triangles][3] node numbers of the mesh */
+    sfem_int *tet; /* [triangles]    the tet behind each */
+    sfem_allocator allocator;
+} sfem_surface;
+SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
+                                       sfem_surface *out, sfem_error *err);
+SFEM_DEF void sfem_surface_free(sfem_surface *surface); /* as sfem_mesh_free */
+
+/* Parts that share no node with one another, numbered from 0 by their lowest nodes: label[i] is the
+ * part of node i, -1 if no tet uses it. count may be NULL. SFEM_BAD_MESH for a node number out of
+ * range. O(nodes + tets) in practice [union-find with path halving, Tarjan, van Leeuwen 1984];
+ * allocates nothing. */
+SFEM_DEF sfem_status sfem_mesh_components(const sfem_mesh *mesh, sfem_int *label, sfem_int *count,
+                                          sfem_error *err);
+
+/* NUMBERING. Renumbers the nodes in reverse Cuthill-McKee order of the node graph [Cuthill, McKee
+ * 1969; start nodes of George, Liu 1979], unused ones last, and sorts the tets by their lowest
+ * nodes, with their regions: neighbours in space become neighbours in memory.
+ *   new_of_old  [nodes], or NULL: the new number of each node
+ *   errors      as sfem_mesh_surface; the mesh is then as it was
+ *   cost        O(nodes + tets); scratch from the mesh's allocator */
+SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err);
+
+/* The largest difference of two node numbers in one tet. */
+SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh);
+
+/* Takes the nodes out that no tet uses; the others keep their order, the arrays their place.
+ *   new_of_old  [nodes before], or NULL: the new number of each node, -1 if it is gone
+ *   errors      SFEM_BAD_MESH, SFEM_OUT_OF_MEMORY; the mesh is then as it was */
+SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old,
+                                             sfem_error *err);
+
+/* PICKING, in a mesh that passed sfem_mesh_check, at current positions x [nodes][3] (NULL = rest).
+ * Both return 1 and fill the outputs (any may be NULL), or return 0 and leave them. bary [4] is
+ * >= 0 and sums to 1: the point is sum_i bary[i] x[tet[i]]. Tets that are flat in x are passed
+ * over, inverted ones are not. O(tets); nothing is allocated. */
+
+/* The first tet that a ray enters, or the one that it starts in (distance 0). The direction is of
+ * any length above 0; the point is origin + distance direction/|direction|. */
+SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
+                                const sfem_real origin[3], const sfem_real direction[3],
+                                sfem_int *tet, sfem_real bary[4], sfem_real *distance);
+
+/* The tet that contains a point. Outside of all tets it returns 0: there is no nearest. */
+SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
+                              sfem_int *tet, sfem_real bary[4]);
 
 /* ============================================================================================
  * >>api-meshio   files
@@ -600,6 +738,1184 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 /* ============================================================================================
  * >>mesh   tets, surface, generators, checks, renumbering
  * ============================================================================================ */
+
+/* Invariants: a tet is right-handed once sfem_mesh_orient or a generator has been over it;
+ * everything runs in O(nodes + tets), by counting sorts instead of hashing, so that no input is
+ * slow.
+ *
+ * LITERATURE. Kuhn, Some combinatorial lemmas in topology, IBM J. Res. Dev. 4, 1960. Dompierre,
+ * Labbe, Vallet, Camarero, How to subdivide pyramids, prisms and hexahedra into tetrahedra, 8th
+ * Int. Meshing Roundtable, 1999. Parthasarathy, Graichen, Hathaway, A comparison of tetrahedron
+ * quality measures, Finite Elem. Anal. Des. 15, 1994. Cuthill, McKee, Reducing the bandwidth of
+ * sparse symmetric matrices, Proc. 24th ACM Nat. Conf., 1969. George, Liu, An implementation of a
+ * pseudoperipheral node finder, ACM Trans. Math. Softw. 5, 1979. Tarjan, van Leeuwen, Worst-case
+ * analysis of set union algorithms, J. ACM 31, 1984. */
+
+/* ---- memory ---- */
+
+SFEM_DEF void sfem_mesh_free(sfem_mesh *mesh)
+{
+    if (!mesh) return;
+    sfemi_delete(&mesh->allocator, mesh->x);
+    sfemi_delete(&mesh->allocator, mesh->tet);
+    sfemi_delete(&mesh->allocator, mesh->region);
+    memset(mesh, 0, sizeof *mesh);
+}
+
+/* Arrays for a new mesh. The counts come as doubles, which hold any product that a caller can ask
+ * for without overflow. */
+static sfem_status sfemi_mesh_new(double nodes, double tets, const sfem_allocator *allocator,
+                                  sfem_mesh *out, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_mesh m;
+    memset(&m, 0, sizeof m);
+    if (allocator) m.allocator = *allocator;
+    if (nodes > (double)INT32_MAX || tets > (double)INT32_MAX)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%.0f nodes and %.0f tets: at most 2^31 - 1 of each",
+                          nodes, tets);
+    m.nodes = (sfem_int)nodes;
+    m.tets = (sfem_int)tets;
+    SFEMI_NEW(sfem_real, m.x, &m.allocator, 3 * (size_t)m.nodes);
+    SFEMI_NEW(sfem_int, m.tet, &m.allocator, 4 * (size_t)m.tets);
+    *out = m;
+done:
+    if (status != SFEM_OK) sfem_mesh_free(&m);
+    return status;
+}
+
+/* ---- generators ---- */
+
+static sfem_status sfemi_mesh_counts_and_sizes(const char *what, const sfem_int *count, int counts,
+                                               const sfem_real *size, int sizes, sfem_error *err)
+{
+    int i;
+    for (i = 0; i < counts; ++i)
+        if (count[i] < 1)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%s: count %d is %ld, below 1", what, i,
+                              (long)count[i]);
+    for (i = 0; i < sizes; ++i)
+        if (!sfemi_finite(size[i]) || size[i] <= 0)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%s: length %d is %g, not above 0 and finite",
+                              what, i, size[i]);
+    return SFEM_OK;
+}
+
+/* Writes tet number *count, right-handed, and counts it. */
+static void sfemi_mesh_put(sfem_mesh *m, sfem_int *count, sfem_int a, sfem_int b, sfem_int c,
+                           sfem_int d)
+{
+    const sfem_real *x = m->x;
+    sfem_int *t = m->tet + 4 * (size_t)(*count)++;
+    int left = sfemi_volume6(x + 3 * (size_t)a, x + 3 * (size_t)b, x + 3 * (size_t)c,
+                             x + 3 * (size_t)d) < 0;
+    t[0] = a;
+    t[1] = b;
+    t[2] = left ? d : c;
+    t[3] = left ? c : d;
+}
+
+/* The six orders of three axes, as bits: each is a walk from corner 0 of a cube to corner 7. */
+static const unsigned char sfemi_mesh_walk[6][3] = {{1, 2, 4}, {1, 4, 2}, {2, 1, 4},
+                                                    {2, 4, 1}, {4, 1, 2}, {4, 2, 1}};
+
+/* node[n]: the corners of a cell; bits 4, 2, 1 of n step along i, j, k. Five tets: a corner is cut
+ * off where i+j+k is odd in the whole grid, so that neighbours draw the same diagonal on their
+ * face. */
+static void sfemi_mesh_cell(sfem_mesh *m, sfem_int *count, const sfem_int node[8], int odd,
+                            sfem_block_cells kind)
+{
+    int n, keep = odd ? 1 : 0; /* of the even corners 0 3 5 6 or the odd ones 7 4 2 1 */
+    if (kind == SFEM_CELL_6_TETS) {
+        for (n = 0; n < 6; ++n) {
+            const unsigned char *w = sfemi_mesh_walk[n];
+            sfemi_mesh_put(m, count, node[0], node[w[0]], node[w[0] | w[1]], node[7]);
+        }
+        return;
+    }
+    for (n = 0; n < 8; ++n)
+        if ((((n >> 2) + (n >> 1) + n) & 1) != keep)
+            sfemi_mesh_put(m, count, node[n], node[n ^ 1], node[n ^ 2], node[n ^ 4]);
+    if (keep)
+        sfemi_mesh_put(m, count, node[7], node[4], node[2], node[1]);
+    else
+        sfemi_mesh_put(m, count, node[0], node[3], node[5], node[6]);
+}
+
+SFEM_DEF sfem_status sfem_mesh_block(const sfem_int cells[3], const sfem_real size[3],
+                                     sfem_block_cells kind, const sfem_allocator *allocator,
+                                     sfem_mesh *out, sfem_error *err)
+{
+    sfem_status status;
+    sfem_mesh m;
+    sfem_int i, j, k, count = 0;
+    double nx, ny, nz;
+    SFEM_ASSERT(cells && size && out);
+    if (kind != SFEM_CELL_5_TETS && kind != SFEM_CELL_6_TETS)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "block: unknown kind of cell %d", (int)kind);
+    status = sfemi_mesh_counts_and_sizes("block", cells, 3, size, 3, err);
+    if (status != SFEM_OK) return status;
+    nx = cells[0], ny = cells[1], nz = cells[2];
+    status = sfemi_mesh_new((nx + 1) * (ny + 1) * (nz + 1),
+                            (kind == SFEM_CELL_5_TETS ? 5 : 6) * nx * ny * nz, allocator, &m, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i <= cells[0]; ++i)
+        for (j = 0; j <= cells[1]; ++j)
+            for (k = 0; k <= cells[2]; ++k) {
+                sfem_real *x =
+                    m.x +
+                    3 * ((size_t)(i * (cells[1] + 1) + j) * (size_t)(cells[2] + 1) + (size_t)k);
+                x[0] = size[0] * (i / nx);
+                x[1] = size[1] * (j / ny);
+                x[2] = size[2] * (k / nz);
+            }
+    for (i = 0; i < cells[0]; ++i)
+        for (j = 0; j < cells[1]; ++j)
+            for (k = 0; k < cells[2]; ++k) {
+                sfem_int n, node[8];
+                for (n = 0; n < 8; ++n)
+                    node[n] =
+                        ((i + (n >> 2)) * (cells[1] + 1) + j + (n >> 1 & 1)) * (cells[2] + 1) + k +
+                        (n & 1);
+                sfemi_mesh_cell(&m, &count, node, (int)((i ^ j ^ k) & 1), kind);
+            }
+    *out = m;
+    return SFEM_OK;
+}
+
+/* Number k of the 6r nodes of ring r of a cross-section; ring 0 is its centre. */
+static sfem_int sfemi_mesh_ring_node(sfem_int r, sfem_int k)
+{
+    return r == 0 ? 0 : 1 + 3 * r * (r - 1) + k % (6 * r);
+}
+
+/* The prism over triangle a b c of a cross-section, in three tets: every side is cut from the lower
+ * numbered edge's foot to the higher one's head [Dompierre et al. 1999], so neighbours agree. Every
+ * other layer is turned over, against a common twist. */
+static void sfemi_mesh_prism(sfem_mesh *m, sfem_int *count, sfem_int a, sfem_int b, sfem_int c,
+                             sfem_int layer, sfem_int section)
+{
+    sfem_int s, foot = (layer + (layer & 1)) * section, head = (layer + 1 - (layer & 1)) * section;
+    if (a > b) s = a, a = b, b = s;
+    if (b > c) s = b, b = c, c = s;
+    if (a > b) s = a, a = b, b = s;
+    sfemi_mesh_put(m, count, foot + a, foot + b, foot + c, head + c);
+    sfemi_mesh_put(m, count, foot + a, foot + b, head + b, head + c);
+    sfemi_mesh_put(m, count, foot + a, head + a, head + b, head + c);
+}
+
+SFEM_DEF sfem_status sfem_mesh_cylinder(sfem_real radius, sfem_real length, sfem_int rings,
+                                        sfem_int layers, const sfem_allocator *allocator,
+                                        sfem_mesh *out, sfem_error *err)
+{
+    const double pi = 3.14159265358979323846, nr = rings, nl = layers;
+    sfem_status status;
+    sfem_mesh m;
+    sfem_int i, r, k, s, section, count = 0, counts[2];
+    sfem_real sizes[2];
+    SFEM_ASSERT(out);
+    counts[0] = rings, counts[1] = layers;
+    sizes[0] = radius, sizes[1] = length;
+    status = sfemi_mesh_counts_and_sizes("cylinder", counts, 2, sizes, 2, err);
+    if (status != SFEM_OK) return status;
+    status =
+        sfemi_mesh_new((3 * nr * (nr + 1) + 1) * (nl + 1), 18 * nr * nr * nl, allocator, &m, err);
+    if (status != SFEM_OK) return status;
+    section = 3 * rings * (rings + 1) + 1;
+    for (i = 0; i <= layers; ++i)
+        for (r = 0; r <= rings; ++r)
+            for (k = 0; k < (r ? 6 * r : 1); ++k) {
+                sfem_real *x =
+                    m.x + 3 * ((size_t)i * (size_t)section + (size_t)sfemi_mesh_ring_node(r, k));
+                sfem_real angle = r ? 2 * pi * k / (6.0 * r) : 0;
+                x[0] = length * (i / nl);
+                x[1] = radius * (r / nr) * cos(angle);
+                x[2] = radius * (r / nr) * sin(angle);
+            }
+    for (i = 0; i < layers; ++i)
+        for (r = 1; r <= rings; ++r)
+            for (s = 0; s < 6; ++s) /* six sectors, of r outer and r - 1 inner triangles */
+                for (k = 0; k < r; ++k) {
+                    sfem_int out0 = sfemi_mesh_ring_node(r, s * r + k);
+                    sfem_int out1 = sfemi_mesh_ring_node(r, s * r + k + 1);
+                    sfem_int in0 = sfemi_mesh_ring_node(r - 1, s * (r - 1) + k);
+                    sfem_int in1 = sfemi_mesh_ring_node(r - 1, s * (r - 1) + k + 1);
+                    sfemi_mesh_prism(&m, &count, in0, out0, out1, i, section);
+                    if (k < r - 1) sfemi_mesh_prism(&m, &count, in0, in1, out1, i, section);
+                }
+    *out = m;
+    return SFEM_OK;
+}
+
+/* The icosahedron: its corners, and the numbers of its edges and faces (corners ascending). */
+typedef struct sfemi_mesh_icosahedron {
+    sfem_real corner[12][3];
+    sfem_int edge[12][12]; /* number of the edge a < b, or -1 */
+    sfem_int face[20][3];
+} sfemi_mesh_icosahedron;
+
+static void sfemi_mesh_icosahedron_set(sfemi_mesh_icosahedron *s)
+{
+    const sfem_real golden = 0.5 * (1 + sqrt(5.0));
+    sfem_int a, b, c, edges = 0, faces = 0;
+    for (a = 0; a < 12; ++a) { /* the cyclic shifts of (0, +-1, +-golden): edges of length 2 */
+        s->corner[a][a / 4] = 0;
+        s->corner[a][(a / 4 + 1) % 3] = a & 1 ? -1 : 1;
+        s->corner[a][(a / 4 + 2) % 3] = a & 2 ? -golden : golden;
+    }
+    for (a = 0; a < 12; ++a)
+        for (b = 0; b < 12; ++b) {
+            sfem_real d[3];
+            sfemi_sub3(s->corner[a], s->corner[b], d);
+            s->edge[a][b] = a < b && sfemi_dot3(d, d) < 5 ? edges++ : -1;
+        }
+    for (a = 0; a < 12; ++a)
+        for (b = a + 1; b < 12; ++b)
+            for (c = b + 1; c < 12; ++c)
+                if (s->edge[a][b] >= 0 && s->edge[b][c] >= 0 && s->edge[a][c] >= 0) {
+                    s->face[faces][0] = a;
+                    s->face[faces][1] = b;
+                    s->face[faces++][2] = c;
+                }
+}
+
+/* The node of shell r on face f with integer weights w, sum r, of the face's corners. Within a
+ * shell come the corners, then the edges, then the faces. */
+static sfem_int sfemi_mesh_shell_node(const sfemi_mesh_icosahedron *s, sfem_int f,
+                                      const sfem_int w[3])
+{
+    const sfem_int *v = s->face[f], r = w[0] + w[1] + w[2];
+    sfem_int i, a, b, base;
+    if (r == 0) return 0;
+    base = 1 + 5 * (r - 1) * r * (2 * r - 1) / 3 + 2 * (r - 1);
+    for (i = 0; i < 3; ++i)
+        if (w[i] == r) return base + v[i];
+    base += 12;
+    for (i = 0; i < 3; ++i)
+        if (w[i] == 0) {
+            a = i == 0 ? 1 : 0;
+            b = i == 2 ? 1 : 2;
+            return base + s->edge[v[a]][v[b]] * (r - 1) + w[b] - 1;
+        }
+    base += 30 * (r - 1) + f * ((r - 1) * (r - 2) / 2);
+    return base + (w[1] - 1) * (r - 1) - (w[1] - 1) * w[1] / 2 + w[2] - 1;
+}
+
+/* The cone from the centre to face f is the simplex rings >= X >= Y >= Z >= 0 of an integer grid, X
+ * being the shell; the grid's cubes are cut in six round their diagonals, and what lies in the
+ * simplex is kept. On the simplex's faces that is the plain triangular pattern, so cones match. */
+static void sfemi_mesh_cone(sfem_mesh *m, sfem_int *count, const sfemi_mesh_icosahedron *s,
+                            sfem_int f, sfem_int rings)
+{
+    sfem_int X, Y, Z, p, i;
+    for (X = 0; X < rings; ++X)
+        for (Y = 0; Y <= X; ++Y)
+            for (Z = 0; Z <= Y; ++Z)
+                for (p = 0; p < 6; ++p) {
+                    sfem_int node[4], w[3], x = X, y = Y, z = Z;
+                    for (i = 0; i < 4; ++i) {
+                        if (i > 0) {
+                            int bit = sfemi_mesh_walk[p][i - 1];
+                            x += bit & 1, y += bit >> 1 & 1, z += bit >> 2;
+                        }
+                        if (y > x || z > y) break;
+                        w[0] = x - y, w[1] = y - z, w[2] = z;
+                        node[i] = sfemi_mesh_shell_node(s, f, w);
+                    }
+                    if (i == 4) sfemi_mesh_put(m, count, node[0], node[1], node[2], node[3]);
+                }
+}
+
+SFEM_DEF sfem_status sfem_mesh_ball(sfem_real radius, sfem_int rings,
+                                    const sfem_allocator *allocator, sfem_mesh *out,
+                                    sfem_error *err)
+{
+    const double n = rings;
+    sfem_status status = sfemi_mesh_counts_and_sizes("ball", &rings, 1, &radius, 1, err);
+    sfemi_mesh_icosahedron s;
+    sfem_mesh m;
+    sfem_int f, r, i, count = 0, w[3];
+    SFEM_ASSERT(out);
+    if (status != SFEM_OK) return status;
+    status = sfemi_mesh_new(1 + 5 * n * (n + 1) * (2 * n + 1) / 3 + 2 * n, 20 * n * n * n,
+                            allocator, &m, err);
+    if (status != SFEM_OK) return status;
+    sfemi_mesh_icosahedron_set(&s);
+    for (f = 0; f < 20; ++f) {
+        const sfem_int *v = s.face[f];
+        for (r = 1; r <= rings; ++r)
+            for (w[1] = 0; w[1] <= r; ++w[1])
+                for (w[2] = 0; w[2] <= r - w[1]; ++w[2]) {
+                    sfem_real *x, p[3], length;
+                    w[0] = r - w[1] - w[2];
+                    x = m.x + 3 * (size_t)sfemi_mesh_shell_node(&s, f, w);
+                    for (i = 0; i < 3; ++i)
+                        p[i] = w[0] * s.corner[v[0]][i] + w[1] * s.corner[v[1]][i] +
+                               w[2] * s.corner[v[2]][i];
+                    length = sqrt(sfemi_dot3(p, p));
+                    for (i = 0; i < 3; ++i) x[i] = radius * (r / n) * (p[i] / length);
+                }
+    }
+    for (f = 0; f < 20; ++f) sfemi_mesh_cone(&m, &count, &s, f, rings);
+    *out = m;
+    return SFEM_OK;
+}
+
+/* ---- checks ---- */
+
+#define SFEMI_MESH_FLAT 1e-12 /* |quality| below this is no volume */
+
+typedef enum sfemi_mesh_fault {
+    SFEMI_TET_GOOD,
+    SFEMI_TET_INVERTED,
+    SFEMI_TET_FLAT, /* the worse ones from here on have no shape */
+    SFEMI_TET_REPEATED,
+    SFEMI_TET_OUT_OF_RANGE,
+    SFEMI_TET_NOT_FINITE
+} sfemi_mesh_fault;
+
+/* The six edges of a tet, first those from node 0. */
+static const unsigned char sfemi_mesh_edge[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
+
+/* Quality of a tet, and its edge lengths. Edges are scaled first: no under- or overflow. */
+static sfem_real sfemi_mesh_quality(const sfem_real *x, const sfem_int *tet, sfem_real length[6])
+{
+    sfem_real e[6][3], n[3], scale = 0, sum = 0;
+    int i, k;
+    for (i = 0; i < 6; ++i) {
+        sfemi_sub3(x + 3 * (size_t)tet[sfemi_mesh_edge[i][1]],
+                   x + 3 * (size_t)tet[sfemi_mesh_edge[i][0]], e[i]);
+        for (k = 0; k < 3; ++k)
+            if (fabs(e[i][k]) > scale) scale = fabs(e[i][k]);
+    }
+    memset(length, 0, 6 * sizeof *length);
+    if (!sfemi_finite(scale) || scale < 1e-300) return 0;
+    for (i = 0; i < 6; ++i) {
+        for (k = 0; k < 3; ++k) e[i][k] *= 1 / scale;
+        length[i] = sfemi_dot3(e[i], e[i]);
+        sum += length[i];
+        length[i] = scale * sqrt(length[i]);
+    }
+    sfemi_cross(e[0], e[1], n);
+    sum /= 6;
+    return sqrt(2.0) * sfemi_dot3(n, e[2]) / (sum * sqrt(sum));
+}
+
+static sfemi_mesh_fault sfemi_mesh_judge(const sfem_mesh *m, sfem_int t, sfem_real *quality,
+                                         sfem_real length[6])
+{
+    const sfem_int *v = m->tet + 4 * (size_t)t;
+    int i;
+    for (i = 0; i < 4; ++i)
+        if (v[i] < 0 || v[i] >= m->nodes) return SFEMI_TET_OUT_OF_RANGE;
+    for (i = 0; i < 6; ++i)
+        if (v[sfemi_mesh_edge[i][0]] == v[sfemi_mesh_edge[i][1]]) return SFEMI_TET_REPEATED;
+    for (i = 0; i < 4; ++i)
+        if (!sfemi_all_finite(m->x + 3 * (size_t)v[i], 3)) return SFEMI_TET_NOT_FINITE;
+    *quality = sfemi_mesh_quality(m->x, v, length);
+    if (fabs(*quality) < SFEMI_MESH_FLAT) return SFEMI_TET_FLAT;
+    return *quality < 0 ? SFEMI_TET_INVERTED : SFEMI_TET_GOOD;
+}
+
+/* The sentence about tet t. */
+static sfem_status sfemi_mesh_complain(const sfem_mesh *m, sfem_int t, sfemi_mesh_fault fault,
+                                       sfem_real quality, sfem_error *err)
+{
+    const sfem_int *v = m->tet + 4 * (size_t)t;
+    int i = 0;
+    switch (fault) {
+    case SFEMI_TET_OUT_OF_RANGE:
+        while (v[i] >= 0 && v[i] < m->nodes) ++i;
+        return sfemi_fail_at(err, SFEM_BAD_MESH, v[i], t,
+                             "tet %ld names node %ld, the mesh has %ld", (long)t, (long)v[i],
+                             (long)m->nodes);
+    case SFEMI_TET_REPEATED:
+        while (v[sfemi_mesh_edge[i][0]] != v[sfemi_mesh_edge[i][1]]) ++i;
+        return sfemi_fail_at(err, SFEM_BAD_MESH, v[sfemi_mesh_edge[i][0]], t,
+                             "tet %ld names node %ld twice", (long)t,
+                             (long)v[sfemi_mesh_edge[i][0]]);
+    case SFEMI_TET_FLAT:
+        return sfemi_fail_at(err, SFEM_BAD_MESH, -1, t,
+                             "tet %ld (nodes %ld %ld %ld %ld) is flat: its quality is %.2g",
+                             (long)t, (long)v[0], (long)v[1], (long)v[2], (long)v[3], quality);
+    default:
+        return sfemi_fail_at(err, SFEM_BAD_MESH, -1, t,
+                             "tet %ld (nodes %ld %ld %ld %ld) is inverted, its quality is %.2g: "
+                             "sfem_mesh_orient turns such tets",
+                             (long)t, (long)v[0], (long)v[1], (long)v[2], (long)v[3], quality);
+    }
+}
+
+/* No node number out of range: all that the functions on connectivity need. */
+static sfem_status sfemi_mesh_in_range(const sfem_mesh *m, sfem_error *err)
+{
+    size_t i, n = 4 * (size_t)m->tets;
+    SFEM_ASSERT(m->x && m->tet && m->nodes >= 0 && m->tets >= 0);
+    for (i = 0; i < n; ++i)
+        if (m->tet[i] < 0 || m->tet[i] >= m->nodes)
+            return sfemi_mesh_complain(m, (sfem_int)(i / 4), SFEMI_TET_OUT_OF_RANGE, 0, err);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_int sfem_mesh_orient(sfem_mesh *mesh)
+{
+    sfem_int t, turned = 0;
+    SFEM_ASSERT(mesh);
+    for (t = 0; t < mesh->tets; ++t) {
+        sfem_int *v = mesh->tet + 4 * (size_t)t, d = v[3];
+        sfem_real quality, length[6];
+        if (sfemi_mesh_judge(mesh, t, &quality, length) != SFEMI_TET_INVERTED) continue;
+        v[3] = v[2];
+        v[2] = d;
+        ++turned;
+    }
+    return turned;
+}
+
+/* ---- surface ---- */
+
+/* Stable counting sort of in[0..count) (NULL: of 0..count-1) by key[in[i] stride], in [0,
+ * range). */
+static void sfemi_mesh_sort(const sfem_int *key, size_t stride, sfem_int count, sfem_int range,
+                            const sfem_int *in, sfem_int *out, sfem_int *bucket /* [range+1] */)
+{
+    sfem_int i, item;
+    memset(bucket, 0, ((size_t)range + 1) * sizeof *bucket);
+    for (i = 0; i < count; ++i) ++bucket[key[(size_t)i * stride] + 1];
+    for (i = 0; i < range; ++i) bucket[i + 1] += bucket[i];
+    for (i = 0; i < count; ++i) {
+        item = in ? in[i] : i;
+        out[bucket[key[(size_t)item * stride]]++] = item;
+    }
+}
+
+/* The faces of a right-handed tet, counterclockwise from outside; face f is opposite node f. */
+static const unsigned char sfemi_mesh_face[4][3] = {{1, 2, 3}, {0, 3, 2}, {0, 1, 3}, {0, 2, 1}};
+
+/* key = the three nodes of a face in ascending order; returns 1 or 0 for its sense. */
+static unsigned char sfemi_mesh_face_key(const sfem_int *tet, sfem_int face, sfem_int key[3])
+{
+    sfem_int s;
+    unsigned char sense = 1;
+    int i;
+    for (i = 0; i < 3; ++i) key[i] = tet[sfemi_mesh_face[face][i]];
+    if (key[0] > key[1]) s = key[0], key[0] = key[1], key[1] = s, sense ^= 1;
+    if (key[1] > key[2]) s = key[1], key[1] = key[2], key[2] = s, sense ^= 1;
+    if (key[0] > key[1]) s = key[0], key[0] = key[1], key[1] = s, sense ^= 1;
+    return sense;
+}
+
+/* on_surface[4t+f] = 1 for the faces that stay when faces of opposite sense have cancelled. Equal
+ * faces meet by sorting on each of their nodes in turn. */
+static sfem_status sfemi_mesh_boundary(const sfem_mesh *m, const sfem_allocator *allocator,
+                                       unsigned char *on_surface, sfem_int *overlapping,
+                                       sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *key = NULL, *order = NULL, *other = NULL, *bucket = NULL, faces = 4 * m->tets, i, j,
+             k;
+    SFEMI_NEW(sfem_int, key, allocator, 3 * (size_t)faces);
+    SFEMI_NEW(sfem_int, order, allocator, faces);
+    SFEMI_NEW(sfem_int, other, allocator, faces);
+    SFEMI_NEW(sfem_int, bucket, allocator, (size_t)m->nodes + 1);
+    for (i = 0; i < faces; ++i)
+        on_surface[i] = sfemi_mesh_face_key(m->tet + (size_t)(i & ~3), i & 3, key + 3 * (size_t)i);
+    sfemi_mesh_sort(key + 2, 3, faces, m->nodes, NULL, order, bucket);
+    sfemi_mesh_sort(key + 1, 3, faces, m->nodes, order, other, bucket);
+    sfemi_mesh_sort(key, 3, faces, m->nodes, other, order, bucket);
+    *overlapping = 0;
+    for (i = 0; i < faces; i = j) {
+        sfem_int ones = 0, zeros, excess;
+        unsigned char sense;
+        for (j = i; j < faces; ++j) {
+            if (memcmp(key + 3 * (size_t)order[j], key + 3 * (size_t)order[i], 3 * sizeof *key))
+                break;
+            ones += on_surface[order[j]];
+        }
+        zeros = j - i - ones;
+        *overlapping += ones > 1 || zeros > 1;
+        sense = ones > zeros;
+        excess = sense ? ones - zeros : zeros - ones;
+        for (k = i; k < j; ++k) /* keep the first ones of the sense that is in excess */
+            on_surface[order[k]] = on_surface[order[k]] == sense && excess-- > 0;
+    }
+done:
+    sfemi_delete(allocator, key);
+    sfemi_delete(allocator, order);
+    sfemi_delete(allocator, other);
+    sfemi_delete(allocator, bucket);
+    return status;
+}
+
+SFEM_DEF void sfem_surface_free(sfem_surface *surface)
+{
+    if (!surface) return;
+    sfemi_delete(&surface->allocator, surface->tri);
+    sfemi_delete(&surface->allocator, surface->tet);
+    memset(surface, 0, sizeof *surface);
+}
+
+static sfem_status sfemi_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
+                                      sfem_surface *out, sfem_int *overlapping, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    unsigned char *on_surface = NULL;
+    sfem_int i, k, n;
+    sfem_allocator a;
+    sfem_surface s;
+    memset(&s, 0, sizeof s);
+    if (allocator) s.allocator = *allocator;
+    a = s.allocator;
+    SFEMI_TRY(sfemi_mesh_in_range(mesh, err));
+    if (mesh->tets > INT32_MAX / 4) {
+        status = sfemi_fail(err, SFEM_TOO_LARGE, "%ld tets have more faces than can be numbered",
+                            (long)mesh->tets);
+        goto done;
+    }
+    SFEMI_NEW(unsigned char, on_surface, &a, 4 * mesh->tets);
+    SFEMI_TRY(sfemi_mesh_boundary(mesh, &a, on_surface, overlapping, err));
+    for (i = 0, n = 0; i < 4 * mesh->tets; ++i) n += on_surface[i];
+    SFEMI_NEW(sfem_int, s.tri, &a, 3 * (size_t)n);
+    SFEMI_NEW(sfem_int, s.tet, &a, n);
+    s.triangles = n;
+    for (i = 0, n = 0; i < 4 * mesh->tets; ++i) {
+        if (!on_surface[i]) continue;
+        for (k = 0; k < 3; ++k)
+            s.tri[3 * (size_t)n + (size_t)k] =
+                mesh->tet[(size_t)(i & ~3) + sfemi_mesh_face[i & 3][k]];
+        s.tet[n++] = i / 4;
+    }
+    *out = s;
+done:
+    if (status != SFEM_OK) sfem_surface_free(&s);
+    sfemi_delete(&a, on_surface);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
+                                       sfem_surface *out, sfem_error *err)
+{
+    sfem_int overlapping;
+    SFEM_ASSERT(mesh && out);
+    return sfemi_mesh_surface(mesh, allocator, out, &overlapping, err);
+}
+
+/* ---- components ---- */
+
+SFEM_DEF sfem_status sfem_mesh_components(const sfem_mesh *mesh, sfem_int *label, sfem_int *count,
+                                          sfem_error *err)
+{
+    sfem_status status;
+    sfem_int t, i, n = 0;
+    int k;
+    SFEM_ASSERT(mesh && label);
+    status = sfemi_mesh_in_range(mesh, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < mesh->nodes; ++i) label[i] = -1;
+    for (t = 0; t < mesh->tets;
+         ++t) { /* label = a lower node of the same part, or the node itself */
+        const sfem_int *v = mesh->tet + 4 * (size_t)t;
+        sfem_int root[4], low = mesh->nodes;
+        for (k = 0; k < 4; ++k) {
+            i = v[k];
+            if (label[i] < 0) label[i] = i;
+            while (label[i] != i) {
+                label[i] = label[label[i]];
+                i = label[i];
+            }
+            root[k] = i;
+            if (i < low) low = i;
+        }
+        for (k = 0; k < 4; ++k) label[root[k]] = low;
+    }
+    for (i = 0; i < mesh->nodes; ++i) /* lower nodes already have their part's number */
+        if (label[i] >= 0) label[i] = label[i] == i ? n++ : label[label[i]];
+    if (count) *count = n;
+    return SFEM_OK;
+}
+
+/* ---- report ---- */
+
+/* Nodes at the exact place of an earlier one: open addressing, by the bits of the coordinates. */
+static sfem_status sfemi_mesh_coincident(const sfem_mesh *m, sfem_int *coincident, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *table = NULL, i, n = 0;
+    size_t size = 16, slot;
+    while (size < 2 * (size_t)m->nodes) size *= 2;
+    SFEMI_NEW(sfem_int, table, &m->allocator, size);
+    for (i = 0; i < m->nodes; ++i) {
+        uint64_t hash = 0, bits;
+        int k;
+        if (!sfemi_all_finite(m->x + 3 * (size_t)i, 3)) continue;
+        for (k = 0; k < 3; ++k) {
+            sfem_real x = m->x[3 * (size_t)i + (size_t)k];
+            memcpy(&bits, &x, sizeof bits);
+            if (x == 0) bits = 0; /* -0 is at the place of 0 */
+            hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
+            hash ^= hash >> 32;
+        }
+        for (slot = (size_t)hash & (size - 1); table[slot]; slot = (slot + 1) & (size - 1)) {
+            const sfem_real *a = m->x + 3 * (size_t)i, *b = m->x + 3 * (size_t)(table[slot] - 1);
+            if (a[0] == b[0] && a[1] == b[1] && a[2] == b[2]) break;
+        }
+        if (table[slot])
+            ++n;
+        else
+            table[slot] = i + 1;
+    }
+    *coincident = n;
+done:
+    sfemi_delete(&m->allocator, table);
+    return status;
+}
+
+/* Counts what the report says about the surface. */
+static sfem_status sfemi_mesh_report_surface(const sfem_mesh *m, sfem_mesh_report *r,
+                                             sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *key = NULL, *order = NULL, *other = NULL, *bucket = NULL, i, k, edges;
+    sfem_surface s;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfemi_mesh_surface(m, &m->allocator, &s, &r->overlapping, err));
+    if (s.triangles > INT32_MAX / 3) {
+        status = sfemi_fail(err, SFEM_TOO_LARGE, "%ld surface triangles", (long)s.triangles);
+        goto done;
+    }
+    edges = 3 * s.triangles;
+    SFEMI_NEW(sfem_int, key, &m->allocator, 2 * (size_t)edges);
+    SFEMI_NEW(sfem_int, order, &m->allocator, edges);
+    SFEMI_NEW(sfem_int, other, &m->allocator, edges);
+    SFEMI_NEW(sfem_int, bucket, &m->allocator, (size_t)m->nodes + 1);
+    for (i = 0; i < edges; ++i) {
+        sfem_int a = s.tri[i], b = s.tri[i % 3 == 2 ? i - 2 : i + 1];
+        key[2 * (size_t)i] = a < b ? a : b;
+        key[2 * (size_t)i + 1] = a < b ? b : a;
+    }
+    sfemi_mesh_sort(key + 1, 2, edges, m->nodes, NULL, other, bucket);
+    sfemi_mesh_sort(key, 2, edges, m->nodes, other, order, bucket);
+    r->surface_triangles = s.triangles;
+    r->surface_edges = r->surface_nodes = 0;
+    for (i = 0; i < edges; ++i) {
+        const sfem_int *e = key + 2 * (size_t)order[i],
+                       *last = i ? key + 2 * (size_t)order[i - 1] : NULL;
+        r->surface_edges += !last || last[0] != e[0] || last[1] != e[1];
+    }
+    memset(bucket, 0, ((size_t)m->nodes + 1) * sizeof *bucket);
+    for (i = 0; i < edges; ++i) {
+        k = s.tri[i];
+        r->surface_nodes += bucket[k] == 0;
+        bucket[k] = 1;
+    }
+    r->euler = r->surface_nodes - r->surface_edges + r->surface_triangles;
+done:
+    sfemi_delete(&m->allocator, key);
+    sfemi_delete(&m->allocator, order);
+    sfemi_delete(&m->allocator, other);
+    sfemi_delete(&m->allocator, bucket);
+    sfem_surface_free(&s);
+    return status;
+}
+
+static sfem_status sfemi_mesh_report_topology(const sfem_mesh *m, sfem_mesh_report *r,
+                                              sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *label = NULL, i;
+    SFEMI_TRY(sfemi_mesh_coincident(m, &r->coincident, err));
+    if (r->out_of_range || r->repeated || m->tets < 1) goto done;
+    SFEMI_NEW(sfem_int, label, &m->allocator, m->nodes);
+    SFEMI_TRY(sfem_mesh_components(m, label, &r->components, err));
+    for (i = 0, r->unused = 0; i < m->nodes; ++i) r->unused += label[i] < 0;
+    SFEMI_TRY(sfemi_mesh_report_surface(m, r, err));
+done:
+    sfemi_delete(&m->allocator, label);
+    return status;
+}
+
+static void sfemi_mesh_report_tet(const sfem_mesh *m, sfem_int t, sfem_real quality,
+                                  const sfem_real length[6], sfem_mesh_report *r)
+{
+    const sfem_int *v = m->tet + 4 * (size_t)t;
+    sfem_real volume = sfemi_volume6(m->x + 3 * (size_t)v[0], m->x + 3 * (size_t)v[1],
+                                     m->x + 3 * (size_t)v[2], m->x + 3 * (size_t)v[3]) /
+                       6;
+    int i, first = r->worst_tet < 0;
+    if (first || quality < r->min_quality) {
+        r->min_quality = quality;
+        r->worst_tet = t;
+    }
+    r->volume += volume;
+    if (first || volume < r->min_volume) r->min_volume = volume;
+    if (first || volume > r->max_volume) r->max_volume = volume;
+    for (i = 0; i < 6; ++i) {
+        if ((first && i == 0) || length[i] < r->min_edge) r->min_edge = length[i];
+        if (length[i] > r->max_edge) r->max_edge = length[i];
+    }
+}
+
+static void sfemi_mesh_report_box(const sfem_mesh *m, sfem_mesh_report *r)
+{
+    sfem_int i;
+    int k, first = 1;
+    for (i = 0; i < m->nodes; ++i) {
+        const sfem_real *x = m->x + 3 * (size_t)i;
+        if (!sfemi_all_finite(x, 3)) {
+            ++r->not_finite;
+            continue;
+        }
+        for (k = 0; k < 3; ++k) {
+            if (first || x[k] < r->box[0][k]) r->box[0][k] = x[k];
+            if (first || x[k] > r->box[1][k]) r->box[1][k] = x[k];
+        }
+        first = 0;
+    }
+}
+
+/* Goes over all tets, fills r and returns the first fault: its tet and quality. */
+static sfemi_mesh_fault sfemi_mesh_report_tets(const sfem_mesh *m, sfem_mesh_report *r,
+                                               sfem_int *tet, sfem_real *quality)
+{
+    sfemi_mesh_fault fault, first = SFEMI_TET_GOOD;
+    sfem_real q, sum = 0, length[6];
+    sfem_int t, shaped = 0;
+    for (t = 0; t < m->tets; ++t) {
+        q = 0;
+        fault = sfemi_mesh_judge(m, t, &q, length);
+        r->out_of_range += fault == SFEMI_TET_OUT_OF_RANGE;
+        r->repeated += fault == SFEMI_TET_REPEATED;
+        r->flat += fault == SFEMI_TET_FLAT;
+        r->inverted += fault == SFEMI_TET_INVERTED;
+        if (fault <= SFEMI_TET_FLAT) {
+            sfemi_mesh_report_tet(m, t, q, length, r);
+            sum += q;
+            ++shaped;
+        }
+        if (fault == SFEMI_TET_GOOD || first != SFEMI_TET_GOOD) continue;
+        first = fault;
+        *tet = t;
+        *quality = q;
+    }
+    r->mean_quality = shaped ? sum / shaped : 0;
+    return first;
+}
+
+SFEM_DEF sfem_status sfem_mesh_check(const sfem_mesh *mesh, sfem_mesh_report *report,
+                                     sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_mesh_fault fault;
+    sfem_mesh_report r;
+    sfem_int t = -1, i;
+    sfem_real quality = 0;
+    SFEM_ASSERT(mesh && mesh->nodes >= 0 && mesh->tets >= 0);
+    SFEM_ASSERT((mesh->x || !mesh->nodes) && (mesh->tet || !mesh->tets));
+    memset(&r, 0, sizeof r);
+    r.worst_tet = r.unused = r.overlapping = r.components = -1;
+    r.surface_triangles = r.surface_edges = r.surface_nodes = r.euler = -1;
+    sfemi_mesh_report_box(mesh, &r);
+    fault = sfemi_mesh_report_tets(mesh, &r, &t, &quality);
+    if (report) {
+        status = sfemi_mesh_report_topology(mesh, &r, err);
+        if (status != SFEM_OK) return status;
+        *report = r;
+    }
+    if (mesh->nodes < 1 || mesh->tets < 1)
+        return sfemi_fail(err, SFEM_BAD_MESH, "the mesh is empty: %ld nodes, %ld tets",
+                          (long)mesh->nodes, (long)mesh->tets);
+    if (r.not_finite) {
+        for (i = 0; sfemi_all_finite(mesh->x + 3 * (size_t)i, 3);) ++i;
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "node %ld is at (%g, %g, %g)", (long)i,
+                             mesh->x[3 * (size_t)i], mesh->x[3 * (size_t)i + 1],
+                             mesh->x[3 * (size_t)i + 2]);
+    }
+    return fault == SFEMI_TET_GOOD ? SFEM_OK : sfemi_mesh_complain(mesh, t, fault, quality, err);
+}
+
+SFEM_DEF sfem_status sfem_mesh_copy(sfem_int nodes, const sfem_real *x, sfem_int tets,
+                                    const sfem_int *tet, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err)
+{
+    sfem_status status;
+    sfem_mesh m;
+    SFEM_ASSERT(out && nodes >= 0 && tets >= 0 && (x || !nodes) && (tet || !tets));
+    status = sfemi_mesh_new(nodes, tets, allocator, &m, err);
+    if (status != SFEM_OK) return status;
+    if (nodes) memcpy(m.x, x, 3 * (size_t)nodes * sizeof *x);
+    if (tets) memcpy(m.tet, tet, 4 * (size_t)tets * sizeof *tet);
+    sfem_mesh_orient(&m);
+    status = sfem_mesh_check(&m, NULL, err);
+    if (status == SFEM_OK)
+        *out = m;
+    else
+        sfem_mesh_free(&m);
+    return status;
+}
+
+/* ---- numbering ---- */
+
+/* Each node's neighbours, those of few neighbours first. */
+typedef struct sfemi_mesh_graph {
+    size_t *start;      /* [nodes+1] */
+    sfem_int *adjacent; /* [start[nodes]] */
+} sfemi_mesh_graph;
+
+/* list[first[v] .. first[v+1]): the tets of node v, ascending. first [nodes+1] comes zeroed. */
+static void sfemi_mesh_incidence(const sfem_mesh *m, sfem_int *first, sfem_int *list)
+{
+    size_t i, n = 4 * (size_t)m->tets;
+    sfem_int v;
+    for (i = 0; i < n; ++i) ++first[m->tet[i]];
+    for (v = 0; v < m->nodes; ++v) first[v + 1] += first[v];
+    for (i = n; i-- > 0;) list[--first[m->tet[i]]] = (sfem_int)(i / 4);
+}
+
+/* near = the neighbours of v; mark [nodes] holds no v. Returns how many. */
+static sfem_int sfemi_mesh_neighbours(const sfem_mesh *m, const sfem_int *first,
+                                      const sfem_int *list, sfem_int v, sfem_int *mark,
+                                      sfem_int *near)
+{
+    sfem_int i, k, u, n = 0;
+    mark[v] = v;
+    for (i = first[v]; i < first[v + 1]; ++i)
+        for (k = 0; k < 4; ++k) {
+            u = m->tet[4 * (size_t)list[i] + (size_t)k];
+            if (mark[u] == v) continue;
+            mark[u] = v;
+            near[n++] = u;
+        }
+    return n;
+}
+
+/* Nodes are visited by ascending degree, and each one enters its neighbours' lists: so these come
+ * out sorted without being sorted. */
+static sfem_status sfemi_mesh_graph_new(const sfem_mesh *m, sfemi_mesh_graph *g, sfem_error *err)
+{
+    const sfem_allocator *a = &m->allocator;
+    sfem_status status = SFEM_OK;
+    sfem_int *first = NULL, *list = NULL, *mark = NULL, *near = NULL, *degree = NULL, *order = NULL;
+    sfem_int i, k, v, n = m->nodes;
+    size_t *fill = NULL;
+    SFEMI_NEW(sfem_int, first, a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, list, a, 4 * (size_t)m->tets);
+    SFEMI_NEW(sfem_int, mark, a, n);
+    SFEMI_NEW(sfem_int, near, a, (size_t)n + 1); /* also the sort's buckets */
+    SFEMI_NEW(sfem_int, degree, a, n);
+    SFEMI_NEW(sfem_int, order, a, n);
+    SFEMI_NEW(size_t, fill, a, n);
+    SFEMI_NEW(size_t, g->start, a, (size_t)n + 1);
+    sfemi_mesh_incidence(m, first, list);
+    for (v = 0; v < n; ++v) mark[v] = -1;
+    for (v = 0; v < n; ++v) {
+        degree[v] = sfemi_mesh_neighbours(m, first, list, v, mark, near);
+        fill[v] = g->start[v];
+        g->start[v + 1] = g->start[v] + (size_t)degree[v];
+    }
+    SFEMI_NEW(sfem_int, g->adjacent, a, g->start[n]);
+    sfemi_mesh_sort(degree, 1, n, n, NULL, order, near);
+    for (v = 0; v < n; ++v) mark[v] = -1;
+    for (i = 0; i < n; ++i) {
+        sfem_int count = sfemi_mesh_neighbours(m, first, list, order[i], mark, near);
+        for (k = 0; k < count; ++k) g->adjacent[fill[near[k]]++] = order[i];
+    }
+done:
+    sfemi_delete(a, first);
+    sfemi_delete(a, list);
+    sfemi_delete(a, mark);
+    sfemi_delete(a, near);
+    sfemi_delete(a, degree);
+    sfemi_delete(a, order);
+    sfemi_delete(a, fill);
+    return status;
+}
+
+/* Breadth first from root, through nodes not yet seen: the Cuthill-McKee order of its part of the
+ * mesh. Returns how many nodes; *depth counts the levels, *last is where in queue the last one
+ * begins. */
+static sfem_int sfemi_mesh_breadth_first(const sfemi_mesh_graph *g, sfem_int root,
+                                         unsigned char *seen, sfem_int *queue, sfem_int *depth,
+                                         sfem_int *last)
+{
+    sfem_int head = 0, tail = 1, level_end;
+    size_t k;
+    queue[0] = root;
+    seen[root] = 1;
+    *depth = 0;
+    while (head < tail) {
+        *last = head;
+        ++*depth;
+        for (level_end = tail; head < level_end; ++head)
+            for (k = g->start[queue[head]]; k < g->start[queue[head] + 1]; ++k) {
+                sfem_int u = g->adjacent[k];
+                if (seen[u]) continue;
+                seen[u] = 1;
+                queue[tail++] = u;
+            }
+    }
+    return tail;
+}
+
+/* queue = the part of node `root` in reverse Cuthill-McKee order, begun at an end of the part: jump
+ * to a node of least degree in the last level until that takes one no further [George, Liu]. */
+static sfem_int sfemi_mesh_order_part(const sfemi_mesh_graph *g, sfem_int root, unsigned char *seen,
+                                      sfem_int *queue)
+{
+    sfem_int n, i, depth, before = 0, last = 0, tries;
+    for (tries = 0;; ++tries) {
+        n = sfemi_mesh_breadth_first(g, root, seen, queue, &depth, &last);
+        if (depth <= before || tries == 10) break; /* 10 keeps the worst case linear */
+        before = depth;
+        root = queue[last];
+        for (i = last + 1; i < n; ++i)
+            if (g->start[queue[i] + 1] - g->start[queue[i]] < g->start[root + 1] - g->start[root])
+                root = queue[i];
+        for (i = 0; i < n; ++i) seen[queue[i]] = 0;
+    }
+    for (i = 0; i < n / 2; ++i) {
+        sfem_int s = queue[i];
+        queue[i] = queue[n - 1 - i];
+        queue[n - 1 - i] = s;
+    }
+    return n;
+}
+
+/* old_of_new, part by part, unused nodes last. */
+static sfem_status sfemi_mesh_order(const sfem_mesh *m, sfem_int *old_of_new, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    unsigned char *seen = NULL;
+    sfemi_mesh_graph g = {NULL, NULL};
+    sfem_int v, n = 0;
+    SFEMI_NEW(unsigned char, seen, &m->allocator, m->nodes);
+    SFEMI_TRY(sfemi_mesh_graph_new(m, &g, err));
+    for (v = 0; v < m->nodes; ++v)
+        if (!seen[v] && g.start[v + 1] > g.start[v])
+            n += sfemi_mesh_order_part(&g, v, seen, old_of_new + n);
+    for (v = 0; v < m->nodes; ++v)
+        if (!seen[v]) old_of_new[n++] = v;
+done:
+    sfemi_delete(&m->allocator, seen);
+    sfemi_delete(&m->allocator, g.start);
+    sfemi_delete(&m->allocator, g.adjacent);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    const sfem_allocator *a;
+    sfem_int *old_of_new = NULL, *number = NULL, *tet = NULL, *lowest = NULL, *from = NULL;
+    sfem_int *bucket = NULL, i, k;
+    sfem_real *x = NULL;
+    SFEM_ASSERT(mesh);
+    a = &mesh->allocator;
+    SFEMI_TRY(sfemi_mesh_in_range(mesh, err));
+    if (mesh->tets > INT32_MAX / 4) {
+        status =
+            sfemi_fail(err, SFEM_TOO_LARGE, "%ld tets are too many to renumber", (long)mesh->tets);
+        goto done;
+    }
+    SFEMI_NEW(sfem_int, old_of_new, a, mesh->nodes);
+    SFEMI_NEW(sfem_int, number, a, mesh->nodes);
+    SFEMI_NEW(sfem_int, bucket, a, (size_t)mesh->nodes + 1);
+    SFEMI_NEW(sfem_int, tet, a, 4 * (size_t)mesh->tets);
+    SFEMI_NEW(sfem_int, lowest, a, mesh->tets);
+    SFEMI_NEW(sfem_int, from, a, mesh->tets);
+    SFEMI_NEW(sfem_real, x, a, 3 * (size_t)mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_order(mesh, old_of_new, err));
+    memcpy(x, mesh->x, 3 * (size_t)mesh->nodes * sizeof *x); /* nothing fails from here on */
+    for (i = 0; i < mesh->nodes; ++i) {
+        number[old_of_new[i]] = i;
+        memcpy(mesh->x + 3 * (size_t)i, x + 3 * (size_t)old_of_new[i], 3 * sizeof *x);
+    }
+    for (i = 0; i < mesh->tets; ++i) {
+        lowest[i] = mesh->nodes;
+        for (k = 0; k < 4; ++k) {
+            sfem_int v = number[mesh->tet[4 * (size_t)i + (size_t)k]];
+            tet[4 * (size_t)i + (size_t)k] = v;
+            if (v < lowest[i]) lowest[i] = v;
+        }
+    }
+    sfemi_mesh_sort(lowest, 1, mesh->tets, mesh->nodes, NULL, from, bucket);
+    for (i = 0; i < mesh->tets; ++i)
+        memcpy(mesh->tet + 4 * (size_t)i, tet + 4 * (size_t)from[i], 4 * sizeof *tet);
+    if (mesh->region) {
+        memcpy(lowest, mesh->region, (size_t)mesh->tets * sizeof *lowest);
+        for (i = 0; i < mesh->tets; ++i) mesh->region[i] = lowest[from[i]];
+    }
+    if (new_of_old) memcpy(new_of_old, number, (size_t)mesh->nodes * sizeof *number);
+done:
+    sfemi_delete(a, old_of_new);
+    sfemi_delete(a, number);
+    sfemi_delete(a, bucket);
+    sfemi_delete(a, tet);
+    sfemi_delete(a, lowest);
+    sfemi_delete(a, from);
+    sfemi_delete(a, x);
+    return status;
+}
+
+SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh)
+{
+    sfem_int t, width = 0;
+    int i;
+    SFEM_ASSERT(mesh);
+    for (t = 0; t < mesh->tets; ++t) {
+        const sfem_int *v = mesh->tet + 4 * (size_t)t;
+        sfem_int low = v[0], high = v[0];
+        for (i = 1; i < 4; ++i) {
+            if (v[i] < low) low = v[i];
+            if (v[i] > high) high = v[i];
+        }
+        if (high - low > width) width = high - low;
+    }
+    return width;
+}
+
+SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *number = NULL, i, n = 0;
+    size_t k;
+    SFEM_ASSERT(mesh);
+    SFEMI_TRY(sfemi_mesh_in_range(mesh, err));
+    SFEMI_NEW(sfem_int, number, &mesh->allocator, mesh->nodes);
+    for (k = 0; k < 4 * (size_t)mesh->tets; ++k) number[mesh->tet[k]] = 1;
+    for (i = 0; i < mesh->nodes; ++i) {
+        number[i] = number[i] ? n++ : -1;
+        if (number[i] >= 0)
+            memmove(mesh->x + 3 * (size_t)number[i], mesh->x + 3 * (size_t)i, 3 * sizeof *mesh->x);
+    }
+    for (k = 0; k < 4 * (size_t)mesh->tets; ++k) mesh->tet[k] = number[mesh->tet[k]];
+    if (new_of_old) memcpy(new_of_old, number, (size_t)mesh->nodes * sizeof *number);
+    mesh->nodes = n;
+done:
+    sfemi_delete(&mesh->allocator, number);
+    return status;
+}
+
+/* ---- picking ---- */
+
+#define SFEMI_MESH_INSIDE 1e-10 /* barycentric coordinates down to minus this count as inside */
+
+/* Gradients of the barycentric coordinates of nodes 1, 2, 3 of a tet; 0 if it is flat. */
+static int sfemi_mesh_gradients(const sfem_real *x, const sfem_int *tet, sfem_real g[3][3])
+{
+    const sfem_real *a = x + 3 * (size_t)tet[0];
+    sfem_real e[3][3], det;
+    int i, k;
+    for (i = 0; i < 3; ++i) sfemi_sub3(x + 3 * (size_t)tet[i + 1], a, e[i]);
+    for (i = 0; i < 3; ++i) sfemi_cross(e[(i + 1) % 3], e[(i + 2) % 3], g[i]);
+    det = sfemi_dot3(g[0], e[0]);
+    if (!sfemi_finite(1 / det)) return 0;
+    for (i = 0; i < 3; ++i)
+        for (k = 0; k < 3; ++k) g[i][k] /= det;
+    return 1;
+}
+
+/* Barycentric coordinates of a point given relative to node 0, from the gradients. */
+static void sfemi_mesh_barycentric(sfem_real g[3][3], const sfem_real *point, sfem_real b[4])
+{
+    int i;
+    for (i = 0; i < 3; ++i) b[i + 1] = sfemi_dot3(g[i], point);
+    b[0] = 1 - b[1] - b[2] - b[3];
+}
+
+/* Takes the rounding error out of coordinates that count as inside. */
+static void sfemi_mesh_clamp(sfem_real b[4])
+{
+    sfem_real sum = 0;
+    int i;
+    for (i = 0; i < 4; ++i) {
+        if (b[i] < 0) b[i] = 0;
+        sum += b[i];
+    }
+    for (i = 0; i < 4; ++i) b[i] /= sum;
+}
+
+SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
+                              sfem_int *tet, sfem_real bary[4])
+{
+    sfem_real g[3][3], p[3], b[4], best[4], inside = -SFEMI_MESH_INSIDE, low;
+    sfem_int t, found = -1;
+    int i;
+    SFEM_ASSERT(mesh && point);
+    if (!x) x = mesh->x;
+    for (t = 0; t < mesh->tets; ++t) {
+        const sfem_int *v = mesh->tet + 4 * (size_t)t;
+        if (!sfemi_mesh_gradients(x, v, g)) continue;
+        sfemi_sub3(point, x + 3 * (size_t)v[0], p);
+        sfemi_mesh_barycentric(g, p, b);
+        low = b[0];
+        for (i = 1; i < 4; ++i)
+            if (b[i] < low) low = b[i];
+        if (!(low > inside))
+            continue; /* of tets that share the point, the one where it is deepest */
+        inside = low;
+        found = t;
+        memcpy(best, b, sizeof best);
+    }
+    if (found < 0) return 0;
+    sfemi_mesh_clamp(best);
+    if (tet) *tet = found;
+    if (bary) memcpy(bary, best, sizeof best);
+    return 1;
+}
+
+/* Where the ray origin + s direction, s >= 0, enters a tet, and b there; 0 if it passes by. */
+static int sfemi_mesh_clip(const sfem_real *x, const sfem_int *tet, const sfem_real *origin,
+                           const sfem_real *direction, sfem_real *enter, sfem_real b[4])
+{
+    sfem_real g[3][3], p[3], slope[4], leave = 0, s;
+    int i, bounded = 0;
+    if (!sfemi_mesh_gradients(x, tet, g)) return 0;
+    sfemi_sub3(origin, x + 3 * (size_t)tet[0], p);
+    sfemi_mesh_barycentric(g, p, b);
+    for (i = 0; i < 3; ++i) slope[i + 1] = sfemi_dot3(g[i], direction);
+    slope[0] = -slope[1] - slope[2] - slope[3];
+    *enter = 0;
+    for (i = 0; i < 4; ++i) { /* b + s slope >= -inside, for each of the four */
+        if (b[i] < -SFEMI_MESH_INSIDE && slope[i] <= 0) return 0;
+        if (slope[i] == 0) continue;
+        s = (-SFEMI_MESH_INSIDE - b[i]) / slope[i];
+        if (slope[i] > 0 && s > *enter) *enter = s;
+        if (slope[i] < 0 && (!bounded || s < leave)) leave = s, bounded = 1;
+    }
+    if (bounded && leave < *enter) return 0;
+    for (i = 0; i < 4; ++i) b[i] += *enter * slope[i];
+    return 1;
+}
+
+SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
+                                const sfem_real origin[3], const sfem_real direction[3],
+                                sfem_int *tet, sfem_real bary[4], sfem_real *distance)
+{
+    sfem_real unit[3], b[4], best[4], enter, nearest = 0, length = 0;
+    sfem_int t, found = -1;
+    int i;
+    SFEM_ASSERT(mesh && origin && direction);
+    if (!x) x = mesh->x;
+    for (i = 0; i < 3; ++i)
+        if (fabs(direction[i]) > length) length = fabs(direction[i]);
+    if (!(length > 0) || !sfemi_finite(length)) return 0;
+    for (i = 0; i < 3; ++i) unit[i] = direction[i] / length; /* no under- or overflow in the norm */
+    length = sqrt(sfemi_dot3(unit, unit));
+    for (i = 0; i < 3; ++i) unit[i] /= length;
+    for (t = 0; t < mesh->tets; ++t) {
+        if (!sfemi_mesh_clip(x, mesh->tet + 4 * (size_t)t, origin, unit, &enter, b)) continue;
+        if (found >= 0 && enter >= nearest) continue;
+        nearest = enter;
+        found = t;
+        memcpy(best, b, sizeof best);
+    }
+    if (found < 0) return 0;
+    sfemi_mesh_clamp(best);
+    if (tet) *tet = found;
+    if (bary) memcpy(bary, best, sizeof best);
+    if (distance) *distance = nearest;
+    return 1;
+}
 
 /* ============================================================================================
  * >>meshio   readers and writers

@@ -1,0 +1,194 @@
+# softfem.h. `make help` prints what there is to type.
+#
+# Needs GNU make and a C compiler; `test` also needs cmocka, which it installs where it may.
+#
+#   CC=clang        another compiler                    CFLAGS='-O3 -march=native'   other flags
+#   OPENMP=0|1      without or with OpenMP; by default with it where the compiler links it
+#   MESHES=DIR      meshes from elsewhere, passed to tests and benches as SFEM_MESHES if DIR exists
+#   TESTS=test_mesh only these test programs            FILTER='*patch*'  only these tests in them
+#   BUILD=DIR       where products go: DIR/examples/NAME, DIR/tests/NAME, DIR/bench/NAME
+#
+# Sources are found by pattern: examples/NAME.c, tests/test_NAME.c and bench/NAME.c are programs of
+# their own, linked with the one softfem.o (examples/hello.c holds the implementation itself).
+# An example understands --quick and --out DIR, which is how `test` runs it.
+# FLAGS_NAME below adds flags to one program.
+
+CFLAGS   ?= -O2 -g
+CXX      ?= c++
+MESHES   ?= ../shared/meshes
+BUILD    ?= build
+FILTER   ?=
+WARNINGS  = -Wall -Wextra -Wpedantic -Wconversion -Wshadow
+
+FLAGS_test_base = -ffast-math
+
+EXAMPLES := $(patsubst examples/%.c,%,$(wildcard examples/*.c))
+TESTS    ?= $(patsubst tests/%.c,%,$(wildcard tests/test_*.c))
+BENCHES  := $(filter-out solver,$(patsubst bench/%.c,%,$(wildcard bench/*.c)))
+# test programs in which a test is named after threads
+THREADED := $(shell grep -l '^static void [a-z0-9_]*thread' tests/test_*.c 2>/dev/null)
+
+EXAMPLE_PROGRAMS = $(EXAMPLES:%=$(BUILD)/examples/%)
+TEST_PROGRAMS    = $(TESTS:%=$(BUILD)/tests/%)
+BENCH_PROGRAMS   = $(BENCHES:%=$(BUILD)/bench/%)
+
+# links(source, flags): 1 if the source compiles and links with the flags, else 0; asked once
+links = $(shell printf '$(1)' | $(CC) $(CFLAGS) -x c - -o /dev/null $(2) >/dev/null 2>&1 \
+          && echo 1 || echo 0)
+OPENMP ?= $(eval OPENMP := $$(call links,int omp_get_max_threads(void); \
+          int main(void){return omp_get_max_threads();},-fopenmp))$(OPENMP)
+
+FLAGS = -std=c99 $(WARNINGS) -I. $(if $(filter 1,$(OPENMP)),-fopenmp) \
+        $(if $(SANITIZE),-fsanitize=$(SANITIZE) -fno-sanitize-recover=all -fno-omit-frame-pointer) \
+        $(CFLAGS) $(CPPFLAGS)
+ENVIRONMENT = SFEM_SCRATCH=$(BUILD)/scratch SFEM_FILTER='$(FILTER)' \
+              $(if $(wildcard $(MESHES)),SFEM_MESHES=$(MESHES))
+
+help: ## print this list
+	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
+	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
+
+run: $(BUILD)/examples/simulate ## simulate a built-in elastic body: figures and a picture
+	$(BUILD)/examples/simulate
+
+test: check check-examples ## build and run every test, and every example once
+
+bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
+	$(ENVIRONMENT) $(BUILD)/bench/bench
+
+bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
+	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
+
+examples: $(EXAMPLE_PROGRAMS) ## build every example
+
+strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
+	@BUILD=$(BUILD)/strict sh tests/strict.sh
+
+asan: ## the tests under address and undefined-behaviour sanitizers
+	$(MAKE) check BUILD=$(BUILD)/asan OPENMP=0 CFLAGS='-O1 -g' SANITIZE=address,undefined
+
+tsan: ## the tests named after threads under the thread sanitizer (all: FILTER='*')
+ifneq ($(THREADED)$(FILTER),)
+	$(MAKE) check BUILD=$(BUILD)/tsan OPENMP=0 CFLAGS='-O1 -g' SANITIZE=thread \
+	    FILTER='$(or $(FILTER),*thread*)' \
+	    $(if $(FILTER),,TESTS='$(patsubst tests/%.c,%,$(THREADED))')
+else
+	@echo 'no test is named after threads'
+endif
+
+analyze: ## static analysis by gcc, clang and cppcheck, where installed
+	@mkdir -p $(BUILD)
+	@for c in gcc clang; do command -v $$c >/dev/null || continue; echo "== $$c"; \
+	    case $$c in gcc) a=-fanalyzer;; *) a=--analyze;; esac; \
+	    $$c $$a -std=c99 -O1 $(WARNINGS) -DSOFTFEM_IMPLEMENTATION -c -x c softfem.h \
+	        -o $(BUILD)/analyze.out || exit 1; done
+	@! command -v cppcheck >/dev/null || { echo '== cppcheck'; cppcheck -q --std=c99 --language=c \
+	    --enable=warning,performance,portability -DSOFTFEM_IMPLEMENTATION --error-exitcode=1 \
+	    --suppress=missingIncludeSystem --suppress=pointerSize softfem.h; }
+
+format: ## lay out examples, tests and benches by tests/.clang-format
+	clang-format -i --style=file:tests/.clang-format \
+	    $(wildcard examples/*.[ch] tests/*.[ch] bench/*.[ch])
+
+coverage: ## lines of softfem.h that the tests reach
+	rm -rf $(BUILD)/coverage
+	$(MAKE) check BUILD=$(BUILD)/coverage OPENMP=0 CFLAGS='-O0 -g --coverage'
+	gcov -n $(BUILD)/coverage/softfem.gcda $(BUILD)/coverage/tests/*.gcda | grep -A1 "File 'softfem.h'"
+
+clean: ## remove every product
+	rm -rf $(BUILD)
+
+check: $(TEST_PROGRAMS)
+	@mkdir -p $(BUILD)/scratch; failed=; \
+	for x in $(TEST_PROGRAMS); do \
+	    echo "== $$x"; $(ENVIRONMENT) $$x 2>&1 || failed="$$failed $$x"; \
+	done; \
+	if [ -n "$$failed" ]; then echo "FAILED:$$failed"; exit 1; fi; \
+	echo "every test passed: $(words $(TEST_PROGRAMS)) programs"
+
+check-examples: $(EXAMPLE_PROGRAMS)
+	@for x in $(EXAMPLES); do \
+	    out=$(BUILD)/out/$$x; mkdir -p $$out; arguments="--quick --out $$out"; \
+	    if [ $$x = hello ]; then arguments=; fi; \
+	    if $(BUILD)/examples/$$x $$arguments >$$out/log 2>&1; \
+	    then echo "example $$x runs"; else cat $$out/log; echo "FAILED: example $$x"; exit 1; fi; \
+	done
+
+$(BUILD)/softfem.o: softfem.h $(BUILD)/flags
+	$(CC) $(FLAGS) -DSOFTFEM_IMPLEMENTATION -c -o $@ -x c softfem.h
+
+$(BUILD)/examples/hello: examples/hello.c softfem.h $(BUILD)/flags
+	@mkdir -p $(@D)
+	$(CC) $(FLAGS) -o $@ $< $(LDFLAGS) -lm
+
+$(BUILD)/examples/%: examples/%.c $(wildcard examples/*.h) softfem.h $(BUILD)/softfem.o
+	@mkdir -p $(@D)
+	$(CC) $(FLAGS) $(FLAGS_$*) -o $@ $< $(BUILD)/softfem.o $(LDFLAGS) -lm
+
+$(BUILD)/tests/%: tests/%.c $(wildcard tests/*.h) softfem.h $(BUILD)/softfem.o $(BUILD)/cmocka
+	@mkdir -p $(@D)
+	$(CC) $(FLAGS) $(FLAGS_$*) -pthread -o $@ $< $(BUILD)/softfem.o $(LDFLAGS) -lcmocka -lm
+
+$(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
+	@mkdir -p $(@D)
+	$(CC) $(FLAGS) $(FLAGS_$*) -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< \
+	    $(BUILD)/softfem.o $(LDFLAGS) -lm
+
+# Other people's solvers, each only if a probe compiles: bench/solver.c sees SFEM_BENCH_CHOLMOD,
+# SFEM_BENCH_METIS, SFEM_BENCH_CBLAS; and SFEM_BENCH_EIGEN if there is a bench/solver_eigen.cpp.
+$(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) softfem.h \
+                       $(BUILD)/softfem.o
+	@mkdir -p $(@D)
+	@defines=; libraries=; missing=; objects=; link='$(CC)'; \
+	probe() { printf "#include <$$1>\nint main(void){return 0;}\n" | \
+	    $$2 -x $$3 - -o /dev/null $$4 >/dev/null 2>&1; }; \
+	if probe suitesparse/cholmod.h '$(CC)' c -lcholmod; \
+	then defines="$$defines -DSFEM_BENCH_CHOLMOD"; libraries="$$libraries -lcholmod"; \
+	else missing="$$missing libsuitesparse-dev"; fi; \
+	if probe metis.h '$(CC)' c -lmetis; \
+	then defines="$$defines -DSFEM_BENCH_METIS"; libraries="$$libraries -lmetis"; \
+	else missing="$$missing libmetis-dev"; fi; \
+	if probe cblas.h '$(CC)' c -lopenblas; \
+	then defines="$$defines -DSFEM_BENCH_CBLAS"; libraries="$$libraries -lopenblas"; \
+	else missing="$$missing libopenblas-dev"; fi; \
+	if [ -f bench/solver_eigen.cpp ]; then \
+	    if probe Eigen/Dense '$(CXX) -I/usr/include/eigen3' c++; then \
+	        defines="$$defines -DSFEM_BENCH_EIGEN"; link='$(CXX)'; \
+	        objects="$$objects $@_eigen.o"; \
+	        $(CXX) -I/usr/include/eigen3 -I. -O3 -march=native -DNDEBUG -c -o $@_eigen.o \
+	            bench/solver_eigen.cpp || exit 1; \
+	    else missing="$$missing libeigen3-dev"; fi; fi; \
+	if [ -n "$$missing" ]; \
+	then echo "left out; to compare with them too: apt-get install$$missing"; fi; \
+	$(CC) $(FLAGS) $$defines -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -c -o $@.o $< && \
+	$$link $(if $(filter 1,$(OPENMP)),-fopenmp) -o $@ $@.o $$objects \
+	    $(BUILD)/softfem.o $(LDFLAGS) $$libraries -lm
+
+# Everything is built anew when the compiler or its flags change.
+$(BUILD)/flags: force
+	@mkdir -p $(BUILD)
+	@echo '$(CC) $(FLAGS)' | cmp -s - $@ || echo '$(CC) $(FLAGS)' >$@
+
+# cmocka: there, or installed, or the command to type.
+$(BUILD)/cmocka:
+	@mkdir -p $(BUILD)
+	@probe() { printf '#include <stdarg.h>\n#include <stddef.h>\n#include <stdint.h>\n#include \
+	<setjmp.h>\n#include <cmocka.h>\nint main(void){cmocka_set_test_filter("");return 0;}\n' | \
+	    $(CC) $(CFLAGS) $(CPPFLAGS) -x c - -o /dev/null $(LDFLAGS) -lcmocka >/dev/null 2>&1; }; \
+	probe && { touch $@; exit 0; }; \
+	sudo=; [ "$$(id -u)" = 0 ] || sudo='sudo -n'; \
+	if command -v apt-get >/dev/null && $$sudo true 2>/dev/null; then \
+	    echo 'cmocka, which the tests use, is missing: installing libcmocka-dev'; \
+	    $$sudo apt-get install -y -q libcmocka-dev >$@.log 2>&1 || \
+	    { $$sudo apt-get update -q >$@.log 2>&1 && \
+	      $$sudo apt-get install -y -q libcmocka-dev >>$@.log 2>&1; }; \
+	fi; \
+	probe && { touch $@; exit 0; }; \
+	echo 'The tests use cmocka, which is not installed. Type this, then make test again:'; \
+	echo '    sudo apt-get install libcmocka-dev'; exit 1
+
+force:
+.DELETE_ON_ERROR:
+.SECONDARY:
+.PHONY: help run test bench bench-solver examples strict asan tsan analyze format coverage clean \
+        check check-examples force
