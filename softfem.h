@@ -3836,7 +3836,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         b->h = h;
         b->p = p;
     }
-    return b->def.max_handles ? sfemi_body_prepare_handles(b, err) : (b->grip.dirty = 0, SFEM_OK);
+    return sfemi_body_prepare_handles(b, err);
 }
 
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
