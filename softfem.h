@@ -2639,33 +2639,40 @@ done:
     return status;
 }
 
+/* The factorisation from scratch, ordered with the help of the nodes' places. */
+static sfem_status sfemi_factor_analyse(sfem_model *model, sfem_factor *f, const sfem_matrix *a,
+                                        const sfem_exec *exec, sfem_error *err)
+{
+    const sfem_allocator *al = &model->allocator;
+    sfem_ldl_def def = sfem_default_ldl_def();
+    sfem_real *x = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int k;
+    SFEMI_NEW(sfem_real, x, al, 3 * (size_t)f->free_nodes);
+    for (k = 0; k < f->free_nodes; ++k)
+        memcpy(x + 3 * (size_t)k, model->mesh.x + 3 * (size_t)f->node[k], 3 * sizeof *x);
+    def.ordering = f->key.ordering;
+    def.mixed = f->key.precision == SFEM_MIXED;
+    def.allocator = model->allocator;
+    def.exec = *exec;
+    def.x = x;
+    SFEMI_TRY(sfem_ldl_create(&def, a, &f->ldl, err));
+done:
+    sfemi_delete(al, x);
+    return status;
+}
+
 static sfem_status sfemi_factor_compute(sfem_model *model, sfem_factor *f, const sfem_exec *exec,
                                         sfem_error *err)
 {
     sfem_factor *like;
     sfem_matrix a;
-    sfem_status status;
     sfem_error place;
-    memset(&place, 0, sizeof place);
-    status = sfemi_factor_matrix(model, f, &a, err);
+    sfem_status status = sfemi_factor_matrix(model, f, &a, err);
     if (status != SFEM_OK) return status;
     like = sfemi_factor_find(model, &f->key, 1);
-    if (like) {
-        status = sfem_ldl_create_like(like->ldl, &a, &f->ldl, &place);
-    } else {
-        sfem_real *x = (sfem_real *)sfemi_new(&model->allocator, 3 * (size_t)f->free_nodes, sizeof *x);
-        sfem_ldl_def def = sfem_default_ldl_def();
-        sfem_int k;
-        def.ordering = f->key.ordering;
-        def.mixed = f->key.precision == SFEM_MIXED;
-        def.allocator = model->allocator;
-        def.exec = *exec;
-        def.x = x; /* a hint: without memory for it the ordering does without */
-        for (k = 0; x && k < f->free_nodes; ++k)
-            memcpy(x + 3 * (size_t)k, model->mesh.x + 3 * (size_t)f->node[k], 3 * sizeof *x);
-        status = sfem_ldl_create(&def, &a, &f->ldl, &place);
-        sfemi_delete(&model->allocator, x);
-    }
+    status = like ? sfem_ldl_create_like(like->ldl, &a, &f->ldl, &place)
+                  : sfemi_factor_analyse(model, f, &a, exec, &place);
     sfemi_factor_release(model, like);
     sfem_matrix_free(&a);
     if (status == SFEM_NOT_SPD && place.node >= 0)
@@ -3366,8 +3373,9 @@ static void sfemi_pqr_finish(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real h = b->step;
     sfemi_state *s = &b->state;
-    /* the first step covers half the acceleration: report 2 (w1 - v0)/h, so that v1 = 2 w1 - v0 */
-    const sfem_real full = s->head->started == SFEMI_RUNNING ? 1 : 2;
+    /* w and w' are means over h1 and h: their centres lie (h1 + h)/2 apart, h/2 at the start */
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
+    const sfem_real full = 2 * h / (h1 + h);
     sfem_int k;
     size_t i;
     int c;
