@@ -412,7 +412,8 @@ EX_STATIC void ex_color_map(double t, double *rgb)
     const double s = 6 * ex_clamp(t, 0, 1);
     const int i = s < 5 ? (int)s : 5;
     int k;
-    for (k = 0; k < 3; ++k) rgb[k] = at[i][k] + (s - i) * (at[i + 1][k] - at[i][k]);
+    for (k = 0; k < 3; ++k)
+        rgb[k] = t == t ? at[i][k] + (s - i) * (at[i + 1][k] - at[i][k]) : 0.6; /* NaN: grey */
 }
 
 EX_STATIC ex_picture *ex_picture_new(int width, int height)
@@ -551,7 +552,7 @@ EX_STATIC void ex_view_begin(ex_picture *p, int index, int across, int down, con
     ex_background(p);
 }
 
-/* x to samples and 1/depth; 0 if it lies behind the eye */
+/* x to samples and 1/depth; 0 if it lies behind the eye or far off, or is not a number */
 EX_STATIC int ex_project(const ex_picture *p, const double *x, double *s)
 {
     const double d[3] = {x[0] - p->eye[0], x[1] - p->eye[1], x[2] - p->eye[2]};
@@ -560,7 +561,7 @@ EX_STATIC int ex_project(const ex_picture *p, const double *x, double *s)
     s[0] = p->middle_x + p->focal * ex_dot(d, p->right) / z;
     s[1] = p->middle_y - p->focal * ex_dot(d, p->above) / z;
     s[2] = 1 / z;
-    return 1;
+    return fabs(s[0]) < 1e6 && fabs(s[1]) < 1e6;
 }
 
 typedef struct ex_corner {
@@ -712,7 +713,7 @@ EX_STATIC void ex_view_surface(ex_picture *p, long nodes, const double *x, long 
                                const int32_t *tri, const double *value, const ex_style *style)
 {
     double *normal = ex_corner_normals(nodes, x, triangles, tri, style->flat);
-    const double span = style->high > style->low ? style->high - style->low : 1;
+    const double span = ex_apart(style->low, style->high) ? style->high - style->low : 1;
     long t;
     int i, k;
     for (t = 0; t < triangles; ++t) {
@@ -729,7 +730,7 @@ EX_STATIC void ex_view_surface(ex_picture *p, long nodes, const double *x, long 
             seen = seen && ex_project(p, at[i], c[i].s);
         }
         if (seen) ex_triangle(p, c, style->edges);
-        if (p->ground == p->ground) ex_cast(p, at);
+        if (seen && p->ground == p->ground) ex_cast(p, at);
     }
     free(normal);
 }
@@ -895,7 +896,7 @@ EX_STATIC void ex_colorbar(ex_picture *p, const char *label, double low, double 
     const double size = ex_bar_size(p);
     const int tall = (int)(0.5 * p->height), wide = (int)(1.4 * size);
     const int x0 = p->width - (int)(9 * size), y0 = (p->height - tall) / 2;
-    const double span = high > low ? high - low : 1, step = ex_nice(span / 6);
+    const double span = ex_apart(low, high) ? high - low : 1, step = ex_nice(span / 6);
     static const double ink[3] = {0.17, 0.20, 0.24};
     double tick;
     int x, y;
@@ -904,7 +905,8 @@ EX_STATIC void ex_colorbar(ex_picture *p, const char *label, double low, double 
         ex_color_map(1 - (y + 0.5) / tall, rgb);
         for (x = 0; x < wide; ++x) ex_blend(p, x0 + x, y0 + y, rgb, 1);
     }
-    for (tick = step * ceil(low / step - 1e-9); tick <= low + span * (1 + 1e-9); tick += step) {
+    tick = step * ceil(low / step - 1e-9);
+    for (; ex_apart(low, high) && tick <= high + 1e-9 * span; tick += step) {
         char text[32];
         const int at = y0 + (int)((1 - (tick - low) / span) * (tall - 1));
         ex_short(text, sizeof text, tick, span);

@@ -87,7 +87,7 @@ EX_STATIC void ex_axis_fit(ex_axis *a, const ex_plot *p, int is_y)
     }
     if (a->low > a->high) a->low = 0, a->high = 1;
     margin = is_y || a->log ? 0.05 * (a->high - a->low) : 0;
-    if (!(a->high > a->low)) margin = a->low != 0 ? 0.1 * fabs(a->low) : 1;
+    if (!ex_apart(a->low, a->high)) margin = a->low != 0 ? 0.1 * fabs(a->low) : 1;
     a->low -= margin;
     a->high += margin;
 }

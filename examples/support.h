@@ -6,7 +6,7 @@
  *     time, files   ex_seconds  ex_fail  ex_new  ex_make_directory  ex_path  ex_progress
  *     options       ex_parse  ex_given  ex_text  ex_nth  ex_real  ex_integer  ex_reals  ex_choice
  *     selections    ex_selection_of  ex_selected  ex_load_of
- *     numbers       ex_clamp  ex_nice  ex_short
+ *     numbers       ex_clamp  ex_apart  ex_nice  ex_short
  */
 #ifndef SFEM_EXAMPLES_SUPPORT_H
 #define SFEM_EXAMPLES_SUPPORT_H
@@ -197,7 +197,7 @@ EX_STATIC ex_options ex_parse(int argc, char **argv, const char *summary, const 
         char name[64];
         const char *equals = strchr(argv[i], '=');
         size_t length = strlen(argv[i]);
-        if (strncmp(argv[i], "--", 2)) {
+        if (argv[i][0] != '-' || !argv[i][1]) {
             ex_positional(&o, argv[i]);
             continue;
         }
@@ -205,7 +205,7 @@ EX_STATIC ex_options ex_parse(int argc, char **argv, const char *summary, const 
         if (length >= sizeof name) length = sizeof name - 1;
         memcpy(name, argv[i], length);
         name[length] = 0;
-        if (!strcmp(name, "--help")) {
+        if (!strcmp(name, "--help") || !strcmp(name, "-h")) {
             ex_help(&o);
             exit(0);
         }
@@ -401,12 +401,18 @@ EX_STATIC int ex_selected(const ex_selection *selection, long node, const double
  * numbers
  * -------------------------------------------------------------------------------------------- */
 
+/* finite, and far enough apart for ticks between them */
+EX_STATIC int ex_apart(double low, double high)
+{
+    return high - low > 1e-10 * (fabs(low) + fabs(high)) && high - low < 1e300;
+}
+
 EX_STATIC double ex_clamp(double x, double low, double high)
 {
     return x < low ? low : x > high ? high : x;
 }
 
-/* a number as short as can be: 0.25, 1200, 30k, 2.5M, 40u */
+/* a number as short as can be beside others over the span: 0.25, 1200, 30k, 2.5M, 40u */
 EX_STATIC void ex_short(char *text, size_t bytes, double x, double span)
 {
     static const char *const prefix[9] = {"p", "n", "u", "m", "", "k", "M", "G", "T"};
@@ -416,7 +422,8 @@ EX_STATIC void ex_short(char *text, size_t bytes, double x, double span)
     if (k < -4 || k > 4)
         snprintf(text, bytes, "%.4g", x);
     else
-        snprintf(text, bytes, "%.5g%s", x / pow(10, 3 * k), prefix[k + 4]);
+        snprintf(text, bytes, "%.*g%s", span > 0 && size > 1e3 * span ? 12 : 5, x / pow(10, 3 * k),
+                 prefix[k + 4]);
 }
 
 EX_STATIC double ex_nice(double x) /* 1, 2 or 5 times a power of ten, at least x */
