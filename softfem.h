@@ -292,6 +292,65 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * >>api-meshio   files
  * ============================================================================================ */
 
+/* READING. Which format it is shows in the data itself:
+ *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region =
+ *        the
+ *                            volume's first physical group (0 without one) if any volume has one,
+ *                            else the number of its entity
+ *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
+ * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
+ * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
+ * sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find. Numbers are read
+ * exactly, whatever the locale: the double nearest to the text.
+ *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line
+ *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
+ *           SFEM_NOT_FINITE  a coordinate that is NaN or infinite, or overflows; err->line
+ *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY, and for a file SFEM_IO
+ *   cost    O(bytes). Memory follows the data that is there, not the counts that it claims. */
+
+/* From memory; the text needs no terminating 0. */
+SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
+                                     const sfem_allocator *allocator, sfem_mesh *out,
+                                     sfem_error *err);
+
+#ifndef SFEM_NO_STDIO
+/* From a file, which is read whole. */
+SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err);
+
+/* WRITING. Text has a decimal point in any locale, and as many digits (15 or 17) as bring the same
+ * double back. A file that exists is overwritten; SFEM_IO tells if it could not be opened or not be
+ * written to the end (the disk is full), and what is there of it then is useless. */
+
+/* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
+SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
+
+/* Values at nodes or in tets, to be written next to the mesh. */
+typedef struct sfem_field {
+    const char *name;
+    const sfem_real *values; /* [nodes or tets][components] */
+    sfem_int components;     /* 1 scalar, 3 vector, 6 or 9 tensor: xx yy zz xy yz xz, or by rows */
+    int per_tet;
+} sfem_field;
+
+/* VTK XML unstructured grid (.vtu, for ParaView): doubles, in binary.
+ *   x       [nodes][3] current positions, m; NULL = rest
+ *   fields  [count], may be NULL if count is 0; the mesh's regions are added by themselves
+ *   errors  SFEM_BAD_ARGUMENT (a field without name or values, components < 1), SFEM_IO */
+SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
+                                    const sfem_field *fields, sfem_int count, sfem_error *err);
+
+/* ParaView's list (.pvd) of .vtu files, relative to it, and their times, s. */
+SFEM_DEF sfem_status sfem_write_pvd(const char *path, const char *const *files,
+                                    const sfem_real *times, sfem_int count, sfem_error *err);
+
+/* Wavefront OBJ of a surface at positions x (NULL = rest): only the nodes on it, in mesh order.
+ * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. */
+SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
+                                    const sfem_surface *surface, const sfem_real *x,
+                                    sfem_error *err);
+#endif
+
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
  * ============================================================================================ */
@@ -552,6 +611,7 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #if defined(SOFTFEM_IMPLEMENTATION) && !defined(SFEMI_IMPLEMENTED)
 #define SFEMI_IMPLEMENTED
 
+#include <errno.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -1834,6 +1894,23 @@ static void sfemi_mesh_clamp(sfem_real b[4])
     for (i = 0; i < 4; ++i) b[i] /= sum;
 }
 
+/* Is a point in the box round a tet? Most tets end here. */
+static int sfemi_mesh_near(const sfem_real *x, const sfem_int *tet, const sfem_real *point)
+{
+    int i, k;
+    for (k = 0; k < 3; ++k) {
+        sfem_real low = x[3 * (size_t)tet[0] + (size_t)k], high = low, slack;
+        for (i = 1; i < 4; ++i) {
+            sfem_real v = x[3 * (size_t)tet[i] + (size_t)k];
+            low = v < low ? v : low;
+            high = v > high ? v : high;
+        }
+        slack = 4 * SFEMI_MESH_INSIDE * (high - low);
+        if (point[k] < low - slack || point[k] > high + slack) return 0;
+    }
+    return 1;
+}
+
 SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
                               sfem_int *tet, sfem_real bary[4])
 {
@@ -1844,7 +1921,7 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     if (!x) x = mesh->x;
     for (t = 0; t < mesh->tets; ++t) {
         const sfem_int *v = mesh->tet + 4 * (size_t)t;
-        if (!sfemi_mesh_gradients(x, v, g)) continue;
+        if (!sfemi_mesh_near(x, v, point) || !sfemi_mesh_gradients(x, v, g)) continue;
         sfemi_sub3(point, x + 3 * (size_t)v[0], p);
         sfemi_mesh_barycentric(g, p, b);
         low = b[0];
@@ -1861,6 +1938,22 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     if (tet) *tet = found;
     if (bary) memcpy(bary, best, sizeof best);
     return 1;
+}
+
+/* Are the nodes of a tet on both sides of a plane through the origin of a ray? For two planes along
+ * the ray that is what a tet needs that it meets. Tets that share nodes agree about them. */
+static int sfemi_mesh_straddles(const sfem_real *x, const sfem_int *tet, const sfem_real *origin,
+                                const sfem_real *normal)
+{
+    int i, above = 0, below = 0;
+    for (i = 0; i < 4; ++i) {
+        sfem_real p[3], side;
+        sfemi_sub3(x + 3 * (size_t)tet[i], origin, p);
+        side = sfemi_dot3(p, normal);
+        above |= side >= 0;
+        below |= side <= 0;
+    }
+    return above && below;
 }
 
 /* Where the ray origin + s direction, s >= 0, enters a tet, and b there; 0 if it passes by. */
@@ -1891,9 +1984,10 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
                                 const sfem_real origin[3], const sfem_real direction[3],
                                 sfem_int *tet, sfem_real bary[4], sfem_real *distance)
 {
-    sfem_real unit[3], b[4], best[4], enter, nearest = 0, length = 0;
+    sfem_real unit[3], axis[3] = {0, 0, 0}, side[3], up[3];
+    sfem_real b[4], best[4], enter, nearest = 0, length = 0;
     sfem_int t, found = -1;
-    int i;
+    int i, k;
     SFEM_ASSERT(mesh && origin && direction);
     if (!x) x = mesh->x;
     for (i = 0; i < 3; ++i)
@@ -1902,8 +1996,15 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
     for (i = 0; i < 3; ++i) unit[i] = direction[i] / length; /* no under- or overflow in the norm */
     length = sqrt(sfemi_dot3(unit, unit));
     for (i = 0; i < 3; ++i) unit[i] /= length;
+    k = fabs(unit[0]) < .6 ? 0 : fabs(unit[1]) < .6 ? 1 : 2; /* an axis not along the ray */
+    axis[k] = 1;
+    sfemi_cross(unit, axis, side);
+    sfemi_cross(unit, side, up);
     for (t = 0; t < mesh->tets; ++t) {
-        if (!sfemi_mesh_clip(x, mesh->tet + 4 * (size_t)t, origin, unit, &enter, b)) continue;
+        const sfem_int *v = mesh->tet + 4 * (size_t)t;
+        if (!sfemi_mesh_straddles(x, v, origin, side) || !sfemi_mesh_straddles(x, v, origin, up) ||
+            !sfemi_mesh_clip(x, v, origin, unit, &enter, b))
+            continue;
         if (found >= 0 && enter >= nearest) continue;
         nearest = enter;
         found = t;
@@ -1920,6 +2021,1314 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
 /* ============================================================================================
  * >>meshio   readers and writers
  * ============================================================================================ */
+
+/* Everything is parsed from memory between two pointers, so a file of any content can be read: a
+ * count is believed only as far as the bytes behind it could hold that many things.
+ *
+ * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
+ * manual, MSH file format, version 4.1. The VTK file formats, for VTK 4.2 and later. */
+
+/* ---- numbers as text, the same in any locale ---- */
+
+#define SFEMI_DIGITS 800 /* more than 768 significant digits never change a rounding */
+#define SFEMI_LIMBS  256 /* 800 digits shifted by 64 bits + 10^1130, the largest divisor */
+
+typedef struct sfemi_big { /* a natural number, low limbs first, no zero limb on top */
+    uint32_t limb[SFEMI_LIMBS];
+    int n;
+} sfemi_big;
+
+static void sfemi_big_multiply_add(sfemi_big *b, uint32_t factor, uint32_t add)
+{
+    uint64_t carry = add;
+    int i;
+    for (i = 0; i < b->n; ++i) {
+        carry += (uint64_t)b->limb[i] * factor;
+        b->limb[i] = (uint32_t)carry;
+        carry >>= 32;
+    }
+    if (carry) b->limb[b->n++] = (uint32_t)carry;
+}
+
+/* b = floor(b / divisor); returns 1 if there was a remainder. */
+static int sfemi_big_divide(sfemi_big *b, uint32_t divisor)
+{
+    uint64_t rest = 0;
+    int i;
+    for (i = b->n; i-- > 0;) {
+        rest = rest << 32 | b->limb[i];
+        b->limb[i] = (uint32_t)(rest / divisor);
+        rest %= divisor;
+    }
+    while (b->n > 0 && !b->limb[b->n - 1]) --b->n;
+    return rest != 0;
+}
+
+static void sfemi_big_shift(sfemi_big *b, int bits)
+{
+    int i, words = bits / 32;
+    if (b->n == 0) return;
+    sfemi_big_multiply_add(b, (uint32_t)1 << bits % 32, 0);
+    for (i = b->n; i-- > 0;) b->limb[i + words] = b->limb[i];
+    for (i = 0; i < words; ++i) b->limb[i] = 0;
+    b->n += words;
+}
+
+/* The double nearest to (b + a bit if sticky) 2^exponent, ties to even; b is above 0, and has more
+ * than 53 bits if sticky. */
+static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
+{
+    int i, k, length = 32 * b->n, drop;
+    uint64_t q = 0;
+    for (i = 31; !(b->limb[b->n - 1] >> i & 1); --i) --length;
+    drop = length - 53;
+    if (drop < -1074 - exponent) drop = -1074 - exponent; /* subnormal: fewer bits */
+    if (drop < 0) drop = 0;
+    for (i = b->n - 1; i >= drop / 32; --i) { /* b >> drop: 53 bits at most */
+        k = 32 * i - drop;
+        q |= k >= 0 ? (uint64_t)b->limb[i] << k : (uint64_t)b->limb[i] >> -k;
+    }
+    if (drop > 0 && (drop - 1) / 32 < b->n) {
+        int half = (int)(b->limb[(drop - 1) / 32] >> (drop - 1) % 32 & 1);
+        if (b->limb[(drop - 1) / 32] & (((uint32_t)1 << (drop - 1) % 32) - 1)) sticky = 1;
+        for (i = 0; i < (drop - 1) / 32; ++i) sticky |= b->limb[i] != 0;
+        q += (uint64_t)(half && (sticky || (q & 1)));
+    }
+    return ldexp((double)q, exponent + drop);
+}
+
+/* digits 10^exponent */
+static sfem_real sfemi_big_scale(sfemi_big *b, int exponent, int sticky)
+{
+    int shift = 0;
+    for (; exponent >= 9; exponent -= 9) sfemi_big_multiply_add(b, 1000000000u, 0);
+    for (; exponent > 0; --exponent) sfemi_big_multiply_add(b, 10, 0);
+    if (exponent < 0) { /* so far to the left that 64 bits remain: 3.322 > log2(10) */
+        shift = 65 + -exponent * 3322 / 1000;
+        sfemi_big_shift(b, shift);
+    }
+    for (; exponent <= -9; exponent += 9) sticky |= sfemi_big_divide(b, 1000000000u);
+    for (; exponent < 0; ++exponent) sticky |= sfemi_big_divide(b, 10);
+    return sfemi_big_round(b, sticky, -shift);
+}
+
+/* Reads [+-]digits[.digits][e[+-]digits]; returns where it ends, or NULL if that is not there. Too
+ * large numbers give infinity. */
+static const char *sfemi_text_real(const char *p, const char *end, sfem_real *out)
+{
+    sfemi_big b;
+    int negative, any = 0, point = 0, digits = 0, sticky = 0, minus;
+    int64_t exponent = 0, e = 0;
+    b.n = 0;
+    negative = p < end && *p == '-';
+    if (p < end && (*p == '-' || *p == '+')) ++p;
+    for (; p < end && ((*p >= '0' && *p <= '9') || (*p == '.' && !point)); ++p) {
+        if (*p == '.') {
+            point = 1;
+            continue;
+        }
+        any = 1;
+        exponent -= point;
+        if (digits == SFEMI_DIGITS) {
+            sticky |= *p != '0';
+            ++exponent;
+        } else if (*p != '0' || b.n) {
+            sfemi_big_multiply_add(&b, 10, (uint32_t)(*p - '0'));
+            ++digits;
+        }
+    }
+    if (!any) return NULL;
+    if (p < end && (*p == 'e' || *p == 'E')) {
+        ++p;
+        minus = p < end && *p == '-';
+        if (p < end && (*p == '-' || *p == '+')) ++p;
+        if (p == end || *p < '0' || *p > '9') return NULL;
+        for (; p < end && *p >= '0' && *p <= '9'; ++p)
+            if (e < INT64_MAX / 20) e = 10 * e + (*p - '0');
+        exponent += minus ? -e : e;
+    }
+    if (!b.n || digits + exponent < -330)
+        *out = 0;
+    else if (digits + exponent > 310)
+        *out = HUGE_VAL;
+    else
+        *out = sfemi_big_scale(&b, (int)exponent, sticky);
+    if (negative) *out = -*out;
+    return p;
+}
+
+/* ---- scanning ---- */
+
+typedef struct sfemi_scan {
+    const char *p, *end;
+    sfem_int line; /* of p, from 1 */
+    int in_row;    /* numbers are looked for up to the end of the line only */
+    sfem_error *err;
+} sfemi_scan;
+
+SFEMI_PRINTF(3, 4)
+static sfem_status sfemi_scan_fail(const sfemi_scan *s, sfem_status status, const char *format, ...)
+{
+    char text[180];
+    va_list list;
+    va_start(list, format);
+    vsnprintf(text, sizeof text, format, list);
+    va_end(list);
+    sfemi_fail(s->err, status, "line %ld: %s", (long)s->line, text);
+    if (s->err) s->err->line = s->line;
+    return status;
+}
+
+static int sfemi_is_blank(char c) { return c == ' ' || (c >= '\t' && c <= '\r' && c != '\n'); }
+
+static void sfemi_scan_space(sfemi_scan *s)
+{
+    for (; s->p < s->end; ++s->p) {
+        if (*s->p == '\n') {
+            if (s->in_row) return;
+            if (s->line < INT32_MAX) ++s->line;
+        } else if (!sfemi_is_blank(*s->p))
+            return;
+    }
+}
+
+static void sfemi_scan_skip_line(sfemi_scan *s)
+{
+    const char *p =
+        s->p < s->end ? (const char *)memchr(s->p, '\n', (size_t)(s->end - s->p)) : NULL;
+    s->p = p ? p + 1 : s->end;
+    if (p && s->line < INT32_MAX) ++s->line;
+}
+
+/* The next word, of no letters at the end of the data (or of the line, in a row). */
+typedef struct sfemi_word {
+    const char *p;
+    size_t n;
+} sfemi_word;
+
+static sfemi_word sfemi_scan_peek(sfemi_scan *s)
+{
+    sfemi_word w;
+    const char *q;
+    sfemi_scan_space(s);
+    for (q = s->p; q < s->end && *q != '\n' && !sfemi_is_blank(*q); ++q) {
+    }
+    w.p = s->p;
+    w.n = (size_t)(q - s->p);
+    return w;
+}
+
+static sfemi_word sfemi_scan_word(sfemi_scan *s)
+{
+    sfemi_word w = sfemi_scan_peek(s);
+    s->p += w.n;
+    return w;
+}
+
+/* Is it this word? Capitals count as small letters. */
+static int sfemi_word_is(sfemi_word w, const char *text)
+{
+    size_t i;
+    for (i = 0; i < w.n; ++i) {
+        char a = w.p[i], b = text[i];
+        if (a >= 'A' && a <= 'Z') a = (char)(a - 'A' + 'a');
+        if (b >= 'A' && b <= 'Z') b = (char)(b - 'A' + 'a');
+        if (a != b || !b) return 0;
+    }
+    return text[w.n] == 0;
+}
+
+/* "expected a node tag, found 'x'": the word shortened, with nothing in it that is not
+ * printable. */
+static sfem_status sfemi_scan_expected(sfemi_scan *s, const char *what, sfemi_word found)
+{
+    char text[25];
+    size_t i;
+    if (!found.n)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, but the %s ends", what,
+                               s->in_row && s->p < s->end ? "line" : "data");
+    for (i = 0; i < found.n && i < sizeof text - 1; ++i)
+        text[i] = found.p[i] >= 32 && found.p[i] < 127 ? found.p[i] : '?';
+    text[i] = 0;
+    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what, text);
+}
+
+static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, const char *what,
+                                      int64_t *out)
+{
+    sfemi_word w = sfemi_scan_peek(s);
+    size_t i = w.n && (w.p[0] == '-' || w.p[0] == '+');
+    int negative = w.n && w.p[0] == '-';
+    int64_t v = 0;
+    if (i == w.n) return sfemi_scan_expected(s, what, w);
+    for (; i < w.n; ++i) {
+        if (w.p[i] < '0' || w.p[i] > '9') return sfemi_scan_expected(s, what, w);
+        if (v > (INT64_MAX - 9) / 10)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s is too large a number", what);
+        v = 10 * v + (w.p[i] - '0');
+    }
+    if (negative) v = -v;
+    if (v < low || v > high)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %lld, not in %lld .. %lld", what,
+                               (long long)v, (long long)low, (long long)high);
+    s->p += w.n;
+    *out = v;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_scan_real(sfemi_scan *s, const char *what, sfem_real *out)
+{
+    sfemi_word w = sfemi_scan_peek(s);
+    const char *q = sfemi_text_real(w.p, w.p + w.n, out);
+    size_t sign = w.n && (w.p[0] == '-' || w.p[0] == '+');
+    sfemi_word name;
+    name.p = w.p + sign;
+    name.n = w.n - sign;
+    if (sfemi_word_is(name, "nan") || sfemi_word_is(name, "inf") || sfemi_word_is(name, "infinity"))
+        return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is not finite", what);
+    if (q != w.p + w.n || !w.n) return sfemi_scan_expected(s, what, w);
+    if (!sfemi_finite(*out))
+        return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is too large for a double", what);
+    s->p += w.n;
+    return SFEM_OK;
+}
+
+/* Nothing more on this line? */
+static sfem_status sfemi_scan_end_of_row(sfemi_scan *s, const char *what)
+{
+    sfemi_word w;
+    s->in_row = 1;
+    w = sfemi_scan_peek(s);
+    s->in_row = 0;
+    return w.n ? sfemi_scan_expected(s, what, w) : SFEM_OK;
+}
+
+/* A count of things that take `each` bytes at least, of which there are no more than the data could
+ * still hold, or an sfem_int. */
+static sfem_status sfemi_scan_count(sfemi_scan *s, size_t each, const char *what, sfem_int *out)
+{
+    int64_t n;
+    sfem_status status = sfemi_scan_integer(s, 0, INT64_MAX, what, &n);
+    if (status != SFEM_OK) return status;
+    if ((uint64_t)n > ((uint64_t)(s->end - s->p) + 1) / each)
+        return sfemi_scan_fail(s, SFEM_FORMAT,
+                               "%s is %lld, more than the rest of the data can hold", what,
+                               (long long)n);
+    if (n > INT32_MAX)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "%s is %lld, above 2^31 - 1", what, (long long)n);
+    *out = (sfem_int)n;
+    return SFEM_OK;
+}
+
+/* ---- Gmsh 4.1 ASCII ---- */
+
+/* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
+typedef struct sfemi_tags {
+    int64_t *tag;    /* [count] */
+    sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
+    size_t mask;
+} sfemi_tags;
+
+static sfem_status sfemi_tags_new(sfemi_tags *g, sfem_int count, const sfem_allocator *a,
+                                  sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    size_t size = 16;
+    while (size < 2 * (size_t)count) size *= 2;
+    SFEMI_NEW(int64_t, g->tag, a, count);
+    SFEMI_NEW(sfem_int, g->table, a, size);
+    g->mask = size - 1;
+done:
+    return status; /* the caller frees what there is */
+}
+
+static void sfemi_tags_free(sfemi_tags *g, const sfem_allocator *a)
+{
+    sfemi_delete(a, g->tag);
+    sfemi_delete(a, g->table);
+}
+
+/* The slot of a tag, or the empty one where it would go. */
+static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t h = (uint64_t)tag * 0x9e3779b97f4a7c15u;
+    size_t i = (size_t)(h ^ h >> 32) & g->mask;
+    while (g->table[i] && g->tag[g->table[i] - 1] != tag) i = (i + 1) & g->mask;
+    return g->table + i;
+}
+
+typedef struct sfemi_gmsh {
+    sfemi_scan s;
+    sfem_mesh m;
+    sfemi_tags node, volume;
+    sfem_int volumes, *group; /* [volumes] first physical group, or 0 */
+    int any_group, has_format, has_nodes, has_elements;
+} sfemi_gmsh;
+
+static sfem_status sfemi_gmsh_end(sfemi_gmsh *g, const char *end)
+{
+    sfemi_word w = sfemi_scan_peek(&g->s);
+    if (!sfemi_word_is(w, end)) return sfemi_scan_expected(&g->s, end, w);
+    g->s.p += w.n;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_gmsh_format(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfemi_word w = sfemi_scan_peek(s);
+    sfem_status status;
+    sfem_real version;
+    int64_t binary, size;
+    if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
+        return sfemi_scan_expected(s, "a Gmsh version", w);
+    if (!sfemi_word_is(w, "4.1"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %.1f: only 4.1 ASCII is read", version);
+    s->p += w.n;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "the file type (0 ASCII, 1 binary)", &binary));
+    if (binary) return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 4.1 binary: only 4.1 ASCII is read");
+    SFEMI_TRY(sfemi_scan_integer(s, 1, 64, "the data size", &size));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndMeshFormat"));
+    g->has_format = 1;
+done:
+    return status;
+}
+
+/* One volume: tag, box, physical groups, bounding surfaces. */
+static sfem_status sfemi_gmsh_volume(sfemi_gmsh *g, sfem_int i)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int *slot;
+    sfem_real x;
+    int64_t v, groups, group = 0;
+    int k;
+    sfemi_scan_space(s);
+    s->in_row = 1;
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a volume tag", &v));
+    for (k = 0; k < 6; ++k) SFEMI_TRY(sfemi_scan_real(s, "a bound of the volume", &x));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of physical groups", &groups));
+    if (groups > 0)
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
+    g->volume.tag[i] = v;
+    slot = sfemi_tags_slot(&g->volume, v);
+    if (*slot) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
+        goto done;
+    }
+    *slot = i + 1;
+    g->group[i] = (sfem_int)(group < 0 ? -group : group); /* a sign only tells the orientation */
+    if (groups > 0) g->any_group = 1;
+    sfemi_scan_skip_line(s);
+done:
+    s->in_row = 0;
+    return status;
+}
+
+static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
+{
+    static const char *const what[4] = {"the count of points", "the count of curves",
+                                        "the count of surfaces", "the count of volumes"};
+    sfemi_scan *s = &g->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int count[4], i;
+    int k;
+    if (g->group) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Entities section");
+    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, 8, what[k], &count[k]));
+    SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
+    SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
+    g->volumes = count[3];
+    for (k = 0; k < 3; ++k)
+        for (i = 0; i < count[k]; ++i) {
+            sfemi_word w = sfemi_scan_peek(s);
+            if (!w.n || *w.p == '$') return sfemi_scan_expected(s, "another entity", w);
+            sfemi_scan_skip_line(s);
+        }
+    for (i = 0; i < count[3]; ++i) SFEMI_TRY(sfemi_gmsh_volume(g, i));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
+done:
+    return status;
+}
+
+/* One block of nodes: all their tags, then all their places. */
+static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g, sfem_int first, sfem_int *n)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int i, count;
+    int64_t dimension, v, parametric;
+    int k;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
+    SFEMI_TRY(sfemi_scan_integer(s, INT32_MIN, INT32_MAX, "the tag of an entity", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "'parametric' (0 or 1)", &parametric));
+    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes in a block", &count));
+    if (count > g->m.nodes - first) {
+        status = sfemi_scan_fail(
+            s, SFEM_FORMAT, "the blocks have more than the %ld nodes announced", (long)g->m.nodes);
+        goto done;
+    }
+    for (i = first; i < first + count; ++i) {
+        sfem_int *slot;
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT64_MAX, "a node tag", &v));
+        g->node.tag[i] = v;
+        slot = sfemi_tags_slot(&g->node, v);
+        if (*slot) {
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
+            goto done;
+        }
+        *slot = i + 1;
+    }
+    for (i = first; i < first + count; ++i) {
+        sfem_real ignored;
+        sfemi_scan_space(s);
+        s->in_row = 1;
+        for (k = 0; k < 3; ++k)
+            SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
+        for (k = 0; k < (parametric ? (int)dimension : 0); ++k)
+            SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
+        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+    }
+    *n = count;
+done:
+    s->in_row = 0;
+    return status;
+}
+
+static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int nodes, n = 0, filled = 0;
+    int64_t blocks, v;
+    if (g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Nodes section");
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of node blocks", &blocks));
+    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes", &nodes));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest node tag", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest node tag", &v));
+    SFEMI_NEW(sfem_real, g->m.x, &g->m.allocator, 3 * (size_t)nodes);
+    SFEMI_TRY(sfemi_tags_new(&g->node, nodes, &g->m.allocator, err));
+    g->m.nodes = nodes;
+    for (; blocks > 0; --blocks) {
+        SFEMI_TRY(sfemi_gmsh_node_block(g, filled, &n));
+        filled += n;
+    }
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndNodes"));
+    if (filled != nodes) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%ld nodes announced, %ld found", (long)nodes,
+                                 (long)filled);
+        goto done;
+    }
+    g->has_nodes = 1;
+done:
+    return status;
+}
+
+/* Tet number t from its row: tag and four node tags. */
+static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g, sfem_int t)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    int64_t v;
+    int k;
+    s->in_row = 1;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "an element tag", &v));
+    for (k = 0; k < 4; ++k) {
+        sfem_int slot;
+        SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
+        slot = *sfemi_tags_slot(&g->node, v);
+        if (!slot) {
+            status =
+                sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node tag %lld, which is not there",
+                                (long)t, (long long)v);
+            if (s->err) s->err->tet = t;
+            goto done;
+        }
+        g->m.tet[4 * (size_t)t + (size_t)k] = slot - 1;
+    }
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+done:
+    s->in_row = 0;
+    return status;
+}
+
+/* One block of elements. First they are only counted: g->m.tet is NULL then. */
+static sfem_status sfemi_gmsh_element_block(sfemi_gmsh *g, int64_t *elements, sfem_int *tets)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int slot, region;
+    int64_t dimension, entity, type, count, i;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements in a block", &count));
+    region = (sfem_int)entity;
+    if (g->any_group) {
+        slot = *sfemi_tags_slot(&g->volume, entity);
+        region = slot ? g->group[slot - 1] : 0;
+    }
+    for (i = 0; i < count; ++i) {
+        sfemi_word w = sfemi_scan_peek(s);
+        if (!w.n || *w.p == '$') {
+            status = sfemi_scan_expected(s, "another element", w);
+            goto done;
+        }
+        if (type == 4 && *tets == INT32_MAX) {
+            status = sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+            goto done;
+        }
+        if (type == 4 && g->m.tet) {
+            SFEMI_TRY(sfemi_gmsh_tet(g, *tets));
+            g->m.region[*tets] = region;
+        } else
+            sfemi_scan_skip_line(s);
+        *tets += type == 4;
+    }
+    *elements += count;
+done:
+    return status;
+}
+
+static sfem_status sfemi_gmsh_elements(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s, start;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int tets = 0;
+    int64_t blocks, elements, v, b, found = 0;
+    if (g->has_elements) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Elements section");
+    if (!g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "$Elements come before $Nodes");
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of element blocks", &blocks));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements", &elements));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest element tag", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest element tag", &v));
+    start = *s;
+    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &tets));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    if (found != elements) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%lld elements announced, %lld found",
+                                 (long long)elements, (long long)found);
+        goto done;
+    }
+    SFEMI_NEW(sfem_int, g->m.tet, &g->m.allocator, 4 * (size_t)tets);
+    SFEMI_NEW(sfem_int, g->m.region, &g->m.allocator, tets);
+    *s = start;
+    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &g->m.tets));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    g->has_elements = 1;
+done:
+    return status;
+}
+
+/* Goes past the line $End<name> of section $<name>. */
+static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
+{
+    sfemi_scan *s = &g->s;
+    sfemi_word w;
+    while (s->p < s->end) {
+        w = sfemi_scan_peek(s);
+        if (w.n == name.n + 3 && !memcmp(w.p, "$End", 4) &&
+            !memcmp(w.p + 4, name.p + 1, name.n - 1)) {
+            s->p += w.n;
+            return SFEM_OK;
+        }
+        sfemi_scan_skip_line(s);
+    }
+    w.n = 0;
+    return sfemi_scan_expected(s, "the end of the section", w);
+}
+
+static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
+        if (*w.p != '$') return sfemi_scan_expected(s, "a section like $Nodes", w);
+        if (sfemi_word_is(w, "$MeshFormat"))
+            status = sfemi_gmsh_format(g);
+        else if (!g->has_format)
+            return sfemi_scan_expected(s, "$MeshFormat", w);
+        else if (sfemi_word_is(w, "$Entities"))
+            status = sfemi_gmsh_entities(g);
+        else if (sfemi_word_is(w, "$Nodes"))
+            status = sfemi_gmsh_nodes(g);
+        else if (sfemi_word_is(w, "$Elements"))
+            status = sfemi_gmsh_elements(g);
+        else
+            status = sfemi_gmsh_skip(g, w);
+    }
+    if (status == SFEM_OK && !g->has_elements)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "the data ends before $Nodes and $Elements");
+    return status;
+}
+
+/* ---- VTK legacy ASCII ---- */
+
+typedef struct sfemi_vtk {
+    sfemi_scan s;
+    sfem_mesh m;
+    sfemi_scan cell_scan;    /* the numbers behind CELLS, or behind CONNECTIVITY */
+    sfem_int cells, *offset; /* [cells+1] where each cell's nodes begin, in 5.1 */
+    sfem_int numbers;        /* how many stand there */
+    unsigned char *type;     /* [cells] 255 for any type above */
+    int has_points, has_cells, has_types;
+} sfemi_vtk;
+
+static sfem_status sfemi_vtk_header(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfemi_word w;
+    sfem_real version;
+    int k;
+    for (k = 0; k < 4; ++k) sfemi_scan_word(s); /* "# vtk DataFile Version" is what led here */
+    s->in_row = 1;
+    w = sfemi_scan_peek(s);
+    s->in_row = 0;
+    if (!w.n || sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
+        return sfemi_scan_expected(s, "a VTK version", w);
+    if (version < 1 || version >= 6)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %.1f: only 1.0 to 5.1 are read",
+                               version);
+    sfemi_scan_skip_line(s);
+    sfemi_scan_skip_line(s); /* the title, which may be empty */
+    w = sfemi_scan_peek(s);
+    if (sfemi_word_is(w, "BINARY"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy binary: only ASCII is read");
+    if (!sfemi_word_is(w, "ASCII")) return sfemi_scan_expected(s, "ASCII", w);
+    s->p += w.n;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_vtk_skip_words(sfemi_scan *s, int64_t count, const char *what)
+{
+    for (; count > 0; --count) {
+        sfemi_word w = sfemi_scan_word(s);
+        if (!w.n) return sfemi_scan_expected(s, what, w);
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_vtk_points(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n;
+    size_t i;
+    if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
+    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of the points"));
+    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
+    for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + i));
+    r->m.nodes = n;
+    r->has_points = 1;
+done:
+    return status;
+}
+
+/* CELLS n size, then rows of a count and as many nodes; from 5.1 on CELLS n+1 size, then OFFSETS
+ * and CONNECTIVITY. Cells are looked at when their types are known: here they are only passed
+ * over. */
+static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n, i;
+    int64_t v, before = 0;
+    if (r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS a second time");
+    SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
+    SFEMI_TRY(sfemi_scan_count(s, 2, "the count of numbers in CELLS", &r->numbers));
+    if (sfemi_word_is(sfemi_scan_peek(s), "OFFSETS")) {
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the offsets"));
+        SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, n);
+        for (i = 0; i < n; ++i) {
+            SFEMI_TRY(sfemi_scan_integer(s, before, i ? r->numbers : 0, "an offset", &v));
+            r->offset[i] = (sfem_int)v;
+            before = v;
+        }
+        if (n && before != r->numbers) {
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "the last offset is %lld, not %ld",
+                                     (long long)before, (long)r->numbers);
+            goto done;
+        }
+        if (!sfemi_word_is(sfemi_scan_peek(s), "CONNECTIVITY")) {
+            status = sfemi_scan_expected(s, "CONNECTIVITY", sfemi_scan_peek(s));
+            goto done;
+        }
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the connectivity"));
+        n -= n > 0;
+    }
+    r->cells = n;
+    r->cell_scan = *s;
+    SFEMI_TRY(sfemi_vtk_skip_words(s, r->numbers, "another number of a cell"));
+    r->has_cells = 1;
+done:
+    return status;
+}
+
+static sfem_status sfemi_vtk_types(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n, i;
+    int64_t v;
+    if (r->has_types) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES a second time");
+    if (!r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES come before CELLS");
+    SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cell types", &n));
+    if (n != r->cells) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%ld cell types for %ld cells", (long)n,
+                                 (long)r->cells);
+        goto done;
+    }
+    SFEMI_NEW(unsigned char, r->type, &r->m.allocator, n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a cell type", &v));
+        r->type[i] = (unsigned char)(v < 255 ? v : 255);
+    }
+    r->has_types = 1;
+done:
+    return status;
+}
+
+/* FIELD name count, then so many arrays: name, components, tuples, type, values. */
+static sfem_status sfemi_vtk_field(sfemi_scan *s)
+{
+    sfem_status status;
+    int64_t arrays, components, tuples;
+    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of a field"));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "the count of arrays in a field", &arrays));
+    for (; arrays > 0; --arrays) {
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of an array"));
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of an array"));
+        SFEMI_TRY(sfemi_vtk_skip_words(s, components * tuples, "another value of an array"));
+    }
+done:
+    return status;
+}
+
+/* A METADATA block ends with an empty line. */
+static void sfemi_vtk_skip_metadata(sfemi_scan *s)
+{
+    sfemi_word w;
+    do {
+        sfemi_scan_skip_line(s);
+        s->in_row = 1;
+        w = sfemi_scan_peek(s);
+        s->in_row = 0;
+    } while (w.n);
+}
+
+/* Nodes of a cell of a fixed shape, by type; 0 = any number. */
+static int sfemi_vtk_cell_nodes(int type)
+{
+    static const unsigned char nodes[15] = {0, 1, 0, 2, 0, 3, 0, 0, 4, 4, 4, 8, 8, 6, 5};
+    return type < 15 ? nodes[type] : 0;
+}
+
+/* The tets among the cells. */
+static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->cell_scan;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int i, t = 0, left = r->numbers;
+    int64_t nodes, v;
+    for (i = 0; i < r->cells; ++i) t += r->type[i] == 10;
+    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)t);
+    for (i = 0; i < r->cells; ++i) {
+        int wanted = sfemi_vtk_cell_nodes(r->type[i]);
+        if (r->offset)
+            nodes = r->offset[i + 1] - r->offset[i];
+        else {
+            if (left < 1) {
+                status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS end in cell %ld of %ld", (long)i,
+                                         (long)r->cells);
+                goto done;
+            }
+            SFEMI_TRY(sfemi_scan_integer(s, 0, left - 1, "the count of nodes of a cell", &nodes));
+            --left;
+        }
+        if (wanted && nodes != wanted) {
+            sfemi_scan_space(s);
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "cell %ld of type %d has %lld nodes, not %d",
+                                     (long)i, r->type[i], (long long)nodes, wanted);
+            goto done;
+        }
+        left -= (sfem_int)nodes;
+        if (r->type[i] != 10) {
+            SFEMI_TRY(sfemi_vtk_skip_words(s, nodes, "another number of a cell"));
+            continue;
+        }
+        for (; nodes > 0; --nodes) {
+            SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node of a tet", &v));
+            if (v < 0 || v >= r->m.nodes) {
+                status =
+                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld",
+                                    (long)r->m.tets, (long long)v, (long)r->m.nodes);
+                if (s->err) s->err->tet = r->m.tets;
+                goto done;
+            }
+            r->m.tet[4 * (size_t)r->m.tets + (size_t)(4 - nodes)] = (sfem_int)v;
+        }
+        ++r->m.tets;
+    }
+    if (left)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
+done:
+    return status;
+}
+
+static sfem_status sfemi_vtk_read(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfemi_word w;
+    sfem_status status = sfemi_vtk_header(r);
+    int has_dataset = 0;
+    while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
+        if (sfemi_word_is(w, "DATASET")) {
+            w = sfemi_scan_peek(s);
+            if (!sfemi_word_is(w, "UNSTRUCTURED_GRID"))
+                return sfemi_scan_expected(s, "UNSTRUCTURED_GRID", w);
+            s->p += w.n;
+            has_dataset = 1;
+        } else if (sfemi_word_is(w, "FIELD"))
+            status = sfemi_vtk_field(s);
+        else if (sfemi_word_is(w, "METADATA"))
+            sfemi_vtk_skip_metadata(s);
+        else if (!has_dataset)
+            return sfemi_scan_expected(s, "DATASET", w);
+        else if (sfemi_word_is(w, "POINTS"))
+            status = sfemi_vtk_points(r);
+        else if (sfemi_word_is(w, "CELLS"))
+            status = sfemi_vtk_cells(r);
+        else if (sfemi_word_is(w, "CELL_TYPES"))
+            status = sfemi_vtk_types(r);
+        else if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA"))
+            break;
+        else
+            return sfemi_scan_expected(s, "POINTS, CELLS or CELL_TYPES", w);
+    }
+    if (status != SFEM_OK) return status;
+    if (!r->has_points || !r->has_types)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
+                               !r->has_points ? "POINTS"
+                               : r->has_cells ? "CELL_TYPES"
+                                              : "CELLS");
+    return sfemi_vtk_tets(r);
+}
+
+/* ---- either ---- */
+
+static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, const sfem_allocator *a,
+                                         sfem_mesh *out)
+{
+    sfemi_gmsh g;
+    sfem_status status;
+    memset(&g, 0, sizeof g);
+    g.s = *s;
+    g.m.allocator = *a;
+    status = sfemi_gmsh_read(&g);
+    sfemi_tags_free(&g.node, a);
+    sfemi_tags_free(&g.volume, a);
+    sfemi_delete(a, g.group);
+    *out = g.m;
+    return status;
+}
+
+static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, const sfem_allocator *a,
+                                        sfem_mesh *out)
+{
+    sfemi_vtk r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.m.allocator = *a;
+    status = sfemi_vtk_read(&r);
+    sfemi_delete(a, r.offset);
+    sfemi_delete(a, r.type);
+    *out = r.m;
+    return status;
+}
+
+static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
+{
+    sfemi_word w;
+    w.p = s->p;
+    w.n = strlen(text);
+    return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
+}
+
+SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
+                                     const sfem_allocator *allocator, sfem_mesh *out,
+                                     sfem_error *err)
+{
+    sfem_status status;
+    sfem_allocator a;
+    sfem_mesh m;
+    sfemi_scan s;
+    SFEM_ASSERT(out && (data || !bytes));
+    memset(&a, 0, sizeof a);
+    memset(&m, 0, sizeof m);
+    memset(&s, 0, sizeof s);
+    if (allocator) a = *allocator;
+    s.p = bytes ? (const char *)data : "";
+    s.end = s.p + bytes;
+    s.line = 1;
+    s.err = err;
+    if (sfemi_scan_begins(&s, "\xef\xbb\xbf")) s.p += 3; /* a byte order mark */
+    sfemi_scan_space(&s);
+    if (sfemi_scan_begins(&s, "$"))
+        status = sfemi_mesh_parse_gmsh(&s, &a, &m);
+    else if (sfemi_scan_begins(&s, "# vtk DataFile Version"))
+        status = sfemi_mesh_parse_vtk(&s, &a, &m);
+    else if (s.p == s.end)
+        status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
+    else
+        status = sfemi_scan_expected(
+            &s, "Gmsh 4.1 ASCII or VTK legacy ASCII, which are all that is read",
+            sfemi_scan_peek(&s));
+    if (status == SFEM_OK && m.tets < 1)
+        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
+                            (long)m.nodes);
+    if (status == SFEM_OK) {
+        sfem_mesh_orient(&m);
+        *out = m;
+    } else
+        sfem_mesh_free(&m);
+    return status;
+}
+
+#ifndef SFEM_NO_STDIO
+
+/* ---- files ---- */
+
+/* "path: text", with the system's reason if there is one. */
+static sfem_status sfemi_file_fail(const char *path, const char *text, sfem_error *err)
+{
+    const char *reason = errno ? strerror(errno) : "no reason given";
+    return sfemi_fail(err, SFEM_IO, "%.120s: %s (%.60s)", path, text, reason);
+}
+
+/* The whole file, in a buffer that doubles. */
+static sfem_status sfemi_file_read(const char *path, const sfem_allocator *a, char **out,
+                                   size_t *bytes, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    char *buffer = NULL, *larger = NULL;
+    size_t size = 65536, n = 0, got;
+    FILE *f;
+    errno = 0;
+    f = fopen(path, "rb");
+    if (!f) return sfemi_file_fail(path, "cannot be opened", err);
+    SFEMI_NEW(char, buffer, a, size);
+    while ((got = fread(buffer + n, 1, size - n, f)) > 0) {
+        n += got;
+        if (n < size) continue;
+        if (size > (size_t)-1 / 2) {
+            status = sfemi_fail(err, SFEM_TOO_LARGE, "%.120s: too large a file", path);
+            goto done;
+        }
+        SFEMI_NEW(char, larger, a, 2 * size);
+        memcpy(larger, buffer, n);
+        sfemi_delete(a, buffer);
+        buffer = larger;
+        larger = NULL;
+        size *= 2;
+    }
+    if (ferror(f)) {
+        status = sfemi_file_fail(path, "cannot be read", err);
+        goto done;
+    }
+    *out = buffer;
+    *bytes = n;
+    buffer = NULL;
+done:
+    sfemi_delete(a, buffer);
+    fclose(f);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err)
+{
+    sfem_allocator a;
+    sfem_status status;
+    char *data = NULL;
+    size_t bytes = 0;
+    SFEM_ASSERT(path && out);
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    status = sfemi_file_read(path, &a, &data, &bytes, err);
+    if (status != SFEM_OK) return status;
+    status = sfem_mesh_parse(data, bytes, &a, out, err);
+    sfemi_delete(&a, data);
+    if (status != SFEM_OK && err) { /* put the path in front */
+        sfem_error e = *err;
+        sfemi_fail_at(err, status, e.node, e.tet, "%.100s: %.135s", path, e.text);
+        err->line = e.line;
+    }
+    return status;
+}
+
+/* Closes a file that was written; tells if any of it failed. */
+static sfem_status sfemi_file_close(FILE *f, const char *path, sfem_error *err)
+{
+    int failed = fflush(f) != 0;
+    failed |= ferror(f) != 0;
+    if (!failed) return fclose(f) ? sfemi_file_fail(path, "cannot be written", err) : SFEM_OK;
+    sfemi_file_fail(path, "cannot be written", err); /* while errno still says why */
+    fclose(f);
+    return SFEM_IO;
+}
+
+static sfem_status sfemi_file_create(const char *path, FILE **f, sfem_error *err)
+{
+    errno = 0;
+    *f = fopen(path, "wb");
+    return *f ? SFEM_OK : sfemi_file_fail(path, "cannot be opened for writing", err);
+}
+
+/* Writes x with 15 or 17 digits and a point, whatever the locale's is, and `after` it. */
+static void sfemi_file_real(FILE *f, sfem_real x, const char *after)
+{
+    char text[64], *p, *q;
+    sfem_real back;
+    int digits, n;
+    for (digits = 15; digits <= 17; digits += 2) {
+        n = snprintf(text, sizeof text, "%.*g", digits, x);
+        for (p = text; *p == '-' || (*p >= '0' && *p <= '9'); ++p) {
+        }
+        if (*p && *p != 'e' && *p != 'n' && *p != 'i') { /* the locale's decimal separator */
+            for (q = p; *q && !(*q >= '0' && *q <= '9'); ++q) {
+            }
+            *p++ = '.';
+            memmove(p, q, (size_t)(text + n + 1 - q));
+        }
+        if (sfemi_text_real(text, text + strlen(text), &back) && back == x) break;
+    }
+    fputs(text, f);
+    fputs(after, f);
+}
+
+static void sfemi_file_point(FILE *f, const sfem_real *x)
+{
+    sfemi_file_real(f, x[0], " ");
+    sfemi_file_real(f, x[1], " ");
+    sfemi_file_real(f, x[2], "\n");
+}
+
+SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err)
+{
+    const sfem_int *region;
+    sfem_status status;
+    sfem_int i, end, blocks = 0;
+    FILE *f;
+    SFEM_ASSERT(path && mesh);
+    region = mesh->region;
+    status = sfemi_file_create(path, &f, err);
+    if (status != SFEM_OK) return status;
+    fprintf(f, "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 %ld 1 %ld\n3 1 0 %ld\n",
+            (long)mesh->nodes, (long)mesh->nodes, (long)mesh->nodes);
+    for (i = 0; i < mesh->nodes; ++i) fprintf(f, "%ld\n", (long)i + 1);
+    for (i = 0; i < mesh->nodes; ++i) sfemi_file_point(f, mesh->x + 3 * (size_t)i);
+    for (i = 0; i < mesh->tets; ++i) blocks += i == 0 || (region && region[i] != region[i - 1]);
+    fprintf(f, "$EndNodes\n$Elements\n%ld %ld 1 %ld\n", (long)blocks, (long)mesh->tets,
+            (long)mesh->tets);
+    for (i = 0; i < mesh->tets;) { /* a block for each run of tets of one region */
+        for (end = i + 1; end < mesh->tets && (!region || region[end] == region[i]);) ++end;
+        fprintf(f, "3 %ld 4 %ld\n", region ? (long)region[i] : 1L, (long)end - (long)i);
+        for (; i < end; ++i) {
+            const sfem_int *v = mesh->tet + 4 * (size_t)i;
+            fprintf(f, "%ld %ld %ld %ld %ld\n", (long)i + 1, (long)v[0] + 1, (long)v[1] + 1,
+                    (long)v[2] + 1, (long)v[3] + 1);
+        }
+    }
+    fputs("$EndElements\n", f);
+    return sfemi_file_close(f, path, err);
+}
+
+/* Text inside the quotes of an XML attribute. */
+static void sfemi_file_xml(FILE *f, const char *text)
+{
+    for (; *text; ++text) {
+        if (*text == '&')
+            fputs("&amp;", f);
+        else if (*text == '<')
+            fputs("&lt;", f);
+        else if (*text == '>')
+            fputs("&gt;", f);
+        else if (*text == '"')
+            fputs("&quot;", f);
+        else if ((unsigned char)*text < 32)
+            fputc(' ', f);
+        else
+            fputc(*text, f);
+    }
+}
+
+/* The header of an array in the appended data, whose place moves on by its size. */
+static void sfemi_vtu_array(FILE *f, const char *type, const char *name, sfem_int components,
+                            uint64_t bytes, uint64_t *offset)
+{
+    fprintf(f, "<DataArray type=\"%s\" Name=\"", type);
+    sfemi_file_xml(f, name);
+    fprintf(f, "\" NumberOfComponents=\"%ld\" format=\"appended\" offset=\"%lld\"/>\n",
+            (long)components, (long long)*offset);
+    *offset += bytes + 8;
+}
+
+static void sfemi_vtu_fields(FILE *f, const sfem_mesh *m, const sfem_field *fields, sfem_int count,
+                             int per_tet, uint64_t *offset)
+{
+    const uint64_t items = (uint64_t)(per_tet ? m->tets : m->nodes);
+    sfem_int i;
+    fputs(per_tet ? "<CellData>\n" : "<PointData>\n", f);
+    for (i = 0; i < count; ++i)
+        if (!fields[i].per_tet == !per_tet)
+            sfemi_vtu_array(f, "Float64", fields[i].name, fields[i].components,
+                            items * (uint64_t)fields[i].components * sizeof(sfem_real), offset);
+    if (per_tet && m->region) sfemi_vtu_array(f, "Int32", "region", 1, 4 * items, offset);
+    fputs(per_tet ? "</CellData>\n" : "</PointData>\n", f);
+}
+
+static void sfemi_vtu_data(FILE *f, const void *data, uint64_t bytes)
+{
+    fwrite(&bytes, sizeof bytes, 1, f);
+    if (bytes) fwrite(data, 1, (size_t)bytes, f);
+}
+
+/* The appended data, in the order of the headers. */
+static void sfemi_vtu_append(FILE *f, const sfem_mesh *m, const sfem_real *x,
+                             const sfem_field *fields, sfem_int count)
+{
+    const uint64_t nodes = (uint64_t)m->nodes, tets = (uint64_t)m->tets;
+    uint64_t bytes = 8 * tets;
+    sfem_int i;
+    int per_tet;
+    sfemi_vtu_data(f, x, nodes * 3 * sizeof *x);
+    sfemi_vtu_data(f, m->tet, tets * 4 * sizeof *m->tet);
+    fwrite(&bytes, sizeof bytes, 1, f);
+    for (i = 1; i <= m->tets; ++i) {
+        int64_t end = 4 * (int64_t)i;
+        fwrite(&end, sizeof end, 1, f);
+    }
+    fwrite(&tets, sizeof tets, 1, f);
+    for (i = 0; i < m->tets; ++i) fputc(10, f);
+    for (per_tet = 0; per_tet < 2; ++per_tet)
+        for (i = 0; i < count; ++i)
+            if (!fields[i].per_tet == !per_tet)
+                sfemi_vtu_data(f, fields[i].values,
+                               (per_tet ? tets : nodes) * (uint64_t)fields[i].components *
+                                   sizeof(sfem_real));
+    if (m->region) sfemi_vtu_data(f, m->region, tets * sizeof *m->region);
+}
+
+SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
+                                    const sfem_field *fields, sfem_int count, sfem_error *err)
+{
+    const uint16_t one = 1;
+    unsigned char low;
+    uint64_t offset = 0, nodes, tets;
+    sfem_status status;
+    sfem_int i;
+    FILE *f;
+    SFEM_ASSERT(path && mesh && (fields || count <= 0));
+    for (i = 0; i < count; ++i)
+        if (!fields[i].name || !fields[i].name[0] || !fields[i].values || fields[i].components < 1)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                              "field %ld needs a name, values and at least 1 component", (long)i);
+    status = sfemi_file_create(path, &f, err);
+    if (status != SFEM_OK) return status;
+    memcpy(&low, &one, 1);
+    nodes = (uint64_t)mesh->nodes;
+    tets = (uint64_t)mesh->tets;
+    fprintf(f,
+            "<?xml version=\"1.0\"?>\n<VTKFile type=\"UnstructuredGrid\" version=\"1.0\" "
+            "byte_order=\"%s\" header_type=\"UInt64\">\n<UnstructuredGrid>\n"
+            "<Piece NumberOfPoints=\"%ld\" NumberOfCells=\"%ld\">\n<Points>\n",
+            low ? "LittleEndian" : "BigEndian", (long)mesh->nodes, (long)mesh->tets);
+    sfemi_vtu_array(f, "Float64", "Points", 3, nodes * 3 * sizeof *mesh->x, &offset);
+    fputs("</Points>\n<Cells>\n", f);
+    sfemi_vtu_array(f, "Int32", "connectivity", 1, tets * 4 * sizeof *mesh->tet, &offset);
+    sfemi_vtu_array(f, "Int64", "offsets", 1, 8 * tets, &offset);
+    sfemi_vtu_array(f, "UInt8", "types", 1, tets, &offset);
+    fputs("</Cells>\n", f);
+    sfemi_vtu_fields(f, mesh, fields, count, 0, &offset);
+    sfemi_vtu_fields(f, mesh, fields, count, 1, &offset);
+    fputs("</Piece>\n</UnstructuredGrid>\n<AppendedData encoding=\"raw\">\n_", f);
+    sfemi_vtu_append(f, mesh, x ? x : mesh->x, fields, count);
+    fputs("\n</AppendedData>\n</VTKFile>\n", f);
+    return sfemi_file_close(f, path, err);
+}
+
+SFEM_DEF sfem_status sfem_write_pvd(const char *path, const char *const *files,
+                                    const sfem_real *times, sfem_int count, sfem_error *err)
+{
+    sfem_status status;
+    sfem_int i;
+    FILE *f;
+    SFEM_ASSERT(path && ((files && times) || count <= 0));
+    for (i = 0; i < count; ++i)
+        if (!files[i] || !sfemi_finite(times[i]))
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "file %ld needs a name and a finite time",
+                              (long)i);
+    status = sfemi_file_create(path, &f, err);
+    if (status != SFEM_OK) return status;
+    fputs("<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\">\n<Collection>\n",
+          f);
+    for (i = 0; i < count; ++i) {
+        fputs("<DataSet timestep=\"", f);
+        sfemi_file_real(f, times[i], "\" part=\"0\" file=\"");
+        sfemi_file_xml(f, files[i]);
+        fputs("\"/>\n", f);
+    }
+    fputs("</Collection>\n</VTKFile>\n", f);
+    return sfemi_file_close(f, path, err);
+}
+
+SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
+                                    const sfem_surface *surface, const sfem_real *x,
+                                    sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_surface own;
+    sfem_int *number = NULL, i, n = 0;
+    size_t k;
+    FILE *f = NULL;
+    SFEM_ASSERT(path && mesh);
+    memset(&own, 0, sizeof own);
+    if (!surface) {
+        SFEMI_TRY(sfem_mesh_surface(mesh, &mesh->allocator, &own, err));
+        surface = &own;
+    }
+    if (!x) x = mesh->x;
+    SFEMI_NEW(sfem_int, number, &mesh->allocator, mesh->nodes);
+    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) number[surface->tri[k]] = 1;
+    SFEMI_TRY(sfemi_file_create(path, &f, err));
+    for (i = 0; i < mesh->nodes; ++i)
+        if (number[i]) {
+            number[i] = ++n;
+            fputs("v ", f);
+            sfemi_file_point(f, x + 3 * (size_t)i);
+        }
+    for (k = 0; k < 3 * (size_t)surface->triangles; k += 3)
+        fprintf(f, "f %ld %ld %ld\n", (long)number[surface->tri[k]],
+                (long)number[surface->tri[k + 1]], (long)number[surface->tri[k + 2]]);
+    status = sfemi_file_close(f, path, err);
+done:
+    sfemi_delete(&mesh->allocator, number);
+    sfem_surface_free(&own);
+    return status;
+}
+
+#endif /* SFEM_NO_STDIO */
 
 /* ============================================================================================
  * >>sparse   3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
