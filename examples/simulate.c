@@ -8,8 +8,8 @@
  * Reads or makes a mesh, fixes and loads nodes, solves for rest or steps through time, and leaves
  * pictures, a plot and tables in the --out directory. The last lines on stdout are `key value`.
  */
-#include "softfem.h"
 #include "support.h"
+#include "softfem.h"
 
 enum { FRAMES = 6, MAX_LOADS = 16 };
 
@@ -17,7 +17,7 @@ static const ex_option table[] = {
     {"MESH", "FILE", NULL, "Gmsh 4.1 ASCII or VTK legacy ASCII; without it a bar of 1 x 0.2 x 0.2 m"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear", "linear", "the law of the material"},
-    {"--young", "E", "2e5", "Young's modulus, Pa"},
+    {"--young", "E", "2e6", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--density", "RHO", "1000", "kg/m^3"},
     {"--mass", "lumped|consistent", "lumped", "the mass matrix"},
@@ -288,7 +288,7 @@ static double *nodal_stress(const run *r, const double *x)
 
 static void draw(const run *r)
 {
-    const double direction[3] = {-0.45, 1, -0.35};
+    const double direction[3] = {0.35, -1, 0.3};
     const int across = r->frames > 1 ? 3 : 1, down = (r->frames + across - 1) / across;
     ex_picture *p = ex_picture_new(across > 1 ? 1500 : 1000, across > 1 ? 420 * down : 700);
     ex_style style = ex_default_style();
@@ -311,7 +311,7 @@ static void draw(const run *r)
         ex_view_end(p, caption);
         free(value[k]);
     }
-    ex_colorbar(p, "von Mises stress, Pa", 0, style.high);
+    ex_colorbar(p, "stress, Pa", 0, style.high);
     ex_picture_write(p, ex_path(ex_text(&r->o, "--out"), "body.png"));
     ex_picture_free(p);
 }
