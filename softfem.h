@@ -400,9 +400,10 @@ typedef struct sfem_model_def {
 SFEM_DEF sfem_model_def sfem_default_model_def(void);
 
 /* Builds a model of linear tetrahedra, K_e = V B^T C B.
- *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet, a node in no tet),
- *           SFEM_NOT_FINITE, SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
- *           SFEM_TOO_LARGE; the text names the tet or node
+ *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet), SFEM_NOT_FINITE,
+ *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
+ *           SFEM_TOO_LARGE; the text names the tet or node. A node in no tet has no mass and
+ *           stays where it is.
  *   cost    O(tets), about 0.2 us a tet */
 SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err);
 SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; memory goes with the last body */
@@ -3695,11 +3696,12 @@ done:
 
 SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err)
 {
-    const sfem_material *materials = def->materials ? def->materials : &def->material;
+    const sfem_material *materials;
     sfem_model *model = NULL;
     sfem_status status;
     sfem_int i;
     SFEM_ASSERT(def && out && def->mesh);
+    materials = def->materials ? def->materials : &def->material;
     SFEMI_TRY(sfemi_fem_check(def, err));
     SFEMI_NEW(sfem_model, model, &def->allocator, 1);
     model->allocator = def->allocator;
@@ -5644,27 +5646,33 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
 
 /* ---- statics ---- */
 
+/* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
+static int sfemi_body_is_node_handle(const sfemi_handle *h)
+{
+    return h->used && h->weight[0] == 1 && h->weight[1] == 0 && h->weight[2] == 0 && h->weight[3] == 0;
+}
+
 /* The body's pins and its node handles: what a static solution has to hold. */
 static void sfemi_body_static_mask(const sfem_body *b, unsigned char *mask)
 {
     sfem_int k;
     memcpy(mask, b->mask, (size_t)b->model->mesh.nodes);
     for (k = 0; k < b->def.max_handles; ++k)
-        if (b->state.handle[k].used && b->state.handle[k].weight[0] == 1)
+        if (sfemi_body_is_node_handle(b->state.handle + k))
             mask[b->state.handle[k].node[0]] = SFEM_AXIS_ALL;
 }
 
-/* Known displacements to u, zero elsewhere. */
+/* Known displacements to u, zero elsewhere. Of two handles on one node the first counts, as in a step. */
 static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
 {
     const sfem_real *rest = b->model->mesh.x;
     sfem_int k;
     int c;
     memset(u, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *u);
-    for (k = 0; k < b->def.max_handles; ++k) {
+    for (k = b->def.max_handles - 1; k >= 0; --k) {
         const sfemi_handle *h = b->state.handle + k;
         const size_t at = 3 * (size_t)h->node[0];
-        for (c = 0; h->used && h->weight[0] == 1 && c < 3; ++c)
+        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c)
             u[at + (size_t)c] = h->hold.target[c] - rest[at + (size_t)c];
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -5686,7 +5694,7 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
     for (k = 0; k < b->def.max_handles; ++k) {
         const sfemi_handle *h = b->state.handle + k;
         g->ready[k] = 0;
-        if (!h->used || h->weight[0] == 1) continue;
+        if (!h->used || sfemi_body_is_node_handle(h)) continue;
         if (!g->y[k]) SFEMI_NEW(sfem_real, g->y[k], &b->allocator, 9 * (size_t)b->model->mesh.nodes);
         if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, g->y[k], b->work, &b->exec);
         g->slot[g->count++] = k;
@@ -5710,7 +5718,7 @@ done:
     return status;
 }
 
-/* The forces of node handles: what is out of balance there. */
+/* The forces of node handles: what is out of balance there, to the first handle of each node. */
 static void sfemi_body_static_forces(sfem_body *b)
 {
     const sfem_real load[3] = {1, 0, 0};
@@ -5721,8 +5729,11 @@ static void sfemi_body_static_forces(sfem_body *b)
     sfemi_body_residual(b, load, 0);
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
-        for (c = 0; h->used && h->weight[0] == 1 && c < 3; ++c)
-            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[3 * (size_t)h->node[0] + (size_t)c];
+        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
+            const size_t i = 3 * (size_t)h->node[0] + (size_t)c;
+            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[i];
+            b->rhs[i] = 0; /* carried */
+        }
     }
 }
 
