@@ -6357,6 +6357,7 @@ struct sfem_model {
     sfem_mesh mesh;
     sfem_mass mass;
     sfem_matrix stiffness;
+    sfem_matrix_upper upper;   /* always there, so that no number of threads changes a sum */
     sfem_int *row, *col;       /* the pattern, [nodes+1], [blocks] */
     sfem_real *node_mass;      /* [nodes] row sums of M; 0 at a node that is in no tet */
     sfem_real *block_mass;     /* [blocks] consistent M, or NULL */
@@ -6593,6 +6594,7 @@ static void sfemi_fem_destroy(sfem_model *model)
 {
     const sfem_allocator al = model->allocator;
     sfem_mesh_free(&model->mesh);
+    sfem_matrix_upper_free(&model->upper);
     sfemi_delete(&al, model->row);
     sfemi_delete(&al, model->col);
     sfemi_delete(&al, model->stiffness.val);
@@ -6631,6 +6633,8 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     model->stiffness.n = mesh->nodes;
     model->stiffness.row = model->row;
     model->stiffness.col = model->col;
+    SFEMI_TRY(sfem_matrix_upper_create(&model->stiffness, al, &model->upper, err));
+    model->stiffness.upper = &model->upper;
 done:
     return status;
 }
@@ -6700,20 +6704,44 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
 
+/* Arrays of a matrix of the given size; on failure those made so far are in *a, to be freed. */
+static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, const sfem_allocator *al,
+                                        sfem_int **row, sfem_int **col, sfem_matrix *a, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    memset(a, 0, sizeof *a);
+    a->n = n;
+    SFEMI_NEW(sfem_int, *row, al, (size_t)n + 1);
+    a->row = *row;
+    SFEMI_NEW(sfem_int, *col, al, blocks + 1);
+    a->col = *col;
+    SFEMI_NEW(sfem_real, a->val, al, 9 * blocks + 1);
+done:
+    return status;
+}
+
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err)
 {
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *al = allocator ? allocator : &standard;
+    const sfem_int n = model->mesh.nodes;
+    sfem_int *row, *col, i, at;
     sfem_matrix a;
-    sfem_int i, at;
-    sfem_status status = sfem_matrix_create(model->mesh.nodes, model->row, model->col, allocator, &a, err);
-    if (status != SFEM_OK) return status;
-    for (i = 0; i < a.n; ++i)
-        for (at = a.row[i]; at < a.row[i + 1]; ++at)
+    sfem_status status = SFEM_OK;
+    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], al, &row, &col, &a, err));
+    memcpy(row, model->row, ((size_t)n + 1) * sizeof *row);
+    memcpy(col, model->col, (size_t)model->row[n] * sizeof *col);
+    for (i = 0; i < n; ++i)
+        for (at = row[i]; at < row[i + 1]; ++at)
             sfemi_fem_block(model, at, i, k + d * model->beta, m + d * model->alpha, d,
                             a.val + 9 * (size_t)at);
     *out = a;
     return SFEM_OK;
+done:
+    sfem_matrix_free(&a, al);
+    return status;
 }
 
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
@@ -6949,44 +6977,45 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     return f;
 }
 
-/* The rows and columns of A that are free, with held axes of partly held nodes decoupled. */
+/* Block (i, j) of A at place `at` of the pattern, without what couples held axes. */
+static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, sfem_int at, sfem_int i,
+                               sfem_real b[9])
+{
+    const sfem_int j = model->col[at];
+    int r, c;
+    sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; r < 3; ++r)
+        for (c = 0; c < 3; ++c)
+            if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
+}
+
+/* The rows and columns of A that are free. */
 static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_factor *f, sfem_matrix *out,
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
-    sfem_int *number = NULL, *row = NULL, *col = NULL, i, k, at, blocks = 0;
+    sfem_int *number = NULL, *row, *col, k, at, blocks = 0;
+    sfem_matrix a;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, number, al, model->mesh.nodes);
-    SFEMI_NEW(sfem_int, row, al, (size_t)f->free_nodes + 1);
-    SFEMI_NEW(sfem_int, col, al, model->row[model->mesh.nodes]);
-    for (i = 0; i < model->mesh.nodes; ++i) number[i] = -1;
-    for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k;
-    for (k = 0; k < f->free_nodes; ++k) {
-        i = f->node[k];
-        for (at = model->row[i]; at < model->row[i + 1]; ++at)
-            if (number[model->col[at]] >= 0) col[blocks++] = number[model->col[at]];
-        row[k + 1] = blocks;
-    }
-    SFEMI_TRY(sfem_matrix_create(f->free_nodes, row, col, al, out, err));
+    memset(&a, 0, sizeof a);
+    SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
+    for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
+    for (k = 0; k < f->free_nodes; ++k)
+        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
+            blocks += number[model->col[at]] > 0;
+    SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, al, &row, &col, &a, err));
     blocks = 0;
     for (k = 0; k < f->free_nodes; ++k) {
-        i = f->node[k];
-        for (at = model->row[i]; at < model->row[i + 1]; ++at) {
-            const sfem_int j = model->col[at];
-            sfem_real *b = out->val + 9 * (size_t)blocks;
-            int r, c;
-            if (number[j] < 0) continue;
-            sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
-            for (r = 0; r < 3; ++r)
-                for (c = 0; c < 3; ++c)
-                    if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c))
-                        b[3 * r + c] = 0;
-            ++blocks;
+        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
+            if (number[model->col[at]] == 0) continue;
+            col[blocks] = number[model->col[at]] - 1;
+            sfemi_factor_block(model, f, at, f->node[k], a.val + 9 * (size_t)blocks++);
         }
+        row[k + 1] = blocks;
     }
+    *out = a;
 done:
-    sfemi_delete(al, col);
-    sfemi_delete(al, row);
+    if (status != SFEM_OK) sfem_matrix_free(&a, al);
     sfemi_delete(al, number);
     return status;
 }
@@ -7026,7 +7055,7 @@ static sfem_status sfemi_factor_compute(sfem_model *model, sfem_factor *f, const
     status = like ? sfem_ldl_create_like(like->ldl, &a, &f->ldl, &place)
                   : sfemi_factor_analyse(model, f, &a, exec, &place);
     sfemi_factor_release(model, like);
-    sfem_matrix_free(&a);
+    sfem_matrix_free(&a, &model->allocator);
     if (status == SFEM_NOT_SPD && place.node >= 0)
         return sfemi_fail_at(err, status, f->node[place.node], -1, "node %d is held by nothing",
                              (int)f->node[place.node]);
