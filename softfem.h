@@ -3078,42 +3078,57 @@ static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_
     }
 }
 
-/* Solves M a = rhs on the free axes; a consistent M by conjugate gradients to rounding, with its diagonal
- * as preconditioner (its condition is below 20, whatever the mesh). Uses rhs, zk, zm as scratch. */
+/* z = r over the lumped mass on the free axes, less what would move the handles' points. What pins and
+ * handles take up is dropped from r, too: it would never shrink. Returns r.z. */
+static sfem_real sfemi_body_lumped_solve(sfem_body *b, sfem_real *r, sfem_real *z)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    sfem_real rz = 0;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / model->node_mass[i / 3];
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_grip_project(&b->grip, b->state.handle, model, b->mask, z);
+    }
+    for (i = 0; i < n; ++i) {
+        r[i] = model->node_mass[i / 3] * z[i];
+        rz += r[i] * z[i];
+    }
+    return rz;
+}
+
+/* Solves M a = rhs on the free axes, the handles' points held; a consistent M by conjugate gradients to
+ * rounding, preconditioned by the lumped one (the condition is below 20, whatever the mesh), projected
+ * onto the handles' null space [Gould, Hribar, Nocedal 2001]. Uses rhs, acc, zk, zm as scratch. */
 static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
 {
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    sfem_real *r = b->rhs, *p = b->zk, *ap = b->zm, rz = 0, rz0;
+    sfem_real *r = b->rhs, *z = b->acc, *p = b->zk, *ap = b->zm, rz, rz0;
     size_t i;
     int k;
-    for (i = 0; i < n; ++i) {
-        const int held = b->mask[i / 3] >> (i % 3) & 1;
-        r[i] = held ? 0 : r[i];
-        p[i] = held ? 0 : r[i] / model->node_mass[i / 3];
-        a[i] = model->block_mass ? 0 : p[i];
-        rz += r[i] * p[i];
-    }
-    rz0 = rz;
-    for (k = 0; model->block_mass && k < 200 && rz > 1e-32 * rz0; ++k) {
-        sfem_real pap = 0, step, next = 0;
+    rz = rz0 = sfemi_body_lumped_solve(b, r, model->block_mass ? z : a);
+    if (!model->block_mass) return;
+    memcpy(p, z, n * sizeof *p);
+    memset(a, 0, n * sizeof *a);
+    for (k = 0; k < 200 && rz > 1e-32 * rz0; ++k) {
+        sfem_real pap = 0, length, next;
         sfem_model_multiply_mass(model, p, ap, &b->exec);
         for (i = 0; i < n; ++i) pap += p[i] * ap[i];
-        step = rz / pap;
+        length = rz / pap;
         for (i = 0; i < n; ++i) {
-            if (b->mask[i / 3] >> (i % 3) & 1) continue;
-            a[i] += step * p[i];
-            r[i] -= step * ap[i];
-            next += r[i] * r[i] / model->node_mass[i / 3];
+            a[i] += length * p[i];
+            r[i] -= length * ap[i];
         }
-        for (i = 0; i < n; ++i)
-            if (!(b->mask[i / 3] >> (i % 3) & 1))
-                p[i] = r[i] / model->node_mass[i / 3] + next / rz * p[i];
+        next = sfemi_body_lumped_solve(b, r, z);
+        for (i = 0; i < n; ++i) p[i] = z[i] + next / rz * p[i];
         rz = next;
     }
 }
 
-/* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start. */
+/* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start; zero where pins and handles hold. */
 static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
