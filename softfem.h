@@ -2989,15 +2989,15 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
     }
 }
 
-/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target: second
- * order once three positions are known. */
-static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h, sfem_real v[3],
-                              sfem_real a[3])
+/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
+ * of h_before seconds: of second and first order once three positions are known. */
+static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h,
+                              sfem_real h_before, sfem_real v[3], sfem_real a[3])
 {
     int c;
     for (c = 0; c < 3; ++c) {
-        const sfem_real d = (hold->target[c] - x[c]) / h, before = (x[c] - hold->past[c]) / h;
-        a[c] = hold->age > 0 ? (d - before) / h : 0;
+        const sfem_real d = (hold->target[c] - x[c]) / h;
+        a[c] = hold->age > 0 ? 2 * (d - (x[c] - hold->past[c]) / h_before) / (h + h_before) : 0;
         v[c] = d + h / 2 * a[c];
     }
 }
@@ -3200,7 +3200,7 @@ static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c];
-        sfemi_hold_motion(b->state.pin + k, x, h, v, a);
+        sfemi_hold_motion(b->state.pin + k, x, h, b->state.head->h, v, a);
         for (c = 0; c < 3; ++c) {
             i = at + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
@@ -3246,7 +3246,7 @@ static void sfemi_newmark_finish(sfem_body *b)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
-        sfemi_hold_motion(s->pin + k, x, h, v, a);
+        sfemi_hold_motion(s->pin + k, x, h, s->head->h, v, a);
         for (c = 0; c < 3; ++c) {
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             s->u[at + (size_t)c] = s->pin[k].target[c] - b->model->mesh.x[at + (size_t)c];
@@ -3266,8 +3266,8 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
     for (pass = 0; pass < 2 && b->grip.count; ++pass) {
         for (i = 0; i < b->grip.count; ++i) {
             sfem_real motion[2][3];
-            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step, motion[0],
-                              motion[1]);
+            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step,
+                              b->state.head->h, motion[0], motion[1]);
             for (c = 0; c < 3; ++c) b->grip.lambda[3 * i + c] = motion[pass][c];
         }
         sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
