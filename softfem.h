@@ -3900,10 +3900,14 @@ static void sfemi_body_age_load(sfem_body *b)
 SFEM_DEF void sfem_body_finish(sfem_body *b)
 {
     sfemi_grip *g = &b->grip;
+    sfem_real weight; /* of a force in the equation that was solved */
     sfem_int i;
+    int c;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    weight = b->def.integrator == SFEM_NEWMARK ? 1 : sfemi_pqr_weigh(b, b->step).cf;
     for (i = 0; i < g->count; ++i) {
-        memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
+        for (c = 0; c < 3; ++c)
+            b->state.handle[g->slot[i]].force[c] = g->lambda[3 * i + c] / weight;
         sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     }
     if (b->def.integrator == SFEM_NEWMARK) {
