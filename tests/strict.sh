@@ -2,8 +2,8 @@
 # The header without a single warning: gcc and clang, C99 to C++20, every switch; and no symbol in
 # the object but sfem_*. `make strict` calls this; COMPILERS="gcc" limits it.
 #
-# Each of compilers x standards x switches builds two files that share the header: impl.c defines the
-# implementation twice, user.c includes the header twice and calls it. Both are linked and run.
+# Each of compilers x standards x switches builds two files that share the header: impl.c defines
+# the implementation twice, user.c includes the header twice and calls it. Both are linked and run.
 set -u
 cd "$(dirname "$0")/.." || exit 1
 BUILD=${BUILD:-build/strict}
@@ -96,7 +96,8 @@ for compiler in $COMPILERS; do
     for file in examples/*.c tests/test_*.c bench/*.c; do
         [ -f "$file" ] || continue
         case $file in tests/*) [ -f /usr/include/cmocka.h ] || continue ;; esac
-        $command -fsyntax-only -I. '-DSFEM_BENCH_FLAGS=""' "$file" || { echo "FAILED: $compiler $file"; exit 1; }
+        $command -fsyntax-only -I. '-DSFEM_BENCH_FLAGS=""' "$file" ||
+            { echo "FAILED: $compiler $file"; exit 1; }
     done
 done
 echo "no warning in $(wc -l <"$jobs") builds"

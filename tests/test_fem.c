@@ -870,7 +870,7 @@ static void damping_of_each_material_is_its_own(void **state)
         assert_ok(sfem_model_combine(model, 0, 0, 1, NULL, &d, &err), err);
         sfem_matrix_multiply(&d, x, dx, NULL);
         assert_all_near(dx, y, n, 1e-13, 0);
-        sfem_matrix_free(&d);
+        sfem_matrix_free(&d, NULL);
         free(wanted);
         free(x);
         free(y);
@@ -1008,7 +1008,7 @@ static void combine_is_the_sum_of_the_products(void **state)
             sfem_matrix_multiply(&one, x, other, NULL);
             assert_all_near(other, part, n, 1e-13, 0);
             for (i = 0; i < n; ++i) sum[i] += coefficient[k] * part[i];
-            sfem_matrix_free(&one);
+            sfem_matrix_free(&one, NULL);
             free(other);
         }
         assert_ok(sfem_model_combine(model, coefficient[0], coefficient[1], coefficient[2], NULL,
@@ -1016,7 +1016,7 @@ static void combine_is_the_sum_of_the_products(void **state)
                   err);
         sfem_matrix_multiply(&all, x, part, NULL);
         assert_all_near(part, sum, n, 1e-13, 0);
-        sfem_matrix_free(&all);
+        sfem_matrix_free(&all, NULL);
         free(x);
         free(sum);
         free(part);
@@ -1469,7 +1469,7 @@ static sfem_status attempt_combine(sfem_allocator allocator, void *user, sfem_er
     sfem_matrix a;
     const sfem_status status =
         sfem_model_combine(((model_attempt *)user)->model, 1, 2, 3, &allocator, &a, err);
-    if (status == SFEM_OK) sfem_matrix_free(&a);
+    if (status == SFEM_OK) sfem_matrix_free(&a, &allocator);
     return status;
 }
 
