@@ -8219,6 +8219,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!(sfemi_finite(h) && h > 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
+    b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
@@ -8507,6 +8508,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->pin_count = listed;
     b->omega_max = 0;
     sfemi_body_reset_head(b, bytes);
+    b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
@@ -8595,6 +8597,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     memset(b->state.handle + handle, 0, sizeof *b->state.handle);
+    b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
     b->grip.dirty = 1;
 }
