@@ -18,17 +18,20 @@ static const scheme schemes[] = {
     {"pqr .3, damped, consistent", SFEM_PQR, 0.3, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_CONSISTENT, 1},
     {"pqr 1/4, consistent", SFEM_PQR, 0.25, 0.25, 0.5, 0, 0, SFEM_MASS_CONSISTENT, 1},
     {"central", SFEM_CENTRAL, 0, 0.25, 0.5, 0, 0, SFEM_MASS_LUMPED, 1},
-    {"central, damped, consistent", SFEM_CENTRAL, 0, 0.25, 0.5, 0.7, 0.001, SFEM_MASS_CONSISTENT, 1},
+    {"central, damped, consistent", SFEM_CENTRAL, 0, 0.25, 0.5, 0.7, 0.001, SFEM_MASS_CONSISTENT,
+     1},
     {"newmark", SFEM_NEWMARK, 0.25, 0.25, 0.5, 0, 0, SFEM_MASS_LUMPED, 1},
     {"newmark .3025 .6", SFEM_NEWMARK, 0.25, 0.3025, 0.6, 0, 0, SFEM_MASS_LUMPED, 1},
     {"newmark, damped", SFEM_NEWMARK, 0.25, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_LUMPED, 0},
     {"newmark, consistent", SFEM_NEWMARK, 0.25, 0.25, 0.5, 0, 0, SFEM_MASS_CONSISTENT, 0},
-    {"newmark, damped, consistent", SFEM_NEWMARK, 0.25, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_CONSISTENT, 0},
+    {"newmark, damped, consistent", SFEM_NEWMARK, 0.25, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_CONSISTENT,
+     0},
 };
 
-#define NODES 20            /* of the beam: 4 x 1 x 1 cells, 4 nodes a cross-section */
+#define NODES 20 /* of the beam: 4 x 1 x 1 cells, 4 nodes a cross-section */
 #define DOFS  (3 * NODES)
-static const sfem_int clamp[6] = {0, 1, 2, 3, 17, 14}; /* the end x = 0, then two nodes of the others */
+static const sfem_int clamp[6] = {0, 1,  2,
+                                  3, 17, 14}; /* the end x = 0, then two nodes of the others */
 enum { CLAMPED = 4, FIRST = 17, SECOND = 14 };
 
 static sfem_model *make_beam(sfem_mass mass, sfem_allocator allocator)
@@ -93,11 +96,9 @@ static sfem_int grab(sfem_body *body, sfem_int node)
 }
 
 /* rest position plus d */
-static void place(const sfem_body *body, const sfem_model *model, sfem_int node, const double d[3],
-                  double x[3])
+static void place(const sfem_model *model, sfem_int node, const double d[3], double x[3])
 {
     int c;
-    (void)body;
     for (c = 0; c < 3; ++c) x[c] = sfem_model_mesh(model)->x[3 * node + c] + d[c];
 }
 
@@ -207,7 +208,8 @@ static void handles_set_moved_and_released_equal_moved_pins(void **state)
             for (j = 0; j < 2; ++j) {
                 if (i > begin[j] && i < end[j]) {
                     path(0.01 * (i - begin[j]), d);
-                    for (c = 0; c < 3; ++c) assert_near(x[3 * node[j] + c], from[j][c] + d[c], 0, 1e-12);
+                    for (c = 0; c < 3; ++c)
+                        assert_near(x[3 * node[j] + c], from[j][c] + d[c], 0, 1e-12);
                 }
                 assert_ok(sfem_body_move_pin(pinned, node[j], x + 3 * node[j], &err), err);
             }
@@ -238,14 +240,15 @@ static double moving_difference(const scheme *s, double h)
         for (j = 0; j < 2; ++j) {
             double d[3], x[3];
             path(i * h, d);
-            place(pinned, model, clamp[CLAMPED + j], d, x);
+            place(model, clamp[CLAMPED + j], d, x);
             assert_ok(sfem_body_move_pin(pinned, clamp[CLAMPED + j], x, &err), err);
             assert_ok(sfem_body_move_handle(handled, handle[j], x, &err), err);
         }
         step(pinned, h);
         step(handled, h);
         for (j = 0; j < DOFS; ++j)
-            most = fmax(most, fabs(sfem_body_displacement(pinned)[j] - sfem_body_displacement(handled)[j]));
+            most = fmax(
+                most, fabs(sfem_body_displacement(pinned)[j] - sfem_body_displacement(handled)[j]));
     }
     sfem_body_free(pinned);
     sfem_body_free(handled);
@@ -264,8 +267,8 @@ static void moving_handles_of_damped_newmark_converge_to_moving_pins(void **stat
         for (i = 0; i < 3; ++i) {
             difference[i] = moving_difference(schemes + k, 0.02 / (1 << i));
             if (i && !(difference[i - 1] / difference[i] > 1.8))
-                fail_msg("%s, h = %g: difference %.3g, before %.3g", schemes[k].name, 0.02 / (1 << i),
-                         difference[i], difference[i - 1]);
+                fail_msg("%s, h = %g: difference %.3g, before %.3g", schemes[k].name,
+                         0.02 / (1 << i), difference[i], difference[i - 1]);
         }
         assert_true(difference[2] < 0.004); /* m; the path is 0.4 m long */
     }
@@ -294,7 +297,7 @@ static void handles_follow_changes_of_the_step(void **state)
             for (j = 0; j < 2; ++j) {
                 double d[3], x[3];
                 path(sfem_body_time(pinned) + h[i % 5], d);
-                place(pinned, model, clamp[CLAMPED + j], d, x);
+                place(model, clamp[CLAMPED + j], d, x);
                 assert_ok(sfem_body_move_pin(pinned, clamp[CLAMPED + j], x, &err), err);
                 assert_ok(sfem_body_move_handle(handled, handle[j], x, &err), err);
             }
@@ -323,9 +326,9 @@ static void velocity_of_what_is_pulled_survives_a_change_of_step(void **state)
         const double h = i % 3 ? 0.01 : 0.002, t = sfem_body_time(body) + h;
         const double d[3] = {0.1 * t, -0.2 * t, 0.3 * t};
         double x[3], v[DOFS];
-        place(body, model, SECOND, d, x);
+        place(model, SECOND, d, x);
         assert_ok(sfem_body_move_handle(body, handle, x, &err), err);
-        place(body, model, FIRST, d, x);
+        place(model, FIRST, d, x);
         assert_ok(sfem_body_move_pin(body, FIRST, x, &err), err);
         step(body, h);
         sfem_body_velocities(body, v);
@@ -407,8 +410,10 @@ static void pins_set_at_run_time_equal_pins_from_the_start(void **state)
         assert_ok(sfem_body_set_pins(changed, CLAMPED + 2, clamp, NULL, &err), err);
         def.pin_count = CLAMPED + 2;
         fresh = make_body(model, &def);
-        for (i = CLAMPED; i < CLAMPED + 2; ++i) { /* its pins are at rest positions: bring them along */
-            for (c = 0; c < 3; ++c) x[c] = sfem_model_mesh(model)->x[3 * clamp[i] + c] + u[3 * clamp[i] + c];
+        for (i = CLAMPED; i < CLAMPED + 2;
+             ++i) { /* its pins are at rest positions: bring them along */
+            for (c = 0; c < 3; ++c)
+                x[c] = sfem_model_mesh(model)->x[3 * clamp[i] + c] + u[3 * clamp[i] + c];
             assert_ok(sfem_body_move_pin(fresh, clamp[i], x, &err), err);
         }
         assert_ok(sfem_body_solve_static(fresh, &err), err);
@@ -482,8 +487,8 @@ static void handles_carry_the_weight(void **state)
             for (c = 0; c < 3; ++c) {
                 const double wanted = c ? 0 : 9.81 * 4000;
                 if (!(fabs(sum[c] - wanted) < 1e-8 * 4e4))
-                    fail_msg("%s, step %d, axis %d: the handles carry %g, the weight is %g", s->name, i,
-                             c, sum[c], wanted);
+                    fail_msg("%s, step %d, axis %d: the handles carry %g, the weight is %g",
+                             s->name, i, c, sum[c], wanted);
             }
         }
         sfem_body_free(body);
@@ -549,8 +554,10 @@ static void a_moving_node_that_is_taken_does_not_ring(void **state)
             assert_ok(sfem_body_set_state(body, NULL, v, &err), err);
             for (i = 0; i < 20; ++i) step(body, 0.01);
             before = sfem_body_energy(body).total;
-            if (at_point) assert_ok(sfem_body_grab_point(body, 11, point, &handle, &err), err);
-            else handle = grab(body, FIRST);
+            if (at_point)
+                assert_ok(sfem_body_grab_point(body, 11, point, &handle, &err), err);
+            else
+                handle = grab(body, FIRST);
             sfem_body_handle_position(body, handle, target);
             for (i = 0; i < 960; ++i) {
                 double most = 0;
@@ -562,8 +569,6 @@ static void a_moving_node_that_is_taken_does_not_ring(void **state)
                 if (i >= 900) late = fmax(late, most);
             }
             after = sfem_body_energy(body).total;
-            print_message("%s%s: acceleration %.3g, %.3g in the end; energy %.4g, %.4g\n", s->name,
-                          at_point ? ", point" : "", early, late, before, after);
             if (!(late < 2 * early)) fail_msg("%s: acceleration %g, then %g", s->name, early, late);
             if (!(after < 1.2 * before)) fail_msg("%s: energy %g, then %g", s->name, before, after);
             sfem_body_free(body);
@@ -838,6 +843,38 @@ static void taking_and_releasing_between_steps_changes_nothing(void **state)
     }
 }
 
+/* A step under way is given up by what changes its equation, and the body is where it was. */
+static void a_predicted_step_can_be_given_up(void **state)
+{
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(schemes); ++k) {
+        sfem_model *model = beam_of(schemes + k);
+        sfem_body_def def = body_def_of(schemes + k, CLAMPED);
+        sfem_body *body[2];
+        sfem_int handle;
+        sfem_error err;
+        int i, b;
+        def.gravity[1] = 7;
+        for (b = 0; b < 2; ++b) {
+            body[b] = make_body(model, &def);
+            for (i = 0; i < 30; ++i) {
+                if (i == 10) handle = grab(body[b], FIRST);
+                if (b && i > 0) assert_ok(sfem_body_predict(body[b], 0.01, &err), err);
+                if (b && i == 5) assert_ok(sfem_body_solve(body[b], &err), err);
+                if (b && i == 7) assert_ok(sfem_body_prepare(body[b], 0.005, &err), err);
+                if (i == 20) sfem_body_release_handle(body[b], handle);
+                if (i == 25)
+                    assert_ok(sfem_body_set_pins(body[b], CLAMPED + 1, clamp, NULL, &err), err);
+                step(body[b], 0.01);
+            }
+        }
+        same_displacement(body[0], body[1], 1e-15, schemes[k].name);
+        for (b = 0; b < 2; ++b) sfem_body_free(body[b]);
+        sfem_model_free(model);
+    }
+}
+
 /* ---- saving, allocation ---- */
 
 static void pull(sfem_body *body, sfem_int handle, int i)
@@ -983,7 +1020,8 @@ static sfem_status attempt_all(sfem_allocator allocator, void *user, sfem_error 
     if (status == SFEM_OK) {
         before = hash_reals(sfem_body_displacement(body), DOFS);
         status = sfem_body_solve_static(body, err);
-        if (status != SFEM_OK) assert_true(before == hash_reals(sfem_body_displacement(body), DOFS));
+        if (status != SFEM_OK)
+            assert_true(before == hash_reals(sfem_body_displacement(body), DOFS));
     }
     sfem_body_free(body);
     sfem_model_free(model);
@@ -1053,6 +1091,7 @@ int main(void)
         cmocka_unit_test(a_handle_holds_the_free_axes_of_a_pinned_node),
         cmocka_unit_test(handles_that_pull_nothing_leave_no_trace),
         cmocka_unit_test(taking_and_releasing_between_steps_changes_nothing),
+        cmocka_unit_test(a_predicted_step_can_be_given_up),
         cmocka_unit_test(a_saved_state_with_handles_goes_on_bit_for_bit),
         cmocka_unit_test(without_allocation_steps_ask_to_be_prepared),
         cmocka_unit_test(every_allocation_of_a_body_may_fail),
