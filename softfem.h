@@ -7375,15 +7375,15 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
     }
 }
 
-/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target: second
- * order once three positions are known. */
-static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h, sfem_real v[3],
-                              sfem_real a[3])
+/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
+ * of h_before seconds: of second and first order once three positions are known. */
+static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h,
+                              sfem_real h_before, sfem_real v[3], sfem_real a[3])
 {
     int c;
     for (c = 0; c < 3; ++c) {
-        const sfem_real d = (hold->target[c] - x[c]) / h, before = (x[c] - hold->past[c]) / h;
-        a[c] = hold->age > 0 ? (d - before) / h : 0;
+        const sfem_real d = (hold->target[c] - x[c]) / h;
+        a[c] = hold->age > 0 ? 2 * (d - (x[c] - hold->past[c]) / h_before) / (h + h_before) : 0;
         v[c] = d + h / 2 * a[c];
     }
 }
@@ -7464,42 +7464,57 @@ static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_
     }
 }
 
-/* Solves M a = rhs on the free axes; a consistent M by conjugate gradients to rounding, with its diagonal
- * as preconditioner (its condition is below 20, whatever the mesh). Uses rhs, zk, zm as scratch. */
+/* z = r over the lumped mass on the free axes, less what would move the handles' points. What pins and
+ * handles take up is dropped from r, too: it would never shrink. Returns r.z. */
+static sfem_real sfemi_body_lumped_solve(sfem_body *b, sfem_real *r, sfem_real *z)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    sfem_real rz = 0;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / model->node_mass[i / 3];
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_grip_project(&b->grip, b->state.handle, model, b->mask, z);
+    }
+    for (i = 0; i < n; ++i) {
+        r[i] = model->node_mass[i / 3] * z[i];
+        rz += r[i] * z[i];
+    }
+    return rz;
+}
+
+/* Solves M a = rhs on the free axes, the handles' points held; a consistent M by conjugate gradients to
+ * rounding, preconditioned by the lumped one (the condition is below 20, whatever the mesh), projected
+ * onto the handles' null space [Gould, Hribar, Nocedal 2001]. Uses rhs, acc, zk, zm as scratch. */
 static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
 {
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    sfem_real *r = b->rhs, *p = b->zk, *ap = b->zm, rz = 0, rz0;
+    sfem_real *r = b->rhs, *z = b->acc, *p = b->zk, *ap = b->zm, rz, rz0;
     size_t i;
     int k;
-    for (i = 0; i < n; ++i) {
-        const int held = b->mask[i / 3] >> (i % 3) & 1;
-        r[i] = held ? 0 : r[i];
-        p[i] = held ? 0 : r[i] / model->node_mass[i / 3];
-        a[i] = model->block_mass ? 0 : p[i];
-        rz += r[i] * p[i];
-    }
-    rz0 = rz;
-    for (k = 0; model->block_mass && k < 200 && rz > 1e-32 * rz0; ++k) {
-        sfem_real pap = 0, step, next = 0;
+    rz = rz0 = sfemi_body_lumped_solve(b, r, model->block_mass ? z : a);
+    if (!model->block_mass) return;
+    memcpy(p, z, n * sizeof *p);
+    memset(a, 0, n * sizeof *a);
+    for (k = 0; k < 200 && rz > 1e-32 * rz0; ++k) {
+        sfem_real pap = 0, length, next;
         sfem_model_multiply_mass(model, p, ap, &b->exec);
         for (i = 0; i < n; ++i) pap += p[i] * ap[i];
-        step = rz / pap;
+        length = rz / pap;
         for (i = 0; i < n; ++i) {
-            if (b->mask[i / 3] >> (i % 3) & 1) continue;
-            a[i] += step * p[i];
-            r[i] -= step * ap[i];
-            next += r[i] * r[i] / model->node_mass[i / 3];
+            a[i] += length * p[i];
+            r[i] -= length * ap[i];
         }
-        for (i = 0; i < n; ++i)
-            if (!(b->mask[i / 3] >> (i % 3) & 1))
-                p[i] = r[i] / model->node_mass[i / 3] + next / rz * p[i];
+        next = sfemi_body_lumped_solve(b, r, z);
+        for (i = 0; i < n; ++i) p[i] = z[i] + next / rz * p[i];
         rz = next;
     }
 }
 
-/* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start. */
+/* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start; zero where pins and handles hold. */
 static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -7571,7 +7586,7 @@ static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c];
-        sfemi_hold_motion(b->state.pin + k, x, h, v, a);
+        sfemi_hold_motion(b->state.pin + k, x, h, b->state.head->h, v, a);
         for (c = 0; c < 3; ++c) {
             i = at + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
@@ -7617,7 +7632,7 @@ static void sfemi_newmark_finish(sfem_body *b)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
-        sfemi_hold_motion(s->pin + k, x, h, v, a);
+        sfemi_hold_motion(s->pin + k, x, h, s->head->h, v, a);
         for (c = 0; c < 3; ++c) {
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             s->u[at + (size_t)c] = s->pin[k].target[c] - b->model->mesh.x[at + (size_t)c];
@@ -7637,8 +7652,8 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
     for (pass = 0; pass < 2 && b->grip.count; ++pass) {
         for (i = 0; i < b->grip.count; ++i) {
             sfem_real motion[2][3];
-            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step, motion[0],
-                              motion[1]);
+            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step,
+                              b->state.head->h, motion[0], motion[1]);
             for (c = 0; c < 3; ++c) b->grip.lambda[3 * i + c] = motion[pass][c];
         }
         sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
@@ -8204,6 +8219,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!(sfemi_finite(h) && h > 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
+    b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
@@ -8272,10 +8288,14 @@ static void sfemi_body_age_load(sfem_body *b)
 SFEM_DEF void sfem_body_finish(sfem_body *b)
 {
     sfemi_grip *g = &b->grip;
+    sfem_real weight; /* of a force in the equation that was solved */
     sfem_int i;
+    int c;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    weight = b->def.integrator == SFEM_NEWMARK ? 1 : sfemi_pqr_weigh(b, b->step).cf;
     for (i = 0; i < g->count; ++i) {
-        memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
+        for (c = 0; c < 3; ++c)
+            b->state.handle[g->slot[i]].force[c] = g->lambda[3 * i + c] / weight;
         sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     }
     if (b->def.integrator == SFEM_NEWMARK) {
@@ -8488,6 +8508,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->pin_count = listed;
     b->omega_max = 0;
     sfemi_body_reset_head(b, bytes);
+    b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
@@ -8576,6 +8597,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     memset(b->state.handle + handle, 0, sizeof *b->state.handle);
+    b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
     b->grip.dirty = 1;
 }
