@@ -6614,7 +6614,13 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     const sfem_mesh *mesh = def->mesh;
     sfem_status status = SFEM_OK;
     size_t blocks;
-    SFEMI_TRY(sfem_mesh_copy(mesh->nodes, mesh->x, mesh->tets, mesh->tet, al, &model->mesh, err));
+    model->mesh.allocator = *al; /* a plain copy: sfemi_fem_check has seen it */
+    model->mesh.nodes = mesh->nodes;
+    model->mesh.tets = mesh->tets;
+    SFEMI_NEW(sfem_real, model->mesh.x, al, 3 * (size_t)mesh->nodes);
+    SFEMI_NEW(sfem_int, model->mesh.tet, al, 4 * (size_t)mesh->tets);
+    memcpy(model->mesh.x, mesh->x, 3 * (size_t)mesh->nodes * sizeof *mesh->x);
+    memcpy(model->mesh.tet, mesh->tet, 4 * (size_t)mesh->tets * sizeof *mesh->tet);
     if (mesh->region) {
         SFEMI_NEW(sfem_int, model->mesh.region, al, mesh->tets);
         memcpy(model->mesh.region, mesh->region, (size_t)mesh->tets * sizeof *mesh->region);
