@@ -5721,7 +5721,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     }
     k = 0;
     if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &k);
-    ldl->unit = ldexp(1, k);
+    ldl->unit = ldexp(1.0, k);
     for (l = 0; l < y->levels; ++l) {
         const sfem_int count = y->level[l + 1] - y->level[l];
         const int wide = threads > 1 && count < threads; /* then the fronts themselves are shared out */
@@ -6018,7 +6018,7 @@ static void sfemi_solve_one(const sfem_ldl *ldl, double *x, double *work, const 
             if (fabs(x[k]) > most) most = fabs(x[k]);
         if (!(most > 0)) return;
         (void)frexp(most, &e);
-        unit = ldexp(1, -e);
+        unit = ldexp(1.0, -e);
         for (i = 0; i < y->n; ++i)
             for (k = 0; k < 3; ++k)
                 q.w32[3 * (size_t)i + k] = (float)(unit * x[3 * (size_t)y->order[i] + k]);
@@ -8005,7 +8005,7 @@ static sfem_status sfemi_body_collect_pins(const sfem_body *b, sfem_int count, c
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin_count is %d without pins", (int)count);
     for (i = 0; i < nodes; ++i) mask[i] = 0;
     for (i = 0; i < count; ++i) {
-        const int held = axes ? axes[i] : SFEM_AXIS_ALL;
+        const int held = axes ? (int)axes[i] : (int)SFEM_AXIS_ALL;
         if (pins[i] < 0 || pins[i] >= nodes)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin %d names node %d, the mesh has %d", (int)i,
                               (int)pins[i], (int)nodes);
