@@ -556,7 +556,7 @@ typedef struct sfem_model_def {
     sfem_int material_count;
     const sfem_int *tet_material; /* [tets] index into materials; NULL: mesh->region is the index */
     sfem_mass mass;               /* lumped: rho V/4 a node; consistent: rho V/20 (1 + delta_ab) */
-    const sfem_matrix *damping;   /* added to D, N s/m: any symmetric matrix within K's pattern, or NULL */
+    const sfem_matrix *damping;   /* added to D, N s/m: any matrix within K's pattern, or NULL */
     sfem_allocator allocator;
 } sfem_model_def;
 
@@ -666,8 +666,9 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
 SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
- * has one with the same matrix and pins; the handles' columns (three solves a handle). The only
- * function after creation that allocates. sfem_body_step calls it where it has to.
+ * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
+ * a loop, the only function that allocates; set_pins and solve_static do, too. sfem_body_step calls it
+ * where it has to.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
@@ -679,8 +680,8 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
  * them. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
- * during this step. solve leaves the step's acceleration where sfem_body_acceleration points. finish
- * takes the step. predict may be called again to give a step up. */
+ * during this step, as F at its start does. solve leaves the step's acceleration where
+ * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF void sfem_body_finish(sfem_body *body);
@@ -6572,8 +6573,9 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
 {
     sfem_int i, k, j;
     if (d->n != model->mesh.nodes)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping matrix has %d block rows, the mesh %d nodes",
-                          (int)d->n, (int)model->mesh.nodes);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the damping matrix has %d block rows, the mesh %d nodes", (int)d->n,
+                          (int)model->mesh.nodes);
     for (i = 0; i < d->n; ++i) {
         for (k = d->row[i]; k < d->row[i + 1]; ++k) {
             const sfem_int at = sfemi_fem_find(model->row, model->col, i, d->col[k]);
@@ -6584,7 +6586,8 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
             if (!sfemi_all_finite(d->val + 9 * (size_t)k, 9))
                 return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "damping block (%d, %d) is not finite",
                                      (int)i, (int)d->col[k]);
-            for (j = 0; j < 9; ++j) model->damping[9 * (size_t)at + (size_t)j] += d->val[9 * (size_t)k + (size_t)j];
+            for (j = 0; j < 9; ++j)
+                model->damping[9 * (size_t)at + (size_t)j] += d->val[9 * (size_t)k + (size_t)j];
         }
     }
     return SFEM_OK;
@@ -7174,6 +7177,7 @@ typedef struct sfemi_state_head {
     uint32_t version, checksum;
     uint64_t size, key; /* key: what it belongs to */
     sfem_real time, h;  /* h: of the last step */
+    sfem_real gravity[3];
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
@@ -7450,7 +7454,7 @@ static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_real all = load[0] + load[1] + load[2];
     const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
-    const sfem_real *g = b->def.gravity;
+    const sfem_real *g = b->state.head->gravity;
     size_t i;
     sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
     for (i = 0; i < n / 3; ++i) {
@@ -7678,13 +7682,17 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
  *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
  * and a step of another length, h1 before and h2 now, follows from the same two half-steps:
  *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + (1/4-p)(h2^2-h1^2) D a + p h2 (F+ - F) + p h1 (F- - F).
- * All are put as an equation for a = (w' - w)/h2, whose right side is a force.
+ * Both are put as one equation for a = (w' - w)/d, d = (h1 + h2)/2 being the time between the centres of the
+ * two means and h1 = 0 the start: A a = b, where every force in b has weight one,
+ *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p (h1/d)(F- - F),
+ *   ck = 2 p (h1 - h2),  cd = (h1 - (q/2)(h1 - h2))/d,  ca = 2 (1/4 - p)(h2 - h1).
  * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
 
-/* b = F's - K (cf u - ck w) - D (cd w - ca a), see above. */
 typedef struct sfemi_pqr_terms {
-    sfem_real cf, ck, cd, ca, load[3];
+    sfem_real d;       /* s, see above */
+    sfem_real ck, cd, ca;
+    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
 } sfemi_pqr_terms;
 
 static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
@@ -7696,30 +7704,21 @@ static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
 static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
 {
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
-    const sfem_real h1 = b->state.head->h;
+    const int running = b->state.head->started == SFEMI_RUNNING;
+    const sfem_real h1 = running ? b->state.head->h : 0;
     sfemi_pqr_terms t;
-    if (b->state.head->started != SFEMI_RUNNING) {
-        const int fourth = sfemi_pqr_starts_at_fourth_order(b);
-        t.cf = 0.5;
-        t.ck = fourth ? -h2 / 6 : -k.p * h2;
-        t.cd = 0.5;
-        t.ca = (0.25 - k.p) * h2;
-        t.load[0] = fourth ? 1.0 / 6 : k.p;
-        t.load[1] = 0.5 - t.load[0];
-        t.load[2] = 0;
-    } else {
-        t.cf = (h1 + h2) / (2 * h2);
-        t.ck = k.p * (h1 - h2) * (h1 + h2) / h2;
-        t.cd = (h1 - k.q / 2 * (h1 - h2)) / h2;
-        t.ca = (0.25 - k.p) * (h2 - h1) * (h2 + h1) / h2;
-        t.load[0] = k.p;
-        t.load[2] = k.p * h1 / h2;
-        t.load[1] = t.cf - t.load[0] - t.load[2];
+    t.d = (h1 + h2) / 2;
+    t.ck = 2 * k.p * (h1 - h2);
+    t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
+    t.ca = 2 * (0.25 - k.p) * (h2 - h1);
+    t.load[0] = k.p * h2 / t.d;
+    t.load[2] = k.p * h1 / t.d;
+    if (!running && sfemi_pqr_starts_at_fourth_order(b)) {
+        t.ck = -h2 / 3;
+        t.load[0] = 1.0 / 3;
     }
-    if (b->def.plain_load) {
-        t.load[0] = t.load[2] = 0;
-        t.load[1] = t.cf;
-    }
+    if (b->def.plain_load) t.load[0] = t.load[2] = 0;
+    t.load[1] = 1 - t.load[0] - t.load[2];
     return t;
 }
 
@@ -7738,7 +7737,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
     t = sfemi_pqr_weigh(b, h);
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
-        b->zk[i] = t.cf * s->u[i] - t.ck * s->w[i] + b->beta * dv;
+        b->zk[i] = s->u[i] - t.ck * s->w[i] + b->beta * dv;
         b->zm[i] = b->alpha * dv;
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
@@ -7748,7 +7747,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
             sfem_real a;
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / h;
+            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
             b->acc[i] = a;
             b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * a;
             b->zm[i] += (k.r + k.q / 2 * h * b->alpha) * a;
@@ -7766,18 +7765,15 @@ static void sfemi_pqr_solve(sfem_body *b)
     size_t i;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, b->zk, h * h);
+    sfemi_body_handle_gap(b, b->zk, h * sfemi_pqr_weigh(b, h).d);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
 static void sfemi_pqr_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfem_real h = b->step, d = sfemi_pqr_weigh(b, h).d;
     sfemi_state *s = &b->state;
-    /* w and w' are means over h1 and h: their centres lie (h1 + h)/2 apart, h/2 at the start */
-    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
-    const sfem_real full = 2 * h / (h1 + h);
     sfem_int k;
     size_t i;
     int c;
@@ -7790,9 +7786,9 @@ static void sfemi_pqr_finish(sfem_body *b)
         sfemi_hold_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
-        s->w[i] += h * b->acc[i];
+        s->w[i] += d * b->acc[i];
         s->u[i] += h * s->w[i];
-        s->a[i] = full * b->acc[i];
+        s->a[i] = b->acc[i];
     }
 }
 
@@ -7967,17 +7963,24 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0 or SFEM_P_AUTO", d->p);
-    if (!(sfemi_finite(d->q) && d->q >= 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
-    if (!(sfemi_finite(d->r) && d->r > 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "r is %g, must be > 0", d->r);
+    if (!(sfemi_finite(d->q) && d->q >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
+    if (!(sfemi_finite(d->r) && d->r > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "r is %g, must be > 0", d->r);
     if (!(sfemi_finite(d->beta) && d->beta > 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's beta is %g, must be > 0 (central difference is an integrator of its own)", d->beta);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "Newmark's beta is %g, must be > 0 (central difference is an integrator of its own)",
+                          d->beta);
     if (!(sfemi_finite(d->gamma) && d->gamma >= 0.5))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
     if (!(sfemi_finite(d->alpha) && d->alpha >= 0 && sfemi_finite(d->beta_k) && d->beta_k >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha, d->beta_k);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha,
+                          d->beta_k);
     if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     if (d->max_handles < 0 || d->max_handles > 1024)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024", (int)d->max_handles);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
+                          (int)d->max_handles);
     return SFEM_OK;
 }
 
@@ -8082,6 +8085,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_NEW(char, block, al, bytes);
     sfemi_state_lay_out(&b->state, block, nodes, b->pin_count);
     sfemi_body_reset_head(b, bytes);
+    memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
     b->acc = b->rhs + n;
     b->zk = b->rhs + 2 * n;
@@ -8255,7 +8259,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     SFEM_ASSERT(b);
     if (!sfemi_body_is_prepared(b, h)) {
         sfem_status status;
-        if (b->def.no_allocation)
+        if (b->def.no_allocation && !(b->factor && h == b->h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
@@ -8294,14 +8298,10 @@ static void sfemi_body_age_load(sfem_body *b)
 SFEM_DEF void sfem_body_finish(sfem_body *b)
 {
     sfemi_grip *g = &b->grip;
-    sfem_real weight; /* of a force in the equation that was solved */
     sfem_int i;
-    int c;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
-    weight = b->def.integrator == SFEM_NEWMARK ? 1 : sfemi_pqr_weigh(b, b->step).cf;
     for (i = 0; i < g->count; ++i) {
-        for (c = 0; c < 3; ++c)
-            b->state.handle[g->slot[i]].force[c] = g->lambda[3 * i + c] / weight;
+        memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
         sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     }
     if (b->def.integrator == SFEM_NEWMARK) {
@@ -8396,7 +8396,7 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], sfem_error *err)
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
-    memcpy(b->def.gravity, g, sizeof b->def.gravity);
+    memcpy(b->state.head->gravity, g, 3 * sizeof *g);
     return SFEM_OK;
 }
 
@@ -8467,11 +8467,14 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
 {
     sfemi_state_head head;
     sfem_int i;
-    if (bytes < sizeof head) return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
+    if (bytes < sizeof head)
+        return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
     memcpy(&head, memory, sizeof head);
-    if (memcmp(head.magic, "sfemstat", 8) != 0) return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
+    if (memcmp(head.magic, "sfemstat", 8) != 0)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
     if (head.version != 1)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1", (unsigned)head.version);
+        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1",
+                          (unsigned)head.version);
     if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
     if (head.size != b->state.head->size || head.key != b->state.head->key)
@@ -8549,7 +8552,8 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     int c, loose = 0;
     for (c = 0; c < 4; ++c) loose |= weight[c] != 0 && b->mask[node[c]] != SFEM_AXIS_ALL;
     if (!loose)
-        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes", (int)node[0]);
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes",
+                             (int)node[0]);
     for (k = 0; k < b->def.max_handles && b->state.handle[k].used; ++k) continue;
     if (k == b->def.max_handles)
         return sfemi_fail(err, SFEM_FULL, "all %d handles are in use: pin the nodes instead", (int)k);
@@ -8806,7 +8810,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
     e.load = 0;
     for (i = 0; i < n; ++i)
-        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
     if (!running) return e;
     if (b->def.integrator == SFEM_NEWMARK) {
@@ -8819,7 +8823,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
         sfem_model_multiply_stiffness(model, s->w, b->rhs, &b->exec);
         wkw = sfemi_body_dot(s->w, b->rhs, n);
         for (i = 0; i < n; ++i)
-            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
         /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
         e.conserved = k.r / 2 * sfemi_body_dot(s->w, b->zm, n) + k.p * h * h / 2 * wkw + e.elastic -
                       h / 2 * sfemi_body_dot(s->u, b->rhs, n) + e.load + h / 2 * load_w;
