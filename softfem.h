@@ -601,8 +601,8 @@ static sfem_status sfemi_mesh_new(double nodes, double tets, const sfem_allocato
     if (nodes > (double)INT32_MAX || tets > (double)INT32_MAX)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%.0f nodes and %.0f tets: at most 2^31 - 1 of each",
                           nodes, tets);
-    m.nodes = (sfem_int)nodes;
-    m.tets = (sfem_int)tets;
+    m.nodes = (sfem_int)(nodes + 0.5); /* -ffast-math divides inexactly */
+    m.tets = (sfem_int)(tets + 0.5);
     SFEMI_NEW(sfem_real, m.x, &m.allocator, 3 * (size_t)m.nodes);
     SFEMI_NEW(sfem_int, m.tet, &m.allocator, 4 * (size_t)m.tets);
     *out = m;
@@ -1686,6 +1686,7 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     int i;
     SFEM_ASSERT(mesh && point);
     if (!x) x = mesh->x;
+    if (!sfemi_all_finite(point, 3)) return 0;
     for (t = 0; t < mesh->tets; ++t) {
         const sfem_int *v = mesh->tet + 4 * (size_t)t;
         if (!sfemi_mesh_near(x, v, point) || !sfemi_mesh_gradients(x, v, g)) continue;
@@ -1759,7 +1760,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
     if (!x) x = mesh->x;
     for (i = 0; i < 3; ++i)
         if (fabs(direction[i]) > length) length = fabs(direction[i]);
-    if (!(length > 0) || !sfemi_finite(length)) return 0;
+    if (!(length > 0) || !sfemi_all_finite(direction, 3) || !sfemi_all_finite(origin, 3)) return 0;
     for (i = 0; i < 3; ++i) unit[i] = direction[i] / length; /* no under- or overflow in the norm */
     length = sqrt(sfemi_dot3(unit, unit));
     for (i = 0; i < 3; ++i) unit[i] /= length;
@@ -2223,7 +2224,7 @@ static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g, sfem_int first, sfem_int
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int i, count;
+    sfem_int i, count = 0;
     int64_t dimension, v, parametric;
     int k;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
@@ -2267,7 +2268,7 @@ static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
     sfemi_scan *s = &g->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int nodes, n = 0, filled = 0;
+    sfem_int nodes = 0, n = 0, filled = 0;
     int64_t blocks, v;
     if (g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Nodes section");
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of node blocks", &blocks));
@@ -2483,7 +2484,7 @@ static sfem_status sfemi_vtk_points(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n;
+    sfem_int n = 0;
     size_t i;
     if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
@@ -2504,7 +2505,7 @@ static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n, i;
+    sfem_int n = 0, i;
     int64_t v, before = 0;
     if (r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
@@ -2542,7 +2543,7 @@ static sfem_status sfemi_vtk_types(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n, i;
+    sfem_int n = 0, i;
     int64_t v;
     if (r->has_types) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES a second time");
     if (!r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES come before CELLS");
