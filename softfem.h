@@ -2006,19 +2006,24 @@ static int sfemi_word_is(sfemi_word w, const char *text)
     return text[w.n] == 0;
 }
 
-/* "expected a node tag, found 'x'": the word shortened, with nothing in it that is not
- * printable. */
+/* A word for a sentence: shortened, with nothing in it that is not printable. */
+static const char *sfemi_word_text(sfemi_word w, char text[25])
+{
+    size_t i;
+    for (i = 0; i < w.n && i < 24; ++i) text[i] = w.p[i] >= 32 && w.p[i] < 127 ? w.p[i] : '?';
+    text[i] = 0;
+    return text;
+}
+
+/* "expected a node tag, found 'x'" */
 static sfem_status sfemi_scan_expected(sfemi_scan *s, const char *what, sfemi_word found)
 {
     char text[25];
-    size_t i;
     if (!found.n)
         return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, but the %s ends", what,
                                s->in_row && s->p < s->end ? "line" : "data");
-    for (i = 0; i < found.n && i < sizeof text - 1; ++i)
-        text[i] = found.p[i] >= 32 && found.p[i] < 127 ? found.p[i] : '?';
-    text[i] = 0;
-    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what, text);
+    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what,
+                           sfemi_word_text(found, text));
 }
 
 static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, const char *what,
@@ -2738,6 +2743,7 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      sfem_error *err)
 {
     sfem_status status;
+    char begin[25];
     sfem_allocator a;
     sfem_mesh m;
     sfemi_scan s;
@@ -2759,9 +2765,10 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
     else
-        status = sfemi_scan_expected(
-            &s, "Gmsh 4.1 ASCII or VTK legacy ASCII, which are all that is read",
-            sfemi_scan_peek(&s));
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "only Gmsh 4.1 ASCII and VTK legacy ASCII are read, this begins "
+                                 "with '%s'",
+                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
     if (status == SFEM_OK && m.tets < 1)
         status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
                             (long)m.nodes);
