@@ -1848,6 +1848,7 @@ static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
 {
     int i, k, length = 32 * b->n, drop;
     uint64_t q = 0;
+    sfem_real x;
     for (i = 31; !(b->limb[b->n - 1] >> i & 1); --i) --length;
     drop = length - 53;
     if (drop < -1074 - exponent) drop = -1074 - exponent; /* subnormal: fewer bits */
@@ -1862,7 +1863,12 @@ static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
         for (i = 0; i < (drop - 1) / 32; ++i) sticky |= b->limb[i] != 0;
         q += (uint64_t)(half && (sticky || (q & 1)));
     }
-    return ldexp((double)q, exponent + drop);
+    exponent += drop;
+    for (; q < (uint64_t)1 << 52 && exponent > -1074; --exponent) q <<= 1;
+    q += (uint64_t)(exponent + 1074) << 52; /* q's own top bit counts the exponent on by one */
+    if (q > 0x7ff0000000000000u) q = 0x7ff0000000000000u;
+    memcpy(&x, &q, sizeof x); /* arithmetic may flush subnormals, as -ffast-math has it */
+    return x;
 }
 
 /* digits 10^exponent */
@@ -2153,10 +2159,12 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g)
     sfem_status status;
     sfem_real version;
     int64_t binary, size;
+    char text[25];
     if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
     if (!sfemi_word_is(w, "4.1"))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %.1f: only 4.1 ASCII is read", version);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 4.1 ASCII is read",
+                               sfemi_word_text(w, text));
     s->p += w.n;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "the file type (0 ASCII, 1 binary)", &binary));
     if (binary) return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 4.1 binary: only 4.1 ASCII is read");
@@ -2455,6 +2463,7 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfemi_word w;
     sfem_real version;
+    char text[25];
     int k;
     for (k = 0; k < 4; ++k) sfemi_scan_word(s); /* "# vtk DataFile Version" is what led here */
     s->in_row = 1;
@@ -2463,8 +2472,8 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     if (!w.n || sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a VTK version", w);
     if (version < 1 || version >= 6)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %.1f: only 1.0 to 5.1 are read",
-                               version);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %s: only 1.0 to 5.1 are read",
+                               sfemi_word_text(w, text));
     sfemi_scan_skip_line(s);
     sfemi_scan_skip_line(s); /* the title, which may be empty */
     w = sfemi_scan_peek(s);
@@ -2886,7 +2895,8 @@ static void sfemi_file_real(FILE *f, sfem_real x, const char *after)
             *p++ = '.';
             memmove(p, q, (size_t)(text + n + 1 - q));
         }
-        if (sfemi_text_real(text, text + strlen(text), &back) && back == x) break;
+        if (sfemi_text_real(text, text + strlen(text), &back) && !memcmp(&back, &x, sizeof x))
+            break;
     }
     fputs(text, f);
     fputs(after, f);

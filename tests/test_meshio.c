@@ -361,7 +361,7 @@ static void malformed_gmsh_is_refused_with_its_line(void **state)
         {1, "$Meshformat2", SFEM_FORMAT, 1, "$MeshFormat"},
         {1, "", SFEM_FORMAT, 2, "only Gmsh 4.1 ASCII and VTK legacy ASCII are read"},
         {2, "2.2 0 8", SFEM_FORMAT, 2, "Gmsh 2.2: only 4.1 ASCII"},
-        {2, "4 0 8", SFEM_FORMAT, 2, "Gmsh 4.0: only 4.1 ASCII"},
+        {2, "4 0 8", SFEM_FORMAT, 2, "Gmsh 4: only 4.1 ASCII"},
         {2, "4.1 1 8", SFEM_FORMAT, 2, "Gmsh 4.1 binary"},
         {2, "four", SFEM_FORMAT, 2, "expected a Gmsh version, found 'four'"},
         {2, "4.1 0", SFEM_FORMAT, 3, "data size"},
