@@ -178,8 +178,9 @@ static void physical_groups_become_regions(void **state)
                                    "6 0 0 0 1 1 1 0 0\n$EndEntities\n";
     static const char nodes[] = "$Nodes\n1 4 1 4\n2 3 1 4\n1\n2\n3\n4\n0 0 0 .1 .2\n1 0 0 0 0\n"
                                 "0 1 0 0 0\n0 0 1 0 0\n$EndNodes\n";
-    static const char tets[] = "$Elements\n3 3 1 3\n3 5 4 1\n1 1 2 3 4\n3 4 4 1\n2 1 2 3 4\n"
-                               "3 6 4 1\n3 1 2 3 4\n$EndElements\n$Later\n1 2\n$EndLater\n";
+    static const char tets[] =
+        "$Elements\n4 4 1 4\n3 5 4 1\n1 1 2 3 4\n3 4 4 1\n2 1 2 3 4\n"
+        "3 6 4 1\n3 1 2 3 4\n3 99 4 1\n4 1 2 3 4\n$EndElements\n$Later\n1 2\n$EndLater\n";
     char text[1024];
     sfem_mesh m;
     (void)state;
@@ -188,6 +189,7 @@ static void physical_groups_become_regions(void **state)
     assert_int_equal(m.region[0], 18); /* the first of two groups */
     assert_int_equal(m.region[1], 17); /* the sign only tells the orientation */
     assert_int_equal(m.region[2], 0);  /* in no group */
+    assert_int_equal(m.region[3], 0);  /* not among the entities */
     sfem_mesh_free(&m);
     snprintf(text, sizeof text, "%s%s%s", head, nodes, tets); /* no $Entities: their numbers */
     m = parse(text);
@@ -458,6 +460,8 @@ static void malformed_vtk_is_refused_with_its_line(void **state)
         {15, "12", SFEM_FORMAT, 11, "cell 0 of type 12 has 4 nodes, not 8"},
         {17, NULL, SFEM_FORMAT, 17, "expected a cell type, but the data ends"},
         {17, "1", SFEM_FORMAT, 13, "cell 2 of type 1 has 4 nodes, not 1"},
+        {10, "CELLS 3 15\n4 0 1 2 3\n3 0 1 2\n4 0 1 2 5 9\nCELL_TYPES 3\n10 5 10\nPOINT_DATA 6",
+         SFEM_FORMAT, 13, "CELLS have 1 numbers too many"},
         {10, "CELL_TYPES 0\nCELLS 3 14", SFEM_FORMAT, 10, "CELL_TYPES come before CELLS"},
         {10, "FIELD f 1\na 1000000 1000000 int 1\nCELLS 3 14", SFEM_FORMAT, 20, "another value"},
         {15, "4000000000", SFEM_FORMAT, 15, "a cell type is 4000000000"},
