@@ -289,10 +289,9 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * ============================================================================================ */
 
 /* READING. Which format it is shows in the data itself:
- *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region =
- *        the
- *                            volume's first physical group (0 without one) if any volume has one,
- *                            else the number of its entity
+ *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region is
+ *                            the volume's first physical group (0 without one) if any volume has
+ *                            one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
  * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
  * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
