@@ -295,10 +295,9 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * ============================================================================================ */
 
 /* READING. Which format it is shows in the data itself:
- *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region =
- *        the
- *                            volume's first physical group (0 without one) if any volume has one,
- *                            else the number of its entity
+ *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region is
+ *                            the volume's first physical group (0 without one) if any volume has
+ *                            one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
  * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
  * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
@@ -1037,8 +1036,8 @@ static sfem_status sfemi_mesh_new(double nodes, double tets, const sfem_allocato
     if (nodes > (double)INT32_MAX || tets > (double)INT32_MAX)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%.0f nodes and %.0f tets: at most 2^31 - 1 of each",
                           nodes, tets);
-    m.nodes = (sfem_int)nodes;
-    m.tets = (sfem_int)tets;
+    m.nodes = (sfem_int)(nodes + 0.5); /* -ffast-math divides inexactly */
+    m.tets = (sfem_int)(tets + 0.5);
     SFEMI_NEW(sfem_real, m.x, &m.allocator, 3 * (size_t)m.nodes);
     SFEMI_NEW(sfem_int, m.tet, &m.allocator, 4 * (size_t)m.tets);
     *out = m;
@@ -2122,6 +2121,7 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     int i;
     SFEM_ASSERT(mesh && point);
     if (!x) x = mesh->x;
+    if (!sfemi_all_finite(point, 3)) return 0;
     for (t = 0; t < mesh->tets; ++t) {
         const sfem_int *v = mesh->tet + 4 * (size_t)t;
         if (!sfemi_mesh_near(x, v, point) || !sfemi_mesh_gradients(x, v, g)) continue;
@@ -2195,7 +2195,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
     if (!x) x = mesh->x;
     for (i = 0; i < 3; ++i)
         if (fabs(direction[i]) > length) length = fabs(direction[i]);
-    if (!(length > 0) || !sfemi_finite(length)) return 0;
+    if (!(length > 0) || !sfemi_all_finite(direction, 3) || !sfemi_all_finite(origin, 3)) return 0;
     for (i = 0; i < 3; ++i) unit[i] = direction[i] / length; /* no under- or overflow in the norm */
     length = sqrt(sfemi_dot3(unit, unit));
     for (i = 0; i < 3; ++i) unit[i] /= length;
@@ -2283,6 +2283,7 @@ static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
 {
     int i, k, length = 32 * b->n, drop;
     uint64_t q = 0;
+    sfem_real x;
     for (i = 31; !(b->limb[b->n - 1] >> i & 1); --i) --length;
     drop = length - 53;
     if (drop < -1074 - exponent) drop = -1074 - exponent; /* subnormal: fewer bits */
@@ -2297,7 +2298,12 @@ static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
         for (i = 0; i < (drop - 1) / 32; ++i) sticky |= b->limb[i] != 0;
         q += (uint64_t)(half && (sticky || (q & 1)));
     }
-    return ldexp((double)q, exponent + drop);
+    exponent += drop;
+    for (; q < (uint64_t)1 << 52 && exponent > -1074; --exponent) q <<= 1;
+    q += (uint64_t)(exponent + 1074) << 52; /* q's own top bit counts the exponent on by one */
+    if (q > 0x7ff0000000000000u) q = 0x7ff0000000000000u;
+    memcpy(&x, &q, sizeof x); /* arithmetic may flush subnormals, as -ffast-math has it */
+    return x;
 }
 
 /* digits 10^exponent */
@@ -2441,19 +2447,24 @@ static int sfemi_word_is(sfemi_word w, const char *text)
     return text[w.n] == 0;
 }
 
-/* "expected a node tag, found 'x'": the word shortened, with nothing in it that is not
- * printable. */
+/* A word for a sentence: shortened, with nothing in it that is not printable. */
+static const char *sfemi_word_text(sfemi_word w, char text[25])
+{
+    size_t i;
+    for (i = 0; i < w.n && i < 24; ++i) text[i] = w.p[i] >= 32 && w.p[i] < 127 ? w.p[i] : '?';
+    text[i] = 0;
+    return text;
+}
+
+/* "expected a node tag, found 'x'" */
 static sfem_status sfemi_scan_expected(sfemi_scan *s, const char *what, sfemi_word found)
 {
     char text[25];
-    size_t i;
     if (!found.n)
         return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, but the %s ends", what,
                                s->in_row && s->p < s->end ? "line" : "data");
-    for (i = 0; i < found.n && i < sizeof text - 1; ++i)
-        text[i] = found.p[i] >= 32 && found.p[i] < 127 ? found.p[i] : '?';
-    text[i] = 0;
-    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what, text);
+    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what,
+                           sfemi_word_text(found, text));
 }
 
 static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, const char *what,
@@ -2583,10 +2594,12 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g)
     sfem_status status;
     sfem_real version;
     int64_t binary, size;
+    char text[25];
     if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
     if (!sfemi_word_is(w, "4.1"))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %.1f: only 4.1 ASCII is read", version);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 4.1 ASCII is read",
+                               sfemi_word_text(w, text));
     s->p += w.n;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "the file type (0 ASCII, 1 binary)", &binary));
     if (binary) return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 4.1 binary: only 4.1 ASCII is read");
@@ -2659,7 +2672,7 @@ static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g, sfem_int first, sfem_int
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int i, count;
+    sfem_int i, count = 0;
     int64_t dimension, v, parametric;
     int k;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
@@ -2703,7 +2716,7 @@ static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
     sfemi_scan *s = &g->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int nodes, n = 0, filled = 0;
+    sfem_int nodes = 0, n = 0, filled = 0;
     int64_t blocks, v;
     if (g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Nodes section");
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of node blocks", &blocks));
@@ -2885,6 +2898,7 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfemi_word w;
     sfem_real version;
+    char text[25];
     int k;
     for (k = 0; k < 4; ++k) sfemi_scan_word(s); /* "# vtk DataFile Version" is what led here */
     s->in_row = 1;
@@ -2893,8 +2907,8 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     if (!w.n || sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a VTK version", w);
     if (version < 1 || version >= 6)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %.1f: only 1.0 to 5.1 are read",
-                               version);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %s: only 1.0 to 5.1 are read",
+                               sfemi_word_text(w, text));
     sfemi_scan_skip_line(s);
     sfemi_scan_skip_line(s); /* the title, which may be empty */
     w = sfemi_scan_peek(s);
@@ -2919,7 +2933,7 @@ static sfem_status sfemi_vtk_points(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n;
+    sfem_int n = 0;
     size_t i;
     if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
@@ -2940,7 +2954,7 @@ static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n, i;
+    sfem_int n = 0, i;
     int64_t v, before = 0;
     if (r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
@@ -2978,7 +2992,7 @@ static sfem_status sfemi_vtk_types(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n, i;
+    sfem_int n = 0, i;
     int64_t v;
     if (r->has_types) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES a second time");
     if (!r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES come before CELLS");
@@ -3173,6 +3187,7 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      sfem_error *err)
 {
     sfem_status status;
+    char begin[25];
     sfem_allocator a;
     sfem_mesh m;
     sfemi_scan s;
@@ -3194,9 +3209,10 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
     else
-        status = sfemi_scan_expected(
-            &s, "Gmsh 4.1 ASCII or VTK legacy ASCII, which are all that is read",
-            sfemi_scan_peek(&s));
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "only Gmsh 4.1 ASCII and VTK legacy ASCII are read, this begins "
+                                 "with '%s'",
+                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
     if (status == SFEM_OK && m.tets < 1)
         status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
                             (long)m.nodes);
@@ -3314,7 +3330,8 @@ static void sfemi_file_real(FILE *f, sfem_real x, const char *after)
             *p++ = '.';
             memmove(p, q, (size_t)(text + n + 1 - q));
         }
-        if (sfemi_text_real(text, text + strlen(text), &back) && back == x) break;
+        if (sfemi_text_real(text, text + strlen(text), &back) && !memcmp(&back, &x, sizeof x))
+            break;
     }
     fputs(text, f);
     fputs(after, f);
