@@ -26,7 +26,7 @@
  *     IMPL   >>base         status, allocation, threads, vector paths
  *            >>math         3-vectors, 3x3 matrices, small dense systems
  *            >>mesh         tets, surface, generators, checks, renumbering
- *            >>meshio       readers and writers (left out by SFEM_NO_STDIO)
+ *            >>meshio       readers and writers
  *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
  *            >>element      linear tetrahedron
  *            >>fem          assembly, mass, damping, loads, stress
@@ -43,7 +43,7 @@
  *
  *     SFEM_STATIC        every function static: the whole library inside one source file
  *     SFEM_ASSERT(x)     what to do about misuse of the interface; default assert(x)
- *     SFEM_NO_STDIO      leave the readers and writers out
+ *     SFEM_NO_STDIO      leave out what takes a file path; sfem_mesh_parse stays
  *     SFEM_NO_DISPATCH   portable kernels only, whatever the processor offers
  *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
@@ -440,7 +440,7 @@ typedef struct sfem_ldl_info {
     sfem_int n, supernodes;
     sfem_ordering ordering; /* the one that was taken */
     size_t nnz;             /* scalars in L with its diagonal, zeros of merged columns included */
-    double flops;           /* additions and multiplications of a factorisation, as ordered */
+    double flops;           /* operations that the ordering needs, without those on such zeros */
     size_t bytes;           /* all of it: factor_bytes + analysis_bytes + work_bytes */
     size_t factor_bytes;    /* L, and its float copy */
     size_t analysis_bytes;  /* shared with those made by sfem_ldl_create_like */
@@ -471,7 +471,7 @@ SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matri
  * room for two) and may only be refactored again or freed. */
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err);
 
-/* The same where only blocks (i, j) have changed of which i or j is among the given nodes: renews the path from them to the root of the elimination tree, with the very bits of a
+/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the path from them to the root of the elimination tree, with the very bits of a
  * full refactorisation. Needs def.keep, else does a full one. */
 SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
                                              const sfem_int *node, sfem_error *err);
@@ -4186,102 +4186,141 @@ done:
  * setting]: a set of nodes is cut by the best of planes in 13 directions, the fewest nodes that cover
  * the cut edges are the separator [Koenig 1931], which is then refined by moving single nodes
  * [Fiduccia, Mattheyses 1982; Ashcraft, Liu 1997 for separators]. */
-#define SFEMI_DISSECT_LEAF 90      /* sets this small are left to minimum degree */
+#define SFEMI_DISSECT_LEAF 200 /* sets this small are left to minimum degree */
 #define SFEMI_DISSECT_DIRECTIONS 13
-#define SFEMI_DISSECT_TRIALS 3     /* of which so many, the cheapest by count, are tried in full */
+#define SFEMI_DISSECT_WAYS 14 /* and by distance along edges */
+#define SFEMI_DISSECT_TRIALS 3 /* of which so many, the cheapest by count, are tried in full */
+#define SFEMI_DISSECT_BINS 241
 
 typedef struct sfemi_dissect {
     const sfemi_graph *g;
     const sfem_real *x;
     sfem_int *set;         /* [n] all nodes; a set is a range of it */
     sfem_int *inside;      /* [n] stamp of the set that a node is in, while it is cut */
-    sfem_int *mate, *from;  /* [n] matching; search tree */
-    sfem_int *queue;        /* [3n] of the search; also the log of moves, at most three for a node */
+    sfem_int *mate, *from; /* [n] matching; search tree */
+    sfem_int *queue;       /* [3n] of the search; also the log of moves, at most three for a node */
     sfem_int *near[2];     /* [n] of separator nodes: neighbours on either side */
-    float *key, *sorted;   /* [n] */
-    signed char *side, *best; /* [n] by node: 0, 1, or 2 for the separator; 3 locked while refining */
+    sfem_int *band;        /* [n] nodes so close to the plane that an edge may be cut */
+    float *key;            /* [n] by position in the set */
+    signed char *side, *best; /* [n] by node: 0, 1, or 2 for the separator; 3 for a while */
+    float reach[SFEMI_DISSECT_WAYS]; /* longest edge along each direction */
     sfem_int stamp;
 } sfemi_dissect;
 
-/* The k-th smallest of v[0..n), which is partly sorted by it [Hoare 1961]. */
-static float sfemi_select(float *v, sfem_int n, sfem_int k)
-{
-    sfem_int low = 0, high = n - 1;
-    while (low < high) {
-        const float pivot = v[low + (high - low) / 2];
-        sfem_int i = low, j = high;
-        while (i <= j) {
-            while (v[i] < pivot) ++i;
-            while (v[j] > pivot) --j;
-            if (i <= j) {
-                const float t = v[i];
-                v[i++] = v[j];
-                v[j--] = t;
-            }
-        }
-        if (k <= j) high = j;
-        else if (k >= i) low = i;
-        else break;
-    }
-    return v[k];
-}
-
-static void sfemi_dissect_keys(sfemi_dissect *d, const sfem_int *set, sfem_int m, int direction)
+static const signed char *sfemi_dissect_axis(int direction)
 {
     static const signed char axis[SFEMI_DISSECT_DIRECTIONS][3] = {
         {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 1, 0}, {1, -1, 0}, {1, 0, 1}, {1, 0, -1},
         {0, 1, 1}, {0, 1, -1}, {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
-    const signed char *a = axis[direction];
-    sfem_int k;
-    for (k = 0; k < m; ++k) {
-        const sfem_real *x = d->x + 3 * (size_t)set[k];
-        d->key[k] = (float)(a[0] * x[0] + a[1] * x[1] + a[2] * x[2]);
+    return axis[direction];
+}
+
+static float sfemi_dissect_key(const signed char *axis, const sfem_real *x)
+{
+    return (float)(axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2]);
+}
+
+static void sfemi_dissect_reach(sfemi_dissect *d)
+{
+    sfem_int i, e;
+    int k;
+    for (i = 0; i < d->g->n; ++i)
+        for (e = d->g->start[i]; e < d->g->start[i + 1] && d->g->adj[e] < i; ++e) {
+            sfem_real u[3];
+            sfemi_sub3(d->x + 3 * (size_t)i, d->x + 3 * (size_t)d->g->adj[e], u);
+            for (k = 0; k < SFEMI_DISSECT_DIRECTIONS; ++k) {
+                const float r = (float)fabs(sfemi_dissect_key(sfemi_dissect_axis(k), u));
+                if (r > d->reach[k]) d->reach[k] = r;
+            }
+        }
+}
+
+/* mate[] = edges from a node that is far from others, found by two searches; a curled or perforated body
+ * is cut better across its length than by a plane. */
+static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_int m)
+{
+    sfem_int k, e, start = set[0], pass, head, tail, next;
+    for (pass = 0; pass < 2; ++pass) {
+        for (k = 0; k < m; ++k) d->mate[set[k]] = -1;
+        for (head = tail = 0, next = 0; tail < m;) {
+            if (head == tail) { /* another piece goes on where this one ended */
+                while (tail > 0 && d->mate[set[next]] >= 0) ++next;
+                d->mate[tail > 0 ? set[next] : start] = tail > 0 ? d->mate[d->queue[tail - 1]] + 2 : 0;
+                d->queue[tail] = tail > 0 ? set[next] : start;
+                ++tail;
+            }
+            for (; head < tail; ++head) {
+                const sfem_int v = d->queue[head];
+                for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+                    const sfem_int w = d->g->adj[e];
+                    if (d->inside[w] != d->stamp || d->mate[w] >= 0) continue;
+                    d->mate[w] = d->mate[v] + 1;
+                    d->queue[tail++] = w;
+                }
+            }
+        }
+        start = d->queue[m - 1];
     }
 }
 
-/* The plane that halves the keys, or just misses: keys < cut are side 0. Equal keys stay together. */
-static float sfemi_dissect_plane(sfemi_dissect *d, sfem_int m)
+/* Keys of the set, and the plane that about halves them: keys < cut are side 0. Found from counts in
+ * bins, which keep the layers of a lattice together. */
+static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int m, int direction)
 {
-    float low = d->key[0], high = low, middle, slack;
-    sfem_int k, under = 0, upto = 0;
+    const signed char *axis = sfemi_dissect_axis(direction % SFEMI_DISSECT_DIRECTIONS);
+    sfem_int count[SFEMI_DISSECT_BINS], k, under = 0, b;
+    float low = 0, high = 0, scale;
+    if (direction == SFEMI_DISSECT_DIRECTIONS) sfemi_dissect_distance(d, set, m);
     for (k = 0; k < m; ++k) {
-        if (d->key[k] < low) low = d->key[k];
-        if (d->key[k] > high) high = d->key[k];
+        const float key = direction == SFEMI_DISSECT_DIRECTIONS
+                              ? (float)d->mate[set[k]]
+                              : sfemi_dissect_key(axis, d->x + 3 * (size_t)set[k]);
+        d->key[k] = key;
+        if (k == 0 || key < low) low = key;
+        if (k == 0 || key > high) high = key;
     }
-    memcpy(d->sorted, d->key, (size_t)m * sizeof *d->sorted);
-    middle = sfemi_select(d->sorted, m, m / 2);
-    slack = (high - low) * 1e-5f; /* coordinates of a lattice are equal only nearly */
-    for (k = 0; k < m; ++k) {
-        under += d->key[k] < middle - slack;
-        upto += d->key[k] <= middle + slack;
-    }
-    return under > m - upto ? middle - slack : middle + slack;
+    if (!(high > low)) return low;
+    low -= (high - low) * 0.00137f; /* no lattice plane at the edge of a bin */
+    scale = (SFEMI_DISSECT_BINS - 1) / (high - low);
+    memset(count, 0, sizeof count);
+    for (k = 0; k < m; ++k) ++count[(int)((d->key[k] - low) * scale)];
+    for (b = 0; b < SFEMI_DISSECT_BINS && 2 * (under + count[b]) <= m; ++b) under += count[b];
+    /* the median is in bin b: before it or after it, whichever is closer to half */
+    if (b < SFEMI_DISSECT_BINS && m - 2 * under > 2 * (under + count[b]) - m) ++b;
+    return low + (float)b / scale;
 }
 
-/* Sides by the plane; returns the smaller number of nodes that touch the other side, which covers all
- * cut edges, with a penalty for imbalance; -1 if a side is empty. */
-static double sfemi_dissect_count(sfemi_dissect *d, const sfem_int *set, sfem_int m, float cut)
+/* The band around the plane, with sides; returns the smaller number of nodes that touch the other side,
+ * which covers all cut edges, with a penalty for imbalance; -1 if a side is empty. */
+static double sfemi_dissect_count(sfemi_dissect *d, const sfem_int *set, sfem_int m, float cut,
+                                  float reach, sfem_int *banded)
 {
-    sfem_int k, e, size[2] = {0, 0}, touch[2] = {0, 0};
+    sfem_int k, e, left = 0, bands = 0, touch[2] = {0, 0};
+    const float width = reach * 1.0001f;
     double off;
     for (k = 0; k < m; ++k) {
-        const signed char s = d->key[k] >= cut;
-        d->side[set[k]] = s;
-        ++size[s];
+        const float key = d->key[k] - cut;
+        left += key < 0;
+        if (key >= width || key < -width) continue;
+        d->side[set[k]] = key >= 0;
+        d->inside[set[k]] = d->stamp + 1; /* in the set, and in the band */
+        d->band[bands++] = set[k];
     }
-    if (!size[0] || !size[1]) return -1;
-    for (k = 0; k < m; ++k) {
-        const sfem_int v = set[k];
+    *banded = bands;
+    for (k = 0; k < bands; ++k) {
+        const sfem_int v = d->band[k];
         const signed char s = d->side[v];
         for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
             const sfem_int w = d->g->adj[e];
-            if (d->inside[w] == d->stamp && d->side[w] != s) {
+            if (d->inside[w] == d->stamp + 1 && d->side[w] != s) {
                 ++touch[s];
                 break;
             }
         }
     }
-    off = (double)(size[0] - size[1]) / m;
+    for (k = 0; k < bands; ++k) d->inside[d->band[k]] = d->stamp;
+    if (!left || left == m) return -1;
+    off = (double)(2 * left - m) / m;
     return (touch[0] < touch[1] ? touch[0] : touch[1]) * (1 + 2 * off * off);
 }
 
@@ -4448,31 +4487,31 @@ static int sfemi_dissect_pass(sfemi_dissect *d, const sfem_int *set, sfem_int m,
     return best < first;
 }
 
-/* Cuts set[0..m) in place into side 0, side 1 and separator; returns 0 if it cannot be cut. */
+/* Cuts set[0..m) in place into side 0, side 1 and separator, of out[] nodes; returns 0 if it cannot. */
 static int sfemi_dissect_cut(sfemi_dissect *d, sfem_int *set, sfem_int m, sfem_int *out)
 {
-    double cost[SFEMI_DISSECT_DIRECTIONS], best = -1;
-    float cut[SFEMI_DISSECT_DIRECTIONS];
-    sfem_int k, at[3];
+    double cost[SFEMI_DISSECT_WAYS], best = -1;
+    float cut[SFEMI_DISSECT_WAYS];
+    sfem_int k, bands, at[3];
     int i, trial;
-    ++d->stamp;
+    d->stamp += 2;
     for (k = 0; k < m; ++k) d->inside[set[k]] = d->stamp;
-    for (i = 0; i < SFEMI_DISSECT_DIRECTIONS; ++i) {
-        sfemi_dissect_keys(d, set, m, i);
-        cut[i] = sfemi_dissect_plane(d, m);
-        cost[i] = sfemi_dissect_count(d, set, m, cut[i]);
+    for (i = 0; i < SFEMI_DISSECT_WAYS; ++i) {
+        cut[i] = sfemi_dissect_plane(d, set, m, i);
+        cost[i] = sfemi_dissect_count(d, set, m, cut[i], d->reach[i], &bands);
     }
     for (trial = 0; trial < SFEMI_DISSECT_TRIALS; ++trial) {
         int pick = -1, pass;
         sfem_int size[3] = {0, 0, 0};
         double off, score;
-        for (i = 0; i < SFEMI_DISSECT_DIRECTIONS; ++i)
+        for (i = 0; i < SFEMI_DISSECT_WAYS; ++i)
             if (cost[i] >= 0 && (pick < 0 || cost[i] < cost[pick])) pick = i;
-        if (pick < 0) break;
+        if (pick < 0 || (best >= 0 && cost[pick] > 1.5 * best)) break;
         cost[pick] = -1;
-        sfemi_dissect_keys(d, set, m, pick);
-        (void)sfemi_dissect_count(d, set, m, cut[pick]);
-        sfemi_dissect_cover(d, set, m);
+        (void)sfemi_dissect_plane(d, set, m, pick);
+        (void)sfemi_dissect_count(d, set, m, cut[pick], d->reach[pick], &bands);
+        for (k = 0; k < m; ++k) d->side[set[k]] = d->key[k] >= cut[pick];
+        sfemi_dissect_cover(d, d->band, bands);
         for (k = 0; k < m; ++k) ++size[(int)d->side[set[k]]];
         for (pass = 0; pass < 3 && sfemi_dissect_pass(d, set, m, size); ++pass) continue;
         size[2] = m - size[0] - size[1];
@@ -4500,13 +4539,12 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     sfem_status status = SFEM_OK;
     sfemi_dissect d;
     sfem_int *pool = NULL, *leaf_at = NULL, *leaf = NULL, *amd = NULL;
-    float *keys = NULL;
     signed char *sides = NULL;
     unsigned char *held = NULL;
     sfem_int stack[3 * 64], depth = 0, k, n = g->n, leaves = 0, count = 0;
     memset(&d, 0, sizeof d);
-    SFEMI_NEW(sfem_int, pool, m, 11 * (size_t)n + 1);
-    SFEMI_NEW(float, keys, m, 2 * (size_t)n + 1);
+    SFEMI_NEW(sfem_int, pool, m, 12 * (size_t)n + 1);
+    SFEMI_NEW(float, d.key, m, (size_t)n + 1);
     SFEMI_NEW(signed char, sides, m, 2 * (size_t)n + 1);
     SFEMI_NEW(unsigned char, held, m, (size_t)n + 1);
     d.g = g;
@@ -4518,13 +4556,14 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     d.queue = d.from + n;
     d.near[0] = d.queue + 3 * n;
     d.near[1] = d.near[0] + n;
-    leaf_at = d.near[1] + n;
+    d.band = d.near[1] + n;
+    leaf_at = d.band + n;
     leaf = leaf_at + n;
     amd = leaf + n;
-    d.key = keys;
-    d.sorted = keys + n;
     d.side = sides;
     d.best = sides + n;
+    sfemi_dissect_reach(&d);
+    d.reach[SFEMI_DISSECT_DIRECTIONS] = 1;
     for (k = 0; k < n; ++k) order[k] = k;
     stack[depth++] = 0;
     stack[depth++] = n;
@@ -4548,7 +4587,7 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     for (k = 0; k < count; ++k) order[leaf_at[leaf[amd[k]]]++] = amd[k];
 done:
     sfemi_delete(m, pool);
-    sfemi_delete(m, keys);
+    sfemi_delete(m, d.key);
     sfemi_delete(m, sides);
     sfemi_delete(m, held);
     return status;
@@ -4650,9 +4689,9 @@ static void sfemi_tree_counts(const sfemi_graph *g, sfemi_tree *t, sfem_int *wor
     }
     t->flops = 0;
     for (j = 0; j < n; ++j) {
-        const double c = t->count[j];
+        const double c = 3.0 * t->count[j]; /* three columns of c, c - 1, c - 2 */
         if (t->parent[j] >= 0) t->count[t->parent[j]] += t->count[j];
-        t->flops += 27 * c * c;
+        t->flops += c * c + (c - 1) * (c - 1) + (c - 2) * (c - 2);
     }
 }
 
@@ -4779,13 +4818,19 @@ typedef struct sfemi_ldl_kernels {
     int (*pivots)(size_t, size_t, double *, int, int, const double *, double *, double *);
     void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
     void (*invert)(size_t, size_t, double *, const double *);
-    void (*forward)(const sfemi_shape *, const double *, double *, const sfem_int *, double *, double *);
-    void (*backward)(const sfemi_shape *, const double *, double *, const sfem_int *, const double *,
+    void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
                      double *);
+    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *, double *);
+    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
+                      double *);
     void (*invert32)(size_t, size_t, float *, const double *);
-    void (*forward32)(const sfemi_shape *, const float *, float *, const sfem_int *, float *, float *);
-    void (*backward32)(const sfemi_shape *, const float *, float *, const sfem_int *, const float *,
+    void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
                        float *);
+    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *, float *);
+    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
+                         float *);
 } sfemi_ldl_kernels;
 
 static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
@@ -4793,8 +4838,9 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 #define SFEMI_TABLE(name, width, p)                                                                  \
     {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,      \
      sfemi_ldl_add_64_##p, sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p,                        \
-     sfemi_ldl_backward_64_##p, sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p,                   \
-     sfemi_ldl_backward_32_##p}
+     sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p,               \
+     sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p,                   \
+     sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
     static const sfemi_ldl_kernels table[] = {
         SFEMI_TABLE("portable", 4, 0),
 #if SFEMI_X86
@@ -5020,10 +5066,37 @@ done:
     return status;
 }
 
-static int sfemi_compare_int(const void *a, const void *b)
+/* Sorts few integers: quicksort down to runs of 16, then insertion. */
+static void sfemi_sort_int(sfem_int *v, size_t n)
 {
-    const sfem_int x = *(const sfem_int *)a, z = *(const sfem_int *)b;
-    return (x > z) - (x < z);
+    size_t i, j;
+    while (n > 16) {
+        const sfem_int a = v[0], b = v[n / 2], c = v[n - 1];
+        const sfem_int pivot = a < b ? (b < c ? b : a < c ? c : a) : a < c ? a : b < c ? c : b;
+        size_t low = 0, high = n - 1;
+        for (;; ++low, --high) {
+            sfem_int t;
+            while (v[low] < pivot) ++low;
+            while (v[high] > pivot) --high;
+            if (low >= high) break;
+            t = v[low];
+            v[low] = v[high];
+            v[high] = t;
+        }
+        if (low < n - low) { /* the shorter part by recursion: depth at most log n */
+            sfemi_sort_int(v, low);
+            v += low;
+            n -= low;
+        } else {
+            sfemi_sort_int(v + low, n - low);
+            n = low;
+        }
+    }
+    for (i = 1; i < n; ++i) {
+        const sfem_int x = v[i];
+        for (j = i; j > 0 && v[j - 1] > x; --j) v[j] = v[j - 1];
+        v[j] = x;
+    }
 }
 
 /* The rows below each supernode: those of A and of its children. */
@@ -5065,7 +5138,7 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
                 mark[k] = s;
                 y->rows[total++] = k;
             }
-        qsort(y->rows + begin, total - begin, sizeof *y->rows, sfemi_compare_int);
+        sfemi_sort_int(y->rows + begin, total - begin);
         y->start[s + 1] = total;
     }
     SFEMI_NEW(sfem_int, y->place, m, total + 1);
@@ -5181,7 +5254,6 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
         const double own = sfemi_front_flops(y, s);
         weight[s] += own + 2000; /* the work around a front */
         total += own + 2000;
-        y->flops += own;
         if (y->parent[s] >= 0) weight[y->parent[s]] += weight[s];
     }
     if (total < SFEMI_TASK_LEAST) total *= 2 * SFEMI_TASK_SHARE;
@@ -5297,7 +5369,11 @@ done:
     return status;
 }
 
-/* The better of two orderings, or the one asked for. */
+/* The better of two orderings, or the one asked for. Minimum degree always wins on small meshes, and
+ * dissection on large ones unless they are thin, so that one of the two can then be saved (measured). */
+#define SFEMI_DISSECT_FROM 1500
+#define SFEMI_DISSECT_SURE 8000
+
 static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_graph *g,
                                         sfem_ordering *taken, sfemi_tree *out, sfem_error *err)
 {
@@ -5313,17 +5389,18 @@ static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_gra
         for (i = 0; i < g->n; ++i) order[i] = i;
         SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
     }
-    if (def->ordering == SFEM_ORDER_AMD || def->ordering == SFEM_ORDER_BEST) {
-        *taken = SFEM_ORDER_AMD;
-        SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
+    if (def->ordering == SFEM_ORDER_DISSECTION ||
+        (def->ordering == SFEM_ORDER_BEST && def->x && g->n >= SFEMI_DISSECT_FROM)) {
+        *taken = SFEM_ORDER_DISSECTION;
+        SFEMI_TRY(sfemi_order_dissect(g, def->x, m, order, err));
         SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
     }
-    if (def->ordering == SFEM_ORDER_DISSECTION ||
-        (def->ordering == SFEM_ORDER_BEST && def->x && g->n > 3 * SFEMI_DISSECT_LEAF)) {
-        SFEMI_TRY(sfemi_order_dissect(g, def->x, m, order, err));
+    if (def->ordering == SFEM_ORDER_AMD ||
+        (def->ordering == SFEM_ORDER_BEST && (g->n < SFEMI_DISSECT_SURE || best.flops < 20. * g->n * g->n))) {
+        SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
         SFEMI_TRY(sfemi_tree_create(g, &other, order, m, err));
         if (!best.pool || other.flops < best.flops) {
-            *taken = SFEM_ORDER_DISSECTION;
+            *taken = SFEM_ORDER_AMD;
             sfemi_delete(m, best.pool);
             best = other;
             other.pool = NULL;
@@ -5359,6 +5436,7 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     y->blocks = a->n ? a->row[a->n] : 0;
     SFEMI_TRY(sfemi_graph_create(a, m, &g, err));
     SFEMI_TRY(sfemi_symbolic_order(def, &g, &y->ordering, &tree, err));
+    y->flops = tree.flops;
     SFEMI_TRY(sfemi_symbolic_supernodes(y, &tree, err));
     SFEMI_TRY(sfemi_symbolic_rows(y, &g, err));
     SFEMI_TRY(sfemi_symbolic_blocks(y, a, err));
@@ -5755,6 +5833,8 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return SFEM_OK;
 }
 
+#define SFEMI_PANEL_SLACK 512 /* numbers after L that the block solve may read: half a tile square */
+
 /* The options of like's or def's; takes over one reference to the analysis, also when it fails. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
                                   sfem_ldl **out, sfem_error *err)
@@ -5772,8 +5852,8 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     ldl->mixed = like->mixed;
     ldl->keep = like->keep;
     y = ldl->symbolic;
-    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + 1);
-    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + 1);
+    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + SFEMI_PANEL_SLACK);
+    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
     SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
     if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
     SFEMI_NEW(double, ldl->scale, m, n + 1);
@@ -5918,10 +5998,15 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 
 /* --- solve ----------------------------------------------------------------------------------- */
 
+#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
+#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
+#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
+
 /* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
- * and scratch for each task */
+ * and scratch for each task; each row of `block` numbers side by side */
 typedef struct sfemi_solve {
     const sfem_ldl *ldl;
+    size_t block;
     double *w, *scratch;
     float *w32, *scratch32;
     const sfem_int *tasks;
@@ -5935,42 +6020,50 @@ static size_t sfemi_solve_rows(const sfemi_symbolic *y)
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    (void)rhs;
-    return sfemi_solve_rows(y) + y->scratch[y->tasks] * 9 + 64;
+    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
 }
 
-#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, width, forward_,  \
-                          backward_)                                                                 \
+/* The tasks of both sweeps, for double and float. */
+#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
+                          backward_, forward8_, backward8_)                                          \
     static void forward_task(void *data, sfem_int index)                                             \
     {                                                                                                \
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
         const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
-        R *const w = q->w_, *const buffer = w + 3 * ((size_t)y->n + (size_t)y->buffer[t]);           \
-        R *const scratch = q->scratch_ + y->scratch[t] * 9;                                          \
-        sfem_int s, c, i;                                                                            \
-        memset(buffer, 0, 3 * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
+        const size_t n = 3 * q->block; /* numbers to a node */                                       \
+        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
+        sfem_int s, c;                                                                               \
+        size_t i;                                                                                    \
+        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
         for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
-            const R *from = w + 3 * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
+            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
             size_t a = y->start[c];                                                                  \
             if (y->of[c] == t) continue;                                                             \
-            for (; a < y->start[c + 1]; ++a, from += 3) {                                            \
-                const sfem_int width_ = y->first[root + 1] - y->first[root];                         \
-                R *to = y->place[a] < width_ ? w + 3 * (size_t)(y->first[root] + y->place[a])        \
-                                             : buffer + 3 * (size_t)(y->place[a] - width_);          \
-                for (i = 0; i < 3; ++i) to[i] += from[i];                                            \
+            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
+                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
+                                           : buffer + n * (size_t)(y->place[a] - wide);              \
+                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
             }                                                                                        \
         }                                                                                            \
         for (s = y->task[t]; s <= root; ++s) {                                                       \
-            const sfemi_shape h = sfemi_symbolic_shape(y, s, width);                                 \
-            R *x = w + 3 * (size_t)y->first[s];                                                      \
-            y->kernels->forward_(&h, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w,       \
-                                 scratch);                                                           \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            R *x = w + n * (size_t)y->first[s];                                                      \
+            if (q->block == 1)                                                                       \
+                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
+            else                                                                                     \
+                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
+                                      scratch);                                                      \
             if (q->ldl->negative[s]) {                                                               \
                 const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
                 size_t p;                                                                            \
-                for (p = 0; p < h.k; ++p)                                                            \
-                    if (scale[p] < 0) x[p] = -x[p];                                                  \
+                for (p = 0; p < k; ++p)                                                              \
+                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
+                        x[p * q->block + i] = -x[p * q->block + i];                                  \
             }                                                                                        \
         }                                                                                            \
     }                                                                                                \
@@ -5979,29 +6072,31 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
         const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
-        R *const w = q->w_, *buffer = w + 3 * ((size_t)y->n + (size_t)y->buffer[t]);                 \
-        R *const scratch = q->scratch_ + y->scratch[t] * 9;                                          \
+        const size_t n = 3 * q->block;                                                               \
+        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
         size_t a;                                                                                    \
-        sfem_int s, i;                                                                               \
-        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += 3) {                         \
-            const sfem_int width_ = y->first[p + 1] - y->first[p];                                   \
-            const R *from = y->place[a] < width_                                                     \
-                                ? w + 3 * (size_t)(y->first[p] + y->place[a])                        \
-                                : w + 3 * ((size_t)y->n + (size_t)y->buffer[y->of[p]] +              \
-                                           (size_t)(y->place[a] - width_));                          \
-            for (i = 0; i < 3; ++i) buffer[i] = from[i];                                             \
+        sfem_int s;                                                                                  \
+        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
+            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
+            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
+                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
+            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
         }                                                                                            \
         for (s = root; s >= y->task[t]; --s) {                                                       \
-            const sfemi_shape h = sfemi_symbolic_shape(y, s, width);                                 \
-            y->kernels->backward_(&h, q->ldl->l_ + y->panel_[s], w + 3 * (size_t)y->first[s],        \
-                                  y->target + y->start[s], w, scratch);                              \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
+                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
+                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
         }                                                                                            \
     }
 
-SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel,
-                  y->kernels->width, forward, backward)
-SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32, 8,
-                  forward32, backward32)
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8)
+SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
+                  forward32, backward32, forward8_32, backward8_32)
+#undef SFEMI_SOLVE_TASKS
 
 /* Up the tree and down again, level by level. */
 static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
@@ -6019,48 +6114,71 @@ static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task 
     }
 }
 
-static void sfemi_solve_one(const sfem_ldl *ldl, double *x, double *work, const sfem_exec *exec)
+/* count <= block right sides; those that are missing are 0 */
+static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
 {
-    const sfemi_symbolic *y = ldl->symbolic;
-    sfemi_solve q;
-    sfem_int i;
-    memset(&q, 0, sizeof q);
-    q.ldl = ldl;
-    if (ldl->mixed) { /* scaled, lest floats overflow */
-        double most = 0, unit;
-        size_t k;
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    size_t i, r, c;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+}
+
+/* The same in float, each right side scaled to 1 lest floats overflow. */
+static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    double unit[SFEMI_SOLVE_BLOCK];
+    size_t i, r, c;
+    for (r = 0; r < count; ++r) {
+        double most = 0;
         int e = 0;
-        q.w32 = (float *)(void *)work;
-        q.scratch32 = q.w32 + sfemi_solve_rows(y);
-        for (k = 0; k < 3 * (size_t)y->n; ++k)
-            if (fabs(x[k]) > most) most = fabs(x[k]);
-        if (!(most > 0)) return;
-        (void)frexp(most, &e);
-        unit = ldexp(1.0, -e);
-        for (i = 0; i < y->n; ++i)
-            for (k = 0; k < 3; ++k)
-                q.w32[3 * (size_t)i + k] = (float)(unit * x[3 * (size_t)y->order[i] + k]);
-        sfemi_solve_sweeps(&q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
-        unit = 1 / unit / ldl->unit / ldl->unit;
-        for (i = 0; i < y->n; ++i)
-            for (k = 0; k < 3; ++k)
-                x[3 * (size_t)y->order[i] + k] = unit * (double)q.w32[3 * (size_t)i + k];
-        return;
+        for (i = 0; i < n; ++i)
+            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
+        if (most > 0) (void)frexp(most, &e);
+        unit[r] = ldexp(1.0, -e);
     }
-    q.w = work;
-    q.scratch = work + sfemi_solve_rows(y);
-    for (i = 0; i < y->n; ++i) memcpy(work + 3 * (size_t)i, x + 3 * (size_t)y->order[i], 3 * sizeof *x);
-    sfemi_solve_sweeps(&q, exec, sfemi_solve_forward, sfemi_solve_backward);
-    for (i = 0; i < y->n; ++i) memcpy(x + 3 * (size_t)y->order[i], work + 3 * (size_t)i, 3 * sizeof *x);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w32[(3 * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
+    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
 }
 
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
                              const sfem_exec *exec)
 {
-    sfem_int r;
-    SFEM_ASSERT(ldl && ldl->valid && rhs >= 0);
-    for (r = 0; r < rhs; ++r)
-        sfemi_solve_one(ldl, x + 3 * (size_t)r * (size_t)ldl->symbolic->n, work, exec);
+    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    sfemi_solve q;
+    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.w = work;
+    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
+    q.w32 = (float *)(void *)q.w;
+    q.scratch32 = (float *)(void *)q.scratch;
+    while (rhs > 0 && n > 0) {
+        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
+        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
+        else sfemi_solve_some(&q, count, x, exec);
+        x += count * n;
+        rhs -= (sfem_int)count;
+    }
 }
 
 /* --- dense ----------------------------------------------------------------------------------- */
@@ -8929,6 +9047,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_MUL(a, b) _mm512_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm512_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
+#define SFEMI_HALF(p) _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
 #elif SFEMI_PATH >= 1 && SFEMI_BITS == 64
 #define SFEMI_V __m256d
 #define SFEMI_LD(p) _mm256_loadu_pd(p)
@@ -8939,6 +9058,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_MUL(a, b) _mm256_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_pd(a, b, c)
+#define SFEMI_HALF(p) _mm256_loadu_pd(p)
 #elif SFEMI_PATH >= 1
 #define SFEMI_V __m256
 #define SFEMI_LD(p) _mm256_loadu_ps(p)
@@ -8949,6 +9069,13 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_MUL(a, b) _mm256_mul_ps(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
+#define SFEMI_SUM4(z, out)                                                                           \
+    {                                                                                                \
+        const __m256 a_ = _mm256_hadd_ps(_mm256_loadu_ps(z), _mm256_loadu_ps((z) + 8));              \
+        const __m256 b_ = _mm256_hadd_ps(_mm256_loadu_ps((z) + 16), _mm256_loadu_ps((z) + 24));      \
+        const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                    \
+        _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));    \
+    }
 #elif defined(__GNUC__) && !defined(FP_FAST_FMA) /* two or more registers to a vector */
 typedef SFEMI_R SFEMI_KERNEL(sfemi_v) __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R))));
 typedef SFEMI_R SFEMI_KERNEL(sfemi_u)
@@ -8999,6 +9126,16 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
 #define SFEMI_MUL(a, b) SFEMI_KERNEL(sfemi_v_mul)(a, b)
 #define SFEMI_FMA(a, b, c) SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
 #define SFEMI_FNMA(a, b, c) SFEMI_KERNEL(sfemi_v_fnma)(a, b, c)
+#endif
+
+#ifdef SFEMI_HALF
+#define SFEMI_SUM4(z, out)                                                                           \
+    {                                                                                                \
+        const __m256d a_ = _mm256_hadd_pd(SFEMI_HALF(z), SFEMI_HALF((z) + SFEMI_W));                 \
+        const __m256d b_ = _mm256_hadd_pd(SFEMI_HALF((z) + 2 * SFEMI_W), SFEMI_HALF((z) + 3 * SFEMI_W)); \
+        _mm256_storeu_pd(out, _mm256_add_pd(_mm256_permute2f128_pd(a_, b_, 0x21),                    \
+                                            _mm256_blend_pd(a_, b_, 12)));                           \
+    }
 #endif
 
 /* --- the factor of one front -----------------------------------------------------------------
@@ -9183,149 +9320,278 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
     }
 }
 
-/* --- the solve with one front ---------------------------------------------------------------- */
+/* --- the solve with one front ----------------------------------------------------------------
+ * k pivots, f rows, in tiles as above; on the diagonal stand [X; -L21 X] as sfemi_ldl_invert left them,
+ * so that a tile's pivots are one product too. */
 
-/* out(h) = sum over p of a(:, p) y[p]. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_gemv)(int nv, size_t depth,
-                                                                  const SFEMI_R *a, const SFEMI_R *y,
-                                                                  SFEMI_R *out)
+/* c = init - a y over depth columns of a tile of nv vectors; the caller stores it. */
+#define SFEMI_ACCUMULATE(OP, depth, a, y)                                                            \
+    {                                                                                                \
+        size_t p_ = 0;                                                                               \
+        SFEMI_V d0 = {0}, d1 = {0}, d2 = {0};                                                        \
+        for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                           \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
+            d0 = OP(SFEMI_LD((a) + h), SFEMI_DUP((y)[p_ + 1]), d0);                                  \
+            if (nv > 1) d1 = OP(SFEMI_LD((a) + h + SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d1);            \
+            if (nv > 2) d2 = OP(SFEMI_LD((a) + h + 2 * SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d2);        \
+        }                                                                                            \
+        if (p_ < (depth)) {                                                                          \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
+            (a) += h;                                                                                \
+        }                                                                                            \
+        c0 = SFEMI_ADD(c0, d0);                                                                      \
+        if (nv > 1) c1 = SFEMI_ADD(c1, d1);                                                          \
+        if (nv > 2) c2 = SFEMI_ADD(c2, d2);                                                          \
+    }
+
+/* One tile of the forward sweep: out = [0; first j rows solved] with b = out on entry. Only for pivots
+ * (j > 0) is out read. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j,
+                                                                          const SFEMI_R *a,
+                                                                          const SFEMI_R *y, SFEMI_R *out)
 {
+    static const SFEMI_R step[6 * SFEMI_W] = {
+        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+#if SFEMI_W == 8
+        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1,
+#endif
+        1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
     const size_t h = (size_t)nv * SFEMI_W;
-    SFEMI_V c0 = {0}, c1 = {0}, c2 = {0}, d0 = {0}, d1 = {0}, d2 = {0};
-    size_t p;
-    for (p = 0; p + 2 <= depth; p += 2, a += 2 * h) {
-        c0 = SFEMI_FMA(SFEMI_LD(a), SFEMI_DUP(y[p]), c0);
-        if (nv > 1) c1 = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), SFEMI_DUP(y[p]), c1);
-        if (nv > 2) c2 = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), SFEMI_DUP(y[p]), c2);
-        d0 = SFEMI_FMA(SFEMI_LD(a + h), SFEMI_DUP(y[p + 1]), d0);
-        if (nv > 1) d1 = SFEMI_FMA(SFEMI_LD(a + h + SFEMI_W), SFEMI_DUP(y[p + 1]), d1);
-        if (nv > 2) d2 = SFEMI_FMA(SFEMI_LD(a + h + 2 * SFEMI_W), SFEMI_DUP(y[p + 1]), d2);
+    SFEMI_V c0 = {0}, c1 = {0}, c2 = {0};
+    if (j) {
+        c0 = SFEMI_LD(out);
+        if (nv > 1) c1 = SFEMI_LD(out + SFEMI_W);
+        if (nv > 2) c2 = SFEMI_LD(out + 2 * SFEMI_W);
     }
-    if (p < depth) {
-        c0 = SFEMI_FMA(SFEMI_LD(a), SFEMI_DUP(y[p]), c0);
-        if (nv > 1) c1 = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), SFEMI_DUP(y[p]), c1);
-        if (nv > 2) c2 = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), SFEMI_DUP(y[p]), c2);
+    SFEMI_ACCUMULATE(SFEMI_FNMA, depth, a, y)
+    if (j) { /* rows from j on go on as they are, the first j get X times themselves */
+        const SFEMI_R *mask = step + 3 * SFEMI_W - j;
+        SFEMI_R b[3 * SFEMI_W];
+        SFEMI_ST(b, c0);
+        c0 = SFEMI_MUL(c0, SFEMI_LD(mask));
+        if (nv > 1) {
+            SFEMI_ST(b + SFEMI_W, c1);
+            c1 = SFEMI_MUL(c1, SFEMI_LD(mask + SFEMI_W));
+        }
+        if (nv > 2) {
+            SFEMI_ST(b + 2 * SFEMI_W, c2);
+            c2 = SFEMI_MUL(c2, SFEMI_LD(mask + 2 * SFEMI_W));
+        }
+        SFEMI_ACCUMULATE(SFEMI_FMA, j, a, b)
     }
-    SFEMI_ST(out, SFEMI_ADD(c0, d0));
-    if (nv > 1) SFEMI_ST(out + SFEMI_W, SFEMI_ADD(c1, d1));
-    if (nv > 2) SFEMI_ST(out + 2 * SFEMI_W, SFEMI_ADD(c2, d2));
+    SFEMI_ST(out, c0);
+    if (nv > 1) SFEMI_ST(out + SFEMI_W, c1);
+    if (nv > 2) SFEMI_ST(out + 2 * SFEMI_W, c2);
+}
+#undef SFEMI_ACCUMULATE
+
+/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
+                                                         const sfem_int *target, SFEMI_R *w)
+{
+    const size_t t = 3 * SFEMI_W;
+    size_t begin, i;
+    for (begin = 0; begin < f; begin += t) {
+        const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
+        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t rows = f - begin < t ? f - begin : t;
+        SFEMI_R out[3 * SFEMI_W];
+        if (j) {
+            if (j < t) memset(out, 0, sizeof out);
+            memcpy(out, x + begin, j * sizeof *x);
+        }
+        if (h == t) SFEMI_KERNEL(sfemi_ldl_forward_tile)(3, depth, j, l, x, out);
+        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_forward_tile)(2, depth, j, l, x, out);
+        else SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
+        l += h * (depth + j);
+        if (j) memcpy(x + begin, out, j * sizeof *x);
+        for (i = j; i < rows; i += 3) {
+            SFEMI_R *y = w + 3 * (size_t)*target++;
+            y[0] += out[i];
+            y[1] += out[i + 1];
+            y[2] += out[i + 2];
+        }
+    }
 }
 
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_times)(size_t h, size_t depth, const SFEMI_R *a,
-                                                       const SFEMI_R *y, SFEMI_R *out)
-{
-    if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gemv)(3, depth, a, y, out);
-    else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gemv)(2, depth, a, y, out);
-    else SFEMI_KERNEL(sfemi_ldl_gemv)(1, depth, a, y, out);
-}
-
-/* z(W) of each column p += the parts of a(:, p) . x, to be added up later. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_gevm)(int nv, size_t depth,
-                                                                  const SFEMI_R *a, const SFEMI_R *x,
-                                                                  SFEMI_R *z)
+/* z(W) of each column p = or += the parts of a(:, p) . x, to be added up later. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, size_t depth, int first,
+                                                                       const SFEMI_R *a,
+                                                                       const SFEMI_R *x, SFEMI_R *z)
 {
     const size_t h = (size_t)nv * SFEMI_W;
-    SFEMI_V x0 = SFEMI_LD(x), x1 = x0, x2 = x0;
+    SFEMI_V x0 = SFEMI_LD(x), x1 = x0, x2 = x0, s;
     size_t p;
     if (nv > 1) x1 = SFEMI_LD(x + SFEMI_W);
     if (nv > 2) x2 = SFEMI_LD(x + 2 * SFEMI_W);
     for (p = 0; p < depth; ++p, a += h, z += SFEMI_W) {
-        SFEMI_V s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
+        if (first) s = SFEMI_MUL(SFEMI_LD(a), x0);
+        else s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
         if (nv > 1) s = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), x1, s);
         if (nv > 2) s = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), x2, s);
         SFEMI_ST(z, s);
     }
 }
 
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, const SFEMI_R *a,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, int first, const SFEMI_R *a,
                                                       const SFEMI_R *x, SFEMI_R *z)
 {
-    if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gevm)(3, depth, a, x, z);
-    else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gevm)(2, depth, a, x, z);
-    else SFEMI_KERNEL(sfemi_ldl_gevm)(1, depth, a, x, z);
+    if (first) {
+        if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 1, a, x, z);
+        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(2, depth, 1, a, x, z);
+        else SFEMI_KERNEL(sfemi_ldl_dots_tile)(1, depth, 1, a, x, z);
+    } else SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 0, a, x, z); /* only the last tile is lower */
 }
 
 /* out[p] = the sum of the W parts z of column p. */
 static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_sums)(size_t n, const SFEMI_R *z,
                                                                   SFEMI_R *out)
 {
-    size_t p;
-    for (p = 0; p < n; ++p, z += SFEMI_W)
+    size_t p = 0;
+#ifdef SFEMI_SUM4
+    for (; p + 4 <= n; p += 4, z += 4 * SFEMI_W) SFEMI_SUM4(z, out + p);
+#endif
+    for (; p < n; ++p, z += SFEMI_W)
         out[p] = SFEMI_W == 8 ? ((z[0] + z[1]) + (z[2] + z[3])) +
                                     ((z[SFEMI_W - 4] + z[SFEMI_W - 3]) + (z[SFEMI_W - 2] + z[SFEMI_W - 1]))
                               : (z[0] + z[1]) + (z[2] + z[3]);
 }
 
-/* L y = b for the columns x of one front, whose rows below are target[], in nodes, of w: those get -L y
- * added. v is scratch of as many rows as the tiles have. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(const sfemi_shape *s, const SFEMI_R *l,
-                                                         SFEMI_R *x, const sfem_int *target,
-                                                         SFEMI_R *w, SFEMI_R *v)
-{
-    const size_t t = 3 * SFEMI_W, k = s->k;
-    SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W];
-    size_t tile, i, j, r;
-    memcpy(v, x, k * sizeof *v);
-    memset(v + k, 0, (s->tiles * t - k) * sizeof *v);
-    for (tile = 0; tile < s->tiles; ++tile) {
-        const size_t h = tile + 1 < s->tiles ? t : s->last, begin = tile * t;
-        const size_t depth = begin < k ? begin : k;
-        SFEMI_R *vt = v + begin;
-        SFEMI_KERNEL(sfemi_ldl_times)(h, depth, l, v, sum);
-        l += h * depth;
-        for (i = 0; i < h; ++i) vt[i] -= sum[i];
-        if (begin >= k) continue;
-        j = k - begin < t ? k - begin : t; /* pivots in this tile */
-        SFEMI_KERNEL(sfemi_ldl_times)(h, j, l, vt, part);
-        l += h * j;
-        for (i = 0; i < j; ++i) vt[i] = part[i];
-        for (; i < h; ++i) vt[i] += part[i];
-    }
-    memcpy(x, v, k * sizeof *v);
-    for (i = k, r = 0; i < s->f; i += 3, ++r) {
-        SFEMI_R *y = w + 3 * (size_t)target[r];
-        y[0] += v[i];
-        y[1] += v[i + 1];
-        y[2] += v[i + 2];
-    }
-}
-
-/* L^T x = y for the columns x, the rows below being known. v as before; z is scratch of W k. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(const sfemi_shape *s, const SFEMI_R *l,
+/* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size, const SFEMI_R *l,
                                                           SFEMI_R *x, const sfem_int *target,
                                                           const SFEMI_R *w, SFEMI_R *v)
 {
-    const size_t t = 3 * SFEMI_W, k = s->k;
-    SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + s->tiles * t;
-    size_t tile, i, j, r;
-    memcpy(v, x, k * sizeof *v);
-    for (i = k, r = 0; i < s->f; i += 3, ++r) {
-        const SFEMI_R *y = w + 3 * (size_t)target[r];
+    const size_t t = 3 * SFEMI_W, tiles = (f + t - 1) / t;
+    SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + tiles * t;
+    size_t begin = (tiles - 1) * t, i, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
+    int first = 1;
+    for (i = k; i < f; i += 3) {
+        const SFEMI_R *y = w + 3 * (size_t)*target++;
         v[i] = y[0];
         v[i + 1] = y[1];
         v[i + 2] = y[2];
     }
-    for (; i < s->tiles * t; ++i) v[i] = 0;
-    memset(z, 0, k * SFEMI_W * sizeof *z);
-    l += sfemi_shape_panel_size(s);
-    for (tile = s->tiles; tile-- > 0;) {
-        const size_t h = tile + 1 < s->tiles ? t : s->last, begin = tile * t;
+    for (; i < begin + h; ++i) v[i] = 0;
+    for (l += size;; begin -= t, h = t, first = 0) {
         const size_t depth = begin < k ? begin : k;
         SFEMI_R *vt = v + begin;
         if (begin < k) {
-            j = k - begin < t ? k - begin : t;
+            const size_t j = k - begin < t ? k - begin : t;
             l -= h * j;
-            SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
-            for (i = 0; i < j; ++i) vt[i] -= sum[i];
-            memset(part, 0, j * SFEMI_W * sizeof *part);
-            SFEMI_KERNEL(sfemi_ldl_dots)(h, j, l, vt, part);
+            if (first) memset(sum, 0, sizeof sum);
+            else SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
+            for (i = 0; i < j; ++i) vt[i] = x[begin + i] - sum[i];
+            SFEMI_KERNEL(sfemi_ldl_dots)(h, j, 1, l, vt, part);
             SFEMI_KERNEL(sfemi_ldl_sums)(j, part, vt);
+            memcpy(x + begin, vt, j * sizeof *x);
         }
         l -= h * depth;
-        SFEMI_KERNEL(sfemi_ldl_dots)(h, depth, l, vt, z);
+        SFEMI_KERNEL(sfemi_ldl_dots)(h, depth, first, l, vt, z);
+        if (!begin) break;
     }
-    memcpy(x, v, k * sizeof *v);
 }
+
+/* --- the same for 8 right sides, which stand side by side ------------------------------------ */
+
+#if SFEMI_W == 8
+#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 1, 0) X(2, 2, 0) X(3, 3, 0) X(4, 4, 0) X(5, 5, 0)             \
+    X(6, 6, 0) X(7, 7, 0) X(8, 8, 0) X(9, 9, 0) X(10, 10, 0) X(11, 11, 0)
+#else
+#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 0, 1) X(2, 1, 0) X(3, 1, 1) X(4, 2, 0) X(5, 2, 1)             \
+    X(6, 3, 0) X(7, 3, 1) X(8, 4, 0) X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
+#endif
+
+/* out(g x 8) += the sum over i of a[i across + r down] y(i, :), r < g = 3/2 W: half a tile's height. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(size_t depth, const SFEMI_R *a,
+                                                                   size_t across, size_t down,
+                                                                   const SFEMI_R *y, SFEMI_R *out)
+{
+#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+    SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    size_t i;
+    for (i = 0; i < depth; ++i, a += across, y += 8) {
+        const SFEMI_V y0 = SFEMI_LD(y);
+#if SFEMI_W == 4
+        const SFEMI_V y1 = SFEMI_LD(y + SFEMI_W);
+#endif
+#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+        SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    }
+#define SFEMI_X(q, r, u) SFEMI_ST(out + 8 * r + SFEMI_W * u, c##q);
+    SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+}
+
+/* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
+                                                          const sfem_int *target, SFEMI_R *w, SFEMI_R *v)
+{
+    const size_t t = 3 * SFEMI_W, g = t / 2;
+    size_t begin, i, r;
+    SFEMI_R *y = v; /* -y, the solution with its sign turned: the product is only ever added */
+    for (begin = 0; begin < f; begin += t) {
+        const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
+        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t rows = f - begin < t ? f - begin : t;
+        SFEMI_R out[3 * SFEMI_W * 8], b[3 * SFEMI_W * 8];
+        memset(out, 0, sizeof out);
+        memcpy(out, x + 8 * begin, 8 * j * sizeof *x);
+        for (r = 0; r < h; r += g)
+            SFEMI_KERNEL(sfemi_ldl_outer)(depth, l + r, h, 1, y, out + 8 * r);
+        l += h * depth;
+        if (j) {
+            memcpy(b, out, 8 * j * sizeof *b);
+            memset(out, 0, 8 * j * sizeof *out);
+            for (r = 0; r < h; r += g) SFEMI_KERNEL(sfemi_ldl_outer)(j, l + r, h, 1, b, out + 8 * r);
+            l += h * j;
+            for (i = 0; i < 8 * j; ++i) {
+                x[8 * begin + i] = out[i];
+                y[8 * begin + i] = -out[i];
+            }
+        }
+        for (i = j; i < rows; i += 3) {
+            SFEMI_R *to = w + 24 * (size_t)*target++;
+            for (r = 0; r < 24; r += SFEMI_W)
+                SFEMI_ST(to + r, SFEMI_ADD(SFEMI_LD(to + r), SFEMI_LD(out + 8 * i + r)));
+        }
+    }
+}
+
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size, const SFEMI_R *l,
+                                                           SFEMI_R *x, const sfem_int *target,
+                                                           const SFEMI_R *w, SFEMI_R *v)
+{
+    const size_t t = 3 * SFEMI_W, g = t / 2, tiles = (f + t - 1) / t;
+    SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
+    size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
+    for (i = k; i < f; i += 3) memcpy(v + 8 * i, w + 24 * (size_t)*target++, 24 * sizeof *v);
+    memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
+    memset(z, 0, 8 * (k + g) * sizeof *z);
+    for (l += size;; begin -= t, h = t) {
+        const size_t depth = begin < k ? begin : k;
+        SFEMI_R *vt = v + 8 * begin;
+        if (begin < k) {
+            const size_t j = k - begin < t ? k - begin : t;
+            l -= h * j;
+            for (i = 0; i < 8 * j; ++i) vt[i] = x[8 * begin + i] - z[8 * begin + i];
+            memset(part, 0, sizeof part);
+            for (p = 0; p < j; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, part + 8 * p);
+            memcpy(vt, part, 8 * j * sizeof *vt);
+            memcpy(x + 8 * begin, part, 8 * j * sizeof *x);
+        }
+        l -= h * depth;
+        for (p = 0; p < depth; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, z + 8 * p);
+        if (!begin) break;
+    }
+}
+#undef SFEMI_OUTER
 
 #undef SFEMI_TARGET
 #undef SFEMI_R
@@ -9339,6 +9605,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(const sfemi_shape *s, 
 #undef SFEMI_MUL
 #undef SFEMI_FMA
 #undef SFEMI_FNMA
+#undef SFEMI_HALF
+#undef SFEMI_SUM4
 #undef SFEMI_KERNEL
 #undef SFEMI_PASTE
 #undef SFEMI_PASTE3
