@@ -9307,7 +9307,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
     SFEMI_R l[3 * SFEMI_W], x[3 * SFEMI_W];
     size_t j, p, v;
     for (j = n; j-- > 0;) {
-        const SFEMI_R rj = (SFEMI_R)fabs(r[j]);
+        const SFEMI_R rj = (SFEMI_R)fabs((double)r[j]);
         memcpy(l, c + j * h, h * sizeof *l);
         memcpy(x, l, h * sizeof *x);
         memset(x, 0, n * sizeof *x);
