@@ -22,14 +22,15 @@
  * CONTENTS (search for the marker)
  *
  *     API    >>api-base     status, errors, memory, threads       >>api-mesh    >>api-meshio
- *            >>api-matrix   sparse and dense matrices, solvers    >>api-model   >>api-body
+ *            >>api-matrix   sparse and dense matrices, solvers    >>api-element >>api-model
+ *            >>api-body
  *     IMPL   >>base         status, allocation, threads, vector paths
- *            >>math         3-vectors, 3x3 matrices, small dense systems
+ *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
  *            >>meshio       readers and writers
  *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
- *            >>element      linear tetrahedron
- *            >>fem          assembly, mass, damping, loads, stress
+ *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
+ *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
@@ -528,6 +529,116 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
                                    sfem_error *err);
 
 /* ============================================================================================
+ * >>api-element   materials: energy, stress, tangent; energies in edge lengths
+ * ============================================================================================ */
+
+/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda and mu
+ * are Lame's parameters; all agree for small strains and are zero, and least, at rest.
+ *   SFEM_LINEAR         lambda/2 tr(e)^2 + mu e:e, e = (F + F^T)/2 - I. Small rotations only.
+ *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper rotation
+ *                       [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small strains; any
+ *                       rotation; inverted tets recover.
+ *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff. Weak in
+ *                       compression: below .58 of its length the force on a bar falls (at nu = 0)
+ *                       and is zero at length 0; it does not feel a mirror image, so inverted tets
+ *                       stay inverted. For large rotations and stretches, not for crushing.
+ *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1),
+ *                       m = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
+ *                       neo-Hookean of Smith, de Goes, Kim 2018. Any strain, defined through
+ *                       inversion; keeps volume best as nu nears 0.5. */
+typedef enum sfem_law { SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN } sfem_law;
+
+/* Derivatives of the stress.
+ *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles. SFEM_COROTATIONAL has a
+ *                        pole where the two smallest signed singular values of F sum to 0: there the
+ *                        sum is kept above 1e-8.
+ *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite one, from
+ *                        closed forms in singular values [Smith, de Goes, Kim 2019]
+ *   SFEM_TANGENT_FROZEN  SFEM_COROTATIONAL without the change of R: R k R^T, always positive
+ *                        semidefinite; the other laws as with SFEM_TANGENT_PSD */
+typedef enum sfem_tangent {
+    SFEM_TANGENT_EXACT,
+    SFEM_TANGENT_PSD,
+    SFEM_TANGENT_FROZEN
+} sfem_tangent;
+
+/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in float and
+ * everything else in double: half the memory traffic, a residual of a solve of about 4e-7 on good
+ * meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a strain of 1e-3. */
+typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
+
+/* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
+SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
+
+/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat, inverted
+ * or zero; a number that is not finite gives numbers that are not finite. About 0.4 us at most. */
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9]);
+
+/* P = dPsi/dF, the first Piola-Kirchhoff stress, Pa; returns Psi. */
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                   sfem_real p[9]);
+
+/* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
+SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                               sfem_tangent kind, sfem_real tangent[81]);
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9]);
+
+/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its energy, J,
+ * the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m. force and k may be
+ * NULL. */
+SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
+                                const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
+                                sfem_real k[144]);
+
+/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or 1, which
+ * stands for whatever the compiler makes of the portable ones. */
+SFEM_DEF int sfem_vector_width(void);
+
+/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative det F the
+ * smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a double smallest
+ * singular value of an inverted F) one of the nearest is given, I for F = 0. Never fails on finite F;
+ * R is orthogonal and S symmetric to a few rounding errors (of |F|). */
+SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9]);
+
+/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of det F:
+ * one-sided Jacobi, small singular values to their own rounding error. Entries below 1e-150 of the
+ * largest count as 0. */
+SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9]);
+
+/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared lengths
+ * alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest direction n_k, and with
+ * it all invariants and every isotropic energy [Mandal, Chaudhuri, Chaudhuri 2023, supplement, Theorem
+ * 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12 13 23; dim = 2: triangles in their plane,
+ * three edges 01 02 12, in plane strain. Flat tets and triangles have the C of least norm that fits
+ * best. */
+typedef struct sfem_edge_shape {
+    int dim, nodes, edges;
+    int rank;          /* edges, or less where flat */
+    sfem_real volume;  /* m^3, or m^2 for a triangle; 0 where flat */
+    sfem_real c[6][9]; /* dC/d(d_k^2), 1/m^2: dim x dim, row-major */
+} sfem_edge_shape;
+
+/* x [nodes][dim]: rest positions, m, of any sense. */
+SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *out);
+/* d2 [edges]: squared lengths, m^2, of positions x [nodes][dim]. */
+SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2);
+/* C [dim][dim] of squared lengths. */
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c);
+/* I_C = tr C, II_C = tr C^2, III_C = det C, and with a fibre a [dim] (NULL: 0) IV_C = a.C a,
+ * V_C = a.C^2 a. */
+SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
+                                   const sfem_real *fibre, sfem_real invariants[5]);
+/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL. Lengths
+ * do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above 1e-8. */
+SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, sfem_real lambda,
+                                    sfem_real mu, const sfem_real *d2, sfem_real *slope);
+/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i - x_j), N.
+ * The force on node i is its negative. */
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
+                               sfem_real *force);
+
+/* ============================================================================================
  * >>api-model   finite elements: K, M, D, loads, stress
  * ============================================================================================ */
 
@@ -540,9 +651,10 @@ typedef struct sfem_material {
     sfem_real density; /* kg/m^3, > 0 */
     sfem_real alpha;   /* mass damping, 1/s, >= 0 */
     sfem_real beta;    /* stiffness damping, s, >= 0 */
+    sfem_law law;      /* >>api-element; K, M, D are the same for all */
 } sfem_material;
 
-SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped */
+SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped, linear */
 
 /* What never changes while bodies move: mesh, materials, K, M, D. Shared by any number of bodies and
  * threads; reference-counted, each body holds one. */
@@ -590,6 +702,25 @@ SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real 
 SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                           const sfem_exec *exec);
 
+/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient, the
+ * internal force [nodes][3], N (what the body pushes back with is its negative). A translation changes
+ * nothing but rounding of u; forces sum to zero in every tet.
+ *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
+ *   inverted  how many tets have det F <= 0; or NULL
+ *   work      [sfem_model_work_size] reals
+ *   cost      about 10 to 20 ns a tet (corotational, AVX2), half a microsecond for a tet where R is all
+ *             but undetermined; O(tets) at any u. Not finite u give an energy that is not finite.
+ * Allocates nothing; same bits for any number of threads, but not from one vector path to another. */
+SFEM_DEF size_t sfem_model_work_size(const sfem_model *model);
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
+                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
+                                     sfem_real *work, const sfem_exec *exec);
+
+/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern, such as
+ * sfem_model_combine makes. About 1 us a tet; allocates nothing; same bits for any number of threads. */
+SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
+                                 sfem_matrix *tangent, const sfem_exec *exec);
+
 /* Cauchy stress of the displacement u [nodes][3] under small strain, constant in a tet:
  * stress [tets][6] in the order xx yy zz xy xz yz, von_mises [tets], Pa; either may be NULL. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
@@ -618,10 +749,6 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
  *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step */
 typedef enum sfem_integrator { SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL } sfem_integrator;
-
-/* SFEM_MIXED keeps the factor in float: half the memory traffic, a residual of about 4e-7 on good
- * meshes. Everything else stays double. */
-typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
 
 /* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
  * damping a start of fourth order. */
@@ -962,8 +1089,24 @@ static int sfemi_path(void)
 #define SFEMI_INLINE inline
 #endif
 
+/* Instruction sets that hot kernels are compiled for on top of what the compiler was told to use. */
+#if SFEMI_X86
+#define SFEMI_X86_PATHS
+#endif
+
+SFEM_DEF int sfem_vector_width(void)
+{
+#ifdef SFEMI_X86_PATHS
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+        __builtin_cpu_supports("avx512vl"))
+        return 8;
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 4;
+#endif
+    return 1;
+}
+
 /* ============================================================================================
- * >>math   3-vectors, 3x3 matrices (row-major), small dense systems
+ * >>math   3-vectors, 3x3 matrices (row-major), polar and singular value decomposition
  * ============================================================================================ */
 
 static SFEMI_UNUSED sfem_real sfemi_dot3(const sfem_real *a, const sfem_real *b)
@@ -995,6 +1138,238 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
     sfemi_sub3(d, a, w);
     sfemi_cross(u, v, n);
     return sfemi_dot3(n, w);
+}
+
+/* c = a b, a^T b, a b^T. c must be neither. */
+static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+}
+
+static void sfemi_mul3_tn(const sfem_real *a, const sfem_real *b, sfem_real *c)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) c[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j];
+}
+
+static void sfemi_mul3_nt(const sfem_real *a, const sfem_real *b, sfem_real *c)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) c[3 * i + j] = sfemi_dot3(a + 3 * i, b + 3 * j);
+}
+
+/* d(det f)/df; f:c = 3 det f. */
+static void sfemi_cofactor3(const sfem_real *f, sfem_real *c)
+{
+    sfemi_cross(f + 3, f + 6, c);
+    sfemi_cross(f + 6, f, c + 3);
+    sfemi_cross(f, f + 3, c + 6);
+}
+
+/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle that zeroes the
+ * off-diagonal entry pq of a symmetric matrix. */
+static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
+{
+    const sfem_real theta = (qq - pp) / (2 * pq);
+    const sfem_real t = 1 / (fabs(theta) + sqrt(theta * theta + 1));
+    return theta < 0 ? -t : t;
+}
+
+/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric matrix
+ * a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
+static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
+{
+    sfem_real norm = 0;
+    int sweep, turned = 1, p, q, i;
+    for (i = 0; i < n * n; ++i) {
+        norm += a[i] * a[i];
+        v[i] = i % (n + 1) ? 0 : 1;
+    }
+    norm = 1e-17 * sqrt(norm);
+    for (sweep = 0; sweep < 30 && turned; ++sweep) {
+        turned = 0;
+        for (p = 0; p < n - 1; ++p) {
+            for (q = p + 1; q < n; ++q) {
+                sfem_real t, c, s;
+                if (!(fabs(a[n * p + q]) > norm)) continue;
+                t = sfemi_jacobi_tangent(a[n * p + p], a[n * q + q], a[n * p + q]);
+                c = 1 / sqrt(1 + t * t);
+                s = t * c;
+                turned = 1;
+                a[n * p + p] -= t * a[n * p + q];
+                a[n * q + q] += t * a[n * p + q];
+                a[n * p + q] = a[n * q + p] = 0;
+                for (i = 0; i < n; ++i) {
+                    const sfem_real vp = v[n * i + p], vq = v[n * i + q];
+                    v[n * i + p] = c * vp - s * vq;
+                    v[n * i + q] = s * vp + c * vq;
+                    if (i != p && i != q) {
+                        const sfem_real ap = a[n * p + i], aq = a[n * q + i];
+                        a[n * p + i] = a[n * i + p] = c * ap - s * aq;
+                        a[n * q + i] = a[n * i + q] = s * ap + c * aq;
+                    }
+                }
+            }
+        }
+    }
+    for (i = 0; i < n; ++i) w[i] = a[(n + 1) * i];
+    for (p = 0; p < n - 1; ++p) { /* selection sort; a turn by 90 degrees keeps det v */
+        for (q = p, i = p + 1; i < n; ++i)
+            if (w[i] > w[q]) q = i;
+        if (q == p) continue;
+        norm = w[p], w[p] = w[q], w[q] = norm;
+        for (i = 0; i < n; ++i) {
+            norm = v[n * i + p];
+            v[n * i + p] = v[n * i + q];
+            v[n * i + q] = -norm;
+        }
+    }
+}
+
+/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were. Sweeps of
+ * it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the start: the singular
+ * value decomposition, its small values to their own rounding error [Hestenes 1958]. */
+static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
+{
+    sfem_real pp = 0, qq = 0, pq = 0, t, c, s;
+    int i;
+    for (i = 0; i < n * n; i += n) {
+        pp += b[i + p] * b[i + p];
+        qq += b[i + q] * b[i + q];
+        pq += b[i + p] * b[i + q];
+    }
+    if (!(pq * pq > 1e-31 * pp * qq)) return 0;
+    t = sfemi_jacobi_tangent(pp, qq, pq);
+    c = 1 / sqrt(1 + t * t);
+    s = t * c;
+    for (i = 0; i < n * n; i += n) {
+        const sfem_real bp = b[i + p], bq = b[i + q], vp = v[i + p], vq = v[i + q];
+        b[i + p] = c * bp - s * bq;
+        b[i + q] = s * bp + c * bq;
+        v[i + p] = c * vp - s * vq;
+        v[i + q] = s * vp + c * vq;
+    }
+    return 1;
+}
+
+/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none); where
+ * nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves enough. */
+static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9], int k,
+                           sfem_real axis[3])
+{
+    sfem_real length = 0, size, along;
+    int tries, pass, i;
+    memcpy(axis, b, 3 * sizeof *axis);
+    for (tries = 0;; ++tries, ++k) {
+        size = sqrt(sfemi_dot3(axis, axis));
+        for (pass = 0; before && pass < 2; ++pass) {
+            along = sfemi_dot3(axis, before);
+            for (i = 0; i < 3; ++i) axis[i] -= along * before[i];
+        }
+        length = sqrt(sfemi_dot3(axis, axis));
+        if ((length > .5 * size && length > 1e-150) || tries == 3) break;
+        for (i = 0; i < 3; ++i) axis[i] = v[3 * i + k % 3];
+    }
+    for (i = 0; i < 3; ++i) axis[i] /= length;
+}
+
+/* Columns p and q of a 3x3 matrix change places; one changes its sign: a turn by 90 degrees. */
+static void sfemi_swap3(sfem_real *a, int p, int q)
+{
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        const sfem_real t = a[i + p];
+        a[i + p] = a[i + q];
+        a[i + q] = -t;
+    }
+}
+
+SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9])
+{
+    sfem_real b[9], column[3][3], axis[3][3], size[3], scale = 0, t;
+    int sweep, turned = 1, i, j, k;
+    SFEM_ASSERT(f && u && s && v);
+    for (i = 0; i < 9; ++i) {
+        if (!(fabs(f[i]) <= scale)) scale = fabs(f[i]);
+        v[i] = i % 4 ? 0 : 1;
+    }
+    if (!(scale > 0)) scale = 1;
+    for (i = 0; i < 9; ++i) b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
+    for (sweep = 0; sweep < 20 && turned; ++sweep) { /* b = f v / scale */
+        turned = sfemi_svd_turn(3, b, v, 0, 1);
+        turned |= sfemi_svd_turn(3, b, v, 0, 2);
+        turned |= sfemi_svd_turn(3, b, v, 1, 2);
+    }
+    for (j = 0; j < 3; ++j) size[j] = b[j] * b[j] + b[3 + j] * b[3 + j] + b[6 + j] * b[6 + j];
+    for (j = 0; j < 2; ++j) { /* descending */
+        for (k = j, i = j + 1; i < 3; ++i)
+            if (size[i] > size[k]) k = i;
+        if (k == j) continue;
+        t = size[j], size[j] = size[k], size[k] = t;
+        sfemi_swap3(b, j, k);
+        sfemi_swap3(v, j, k);
+    }
+    for (i = 0; i < 9; ++i) column[i % 3][i / 3] = b[i];
+    sfemi_svd_axis(column[0], NULL, v, 0, axis[0]);
+    sfemi_svd_axis(column[1], axis[0], v, 1, axis[1]);
+    sfemi_cross(axis[0], axis[1], axis[2]);
+    for (j = 0; j < 3; ++j) s[j] = scale * sfemi_dot3(axis[j], column[j]);
+    for (i = 0; i < 9; ++i) u[i] = axis[i % 3][i / 3];
+}
+
+/* The nearest rotation R of an ordinary F, or 0. The trace t of S is the largest root of
+ *     p(t) = t^4 - 2 |F|^2 t^2 - 8 det F t + |F|^4 - 4 |cof F|^2,
+ * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura 2022]. That
+ * loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F flat or a little
+ * inverted is ordinary, F of rank 1 is not. The root is approached from above by Halley's method, which cannot overshoot. */
+static int sfemi_polar_fast(const sfem_real f[9], sfem_real r[9])
+{
+    sfem_real c[9], ftf[9], norm2 = 0, cof2 = 0, det, t, step, slope;
+    int k, i, j;
+    sfemi_cofactor3(f, c);
+    det = sfemi_dot3(f, c);
+    for (i = 0; i < 9; ++i) {
+        norm2 += f[i] * f[i];
+        cof2 += c[i] * c[i];
+    }
+    t = sqrt(3 * norm2);
+    for (k = 0, step = t; k < 8 && step > 1e-6 * t; ++k) { /* cubic: all is gained */
+        const sfem_real p = ((t * t - 2 * norm2) * t - 8 * det) * t + norm2 * norm2 - 4 * cof2;
+        slope = (t * t - norm2) * t - 2 * det;
+        step = p * slope / (4 * slope * slope - p * (1.5 * t * t - .5 * norm2));
+        t -= step;
+    }
+    slope = (t * t - norm2) * t - 2 * det;
+    if (!(step <= 1e-6 * t && slope > .1 * t * t * t && norm2 > 1e-60 && norm2 < 1e60)) return 0;
+    sfemi_mul3_tn(f, f, ftf);
+    for (i = 0; i < 9; i += 3)
+        for (j = 0; j < 3; ++j)
+            r[i + j] = ((t * t + norm2) * f[i + j] + 2 * t * c[i + j] -
+                        2 * (f[i] * ftf[j] + f[i + 1] * ftf[3 + j] + f[i + 2] * ftf[6 + j])) /
+                       slope;
+    return 1;
+}
+
+SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9])
+{
+    sfem_real u[9], v[9], w[3], rotation[9];
+    int i, j;
+    SFEM_ASSERT(f && r);
+    if (!sfemi_polar_fast(f, rotation)) {
+        sfem_signed_svd(f, u, w, v);
+        sfemi_mul3_nt(u, v, rotation);
+    }
+    if (s) {
+        sfemi_mul3_tn(rotation, f, u);
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) s[3 * i + j] = u[3 * i + j] / 2 + u[3 * j + i] / 2;
+    }
+    memcpy(r, rotation, sizeof rotation);
 }
 
 /* ============================================================================================
@@ -6413,20 +6788,21 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
 }
 
 /* ============================================================================================
- * >>element   linear tetrahedron
+ * >>element   linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
  *
  * A tet with edge matrix Dm = [X1-X0, X2-X0, X3-X0] has the shape-function gradients g_1..g_3 = rows
  * of Dm^-1 and g_0 = -(g_1+g_2+g_3); a displacement's gradient is G = sum u_a g_a^T.
  * ============================================================================================ */
 
 /* Rows 0..3 of g: the gradients of the four shape functions. Returns the volume. */
-static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sfem_real g[4][3])
+static sfem_real sfemi_element_gradients_of(const sfem_real *x0, const sfem_real *x1,
+                                            const sfem_real *x2, const sfem_real *x3, sfem_real g[4][3])
 {
-    const sfem_int *t = mesh->tet + 4 * (size_t)tet;
-    const sfem_real *x0 = mesh->x + 3 * (size_t)t[0];
     sfem_real e[3][3], volume6;
     int a, i;
-    for (a = 0; a < 3; ++a) sfemi_sub3(mesh->x + 3 * (size_t)t[a + 1], x0, e[a]);
+    sfemi_sub3(x1, x0, e[0]);
+    sfemi_sub3(x2, x0, e[1]);
+    sfemi_sub3(x3, x0, e[2]);
     sfemi_cross(e[1], e[2], g[1]);
     sfemi_cross(e[2], e[0], g[2]);
     sfemi_cross(e[0], e[1], g[3]);
@@ -6436,6 +6812,14 @@ static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sf
         g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
     }
     return volume6 / 6;
+}
+
+static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sfem_real g[4][3])
+{
+    const sfem_int *t = mesh->tet + 4 * (size_t)tet;
+    const sfem_real *x = mesh->x;
+    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1], x + 3 * (size_t)t[2],
+                                      x + 3 * (size_t)t[3], g);
 }
 
 /* k = V (lambda ga gb^T + mu gb ga^T + mu (ga.gb) I): the block of nodes a, b of K_e. */
@@ -6479,12 +6863,1039 @@ static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real 
     for (i = 3; i < 6; ++i) stress[i] = mu * strain[i];
 }
 
+/* ---- materials, one at a time: F = I + G, so that small G keep their digits ---- */
+
+SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu)
+{
+    SFEM_ASSERT(lambda && mu);
+    *lambda = young * poisson / ((1 + poisson) * (1 - 2 * poisson));
+    *mu = young / (2 * (1 + poisson));
+}
+
+/* p = lambda tr(e) I + 2 mu e; returns lambda/2 tr(e)^2 + mu e:e. */
+static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9], sfem_real p[9])
+{
+    const sfem_real trace = e[0] + e[4] + e[8];
+    sfem_real square = 0;
+    int i;
+    for (i = 0; i < 9; ++i) {
+        square += e[i] * e[i];
+        p[i] = 2 * mu * e[i] + (i % 4 ? 0 : lambda * trace);
+    }
+    return lambda / 2 * trace * trace + mu * square;
+}
+
+static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                        sfem_real p[9])
+{
+    sfem_real r[9], trace = 0, square = 0;
+    int i;
+    sfem_polar(f, r, NULL);
+    for (i = 0; i < 9; ++i) {
+        const sfem_real d = f[i] - r[i];
+        square += d * d;
+        trace += r[i] * d; /* tr S - 3 */
+    }
+    for (i = 0; i < 9; ++i) p[i] = 2 * mu * (f[i] - r[i]) + lambda * trace * r[i];
+    return lambda / 2 * trace * trace + mu * square;
+}
+
+static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9], sfem_real p[9])
+{
+    sfem_real e[9], s[9], gs[9], energy;
+    int i, j;
+    sfemi_mul3_tn(g, g, e);
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) e[3 * i + j] = (e[3 * i + j] + g[3 * i + j] + g[3 * j + i]) / 2;
+    energy = sfemi_law_hooke(lambda, mu, e, s);
+    sfemi_mul3(g, s, gs);
+    for (i = 0; i < 9; ++i) p[i] = s[i] + gs[i];
+    return energy;
+}
+
+/* With i = I_C - 3, j = J - 1, the terms that cancel at rest taken together:
+ *     Psi = m/2 (i - 3/2 j - log(1 + i/4)) + l/2 j^2,
+ *     P = 3/4 m (F - cof F) + m i/(16 + 4 i) F + l j cof F.  */
+static sfem_real sfemi_law_neohookean(sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                                      sfem_real p[9])
+{
+    const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, trace = g[0] + g[4] + g[8];
+    sfem_real c[9], i = 2 * trace, j, a;
+    int k;
+    sfemi_cofactor3(g, c);
+    j = trace + (c[0] + c[4] + c[8]) + sfemi_dot3(g, c);
+    for (k = 0; k < 9; ++k) i += g[k] * g[k];
+    a = m * i / (16 + 4 * i);
+    for (k = 0; k < 9; ++k) {
+        const sfem_real one = k % 4 ? 0 : 1, gt = g[3 * (k % 3) + k / 3];
+        const sfem_real cof1 = c[k] + one * trace - gt; /* cof F - I */
+        p[k] = .75 * m * (g[k] - cof1) + a * (g[k] + one) + l * j * (cof1 + one);
+    }
+    return m / 2 * (i - 1.5 * j - log1p(i / 4)) + l / 2 * j * j;
+}
+
+static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                                  sfem_real p[9])
+{
+    sfem_real e[9];
+    int i, j;
+    switch (law) {
+    case SFEM_COROTATIONAL:
+        for (i = 0; i < 9; ++i) e[i] = g[i] + (i % 4 ? 0 : 1);
+        return sfemi_law_corotational(lambda, mu, e, p);
+    case SFEM_STVK: return sfemi_law_stvk(lambda, mu, g, p);
+    case SFEM_NEOHOOKEAN: return sfemi_law_neohookean(lambda, mu, g, p);
+    default:
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) e[3 * i + j] = (g[3 * i + j] + g[3 * j + i]) / 2;
+        return sfemi_law_hooke(lambda, mu, e, p);
+    }
+}
+
+/* G = F - I. */
+static void sfemi_law_less_one(const sfem_real f[9], sfem_real g[9])
+{
+    int i;
+    for (i = 0; i < 9; ++i) g[i] = f[i] - (i % 4 ? 0 : 1);
+}
+
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                   sfem_real p[9])
+{
+    sfem_real g[9];
+    SFEM_ASSERT(f && p && (unsigned)law <= SFEM_NEOHOOKEAN);
+    sfemi_law_less_one(f, g);
+    return sfemi_law_stress(law, lambda, mu, g, p);
+}
+
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9])
+{
+    sfem_real p[9];
+    return sfem_law_stress(law, lambda, mu, f, p);
+}
+
+/* ---- tangents ----
+ *
+ * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T alone, and
+ * their dP/dF is simple in that frame: with dF~ = U^T dF V,
+ *     dP~_ii = sum_j d2Psi/(ds_i ds_j) dF~_jj,    dP~_ij = both dF~_ij + swap dF~_ji,
+ * both +- swap the eigenvalues of the symmetric (flip) and skew (twist) change of the pair ij,
+ * (Psi_i - Psi_j)/(s_i - s_j) and (Psi_i + Psi_j)/(s_i + s_j), the quotients done by hand
+ * [Smith, de Goes, Kim 2019; Zhu 2021]. The linear law is the same with F = I throughout. */
+typedef struct sfemi_modes {
+    sfem_real u[9], v[9];
+    sfem_real a[9];             /* d2Psi/(ds_i ds_j) */
+    sfem_real both[3], swap[3]; /* of the pair without k */
+} sfemi_modes;
+
+static const int sfemi_law_pair[3][2] = {{1, 2}, {0, 2}, {0, 1}};
+
+/* The law's derivatives at s: a, and flip and twist by pair. */
+static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real s[3],
+                                  sfem_real a[9], sfem_real flip[3], sfem_real twist[3])
+{
+    const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, det = s[0] * s[1] * s[2];
+    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2, trace = s[0] + s[1] + s[2] - 3;
+    const sfem_real b = l * (det - 1) - .75 * m, c = m * (1 - 1 / (norm2 + 1));
+    const sfem_real d = 2 * m / ((norm2 + 1) * (norm2 + 1));
+    int k, i, j;
+    for (k = 0; k < 3; ++k) {
+        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
+        switch (law) {
+        case SFEM_STVK:
+            a[4 * k] = lambda * (green + s[k] * s[k]) + mu * (3 * s[k] * s[k] - 1);
+            a[3 * i + j] = a[3 * j + i] = lambda * s[i] * s[j];
+            flip[k] = lambda * green + mu * (s[i] * s[i] + s[i] * s[j] + s[j] * s[j] - 1);
+            twist[k] = lambda * green + mu * (s[i] * s[i] - s[i] * s[j] + s[j] * s[j] - 1);
+            break;
+        case SFEM_NEOHOOKEAN:
+            a[4 * k] = c + d * s[k] * s[k] + l * s[i] * s[j] * s[i] * s[j];
+            a[3 * i + j] = a[3 * j + i] = d * s[i] * s[j] + (l * det + b) * s[k];
+            flip[k] = c - b * s[k];
+            twist[k] = c + b * s[k];
+            break;
+        default: /* linear: s = 1; the pole of the twist at s_i + s_j = 0 is kept off */
+            a[4 * k] = lambda + 2 * mu;
+            a[3 * i + j] = a[3 * j + i] = lambda;
+            flip[k] = 2 * mu;
+            twist[k] = 2 * mu + 2 * (lambda * trace - 2 * mu) / fmax(s[i] + s[j], 1e-8);
+        }
+    }
+}
+
+/* a = the nearest positive semidefinite matrix. */
+static void sfemi_law_project(sfem_real a[9])
+{
+    sfem_real w[3], v[9], copy[9];
+    int i, j, k;
+    memcpy(copy, a, sizeof copy);
+    sfemi_sym_eigen(3, copy, w, v);
+    if (w[2] >= 0) return;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            for (k = 0, a[3 * i + j] = 0; k < 3; ++k)
+                if (w[k] > 0) a[3 * i + j] += w[k] * v[3 * i + k] * v[3 * j + k];
+}
+
+static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                            sfem_tangent kind, sfemi_modes *m)
+{
+    sfem_real f[9], s[3] = {1, 1, 1}, flip[3], twist[3];
+    int i;
+    for (i = 0; i < 9; ++i) {
+        m->u[i] = m->v[i] = i % 4 ? 0 : 1;
+        f[i] = g[i] + m->u[i];
+    }
+    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN) sfem_polar(f, m->u, NULL);
+    else if (law != SFEM_LINEAR) sfem_signed_svd(f, m->u, s, m->v);
+    sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
+    if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
+    for (i = 0; i < 3; ++i) {
+        if (kind != SFEM_TANGENT_EXACT) {
+            flip[i] = fmax(flip[i], 0);
+            twist[i] = law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
+        }
+        m->both[i] = (flip[i] + twist[i]) / 2;
+        m->swap[i] = (flip[i] - twist[i]) / 2;
+    }
+}
+
+static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_real dp[9])
+{
+    sfem_real t[9], x[9], y[9];
+    int k, i, j;
+    sfemi_mul3_tn(m->u, df, t);
+    sfemi_mul3(t, m->v, x);
+    for (k = 0; k < 3; ++k) {
+        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
+        y[4 * k] = m->a[3 * k] * x[0] + m->a[3 * k + 1] * x[4] + m->a[3 * k + 2] * x[8];
+        y[3 * i + j] = m->both[k] * x[3 * i + j] + m->swap[k] * x[3 * j + i];
+        y[3 * j + i] = m->both[k] * x[3 * j + i] + m->swap[k] * x[3 * i + j];
+    }
+    sfemi_mul3(m->u, y, t);
+    sfemi_mul3_nt(t, m->v, dp);
+}
+
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9])
+{
+    sfem_real g[9];
+    sfemi_modes modes;
+    SFEM_ASSERT(f && df && dp && (unsigned)law <= SFEM_NEOHOOKEAN);
+    sfemi_law_less_one(f, g);
+    sfemi_law_modes(law, lambda, mu, g, kind, &modes);
+    sfemi_modes_apply(&modes, df, dp);
+}
+
+SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                               sfem_tangent kind, sfem_real tangent[81])
+{
+    sfem_real g[9], df[9] = {0};
+    sfemi_modes modes;
+    int a;
+    SFEM_ASSERT(f && tangent && (unsigned)law <= SFEM_NEOHOOKEAN);
+    sfemi_law_less_one(f, g);
+    sfemi_law_modes(law, lambda, mu, g, kind, &modes);
+    for (a = 0; a < 9; ++a) {
+        df[a] = 1;
+        sfemi_modes_apply(&modes, df, tangent + 9 * a);
+        df[a] = 0;
+    }
+}
+
+/* block = volume ga.(dP/dF).gb, the 3x3 block of two nodes whose shape gradients are, in the frame V,
+ * ga and gb. */
+static void sfemi_modes_block(const sfemi_modes *m, sfem_real volume, const sfem_real ga[3],
+                              const sfem_real gb[3], sfem_real block[9])
+{
+    sfem_real x[9], t[9];
+    int k, i, j;
+    for (k = 0; k < 3; ++k) {
+        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
+        x[4 * k] = volume * (m->a[4 * k] * ga[k] * gb[k] + m->both[j] * ga[i] * gb[i] +
+                             m->both[i] * ga[j] * gb[j]);
+        x[3 * i + j] = volume * (m->a[3 * i + j] * ga[i] * gb[j] + m->swap[k] * ga[j] * gb[i]);
+        x[3 * j + i] = volume * (m->a[3 * i + j] * ga[j] * gb[i] + m->swap[k] * ga[i] * gb[j]);
+    }
+    sfemi_mul3(m->u, x, t);
+    sfemi_mul3_nt(t, m->u, block);
+}
+
+/* The shape gradients in the frame V. */
+static void sfemi_modes_turn(const sfemi_modes *m, sfem_real g[4][3], sfem_real in_v[4][3])
+{
+    int a, i;
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i)
+            in_v[a][i] = g[a][0] * m->v[i] + g[a][1] * m->v[3 + i] + g[a][2] * m->v[6 + i];
+}
+
+/* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
+static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const sfem_real *u2,
+                                 const sfem_real *u3, sfem_real g[4][3], sfem_real grad[9])
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            grad[3 * i + j] = (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] +
+                              (u3[i] - u0[i]) * g[3][j];
+}
+
+SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
+                                const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
+                                sfem_real k[144])
+{
+    sfem_real g[4][3], in_v[4][3], grad[9], p[9], block[9], volume, energy;
+    sfemi_modes modes;
+    int a, b, i;
+    SFEM_ASSERT(x && u && (unsigned)law <= SFEM_NEOHOOKEAN);
+    volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, g);
+    sfemi_element_deform(u, u + 3, u + 6, u + 9, g, grad);
+    energy = volume * sfemi_law_stress(law, lambda, mu, grad, p);
+    for (a = 0; force && a < 4; ++a)
+        for (i = 0; i < 3; ++i) force[3 * a + i] = volume * sfemi_dot3(p + 3 * i, g[a]);
+    if (!k) return energy;
+    sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
+    sfemi_modes_turn(&modes, g, in_v);
+    for (a = 0; a < 4; ++a)
+        for (b = 0; b < 4; ++b) {
+            sfemi_modes_block(&modes, volume, in_v[a], in_v[b], block);
+            for (i = 0; i < 9; ++i) k[12 * (3 * a + i / 3) + 3 * b + i % 3] = block[i];
+        }
+    return energy;
+}
+
+/* ---- energies in edge lengths ---- */
+
+static const int sfemi_edge_node[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
+static const int sfemi_edge_node2[3][2] = {{0, 1}, {0, 2}, {1, 2}};
+
+static const int *sfemi_edge_ends(int dim, int k)
+{
+    return dim == 3 ? sfemi_edge_node[k] : sfemi_edge_node2[k];
+}
+
+SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2)
+{
+    int k, i;
+    SFEM_ASSERT((dim == 2 || dim == 3) && x && d2);
+    for (k = 0; k < (dim == 3 ? 6 : 3); ++k) {
+        const int *end = sfemi_edge_ends(dim, k);
+        for (i = 0, d2[k] = 0; i < dim; ++i) {
+            const sfem_real d = x[dim * end[0] + i] - x[dim * end[1] + i];
+            d2[k] += d * d;
+        }
+    }
+}
+
+/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the product
+ * with a symmetric tensor written the same way is n.C n. Zero for an edge without length. */
+static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length2, sfem_real *q)
+{
+    const int edges = dim == 3 ? 6 : 3;
+    int k, i, j, at;
+    for (k = 0; k < edges; ++k) {
+        const int *end = sfemi_edge_ends(dim, k);
+        sfem_real n[3];
+        for (i = 0; i < dim; ++i)
+            n[i] = length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
+        for (i = 0, at = 0; i < dim; ++i) q[edges * k + at++] = n[i] * n[i];
+        for (i = 0; i < dim; ++i)
+            for (j = i + 1; j < dim; ++j) q[edges * k + at++] = sqrt(2.0) * n[i] * n[j];
+    }
+}
+
+/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the sum of
+ * v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
+static int sfemi_edge_pseudo_inverse(int m, sfem_real *q, sfem_real *w)
+{
+    sfem_real v[36], square[6], largest = 0;
+    int sweep, turned = 1, e, i, k, rank = 0;
+    for (i = 0; i < m * m; ++i) v[i] = i % (m + 1) ? 0 : 1;
+    for (sweep = 0; sweep < 30 && turned; ++sweep)
+        for (turned = 0, e = 1; e < m; ++e)
+            for (i = 0; i < e; ++i) turned |= sfemi_svd_turn(m, q, v, i, e);
+    for (e = 0; e < m; ++e) {
+        for (k = 0, square[e] = 0; k < m; ++k) square[e] += q[m * k + e] * q[m * k + e];
+        largest = fmax(largest, square[e]);
+    }
+    memset(w, 0, (size_t)(m * m) * sizeof *w);
+    for (e = 0; e < m; ++e) {
+        if (!(square[e] > 1e-24 * largest)) continue;
+        ++rank;
+        for (i = 0; i < m; ++i)
+            for (k = 0; k < m; ++k) w[m * i + k] += v[m * i + e] * q[m * k + e] / square[e];
+    }
+    return rank;
+}
+
+SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *out)
+{
+    sfem_real q[36], w[36], length2[6];
+    int k, i, j, at;
+    SFEM_ASSERT((dim == 2 || dim == 3) && x && out);
+    memset(out, 0, sizeof *out);
+    out->dim = dim;
+    out->nodes = dim + 1;
+    out->edges = dim == 3 ? 6 : 3;
+    out->volume = dim == 3 ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
+                           : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
+    sfem_edge_lengths2(dim, x, length2);
+    sfemi_edge_rows(dim, x, length2, q);
+    out->rank = sfemi_edge_pseudo_inverse(out->edges, q, w);
+    for (k = 0; k < out->edges; ++k) {
+        const sfem_real scale = length2[k] > 0 ? 1 / length2[k] : 0;
+        for (i = 0; i < dim; ++i) out->c[k][(dim + 1) * i] = scale * w[out->edges * i + k];
+        for (i = 0, at = dim; i < dim; ++i)
+            for (j = i + 1; j < dim; ++j, ++at)
+                out->c[k][dim * i + j] = out->c[k][dim * j + i] =
+                    scale * w[out->edges * at + k] / sqrt(2.0);
+    }
+}
+
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c)
+{
+    int i, k;
+    SFEM_ASSERT(shape && d2 && c);
+    for (i = 0; i < shape->dim * shape->dim; ++i)
+        for (k = 0, c[i] = 0; k < shape->edges; ++k) c[i] += shape->c[k][i] * d2[k];
+}
+
+/* C as a 3x3 matrix: a triangle's in plane strain. */
+static void sfemi_edge_tensor(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real c[9])
+{
+    sfem_real plane[4];
+    if (shape->dim == 3) {
+        sfem_edge_cauchy_green(shape, d2, c);
+        return;
+    }
+    sfem_edge_cauchy_green(shape, d2, plane);
+    memset(c, 0, 9 * sizeof *c);
+    c[0] = plane[0], c[1] = c[3] = plane[1], c[4] = plane[3], c[8] = 1;
+}
+
+SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
+                                   const sfem_real *fibre, sfem_real invariants[5])
+{
+    const int dim = shape->dim;
+    sfem_real c[9], cof[9], ca;
+    int i, j;
+    SFEM_ASSERT(d2 && invariants);
+    sfem_edge_cauchy_green(shape, d2, c);
+    memset(invariants, 0, 5 * sizeof *invariants);
+    for (i = 0; i < dim; ++i) {
+        invariants[0] += c[(dim + 1) * i];
+        for (j = 0, ca = 0; j < dim; ++j) {
+            invariants[1] += c[dim * i + j] * c[dim * i + j];
+            if (fibre) ca += c[dim * i + j] * fibre[j];
+        }
+        if (!fibre) continue;
+        invariants[3] += fibre[i] * ca;
+        invariants[4] += ca * ca;
+    }
+    if (dim == 2) {
+        invariants[2] = c[0] * c[3] - c[1] * c[2];
+        return;
+    }
+    sfemi_cofactor3(c, cof);
+    invariants[2] = sfemi_dot3(c, cof);
+}
+
+/* dPsi/dC, with C = I + c. */
+static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real c[9],
+                                   sfem_real s[9])
+{
+    const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, i = c[0] + c[4] + c[8];
+    sfem_real full[9], e[9], cof[9], third, det, volume, a;
+    int k;
+    if (law == SFEM_STVK) {
+        for (k = 0; k < 9; ++k) e[k] = c[k] / 2;
+        a = sfemi_law_hooke(lambda, mu, e, s);
+        for (k = 0; k < 9; ++k) s[k] /= 2;
+        return a;
+    }
+    sfemi_cofactor3(c, cof);
+    third = i + (cof[0] + cof[4] + cof[8]) + sfemi_dot3(c, cof); /* III_C - 1 */
+    for (k = 0; k < 9; ++k) full[k] = c[k] + (k % 4 ? 0 : 1);
+    sfemi_cofactor3(full, cof);
+    det = sqrt(fmax(1 + third, 0));
+    volume = third > -1 ? third / (1 + det) : -1; /* J - 1 */
+    a = (l * volume - .75 * m) / (2 * fmax(det, 1e-8));
+    for (k = 0; k < 9; ++k) s[k] = a * cof[k] + (k % 4 ? 0 : m / 2 * (3 + i) / (4 + i));
+    return m / 2 * (i - 1.5 * volume - log1p(i / 4)) + l / 2 * volume * volume;
+}
+
+SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, sfem_real lambda,
+                                    sfem_real mu, const sfem_real *d2, sfem_real *slope)
+{
+    sfem_real c[9], s[9], energy;
+    int k, i, j;
+    SFEM_ASSERT(shape && d2 && (law == SFEM_STVK || law == SFEM_NEOHOOKEAN));
+    sfemi_edge_tensor(shape, d2, c);
+    for (i = 0; i < 9; i += 4) c[i] -= 1;
+    energy = sfemi_edge_stress(law, lambda, mu, c, s);
+    for (k = 0; slope && k < shape->edges; ++k)
+        for (i = 0, slope[k] = 0; i < shape->dim; ++i)
+            for (j = 0; j < shape->dim; ++j) slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
+    return energy;
+}
+
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
+                               sfem_real *force)
+{
+    const int dim = shape->dim;
+    int k, i;
+    SFEM_ASSERT(x && slope && force);
+    for (i = 0; i < dim * shape->nodes; ++i) force[i] = 0;
+    for (k = 0; k < shape->edges; ++k) {
+        const int *end = sfemi_edge_ends(dim, k);
+        for (i = 0; i < dim; ++i) {
+            const sfem_real d =
+                2 * shape->volume * slope[k] * (x[dim * end[0] + i] - x[dim * end[1] + i]);
+            force[dim * end[0] + i] += d;
+            force[dim * end[1] + i] -= d;
+        }
+    }
+}
+
+/* ---- the same for many tets at once ----
+ *
+ * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each loop over
+ * lanes below is straight-line arithmetic that a compiler turns into vector instructions (gcc from 12 on
+ * and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double and float; the paths below it compile
+ * that for several instruction sets. `fused` is a constant there: fused multiply-adds are asked for by
+ * name, so that the bits of a result depend on the path and on nothing else. */
+#define SFEMI_LANES 16
+
+typedef struct sfemi_block {
+    sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
+    sfem_real lambda[SFEMI_LANES], mu[SFEMI_LANES]; /* times the volume, J; 0 in lanes that fill up */
+    sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
+    sfem_int tet[SFEMI_LANES];
+    sfem_int law, count;              /* count of the lanes are tets, the others copies of the last */
+    sfem_int pad[14];                 /* to whole cache lines */
+} sfemi_block;
+
+/* What a run over blocks adds up, by lanes. */
+typedef struct sfemi_totals {
+    sfem_real energy[SFEMI_LANES], inverted[SFEMI_LANES]; /* inverted: tets with det F <= 0 */
+} sfemi_totals;
+
+/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4]; the
+ * nearest rotations go to rotation [tets][9], if not NULL. */
+typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
+                                    sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
+
+#if defined(__GNUC__)
+#define SFEMI_INLINE static inline __attribute__((always_inline))
+#define SFEMI_FMA_d(a, b, c) __builtin_fma(a, b, c)
+#define SFEMI_FMA_f(a, b, c) __builtin_fmaf(a, b, c)
+#else
+#define SFEMI_INLINE static inline
+#define SFEMI_FMA_d(a, b, c) ((a) * (b) + (c))
+#define SFEMI_FMA_f(a, b, c) ((a) * (b) + (c))
+#endif
+
+/* d = u_a - u_0 by lanes, a = 1, 2, 3; and out_a += d, out_0 -= the sum of d. */
+typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u, sfem_real d[9][SFEMI_LANES]);
+typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+                              sfem_real *out);
+
+static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
+                                  sfem_real d[9][SFEMI_LANES])
+{
+    int l, i;
+    for (l = 0; l < SFEMI_LANES; ++l) {
+        const sfem_real *u0 = u + block->node[0][l], *u1 = u + block->node[1][l];
+        const sfem_real *u2 = u + block->node[2][l], *u3 = u + block->node[3][l];
+        for (i = 0; i < 3; ++i) {
+            d[i][l] = u1[i] - u0[i];
+            d[3 + i][l] = u2[i] - u0[i];
+            d[6 + i][l] = u3[i] - u0[i];
+        }
+    }
+}
+
+static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+                                   sfem_real *out)
+{
+    int l, i;
+    for (l = 0; l < block->count; ++l) {
+        sfem_real *f0 = out + block->node[0][l], *f1 = out + block->node[1][l];
+        sfem_real *f2 = out + block->node[2][l], *f3 = out + block->node[3][l];
+        for (i = 0; i < 3; ++i) {
+            f0[i] -= d[i][l] + d[3 + i][l] + d[6 + i][l];
+            f1[i] += d[i][l];
+            f2[i] += d[3 + i][l];
+            f3[i] += d[6 + i][l];
+        }
+    }
+}
+
+#ifdef SFEMI_X86_PATHS
+#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
+#define SFEMI_AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
+
+/* Rows <-> columns of four vectors of four. */
+SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
+{
+    const __m256d a = _mm256_unpacklo_pd(v[0], v[1]), b = _mm256_unpackhi_pd(v[0], v[1]);
+    const __m256d c = _mm256_unpacklo_pd(v[2], v[3]), d = _mm256_unpackhi_pd(v[2], v[3]);
+    v[0] = _mm256_permute2f128_pd(a, c, 0x20);
+    v[1] = _mm256_permute2f128_pd(b, d, 0x20);
+    v[2] = _mm256_permute2f128_pd(a, c, 0x31);
+    v[3] = _mm256_permute2f128_pd(b, d, 0x31);
+}
+
+SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_real *u,
+                                         sfem_real d[9][SFEMI_LANES])
+{
+    int l, a;
+    for (l = 0; l < SFEMI_LANES; l += 4) {
+        const __m256d a0 = _mm256_loadu_pd(u + block->node[0][l]);
+        const __m256d a1 = _mm256_loadu_pd(u + block->node[0][l + 1]);
+        const __m256d a2 = _mm256_loadu_pd(u + block->node[0][l + 2]);
+        const __m256d a3 = _mm256_loadu_pd(u + block->node[0][l + 3]);
+        for (a = 0; a < 3; ++a) {
+            const sfem_int *node = block->node[a + 1] + l;
+            __m256d v[4];
+            v[0] = _mm256_sub_pd(_mm256_loadu_pd(u + node[0]), a0);
+            v[1] = _mm256_sub_pd(_mm256_loadu_pd(u + node[1]), a1);
+            v[2] = _mm256_sub_pd(_mm256_loadu_pd(u + node[2]), a2);
+            v[3] = _mm256_sub_pd(_mm256_loadu_pd(u + node[3]), a3);
+            sfemi_transpose_avx2(v);
+            _mm256_storeu_pd(d[3 * a] + l, v[0]);
+            _mm256_storeu_pd(d[3 * a + 1] + l, v[1]);
+            _mm256_storeu_pd(d[3 * a + 2] + l, v[2]);
+        }
+    }
+}
+
+SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
+{
+    _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
+}
+
+SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+                                          sfem_real *out)
+{
+    int l, a;
+    for (l = 0; l < SFEMI_LANES; l += 4) { /* lanes that fill up add zero */
+        __m256d s0 = _mm256_setzero_pd(), s1 = s0, s2 = s0, s3 = s0;
+        for (a = 0; a < 3; ++a) {
+            const sfem_int *node = block->node[a + 1] + l;
+            __m256d v[4];
+            v[0] = _mm256_loadu_pd(d[3 * a] + l);
+            v[1] = _mm256_loadu_pd(d[3 * a + 1] + l);
+            v[2] = _mm256_loadu_pd(d[3 * a + 2] + l);
+            v[3] = _mm256_setzero_pd();
+            sfemi_transpose_avx2(v);
+            sfemi_add_avx2(out + node[0], v[0]);
+            sfemi_add_avx2(out + node[1], v[1]);
+            sfemi_add_avx2(out + node[2], v[2]);
+            sfemi_add_avx2(out + node[3], v[3]);
+            s0 = _mm256_sub_pd(s0, v[0]);
+            s1 = _mm256_sub_pd(s1, v[1]);
+            s2 = _mm256_sub_pd(s2, v[2]);
+            s3 = _mm256_sub_pd(s3, v[3]);
+        }
+        sfemi_add_avx2(out + block->node[0][l], s0);
+        sfemi_add_avx2(out + block->node[0][l + 1], s1);
+        sfemi_add_avx2(out + block->node[0][l + 2], s2);
+        sfemi_add_avx2(out + block->node[0][l + 3], s3);
+    }
+}
+#endif
+
+/* R of a lane that the fast way has given up. */
+static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
+{
+    sfem_real f[9];
+    int i;
+    for (i = 0; i < 9; ++i) f[i] = g[i] + (i % 4 ? 0 : 1);
+    sfem_polar(f, r, NULL);
+}
+
+/* Is any of the flags, 0 or 1, not 0? */
+SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
+{
+    uint64_t word[SFEMI_LANES], any = 0;
+    size_t i;
+    memcpy(word, flags, bytes);
+    for (i = 0; i < bytes / sizeof *word; ++i) any |= word[i];
+    return any != 0;
+}
+
+#define SFEMI_LANE_KERNELS(T, S, STEP, ROUND)                                                      \
+/* a b + c; and with it a0 b0 + a1 b1 + a2 b2 (+ c), a b - c d */                                  \
+SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
+{                                                                                                  \
+    return fused ? SFEMI_FMA_##S(a, b, c) : a * b + c;                                             \
+}                                                                                                  \
+SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)                  \
+{                                                                                                  \
+    return sfemi_ma_##S(fused, a0, b0, sfemi_ma_##S(fused, a1, b1, a2 * b2));                      \
+}                                                                                                  \
+SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
+{                                                                                                  \
+    return sfemi_ma_##S(fused, a, b, -(c * d));                                                    \
+}                                                                                                  \
+                                                                                                   \
+typedef struct sfemi_lanes_##S {                                                                   \
+    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
+    T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
+    T r[9][SFEMI_LANES];      /* F, later the rotation nearest to it */                            \
+    T c[9][SFEMI_LANES];      /* cof F */                                                          \
+    T k[3][SFEMI_LANES];      /* t^2 + |F|^2, -2, 2 t, each over the slope */                      \
+    T s[6][SFEMI_LANES];      /* k0 I + k1 F^T F */                                                \
+    T p[9][SFEMI_LANES];      /* stress times volume */                                            \
+    T lambda[SFEMI_LANES], mu[SFEMI_LANES], energy[SFEMI_LANES];                                   \
+    T det[SFEMI_LANES], norm2[SFEMI_LANES], constant[SFEMI_LANES]; /* of p(t), sfemi_polar_fast */ \
+    T trace[SFEMI_LANES], bad[SFEMI_LANES];                                                        \
+} sfemi_lanes_##S;                                                                                 \
+                                                                                                   \
+/* G and det F */                                                                                  \
+SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
+                                         const int fused)                                          \
+{                                                                                                  \
+    int l, i;                                                                                      \
+    for (i = 0; i < 3; ++i)                                                                        \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T a = (T)w->d[i][l], b = (T)w->d[3 + i][l], c = (T)w->d[6 + i][l];               \
+            w->g[3 * i][l] = sfemi_dot_##S(fused, a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]);\
+            w->g[3 * i + 1][l] = sfemi_dot_##S(fused, a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]);\
+            w->g[3 * i + 2][l] = sfemi_dot_##S(fused, a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]);\
+        }                                                                                          \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
+        const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
+        const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
+        w->det[l] = sfemi_dot_##S(fused, f0, sfemi_det_##S(fused, f4, f8, f5, f7),                 \
+                                  f1, sfemi_det_##S(fused, f5, f6, f3, f8),                        \
+                                  f2, sfemi_det_##S(fused, f3, f7, f4, f6));                       \
+        w->lambda[l] = (T)block->lambda[l];                                                        \
+        w->mu[l] = (T)block->mu[l];                                                                \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* F, cof F, |F|^2, the constant of p(t) and a first trace: (|F|^2 + 3)/2 >= sqrt(3 |F|^2) >= t */ \
+SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)                     \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
+        const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
+        const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
+        const T c0 = sfemi_det_##S(fused, f4, f8, f5, f7), c1 = sfemi_det_##S(fused, f5, f6, f3, f8);\
+        const T c2 = sfemi_det_##S(fused, f3, f7, f4, f6), c3 = sfemi_det_##S(fused, f2, f7, f1, f8);\
+        const T c4 = sfemi_det_##S(fused, f0, f8, f2, f6), c5 = sfemi_det_##S(fused, f1, f6, f0, f7);\
+        const T c6 = sfemi_det_##S(fused, f1, f5, f2, f4), c7 = sfemi_det_##S(fused, f2, f3, f0, f5);\
+        const T c8 = sfemi_det_##S(fused, f0, f4, f1, f3);                                         \
+        const T n = sfemi_dot_##S(fused, f0, f0, f1, f1, f2, f2) + sfemi_dot_##S(fused, f3, f3, f4, f4, f5, f5) +\
+                    sfemi_dot_##S(fused, f6, f6, f7, f7, f8, f8);                                  \
+        const T m = sfemi_dot_##S(fused, c0, c0, c1, c1, c2, c2) + sfemi_dot_##S(fused, c3, c3, c4, c4, c5, c5) +\
+                    sfemi_dot_##S(fused, c6, c6, c7, c7, c8, c8);                                  \
+        w->c[0][l] = c0, w->c[1][l] = c1, w->c[2][l] = c2;                                         \
+        w->c[3][l] = c3, w->c[4][l] = c4, w->c[5][l] = c5;                                         \
+        w->c[6][l] = c6, w->c[7][l] = c7, w->c[8][l] = c8;                                         \
+        w->r[0][l] = f0, w->r[1][l] = f1, w->r[2][l] = f2;                                         \
+        w->r[3][l] = f3, w->r[4][l] = f4, w->r[5][l] = f5;                                         \
+        w->r[6][l] = f6, w->r[7][l] = f7, w->r[8][l] = f8;                                         \
+        w->norm2[l] = n;                                                                           \
+        w->constant[l] = sfemi_ma_##S(fused, n, n, -4 * m);                                        \
+        w->trace[l] = (n + 3) / 2;                                                                 \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* one step of Halley's method for the trace */                                                    \
+SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)                      \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T t = w->trace[l], n = w->norm2[l], d = w->det[l], t2 = t * t;                       \
+        const T p = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t2 - 2 * n, t, -8 * d), t, w->constant[l]);\
+        const T slope = sfemi_ma_##S(fused, t2 - n, t, -2 * d);                                    \
+        const T half = (3 * t2 - n) / 2;                                                           \
+        const T step = p * slope / sfemi_det_##S(fused, 4 * slope, slope, p, half);                \
+                w->trace[l] = t - step;                                                            \
+        w->bad[l] = step <= (T)STEP * (t - step) ? 0 : 1; /* also where step is not a number */    \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* R = F (k0 I + k1 F^T F) + k2 cof F, row by row in place of F */                                 \
+SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)                    \
+{                                                                                                  \
+    int l, i;                                                                                      \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T t = w->trace[l], n = w->norm2[l];                                                  \
+        const T slope = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t, t, -n), t, -2 * w->det[l]);     \
+        const T over = 1 / slope;                                                                  \
+        w->bad[l] = slope > (T)ROUND * t * t * t ? w->bad[l] : 1;                                  \
+        w->k[0][l] = sfemi_ma_##S(fused, t, t, n) * over;                                          \
+        w->k[1][l] = -2 * over;                                                                    \
+        w->k[2][l] = 2 * t * over;                                                                 \
+    }                                                                                              \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l], f3 = w->r[3][l], f4 = w->r[4][l];\
+        const T f5 = w->r[5][l], f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                \
+        const T a = w->k[0][l], b = w->k[1][l];                                                    \
+        w->s[0][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f0, f0, f3, f3, f6, f6), a);      \
+        w->s[1][l] = b * sfemi_dot_##S(fused, f0, f1, f3, f4, f6, f7);                             \
+        w->s[2][l] = b * sfemi_dot_##S(fused, f0, f2, f3, f5, f6, f8);                             \
+        w->s[3][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f1, f1, f4, f4, f7, f7), a);      \
+        w->s[4][l] = b * sfemi_dot_##S(fused, f1, f2, f4, f5, f7, f8);                             \
+        w->s[5][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f2, f2, f5, f5, f8, f8), a);      \
+    }                                                                                              \
+    for (i = 0; i < 9; i += 3)                                                                     \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T x = w->r[i][l], y = w->r[i + 1][l], z = w->r[i + 2][l], b = w->k[2][l];        \
+            const T s0 = w->s[0][l], s1 = w->s[1][l], s2 = w->s[2][l];                             \
+            const T s3 = w->s[3][l], s4 = w->s[4][l], s5 = w->s[5][l];                             \
+            w->r[i][l] = sfemi_ma_##S(fused, b, w->c[i][l], sfemi_dot_##S(fused, x, s0, y, s1, z, s2));\
+            w->r[i + 1][l] = sfemi_ma_##S(fused, b, w->c[i + 1][l], sfemi_dot_##S(fused, x, s1, y, s3, z, s4));\
+            w->r[i + 2][l] = sfemi_ma_##S(fused, b, w->c[i + 2][l], sfemi_dot_##S(fused, x, s2, y, s4, z, s5));\
+        }                                                                                          \
+}                                                                                                  \
+                                                                                                   \
+/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope is\
+ * below ROUND t^3 are done again the slow way */                                                  \
+SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
+{                                                                                                  \
+    sfem_real g[9], r[9];                                                                          \
+    int l, i, k;                                                                                   \
+    sfemi_lanes_quartic_##S(w, fused);                                                             \
+    sfemi_lanes_halley_##S(w, fused);                                                              \
+    for (k = 0; k < 5; ++k) {                                                                      \
+        sfemi_lanes_halley_##S(w, fused);                                                          \
+        if (!sfemi_lanes_any(w->bad, sizeof w->bad)) break;                                        \
+    }                                                                                              \
+    sfemi_lanes_rotation_##S(w, fused);                                                            \
+    if (!sfemi_lanes_any(w->bad, sizeof w->bad)) return;                                           \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        if (w->bad[l] == 0) continue;                                                              \
+        for (i = 0; i < 9; ++i) g[i] = w->g[i][l];                                                 \
+        sfemi_lanes_repair(g, r);                                                                  \
+        for (i = 0; i < 9; ++i) w->r[i][l] = (T)r[i];                                              \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)                      \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T e0 = w->g[0][l], e4 = w->g[4][l], e8 = w->g[8][l], trace = e0 + e4 + e8;           \
+        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l], e5 = w->g[5][l] + w->g[7][l];\
+        const T mu = w->mu[l], lt = w->lambda[l] * trace;                                          \
+        w->p[0][l] = sfemi_ma_##S(fused, 2 * mu, e0, lt);                                          \
+        w->p[4][l] = sfemi_ma_##S(fused, 2 * mu, e4, lt);                                          \
+        w->p[8][l] = sfemi_ma_##S(fused, 2 * mu, e8, lt);                                          \
+        w->p[1][l] = w->p[3][l] = mu * e1;                                                         \
+        w->p[2][l] = w->p[6][l] = mu * e2;                                                         \
+        w->p[5][l] = w->p[7][l] = mu * e5;                                                         \
+        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
+                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)                \
+{                                                                                                  \
+    int l, i;                                                                                      \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l], r3 = w->r[3][l], r4 = w->r[4][l];\
+        const T r5 = w->r[5][l], r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                \
+        const T d0 = w->g[0][l] + (1 - r0), d1 = w->g[1][l] - r1, d2 = w->g[2][l] - r2;            \
+        const T d3 = w->g[3][l] - r3, d4 = w->g[4][l] + (1 - r4), d5 = w->g[5][l] - r5;            \
+        const T d6 = w->g[6][l] - r6, d7 = w->g[7][l] - r7, d8 = w->g[8][l] + (1 - r8);            \
+        const T trace = sfemi_dot_##S(fused, r0, d0, r1, d1, r2, d2) + sfemi_dot_##S(fused, r3, d3, r4, d4, r5, d5) +\
+                        sfemi_dot_##S(fused, r6, d6, r7, d7, r8, d8);                              \
+        const T square = sfemi_dot_##S(fused, d0, d0, d1, d1, d2, d2) + sfemi_dot_##S(fused, d3, d3, d4, d4, d5, d5) +\
+                         sfemi_dot_##S(fused, d6, d6, d7, d7, d8, d8);                             \
+        const T lt = w->lambda[l] * trace;                                                         \
+        w->trace[l] = lt;                                                                          \
+        w->energy[l] = sfemi_ma_##S(fused, w->mu[l], square, lt / 2 * trace);                      \
+    }                                                                                              \
+    for (i = 0; i < 9; ++i) {                                                                      \
+        const T one = i % 4 ? 0 : 1;                                                               \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T r = w->r[i][l], d = w->g[i][l] + (one - r);                                    \
+            w->p[i][l] = sfemi_ma_##S(fused, 2 * w->mu[l], d, w->trace[l] * r);                    \
+        }                                                                                          \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                        \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
+        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
+        const T e0 = g0 + sfemi_dot_##S(fused, g0, g0, g3, g3, g6, g6) / 2;                        \
+        const T e4 = g4 + sfemi_dot_##S(fused, g1, g1, g4, g4, g7, g7) / 2;                        \
+        const T e8 = g8 + sfemi_dot_##S(fused, g2, g2, g5, g5, g8, g8) / 2;                        \
+        const T e1 = g1 + g3 + sfemi_dot_##S(fused, g0, g1, g3, g4, g6, g7);                       \
+        const T e2 = g2 + g6 + sfemi_dot_##S(fused, g0, g2, g3, g5, g6, g8);                       \
+        const T e5 = g5 + g7 + sfemi_dot_##S(fused, g1, g2, g4, g5, g7, g8);                       \
+        const T mu = w->mu[l], trace = e0 + e4 + e8, lt = w->lambda[l] * trace;                    \
+        const T s0 = sfemi_ma_##S(fused, 2 * mu, e0, lt), s4 = sfemi_ma_##S(fused, 2 * mu, e4, lt);\
+        const T s8 = sfemi_ma_##S(fused, 2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;\
+        w->p[0][l] = s0 + sfemi_dot_##S(fused, g0, s0, g1, s1, g2, s2);                            \
+        w->p[1][l] = s1 + sfemi_dot_##S(fused, g0, s1, g1, s4, g2, s5);                            \
+        w->p[2][l] = s2 + sfemi_dot_##S(fused, g0, s2, g1, s5, g2, s8);                            \
+        w->p[3][l] = s1 + sfemi_dot_##S(fused, g3, s0, g4, s1, g5, s2);                            \
+        w->p[4][l] = s4 + sfemi_dot_##S(fused, g3, s1, g4, s4, g5, s5);                            \
+        w->p[5][l] = s5 + sfemi_dot_##S(fused, g3, s2, g4, s5, g5, s8);                            \
+        w->p[6][l] = s2 + sfemi_dot_##S(fused, g6, s0, g7, s1, g8, s2);                            \
+        w->p[7][l] = s5 + sfemi_dot_##S(fused, g6, s1, g7, s4, g8, s5);                            \
+        w->p[8][l] = s8 + sfemi_dot_##S(fused, g6, s2, g7, s5, g8, s8);                            \
+        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
+                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* as sfemi_law_neohookean; k1 = 3/4 m, k2 = m i/(16 + 4 i) */                                     \
+SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)                  \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
+        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
+        const T c0 = sfemi_det_##S(fused, g4, g8, g5, g7), c1 = sfemi_det_##S(fused, g5, g6, g3, g8);\
+        const T c2 = sfemi_det_##S(fused, g3, g7, g4, g6), c3 = sfemi_det_##S(fused, g2, g7, g1, g8);\
+        const T c4 = sfemi_det_##S(fused, g0, g8, g2, g6), c5 = sfemi_det_##S(fused, g1, g6, g0, g7);\
+        const T c6 = sfemi_det_##S(fused, g1, g5, g2, g4), c7 = sfemi_det_##S(fused, g2, g3, g0, g5);\
+        const T c8 = sfemi_det_##S(fused, g0, g4, g1, g3);                                         \
+        const T trace = g0 + g4 + g8;                                                              \
+        const T i = 2 * trace + sfemi_dot_##S(fused, g0, g0, g1, g1, g2, g2) +                     \
+                    sfemi_dot_##S(fused, g3, g3, g4, g4, g5, g5) + sfemi_dot_##S(fused, g6, g6, g7, g7, g8, g8);\
+        const T j = trace + (c0 + c4 + c8) + sfemi_dot_##S(fused, g0, c0, g1, c1, g2, c2);         \
+        const T k1 = w->mu[l], lambda = w->lambda[l] + 5 * k1 / 6, k2 = k1 * i / (12 + 3 * i);     \
+        const T a = k1 + k2, b = sfemi_ma_##S(fused, lambda, j, -k1), lj = lambda * j;             \
+        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + sfemi_ma_##S(fused, k2, g0 + 1, lj * (1 + c0 + trace - g0));\
+        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + sfemi_ma_##S(fused, k2, g4 + 1, lj * (1 + c4 + trace - g4));\
+        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + sfemi_ma_##S(fused, k2, g8 + 1, lj * (1 + c8 + trace - g8));\
+        w->p[1][l] = sfemi_ma_##S(fused, a, g1, b * (c1 - g3));                                    \
+        w->p[2][l] = sfemi_ma_##S(fused, a, g2, b * (c2 - g6));                                    \
+        w->p[3][l] = sfemi_ma_##S(fused, a, g3, b * (c3 - g1));                                    \
+        w->p[5][l] = sfemi_ma_##S(fused, a, g5, b * (c5 - g7));                                    \
+        w->p[6][l] = sfemi_ma_##S(fused, a, g6, b * (c6 - g2));                                    \
+        w->p[7][l] = sfemi_ma_##S(fused, a, g7, b * (c7 - g5));                                    \
+        w->trace[l] = i / 4;                                                                       \
+        w->energy[l] = sfemi_ma_##S(fused, lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));              \
+    }                                                                                              \
+    for (l = 0; l < SFEMI_LANES; ++l) w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);\
+}                                                                                                  \
+                                                                                                   \
+/* the forces p g_a on nodes 1, 2, 3 */                                                            \
+SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block, const int fused)\
+{                                                                                                  \
+    int l, a;                                                                                      \
+    for (a = 0; a < 9; a += 3)                                                                     \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l], z = (T)block->shape[a + 2][l];\
+            w->d[a][l] = sfemi_dot_##S(fused, w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);        \
+            w->d[a + 1][l] = sfemi_dot_##S(fused, w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);    \
+            w->d[a + 2][l] = sfemi_dot_##S(fused, w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);    \
+        }                                                                                          \
+}                                                                                                  \
+                                                                                                   \
+SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count, const sfem_real *u,\
+                                         sfem_real *out, sfem_real *rotation, sfemi_totals *totals,\
+                                         const sfemi_gather gather, const sfemi_scatter scatter,   \
+                                         const int fused)                                          \
+{                                                                                                  \
+    sfemi_totals sum;                                                                              \
+    sfemi_lanes_##S w;                                                                             \
+    int l, i;                                                                                      \
+    memset(&sum, 0, sizeof sum);                                                                   \
+    for (; count > 0; --count, ++block) {                                                          \
+        gather(block, u, w.d);                                                                     \
+        sfemi_lanes_deform_##S(&w, block, fused);                                                  \
+        if (block->law == SFEM_COROTATIONAL || (rotation && block->law != SFEM_LINEAR))            \
+            sfemi_lanes_polar_##S(&w, fused);                                                      \
+        switch (block->law) {                                                                      \
+        case SFEM_COROTATIONAL: sfemi_lanes_corotational_##S(&w, fused); break;                    \
+        case SFEM_STVK: sfemi_lanes_stvk_##S(&w, fused); break;                                    \
+        case SFEM_NEOHOOKEAN: sfemi_lanes_neohookean_##S(&w, fused); break;                        \
+        default: sfemi_lanes_linear_##S(&w, fused);                                                \
+        }                                                                                          \
+        sfemi_lanes_forces_##S(&w, block, fused);                                                  \
+        scatter(block, (const sfem_real(*)[SFEMI_LANES])w.d, out);                                 \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            sum.energy[l] += w.energy[l];                                                          \
+            sum.inverted[l] += w.mu[l] > 0 && w.det[l] <= 0 ? 1 : 0;                               \
+        }                                                                                          \
+        for (l = 0; rotation && l < block->count; ++l) {                                           \
+            for (i = 0; i < 9; ++i)                                                                \
+                rotation[9 * (size_t)block->tet[l] + (size_t)i] =                                  \
+                    block->law == SFEM_LINEAR ? (sfem_real)(i % 4 == 0) : w.r[i][l];               \
+        }                                                                                          \
+    }                                                                                              \
+    *totals = sum;                                                                                 \
+}
+
+SFEMI_LANE_KERNELS(double, d, 2e-6, 3e-2)
+SFEMI_LANE_KERNELS(float, f, 2e-3, 6e-2)
+
+#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,\
+                        sfem_real *rotation, sfemi_totals *totals)                                 \
+{                                                                                                  \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
+                           sfemi_scatter_##PATH, FUSED);                                           \
+}
+
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+#ifdef SFEMI_X86_PATHS
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+#endif
+
+/* The widest path that this processor has. */
+static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
+{
+    const int mixed = precision == SFEM_MIXED;
+#ifdef SFEMI_X86_PATHS
+    switch (sfem_vector_width()) {
+    case 8: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 4: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+    default: break;
+    }
+#endif
+    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
 /* ============================================================================================
- * >>fem   assembly, mass, damping, loads, stress
+ * >>fem   assembly, mass, damping, forces, tangents, loads, stress
  *
  * K, D and a consistent M live on one pattern: the node graph, lower half by rows. M is a scalar a
  * block (M_ij I), or a scalar a node when lumped.  D = alpha M + beta K + damping.
  * ============================================================================================ */
+
+/* ---- chunks: how forces and tangents are computed on any number of threads ----
+ *
+ * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and adds
+ * into copies of their forces, which are then added up node by node. What a chunk does and the order of
+ * every sum are fixed by the mesh. For tangents, chunks without a common node have one colour and add
+ * into the matrix at the same time. */
+#define SFEMI_CHUNK_TETS 256
+#define SFEMI_CHUNK_TASK 4     /* chunks a task */
+#define SFEMI_NODE_TASK  2048  /* nodes a task */
+
+typedef struct sfemi_chunks {
+    sfem_int count, copies, colors;
+    sfemi_block *block;
+    sfem_int *block_start;  /* [count+1] blocks of a chunk */
+    sfem_int *copy_start;   /* [count+1] copies of a chunk */
+    sfem_int *copy_node;    /* [copies] */
+    sfem_int *node_start;   /* [nodes+1] copies of a node, */
+    sfem_int *node_copy;    /* [copies] in ascending order */
+    sfem_int *color_start;  /* [colors+1] chunks of a colour, */
+    sfem_int *color_chunk;  /* [count] */
+    sfem_int *place;        /* [tets][10] where in K's pattern the blocks of nodes a >= b go */
+} sfemi_chunks;
 
 typedef struct sfem_factor sfem_factor;
 
@@ -6502,6 +7913,8 @@ struct sfem_model {
     sfem_real *lambda, *mu;    /* [tets] Lame's parameters, Pa */
     sfem_real *density;        /* [tets] kg/m^3 */
     sfem_real *volume;         /* [tets] */
+    unsigned char *law;        /* [tets] sfem_law */
+    sfemi_chunks chunks;
     sfem_real total_mass;
     int lock;                  /* guards what follows */
     sfem_int references;
@@ -6538,6 +7951,7 @@ SFEM_DEF sfem_material sfem_default_material(void)
     m.poisson = 0.3;
     m.density = 1000;
     m.alpha = m.beta = 0;
+    m.law = SFEM_LINEAR;
     return m;
 }
 
@@ -6565,6 +7979,9 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
     if (!(sfemi_finite(m->alpha) && m->alpha >= 0 && sfemi_finite(m->beta) && m->beta >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: damping (%g, %g) must be >= 0",
                           (int)index, m->alpha, m->beta);
+    if ((unsigned)m->law > SFEM_NEOHOOKEAN)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no law %d", (int)index,
+                          (int)m->law);
     return SFEM_OK;
 }
 
@@ -6662,6 +8079,181 @@ static sfem_int sfemi_fem_find(const sfem_int *row, const sfem_int *col, sfem_in
     return col[low] == j ? low : -1;
 }
 
+static void sfemi_chunks_free(sfemi_chunks *c, const sfem_allocator *al)
+{
+    sfemi_delete(al, c->block);
+    sfemi_delete(al, c->block_start);
+    sfemi_delete(al, c->copy_start);
+    sfemi_delete(al, c->copy_node);
+    sfemi_delete(al, c->node_start);
+    sfemi_delete(al, c->node_copy);
+    sfemi_delete(al, c->color_start);
+    sfemi_delete(al, c->color_chunk);
+    sfemi_delete(al, c->place);
+}
+
+/* Counts blocks and copies by chunk. mark [nodes] is -1. */
+static void sfemi_chunks_count(const sfem_model *model, sfemi_chunks *c, sfem_int *mark)
+{
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int k, e, a, law, laws[SFEM_NEOHOOKEAN + 1];
+    for (k = 0; k < c->count; ++k) {
+        const sfem_int end = k + 1 < c->count ? (k + 1) * SFEMI_CHUNK_TETS : mesh->tets;
+        memset(laws, 0, sizeof laws);
+        c->copy_start[k + 1] = c->copy_start[k];
+        c->block_start[k + 1] = c->block_start[k];
+        for (e = k * SFEMI_CHUNK_TETS; e < end; ++e) {
+            ++laws[model->law[e]];
+            for (a = 0; a < 4; ++a) {
+                const sfem_int node = mesh->tet[4 * (size_t)e + (size_t)a];
+                c->copy_start[k + 1] += mark[node] != k;
+                mark[node] = k;
+            }
+        }
+        for (law = 0; law <= SFEM_NEOHOOKEAN; ++law)
+            c->block_start[k + 1] += (laws[law] + SFEMI_LANES - 1) / SFEMI_LANES;
+    }
+    c->copies = c->copy_start[c->count];
+}
+
+/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the chunk. */
+static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, const sfem_int *local,
+                              sfemi_block *block, sfem_int lane)
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_real g[4][3];
+    int i;
+    sfemi_element_gradients(&model->mesh, e, g);
+    for (i = 0; i < 9; ++i) block->shape[i][lane] = g[1 + i / 3][i % 3];
+    for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
+    block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
+    block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
+    block->tet[lane] = e;
+    if (!filler) block->count = lane + 1;
+}
+
+/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane after
+ * lane then adds to different nodes, and need not wait for the last sum. */
+static void sfemi_chunks_fill_blocks(const sfem_model *model, sfemi_chunks *c, sfem_int k,
+                                     const sfem_int *local)
+{
+    const sfem_int first = k * SFEMI_CHUNK_TETS;
+    const sfem_int end = k + 1 < c->count ? first + SFEMI_CHUNK_TETS : model->mesh.tets;
+    sfemi_block *block = c->block + c->block_start[k];
+    sfem_int law, e, i, blocks, tets, last = first;
+    for (law = 0; law <= SFEM_NEOHOOKEAN; ++law) {
+        for (e = first, tets = 0; e < end; ++e) tets += model->law[e] == law;
+        blocks = (tets + SFEMI_LANES - 1) / SFEMI_LANES;
+        for (e = first, i = 0; e < end; ++e) {
+            if (model->law[e] != law) continue;
+            sfemi_chunks_fill(model, e, 0, local, block + i % blocks, i / blocks);
+            last = e;
+            ++i;
+        }
+        for (; i < blocks * SFEMI_LANES; ++i)
+            sfemi_chunks_fill(model, last, 1, local, block + i % blocks, i / blocks);
+        for (i = 0; i < blocks; ++i) block++->law = law;
+    }
+}
+
+/* Copies and blocks, and the copies of each node. mark and local [nodes]; mark is -1. */
+static void sfemi_chunks_number(const sfem_model *model, sfemi_chunks *c, sfem_int *mark,
+                                sfem_int *local)
+{
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int k, i, copy = 0;
+    for (k = 0; k < c->count; ++k) {
+        const size_t end = 4 * (size_t)(k + 1 < c->count ? (k + 1) * SFEMI_CHUNK_TETS : mesh->tets);
+        size_t at;
+        for (at = 4 * (size_t)k * SFEMI_CHUNK_TETS; at < end; ++at) {
+            const sfem_int node = mesh->tet[at];
+            if (mark[node] == k) continue;
+            mark[node] = k;
+            local[node] = copy - c->copy_start[k];
+            c->copy_node[copy++] = node;
+        }
+        sfemi_chunks_fill_blocks(model, c, k, local);
+    }
+    for (i = 0; i < c->copies; ++i) ++c->node_start[c->copy_node[i] + 1];
+    for (i = 0; i < mesh->nodes; ++i) {
+        c->node_start[i + 1] += c->node_start[i];
+        local[i] = c->node_start[i];
+    }
+    for (i = 0; i < c->copies; ++i) c->node_copy[local[c->copy_node[i]]++] = i;
+}
+
+/* The chunk that a copy belongs to. */
+static sfem_int sfemi_chunks_of(const sfemi_chunks *c, sfem_int copy)
+{
+    sfem_int low = 0, high = c->count;
+    while (high - low > 1) {
+        const sfem_int mid = low + (high - low) / 2;
+        if (c->copy_start[mid] <= copy) low = mid;
+        else high = mid;
+    }
+    return low;
+}
+
+/* Greedy colours, and the chunks by colour. color, mark [chunks+1]. */
+static void sfemi_chunks_color(sfemi_chunks *c, sfem_int *color, sfem_int *mark)
+{
+    sfem_int k, i, j, n;
+    for (k = 0; k < c->count; ++k) mark[k] = color[k] = -1;
+    for (k = 0; k < c->count; ++k) {
+        for (i = c->copy_start[k]; i < c->copy_start[k + 1]; ++i)
+            for (j = c->node_start[c->copy_node[i]]; j < c->node_start[c->copy_node[i] + 1]; ++j) {
+                const sfem_int other = sfemi_chunks_of(c, c->node_copy[j]);
+                if (other >= k) break;
+                mark[color[other]] = k;
+            }
+        for (n = 0; n < k && mark[n] == k; ++n) continue;
+        color[k] = n;
+        if (n >= c->colors) c->colors = n + 1;
+        ++c->color_start[n + 1];
+    }
+    for (n = 0; n < c->colors; ++n) {
+        c->color_start[n + 1] += c->color_start[n];
+        for (k = 0, i = c->color_start[n]; k < c->count; ++k)
+            if (color[k] == n) c->color_chunk[i++] = k;
+    }
+}
+
+static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
+{
+    const sfem_allocator *al = &model->allocator;
+    const sfem_mesh *mesh = &model->mesh;
+    sfemi_chunks *c = &model->chunks;
+    sfem_int *mark = NULL, *local = NULL, i, a, b, *place;
+    sfem_status status = SFEM_OK;
+    c->count = (mesh->tets + SFEMI_CHUNK_TETS - 1) / SFEMI_CHUNK_TETS;
+    SFEMI_NEW(sfem_int, mark, al, (size_t)mesh->nodes + (size_t)c->count);
+    SFEMI_NEW(sfem_int, local, al, (size_t)mesh->nodes + (size_t)c->count);
+    SFEMI_NEW(sfem_int, c->block_start, al, (size_t)c->count + 1);
+    SFEMI_NEW(sfem_int, c->copy_start, al, (size_t)c->count + 1);
+    SFEMI_NEW(sfem_int, c->color_start, al, (size_t)c->count + 1);
+    SFEMI_NEW(sfem_int, c->color_chunk, al, c->count);
+    SFEMI_NEW(sfem_int, c->node_start, al, (size_t)mesh->nodes + 1);
+    SFEMI_NEW(sfem_int, c->place, al, 10 * (size_t)mesh->tets);
+    memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
+    sfemi_chunks_count(model, c, mark);
+    SFEMI_NEW(sfemi_block, c->block, al, c->block_start[c->count]);
+    SFEMI_NEW(sfem_int, c->copy_node, al, c->copies);
+    SFEMI_NEW(sfem_int, c->node_copy, al, c->copies);
+    memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
+    sfemi_chunks_number(model, c, mark, local);
+    sfemi_chunks_color(c, local, mark);
+    for (i = 0, place = c->place; i < mesh->tets; ++i)
+        for (a = 0; a < 4; ++a)
+            for (b = 0; b <= a; ++b) {
+                const sfem_int n = mesh->tet[4 * i + a], m = mesh->tet[4 * i + b];
+                *place++ = sfemi_fem_find(model->row, model->col, n > m ? n : m, n > m ? m : n);
+            }
+done:
+    sfemi_delete(al, mark);
+    sfemi_delete(al, local);
+    return status;
+}
+
 /* Adds tet e to K, M and the part of D that is its own: alpha_e - alpha, beta_e - beta. */
 static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material *m)
 {
@@ -6670,8 +8262,8 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     sfem_real g[4][3], k[9], node;
     int a, b, i;
     const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
-    model->lambda[e] = m->young * m->poisson / ((1 + m->poisson) * (1 - 2 * m->poisson));
-    model->mu[e] = m->young / (2 * (1 + m->poisson));
+    sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
+    model->law[e] = (unsigned char)m->law;
     model->density[e] = m->density;
     node = m->density * v / 20;
     for (a = 0; a < 4; ++a) {
@@ -6743,6 +8335,8 @@ static void sfemi_fem_destroy(sfem_model *model)
     sfemi_delete(&al, model->mu);
     sfemi_delete(&al, model->density);
     sfemi_delete(&al, model->volume);
+    sfemi_delete(&al, model->law);
+    sfemi_chunks_free(&model->chunks, &al);
     sfemi_delete(&al, model);
 }
 
@@ -6771,6 +8365,7 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     SFEMI_NEW(sfem_real, model->mu, al, mesh->tets);
     SFEMI_NEW(sfem_real, model->density, al, mesh->tets);
     SFEMI_NEW(sfem_real, model->volume, al, mesh->tets);
+    SFEMI_NEW(unsigned char, model->law, al, mesh->tets);
     if (def->mass == SFEM_MASS_CONSISTENT) SFEMI_NEW(sfem_real, model->block_mass, al, blocks);
     if (def->damping || sfemi_fem_damping_varies(def))
         SFEMI_NEW(sfem_real, model->damping, al, 9 * blocks);
@@ -6803,6 +8398,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     }
     for (i = 0; i < model->mesh.tets; ++i)
         sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
+    SFEMI_TRY(sfemi_chunks_build(model, err));
     for (i = 0; i < model->mesh.nodes; ++i) model->total_mass += model->node_mass[i];
     if (def->damping) SFEMI_TRY(sfemi_fem_add_damping(model, def->damping, err));
     if (!sfemi_all_finite(model->stiffness.val, 9 * (size_t)model->row[model->mesh.nodes])) {
@@ -6955,6 +8551,153 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
     for (i = 0; i < n; ++i) y[i] *= model->beta;
     sfemi_fem_add_mass(model, model->alpha, x, y);
     sfemi_fem_add_damping_rest(model, x, y);
+}
+
+/* ---- forces and tangents ---- */
+
+typedef struct sfemi_forces {
+    const sfem_model *model;
+    const sfem_real *u;
+    sfem_real *force, *rotation, *copies, *energy, *inverted; /* the last two by chunk */
+    sfemi_blocks_kernel kernel;
+} sfemi_forces;
+
+static void sfemi_forces_chunks(void *data, sfem_int index)
+{
+    const sfemi_forces *job = (const sfemi_forces *)data;
+    const sfemi_chunks *c = &job->model->chunks;
+    sfem_int k, i, end = (index + 1) * SFEMI_CHUNK_TASK;
+    sfem_real u[16 * SFEMI_CHUNK_TETS];
+    if (end > c->count) end = c->count;
+    for (k = index * SFEMI_CHUNK_TASK; k < end; ++k) {
+        const sfem_int first = c->copy_start[k], count = c->copy_start[k + 1] - first;
+        sfem_real *out = job->copies + 4 * (size_t)first;
+        sfemi_totals totals;
+        for (i = 0; i < count; ++i) {
+            const sfem_real *from = job->u + 3 * (size_t)c->copy_node[first + i];
+            u[4 * i] = from[0], u[4 * i + 1] = from[1], u[4 * i + 2] = from[2], u[4 * i + 3] = 0;
+        }
+        memset(out, 0, 4 * (size_t)count * sizeof *out);
+        job->kernel(c->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
+                    job->rotation, &totals);
+        job->energy[k] = job->inverted[k] = 0;
+        for (i = 0; i < SFEMI_LANES; ++i) {
+            job->energy[k] += totals.energy[i];
+            job->inverted[k] += totals.inverted[i];
+        }
+    }
+}
+
+static void sfemi_forces_nodes(void *data, sfem_int index)
+{
+    const sfemi_forces *job = (const sfemi_forces *)data;
+    const sfemi_chunks *c = &job->model->chunks;
+    sfem_int i, j, end = job->model->mesh.nodes;
+    if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
+    for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
+        sfem_real x = 0, y = 0, z = 0;
+        for (j = c->node_start[i]; j < c->node_start[i + 1]; ++j) {
+            const sfem_real *f = job->copies + 4 * (size_t)c->node_copy[j];
+            x += f[0], y += f[1], z += f[2];
+        }
+        job->force[3 * (size_t)i] = x;
+        job->force[3 * (size_t)i + 1] = y;
+        job->force[3 * (size_t)i + 2] = z;
+    }
+}
+
+SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
+{
+    return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
+}
+
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
+                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
+                                     sfem_real *work, const sfem_exec *exec)
+{
+    const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
+    sfem_real energy = 0, turned = 0;
+    sfemi_forces job;
+    sfem_int k;
+    SFEM_ASSERT(u && force && work);
+    job.model = model;
+    job.u = u;
+    job.force = force;
+    job.rotation = rotation;
+    job.copies = work;
+    job.energy = work + 4 * (size_t)model->chunks.copies;
+    job.inverted = job.energy + chunks;
+    job.kernel = sfemi_blocks_pick(precision);
+    sfemi_run(exec, (chunks + SFEMI_CHUNK_TASK - 1) / SFEMI_CHUNK_TASK, sfemi_forces_chunks, &job);
+    sfemi_run(exec, (nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_forces_nodes, &job);
+    for (k = 0; k < chunks; ++k) {
+        energy += job.energy[k];
+        turned += job.inverted[k];
+    }
+    if (inverted) *inverted = (sfem_int)turned;
+    return energy;
+}
+
+typedef struct sfemi_tangents {
+    const sfem_model *model;
+    const sfem_real *u;
+    sfem_tangent kind;
+    sfem_real *val;
+    const sfem_int *chunk; /* of one colour */
+} sfemi_tangents;
+
+/* Adds the tangent of a lane's tet. */
+static void sfemi_tangents_tet(const sfemi_tangents *job, const sfemi_block *block, sfem_int lane)
+{
+    const sfem_int e = block->tet[lane], *t = job->model->mesh.tet + 4 * (size_t)e;
+    const sfem_int *place = job->model->chunks.place + 10 * (size_t)e;
+    sfem_real g[4][3], in_v[4][3], grad[9], k[9];
+    sfemi_modes modes;
+    int a, b, i;
+    for (i = 0; i < 3; ++i) {
+        for (a = 1; a < 4; ++a) g[a][i] = block->shape[3 * a - 3 + i][lane];
+        g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
+    }
+    sfemi_element_deform(job->u + 3 * (size_t)t[0], job->u + 3 * (size_t)t[1],
+                         job->u + 3 * (size_t)t[2], job->u + 3 * (size_t)t[3], g, grad);
+    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind, &modes);
+    sfemi_modes_turn(&modes, g, in_v);
+    for (a = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b) {
+            sfem_real *to = job->val + 9 * (size_t)*place++;
+            const int down = t[a] >= t[b];
+            sfemi_modes_block(&modes, 1, in_v[down ? a : b], in_v[down ? b : a], k);
+            for (i = 0; i < 9; ++i) to[i] += k[i];
+        }
+}
+
+static void sfemi_tangents_chunk(void *data, sfem_int index)
+{
+    const sfemi_tangents *job = (const sfemi_tangents *)data;
+    const sfemi_chunks *c = &job->model->chunks;
+    const sfem_int k = job->chunk[index];
+    sfem_int b, lane;
+    for (b = c->block_start[k]; b < c->block_start[k + 1]; ++b)
+        for (lane = 0; lane < c->block[b].count; ++lane) sfemi_tangents_tet(job, c->block + b, lane);
+}
+
+SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
+                                 sfem_matrix *tangent, const sfem_exec *exec)
+{
+    const sfemi_chunks *c = &model->chunks;
+    sfemi_tangents job;
+    sfem_int n;
+    SFEM_ASSERT(u && tangent && tangent->n == model->mesh.nodes);
+    SFEM_ASSERT(tangent->row[tangent->n] == model->row[tangent->n]);
+    job.model = model;
+    job.u = u;
+    job.kind = kind;
+    job.val = tangent->val;
+    memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
+    for (n = 0; n < c->colors; ++n) {
+        job.chunk = c->color_chunk + c->color_start[n];
+        sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
+    }
 }
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
