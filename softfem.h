@@ -7387,11 +7387,9 @@ typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, co
                                     sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
 
 #if defined(__GNUC__)
-#define SFEMI_INLINE static inline __attribute__((always_inline))
 #define SFEMI_FMA_d(a, b, c) __builtin_fma(a, b, c)
 #define SFEMI_FMA_f(a, b, c) __builtin_fmaf(a, b, c)
 #else
-#define SFEMI_INLINE static inline
 #define SFEMI_FMA_d(a, b, c) ((a) * (b) + (c))
 #define SFEMI_FMA_f(a, b, c) ((a) * (b) + (c))
 #endif
@@ -7517,7 +7515,7 @@ static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
 }
 
 /* Is any of the flags, 0 or 1, not 0? */
-SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
+static SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
 {
     uint64_t word[SFEMI_LANES], any = 0;
     size_t i;
@@ -7528,15 +7526,15 @@ SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
 
 #define SFEMI_LANE_KERNELS(T, S, STEP, ROUND)                                                      \
 /* a b + c; and with it a0 b0 + a1 b1 + a2 b2 (+ c), a b - c d */                                  \
-SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
+static SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
 {                                                                                                  \
     return fused ? SFEMI_FMA_##S(a, b, c) : a * b + c;                                             \
 }                                                                                                  \
-SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)                  \
+static SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)                  \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a0, b0, sfemi_ma_##S(fused, a1, b1, a2 * b2));                      \
 }                                                                                                  \
-SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
+static SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a, b, -(c * d));                                                    \
 }                                                                                                  \
@@ -7555,7 +7553,7 @@ typedef struct sfemi_lanes_##S {                                                
 } sfemi_lanes_##S;                                                                                 \
                                                                                                    \
 /* G and det F */                                                                                  \
-SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
+static SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
                                          const int fused)                                          \
 {                                                                                                  \
     int l, i;                                                                                      \
@@ -7579,7 +7577,7 @@ SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *
 }                                                                                                  \
                                                                                                    \
 /* F, cof F, |F|^2, the constant of p(t) and a first trace: (|F|^2 + 3)/2 >= sqrt(3 |F|^2) >= t */ \
-SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)                     \
+static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)                     \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -7608,7 +7606,7 @@ SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)  
 }                                                                                                  \
                                                                                                    \
 /* one step of Halley's method for the trace */                                                    \
-SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)                      \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -7623,7 +7621,7 @@ SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)   
 }                                                                                                  \
                                                                                                    \
 /* R = F (k0 I + k1 F^T F) + k2 cof F, row by row in place of F */                                 \
-SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)                    \
+static SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)                    \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -7659,7 +7657,7 @@ SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused) 
                                                                                                    \
 /* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope is\
  * below ROUND t^3 are done again the slow way */                                                  \
-SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
+static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
 {                                                                                                  \
     sfem_real g[9], r[9];                                                                          \
     int l, i, k;                                                                                   \
@@ -7679,7 +7677,7 @@ SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)    
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)                      \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -7697,7 +7695,7 @@ SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)   
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)                \
+static SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)                \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -7723,7 +7721,7 @@ SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fus
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                        \
+static SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                        \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -7753,7 +7751,7 @@ SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)     
 }                                                                                                  \
                                                                                                    \
 /* as sfemi_law_neohookean; k1 = 3/4 m, k2 = m i/(16 + 4 i) */                                     \
-SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)                  \
+static SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)                  \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -7786,7 +7784,7 @@ SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused
 }                                                                                                  \
                                                                                                    \
 /* the forces p g_a on nodes 1, 2, 3 */                                                            \
-SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block, const int fused)\
+static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block, const int fused)\
 {                                                                                                  \
     int l, a;                                                                                      \
     for (a = 0; a < 9; a += 3)                                                                     \
@@ -7798,7 +7796,7 @@ SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count, const sfem_real *u,\
+static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count, const sfem_real *u,\
                                          sfem_real *out, sfem_real *rotation, sfemi_totals *totals,\
                                          const sfemi_gather gather, const sfemi_scatter scatter,   \
                                          const int fused)                                          \
@@ -8467,7 +8465,7 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
     static const sfem_allocator standard = {0, 0, 0};
     const sfem_allocator *al = allocator ? allocator : &standard;
     const sfem_int n = model->mesh.nodes;
-    sfem_int *row, *col, i, at;
+    sfem_int *row = NULL, *col = NULL, i, at;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], al, &row, &col, &a, err));
@@ -8881,7 +8879,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
-    sfem_int *number = NULL, *row, *col, k, at, blocks = 0;
+    sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);

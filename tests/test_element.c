@@ -920,7 +920,7 @@ static void model_tangent_is_the_derivative_of_forces(void **state)
             const sfem_matrix *stiffness = sfem_model_stiffness(b.model);
             assert_all_near(tangent.val, stiffness->val, 9 * stiffness->row[stiffness->n], 1e-13, 0);
         }
-        sfem_matrix_free(&tangent);
+        sfem_matrix_free(&tangent, NULL);
         free(du), free(want), free(got), free(u);
         free_body(&b);
     }
@@ -940,7 +940,7 @@ static void model_tangents_at_rest_are_the_stiffness(void **state)
         sfem_model_tangent(b.model, b.u, (sfem_tangent)kind, &tangent, NULL);
         assert_all_near(tangent.val, stiffness->val, 9 * stiffness->row[stiffness->n], 1e-12, 0);
     }
-    sfem_matrix_free(&tangent);
+    sfem_matrix_free(&tangent, NULL);
     free_body(&b);
 }
 
@@ -1023,7 +1023,7 @@ static void forces_and_tangents_have_the_same_bits_for_any_threads(void **state)
         if (threads == 1) want_tangent = hash;
         assert_true(hash == want_tangent);
     }
-    sfem_matrix_free(&tangent);
+    sfem_matrix_free(&tangent, NULL);
     free_body(&b);
 }
 
@@ -1076,7 +1076,7 @@ static void mixed_forces_survive_any_state(void **state)
                                                b.work, NULL)));
         for (i = 0; i < size; ++i) assert_true(isfinite(b.force[i]));
         b.u[0] = NAN;
-        assert_false(isfinite(sfem_model_forces(b.model, b.u, SFEM_DOUBLE, b.force, NULL, NULL, b.work, NULL)));
+        assert_true(!isfinite(sfem_model_forces(b.model, b.u, SFEM_DOUBLE, b.force, NULL, NULL, b.work, NULL)));
         free(exact);
         free_body(&b);
     }
