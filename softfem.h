@@ -35,6 +35,8 @@
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
  *            >>newmark      implicit Newmark          >>pqr  the (p,q,r) family, central difference
+ *            >>turn         A^-1 in a body that turns: frames, rigid projection
+ *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *     TAIL   licence, changes
  *
@@ -754,7 +756,12 @@ typedef enum sfem_integrator { SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL } sfem_integ
  * damping a start of fourth order. */
 typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_start;
 
-#define SFEM_P_AUTO (-1.0) /* p = 1/12 where every mode is resolved (omega_max h < 2), else 1/4 */
+#define SFEM_P_AUTO (-1.0) /* linear body: 1/12 where every mode is resolved (omega_max h < 2) */
+#define SFEM_P_SAFE (-2.0) /* 1/4 for a linear body, .27 for a corotational one, 1/2 for one that hardens */
+
+/* The frame in which the constant factor of a body that turns is used: as it is (the source's form, which
+ * explodes after a turn of 5 degrees), turned with each connected piece, or with each node. */
+typedef enum sfem_frame { SFEM_FRAME_NODE, SFEM_FRAME_PIECE, SFEM_FRAME_REST } sfem_frame;
 
 enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
@@ -762,11 +769,15 @@ typedef struct sfem_body sfem_body;
 
 typedef struct sfem_body_def {
     sfem_integrator integrator;
-    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
+    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
     sfem_start start;
+    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
+    int no_guard;             /* take every step as it comes, even if it makes energy */
+    sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
+    sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
     sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s */
@@ -782,7 +793,7 @@ typedef struct sfem_body_def {
     sfem_exec exec;
 } sfem_body_def;
 
-/* (p,q,r) with p = 1/4, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
+/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
 SFEM_DEF sfem_body_def sfem_default_body_def(void);
 
 /* Creates a body at rest in its rest position. Nothing is factored yet. O(nodes).
@@ -810,7 +821,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
  * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
-SFEM_DEF void sfem_body_finish(sfem_body *body);
+SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
 SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2 */
 
@@ -865,6 +876,7 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
+    int64_t steps, redone;    /* since its state was set; redone: by the guard */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -7912,6 +7924,7 @@ struct sfem_model {
     sfem_real *density;        /* [tets] kg/m^3 */
     sfem_real *volume;         /* [tets] */
     unsigned char *law;        /* [tets] sfem_law */
+    int turns, hardens;        /* some law is not linear; is neither linear nor corotational */
     sfemi_chunks chunks;
     sfem_real total_mass;
     int lock;                  /* guards what follows */
@@ -8262,6 +8275,8 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
     sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
     model->law[e] = (unsigned char)m->law;
+    model->turns |= m->law != SFEM_LINEAR;
+    model->hardens |= m->law == SFEM_STVK || m->law == SFEM_NEOHOOKEAN;
     model->density[e] = m->density;
     node = m->density * v / 20;
     for (a = 0; a < 4; ++a) {
@@ -9057,10 +9072,15 @@ typedef struct sfemi_state_head {
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
+    sfem_int current;   /* f, psi, frame and the ledger belong to u */
+    sfem_int rebase;    /* what counts as free has changed: a new ledger */
     sfem_int unused;
+    int64_t steps, redone;
+    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger */
 } sfemi_state_head;
 
-enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RUNNING };
+/* RESTARTED: as not started, but the loads have their history. */
+enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
  * the mean velocity over the last step for (p,q,r). */
@@ -9068,17 +9088,22 @@ typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
+    sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
+    sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
 } sfemi_state;
 
-static size_t sfemi_state_bytes(sfem_int nodes, sfem_int pins, sfem_int handles)
+/* reals a node: u, w, a and three loads; f, f_past and frame besides */
+static size_t sfemi_state_reals(sfem_int nodes, int turns) { return (turns ? 33 : 18) * (size_t)nodes; }
+
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles)
 {
-    return sizeof(sfemi_state_head) + 18 * (size_t)nodes * sizeof(sfem_real) +
+    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns) * sizeof(sfem_real) +
            (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
 }
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, sfem_int pins)
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -9088,7 +9113,10 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, sfe
     s->w = at + n;
     s->a = at + 2 * n;
     for (k = 0; k < 3; ++k) s->force[k] = at + (3 + (size_t)k) * n;
-    s->pin = (sfemi_hold *)(void *)(at + 6 * n);
+    s->f = turns ? at + 6 * n : NULL;
+    s->f_past = turns ? at + 7 * n : NULL;
+    s->frame = turns ? at + 8 * n : NULL;
+    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
 }
 
@@ -9123,7 +9151,9 @@ static uint32_t sfemi_state_checksum(const void *block, size_t bytes)
 typedef struct sfemi_grip {
     sfem_int count;   /* handles in use */
     sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body turns, so many
+                       * for each of the handle's nodes */
+    sfem_int *parts;  /* [max] for how many nodes there is room in y */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
     sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
     sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
@@ -9173,23 +9203,27 @@ static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real
     }
 }
 
-/* Y = A^-1 H^T of one handle. scratch [3][nodes][3] may be y itself. */
-static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, sfem_real *y,
-                               sfem_real *work, const sfem_exec *exec)
+/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
+static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
+                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
 {
     const size_t n = 3 * (size_t)nodes;
-    int k, c;
-    memset(y, 0, 3 * n * sizeof *y);
-    for (c = 0; c < 3; ++c)
-        for (k = 0; k < 4; ++k)
-            if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
-                y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += h->weight[k];
-    sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+    int first, k, c;
+    for (first = 0; first < (apart ? 4 : 1); ++first) {
+        if (h->weight[first] == 0 && apart) continue;
+        memset(y, 0, 3 * n * sizeof *y);
+        for (c = 0; c < 3; ++c)
+            for (k = first; k < (apart ? first + 1 : 4); ++k)
+                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
+                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
+        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+        y += 3 * n;
+    }
 }
 
-/* Factors S = H Y and W = H M^-1 H^T over the handles in g->slot. */
+/* Factors S = H Y, unless the body turns, and W = H M^-1 H^T over the handles in g->slot. */
 static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
-                              const unsigned char *mask)
+                              int turns, const unsigned char *mask)
 {
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_int k = g->count;
@@ -9201,8 +9235,8 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             const sfemi_handle *hj = handle + g->slot[j];
             for (b = 0; b < 3; ++b) {
                 sfem_real mean[3], w = 0;
-                sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+                if (!turns) sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3 && !turns; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
                 for (p = 0; p < 4; ++p)
                     for (q = 0; q < 4; ++q)
                         if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
@@ -9212,7 +9246,7 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             }
         }
     }
-    sfemi_grip_factor(g->s, 3 * k, 3 * k);
+    if (!turns) sfemi_grip_factor(g->s, 3 * k, 3 * k);
     for (b = 0; b < 3; ++b) sfemi_grip_factor(g->wm + b * k * k, k, k);
 }
 
@@ -9280,6 +9314,36 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
     if (hold->age < 2) ++hold->age;
 }
 
+/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
+typedef struct sfemi_piece {
+    int held; /* by a pin or a handle: no projection */
+    sfem_real mass, centre[3], inertia_inverse[9];
+    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real sum[4][3];          /* scratch of the energies */
+} sfemi_piece;
+
+typedef struct sfemi_turn {
+    sfem_int pieces;
+    sfem_int *piece_of;  /* [nodes] -1: in no tet */
+    sfemi_piece *piece;  /* [pieces] */
+    sfem_real *rotation; /* [tets][3][3] */
+    sfem_real *work;     /* of sfem_model_forces */
+    sfem_real *v;        /* [nodes][3] scratch */
+    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
+} sfemi_turn;
+
+/* >>guard: scratch of a step, all [nodes][3] unless stated. */
+typedef struct sfemi_guard {
+    sfem_real *u, *w, *f;  /* the step's end */
+    sfem_real *external;   /* the loads as the corrections weigh them */
+    sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
+    sfem_factor *factor;   /* A with p = 1, for the redo; NULL until one is needed */
+    sfem_real h;           /* what it is for */
+    sfemi_grip grip;       /* the handles' columns for it */
+    sfem_real psi;         /* at u */
+    int redone;            /* u, w, f come from the redo */
+} sfemi_guard;
+
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
     sfem_allocator allocator;
@@ -9290,8 +9354,11 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
+    int turns;             /* a nonlinear law: >>turn and >>guard apply */
     sfemi_state state;
     sfemi_grip grip;
+    sfemi_turn turn;
+    sfemi_guard guard;
     /* prepared */
     sfem_factor *factor;
     sfem_real h, p;      /* what the factor is for */
@@ -9323,29 +9390,37 @@ static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real 
     return k;
 }
 
+/* out = load[0] F+ + load[1] F + load[2] F- + their sum M g - rhs; out may be rhs. */
+static void sfemi_body_take_from_load(const sfem_body *b, const sfem_real load[3], const sfem_real *rhs,
+                                      sfem_real *out)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real all = load[0] + load[1] + load[2], *g = b->state.head->gravity;
+    const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
+    size_t i;
+    for (i = 0; i < n / 3; ++i) {
+        const sfem_real m = all * model->node_mass[i];
+        out[3 * i] = m * g[0] - rhs[3 * i];
+        out[3 * i + 1] = m * g[1] - rhs[3 * i + 1];
+        out[3 * i + 2] = m * g[2] - rhs[3 * i + 2];
+    }
+    if (b->state.head->loaded && b->state.head->load_age >= 2)
+        for (i = 0; i < n; ++i) out[i] += all * f0[i];
+    else if (b->state.head->loaded)
+        for (i = 0; i < n; ++i) out[i] += load[0] * f0[i] + load[1] * f1[i] + load[2] * f2[i];
+}
+
 /* rhs = load[0] F+ + load[1] F + load[2] F- + their sum M g - K zk - M zm - (rest of D) zd. */
 static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_mass)
 {
     const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real all = load[0] + load[1] + load[2];
-    const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
-    const sfem_real *g = b->state.head->gravity;
     size_t i;
     sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
-    for (i = 0; i < n / 3; ++i) {
-        const sfem_real m = all * model->node_mass[i];
-        b->rhs[3 * i] = m * g[0] - b->rhs[3 * i];
-        b->rhs[3 * i + 1] = m * g[1] - b->rhs[3 * i + 1];
-        b->rhs[3 * i + 2] = m * g[2] - b->rhs[3 * i + 2];
-    }
-    if (b->state.head->loaded && b->state.head->load_age >= 2)
-        for (i = 0; i < n; ++i) b->rhs[i] += all * f0[i];
-    else if (b->state.head->loaded)
-        for (i = 0; i < n; ++i) b->rhs[i] += load[0] * f0[i] + load[1] * f1[i] + load[2] * f2[i];
+    sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
     if (with_mass) sfemi_fem_add_mass(model, -1, b->zm, b->rhs);
     if (model->damping) {
-        for (i = 0; i < n; ++i) b->zd[i] = -b->zd[i];
+        for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) b->zd[i] = -b->zd[i];
         sfemi_fem_add_damping_rest(model, b->zd, b->rhs);
     }
 }
@@ -9417,19 +9492,19 @@ static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
     for (i = 0; i < n; ++i) b->state.a[i] /= scale;
 }
 
-/* c - (what the handles would do without force), in units of acceleration, to grip.lambda:
+/* c - (what the handles would do without force), in units of acceleration, to g->lambda:
  * (target - H X - H u)/scale with u the displacement that is predicted. */
-static void sfemi_body_handle_gap(sfem_body *b, const sfem_real *u, sfem_real scale)
+static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_real *u, sfem_real scale)
 {
     sfem_int i;
     int c;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfemi_handle *h = b->state.handle + b->grip.slot[i];
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *h = b->state.handle + g->slot[i];
         sfem_real rest[3], moved[3];
         sfemi_grip_mean(h, b->model->mesh.x, rest);
         sfemi_grip_mean(h, u, moved);
         for (c = 0; c < 3; ++c)
-            b->grip.lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
+            g->lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
     }
 }
 
@@ -9494,7 +9569,7 @@ static void sfemi_newmark_solve(sfem_body *b)
     sfem_real v;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, h, &b->zk[i], &v);
-    sfemi_body_handle_gap(b, b->zk, b->def.beta * h * h);
+    sfemi_body_handle_gap(b, &b->grip, b->zk, b->def.beta * h * h);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
@@ -9641,7 +9716,7 @@ static void sfemi_pqr_solve(sfem_body *b)
     size_t i;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, b->zk, h * sfemi_pqr_weigh(b, h).d);
+    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
@@ -9814,7 +9889,1031 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
 {
     if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
     if (b->def.integrator == SFEM_CENTRAL) return 1;
+    if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
+}
+
+/* ============================================================================================
+ * >>turn   the inverse of A in a body that turns: frames, rigid projection
+ *
+ * The factor is of the rest pose, A0. For a body that turns, A = Q A0 Q^T with one rotation a node,
+ * Q_i = polar(sum V_e R_e) over its tets, or one a piece; a lumped M commutes with Q. That does not keep
+ * rigid motions free of force, so on pieces that nothing holds
+ *   A^-1 b = N (N^T c M N)^-1 N^T b + P Q A0^-1 Q^T P^T b,   P = I - N (N^T M N)^-1 N^T M,
+ * N being the six rigid motions at the present positions, cm M the mass part of A0: linear and angular
+ * momentum are then exact, and the form is symmetric. Stiffness damping turns alike, D w = alpha M w +
+ * P^T Q (beta K + rest) Q^T P w, which A bounds. A piece that a handle holds counts as held.
+ * ============================================================================================ */
+
+/* Inverse of a symmetric positive semidefinite 3x3 matrix, kept finite where it is singular. */
+static void sfemi_turn_invert(const sfem_real m[9], sfem_real inverse[9])
+{
+    const sfem_real trace = m[0] + m[4] + m[8];
+    sfem_real a[9], c[9], det;
+    int i;
+    memcpy(a, m, sizeof a);
+    for (i = 0; i < 9; i += 4) a[i] += 1e-12 * trace;
+    sfemi_cofactor3(a, c);
+    det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 ? c[i] / det : 0;
+}
+
+/* Mass, centre and inertia of every piece at X + u. */
+static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
+{
+    const sfem_model *model = b->model;
+    const sfem_int nodes = model->mesh.nodes;
+    sfemi_turn *t = &b->turn;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < t->pieces; ++k) {
+        t->piece[k].mass = 0;
+        memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
+        memset(t->piece[k].inertia_inverse, 0, sizeof t->piece[k].inertia_inverse);
+    }
+    for (i = 0; i < nodes; ++i) {
+        sfemi_piece *p = t->piece + t->piece_of[i];
+        if (t->piece_of[i] < 0) continue;
+        p->mass += model->node_mass[i];
+        for (c = 0; c < 3; ++c)
+            p->centre[c] += model->node_mass[i] *
+                            (model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c]);
+    }
+    for (k = 0; k < t->pieces; ++k)
+        for (c = 0; c < 3; ++c) t->piece[k].centre[c] /= t->piece[k].mass;
+    for (i = 0; i < nodes; ++i) {
+        sfem_real r[3], m = model->node_mass[i], *in;
+        if (t->piece_of[i] < 0 || t->piece[t->piece_of[i]].held) continue;
+        in = t->piece[t->piece_of[i]].inertia_inverse;
+        for (c = 0; c < 3; ++c)
+            r[c] = model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c] -
+                   t->piece[t->piece_of[i]].centre[c];
+        for (c = 0; c < 9; ++c)
+            in[c] += m * ((c % 4 == 0 ? sfemi_dot3(r, r) : 0) - r[c / 3] * r[c % 3]);
+    }
+    for (k = 0; k < t->pieces; ++k)
+        if (!t->piece[k].held) {
+            sfem_real inertia[9];
+            memcpy(inertia, t->piece[k].inertia_inverse, sizeof inertia);
+            sfemi_turn_invert(inertia, t->piece[k].inertia_inverse);
+        }
+}
+
+/* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
+static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    const sfem_model *model = b->model;
+    sfemi_turn *t = &b->turn;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfemi_piece *p = t->piece + t->piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], force[3], torque[3];
+        if (t->piece_of[i] < 0 || p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+            force[c] = velocity ? model->node_mass[i] * x[at + (size_t)c] : x[at + (size_t)c];
+        }
+        sfemi_cross(r, force, torque);
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] += force[c];
+            p->motion[3 + c] += torque[c];
+        }
+    }
+}
+
+/* The motion that has this momentum: (N^T M N)^-1. */
+static void sfemi_turn_divide(sfem_body *b)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfemi_piece *p = b->turn.piece + k;
+        sfem_real omega[3];
+        if (p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] /= p->mass;
+            omega[c] = sfemi_dot3(p->inertia_inverse + 3 * c, p->motion + 3);
+        }
+        memcpy(p->motion + 3, omega, sizeof omega);
+    }
+}
+
+static void sfemi_turn_motion(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    sfemi_turn_momentum(b, u, x, velocity);
+    sfemi_turn_divide(b);
+}
+
+/* x += scale N motion on free pieces, times the nodes' masses where x is a force. */
+static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real scale, int force,
+                                  sfem_real *x)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    int c;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], v[3], s;
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        s = force ? scale * model->node_mass[i] : scale;
+        for (c = 0; c < 3; ++c)
+            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+        sfemi_cross(p->motion + 3, r, v);
+        for (c = 0; c < 3; ++c) x[at + (size_t)c] += s * (p->motion[c] + v[c]);
+    }
+}
+
+/* y = Q^T x or Q x, node by node; y may be x. */
+static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, const sfem_real *x,
+                              sfem_real *y)
+{
+    sfem_int i;
+    for (i = 0; i < nodes; ++i, x += 3, y += 3, frame += 9) {
+        const sfem_real a = x[0], b = x[1], c = x[2];
+        if (back) {
+            y[0] = frame[0] * a + frame[3] * b + frame[6] * c;
+            y[1] = frame[1] * a + frame[4] * b + frame[7] * c;
+            y[2] = frame[2] * a + frame[5] * b + frame[8] * c;
+        } else {
+            y[0] = frame[0] * a + frame[1] * b + frame[2] * c;
+            y[1] = frame[3] * a + frame[4] * b + frame[5] * c;
+            y[2] = frame[6] * a + frame[7] * b + frame[8] * c;
+        }
+    }
+}
+
+static int sfemi_turn_projects(const sfem_body *b)
+{
+    sfem_int k;
+    for (k = 0; b->def.frame != SFEM_FRAME_REST && k < b->turn.pieces; ++k)
+        if (!b->turn.piece[k].held) return 1;
+    return 0;
+}
+
+/* x = A^-1 x, see above, held axes becoming 0. */
+static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                             const sfem_real *frame, sfem_real *x)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const int projects = sfemi_turn_projects(b);
+    sfem_int i, k;
+    int c;
+    if (projects) {
+        sfemi_turn_motion(b, u, x, 0);
+        sfemi_turn_add_motion(b, u, -1, 1, x);
+    }
+    for (i = 0; i < nodes; ++i)
+        for (c = 0; c < 3; ++c)
+            if (b->mask[i] >> c & 1) x[3 * (size_t)i + (size_t)c] = 0;
+    sfemi_turn_rotate(frame, nodes, 1, x, x);
+    sfemi_factor_solve(f, nodes, 1, x, x, b->work, &b->exec);
+    sfemi_turn_rotate(frame, nodes, 0, x, x);
+    if (!projects) return;
+    for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    sfemi_turn_motion(b, u, x, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] / f->key.cm - b->turn.piece[k].motion[c];
+    sfemi_turn_add_motion(b, u, 1, 0, x);
+}
+
+/* y = P^T Q (K Q^T P z + rest of D Q^T P zd); zd may be NULL. z and zd are overwritten. */
+static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_real *frame, sfem_real *z,
+                                 sfem_real *zd, sfem_real *y)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const int projects = sfemi_turn_projects(b);
+    sfem_real *const both[2] = {z, zd};
+    int k;
+    for (k = 0; k < (zd ? 2 : 1); ++k) {
+        if (projects) {
+            sfemi_turn_motion(b, u, both[k], 1);
+            sfemi_turn_add_motion(b, u, -1, 0, both[k]);
+        }
+        sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
+    }
+    sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
+    sfemi_turn_rotate(frame, nodes, 0, y, y);
+    if (!projects) return;
+    sfemi_turn_motion(b, u, y, 0);
+    sfemi_turn_add_motion(b, u, -1, 1, y);
+}
+
+/* Is the rotation of s = sum V_e R_e well determined: are its two smaller singular values, one of them
+ * signed, together above a twentieth of V? They are at least trace S - V. */
+static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[9])
+{
+    sfem_real stretch[9], u[9], v[9], w[3], fresh[9];
+    sfem_polar(s, fresh, stretch);
+    if (!(stretch[0] + stretch[4] + stretch[8] > 1.05 * volume)) {
+        sfem_signed_svd(s, u, w, v);
+        if (!(w[1] + w[2] > 0.05 * volume)) return 0;
+    }
+    memcpy(r, fresh, sizeof fresh);
+    return 1;
+}
+
+/* Q from the tets' rotations; where it is not determined, and at nodes that are held on some axes only,
+ * it stays as it was. sum [nodes][9] is scratch. */
+static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real *frame)
+{
+    const sfem_model *model = b->model;
+    const int whole = b->def.frame == SFEM_FRAME_PIECE;
+    sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
+    sfem_int e, i;
+    int a, c;
+    if (b->def.frame == SFEM_FRAME_REST) return;
+    memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
+    for (e = 0; e < model->mesh.tets; ++e)
+        for (a = 0; a < 4; ++a) {
+            const sfem_int node = model->mesh.tet[4 * (size_t)e + (size_t)a];
+            const size_t to = (size_t)(whole ? b->turn.piece_of[node] : node);
+            for (c = 0; c < 9; ++c)
+                sum[9 * to + (size_t)c] += model->volume[e] * rotation[9 * (size_t)e + (size_t)c];
+            volume[to] += model->volume[e];
+        }
+    for (i = 0; whole && i < b->turn.pieces; ++i) /* -1 in place of a volume: leave all its frames */
+        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        if (b->turn.piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (!whole) sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], frame + 9 * (size_t)i);
+        else if (volume[b->turn.piece_of[i]] > 0)
+            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)b->turn.piece_of[i], 9 * sizeof *frame);
+    }
+}
+
+/* Room for the solves with f, `rhs` at a time. */
+static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
+                                           sfem_error *err)
+{
+    const size_t size = sfemi_factor_work_size(f, rhs);
+    sfem_real *work;
+    sfem_status status = SFEM_OK;
+    if (size <= b->work_size) return SFEM_OK;
+    SFEMI_NEW(sfem_real, work, &b->allocator, size);
+    sfemi_delete(&b->allocator, b->work);
+    b->work = work;
+    b->work_size = size;
+done:
+    return status;
+}
+
+/* Room for the columns of handle `slot`, where it is used or may not allocate later. */
+static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot, sfem_error *err)
+{
+    const sfemi_handle *h = b->state.handle + slot;
+    sfem_status status = SFEM_OK;
+    sfem_int parts = b->def.no_allocation ? (b->turns ? 4 : 1) : 0, k, used = 0;
+    sfem_real *y;
+    for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
+    if (used > 0 && !b->turns) used = 1;
+    if (used > parts) parts = used;
+    if (parts <= g->parts[slot]) return SFEM_OK;
+    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)parts * (size_t)b->model->mesh.nodes);
+    sfemi_delete(&b->allocator, g->y[slot]);
+    g->y[slot] = y;
+    g->parts[slot] = parts;
+    g->ready[slot] = 0;
+done:
+    return status;
+}
+
+/* ============================================================================================
+ * >>guard   (p,q,r) for bodies that turn: the guarded step
+ *
+ * Turning the factor is not enough in violent motion. Two energies are watched, with L the loads and v_r,
+ * L_r the parts of w' and L that do not move a free piece's centre of mass:
+ *   Eb = 1/2 v_r.r M v_r + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2 - L_r.(u + u')/2
+ *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
+ * Eb is conserved exactly where the body is linear and undamped, but blind to fast modes; Ec is not, and
+ * is tested loosely. They may not pass a ledger B (the least energy so far, forgotten over half a
+ * second, plus the work of handles, moved pins and changing loads) by more than .01 and .3 of a scale S,
+ * the energy in motion over the last second. A step that does is taken back and done again as a
+ * minimisation of
+ *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
+ * by descent with the factor of p = 1, from the better of u and y, until Ec is in order; Phi(z) <= Phi(u)
+ * alone implies Psi(z) - L.z <= Ec(u), so the last resort, less velocity, always ends it. Then the
+ * motion starts afresh from there. Energy and momentum are kept, angular momentum not wholly.
+ * ============================================================================================ */
+
+typedef struct sfemi_guard_energies {
+    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+} sfemi_guard_energies;
+
+/* Sums over a free piece, and the pieces' share in the energies of the whole. */
+static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
+                                                const sfem_real *f1, sfem_real psi1, sfem_real h)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
+    sfemi_guard_energies e;
+    sfem_real mid = 0, end = 0, stretch = 0;
+    sfem_int i, k;
+    int c;
+    memset(&e, 0, sizeof e);
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real m = model->node_mass[i];
+        sfem_real(*sum)[3];
+        if (b->turn.piece_of[i] < 0) continue;
+        sum = b->turn.piece[b->turn.piece_of[i]].sum;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real load = m * g[c] + s->force[1][at];
+            if (b->mask[i] >> c & 1) continue;
+            e.kinetic += m / 2 * w1[at] * w1[at];
+            e.floor += h * h / 2 * load * load / m;
+            mid -= load * (s->u[at] + u1[at]) / 2;
+            end -= load * u1[at];
+            stretch += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            sum[0][c] += m * w1[at];
+            sum[1][c] += load;
+            sum[2][c] += m * (s->u[at] + u1[at]) / 2;
+            sum[3][c] += m * u1[at];
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        const sfemi_piece *p = b->turn.piece + k;
+        for (c = 0; !p->held && c < 3; ++c) {
+            e.kinetic -= p->sum[0][c] * p->sum[0][c] / (2 * p->mass);
+            e.floor -= h * h / 2 * p->sum[1][c] * p->sum[1][c] / p->mass;
+            mid += p->sum[1][c] * p->sum[2][c] / p->mass;
+            end += p->sum[1][c] * p->sum[3][c] / p->mass;
+        }
+    }
+    e.kinetic *= r;
+    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (b->p - 0.5) / 2 * stretch + mid;
+    e.ec = e.kinetic + psi1 + end;
+    return e;
+}
+
+static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
+{
+    return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
+}
+
+/* Forces, frames and a new ledger where the state was set from outside. */
+static void sfemi_guard_refresh(sfem_body *b)
+{
+    sfemi_state_head *head = b->state.head;
+    sfemi_guard_energies e;
+    sfem_int i;
+    if (!head->current) {
+        for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
+        head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
+        sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+    }
+    sfemi_turn_locate(b, b->state.u);
+    if (head->current && !head->rebase) return;
+    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+    head->budget = head->last = e.ec;
+    if (!head->current) head->scale = 0;
+    if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
+    if (e.floor > head->scale) head->scale = e.floor;
+    head->current = 1;
+    head->rebase = 0;
+}
+
+static void sfemi_guard_predict(sfem_body *b, sfem_real h)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
+    int stiff, c;
+    sfemi_pqr_terms t;
+    sfem_int j;
+    size_t i;
+    b->step = h;
+    sfemi_guard_refresh(b);
+    t = sfemi_pqr_weigh(b, h);
+    t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
+    for (i = 0; i < n; ++i) {
+        const sfem_real dv = damped ? t.cd * s->w[i] : 0;
+        b->zk[i] = b->beta * dv - t.ck * s->w[i];
+        b->zm[i] = b->alpha * dv;
+        if (b->zd) b->zd[i] = dv;
+        b->acc[i] = 0;
+    }
+    for (j = 0; j < b->pin_count; ++j) {
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[j] + (size_t)c;
+            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
+            b->acc[i] = ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
+            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * b->acc[i];
+            if (b->zd) b->zd[i] += k.q / 2 * h * b->acc[i];
+            stiff |= b->acc[i] != 0;
+        }
+    }
+    if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+    else memset(b->rhs, 0, n * sizeof *b->rhs);
+    for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
+    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
+        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
+        sfem_real weight[3];
+        weight[0] = after - t.load[0];
+        weight[1] = t.load[0] + t.load[2] - after - before;
+        weight[2] = before - t.load[2];
+        memset(b->guard.external, 0, n * sizeof *b->guard.external);
+        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
+        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
+    }
+    sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
+}
+
+/* In a turned body every node has a frame of its own, so a handle has three columns for each of its nodes,
+ * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
+static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *frame)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_int size = 3 * g->count;
+    sfem_int i, j;
+    int k, l, part, r, c, m;
+    memset(g->s, 0, (size_t)size * (size_t)size * sizeof *g->s);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *hi = b->state.handle + g->slot[i];
+        for (j = 0; j <= i; ++j) {
+            const sfemi_handle *hj = b->state.handle + g->slot[j];
+            for (k = 0; k < 4; ++k)
+                for (l = 0, part = 0; l < 4; ++l) {
+                    const sfem_real *y, *qk, *ql;
+                    sfem_real block[9], turned[9], both[9];
+                    if (hj->weight[l] == 0) continue;
+                    y = g->y[g->slot[j]] + 3 * n * (size_t)part++;
+                    if (hi->weight[k] == 0) continue;
+                    for (r = 0; r < 3; ++r)
+                        for (c = 0; c < 3; ++c)
+                            block[3 * r + c] = y[(size_t)c * n + 3 * (size_t)hi->node[k] + (size_t)r];
+                    qk = frame + 9 * (size_t)hi->node[k];
+                    ql = frame + 9 * (size_t)hj->node[l];
+                    sfemi_mul3(qk, block, turned);
+                    sfemi_mul3_nt(turned, ql, both);
+                    for (m = 0; m < 9; ++m)
+                        g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += hi->weight[k] * hj->weight[l] * both[m];
+                }
+        }
+    }
+    sfemi_grip_factor(g->s, size, size);
+}
+
+/* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
+static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame, sfem_real *a)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *y = b->turn.v;
+    sfem_int i;
+    size_t k;
+    int c, l;
+    if (!g->count) return;
+    sfemi_guard_gather(b, g, frame);
+    for (i = 0; i < g->count; ++i) {
+        sfem_real mean[3];
+        sfemi_grip_mean(b->state.handle + g->slot[i], a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    memset(y, 0, n * sizeof *y);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *h = b->state.handle + g->slot[i];
+        const sfem_real *column = g->y[g->slot[i]];
+        for (l = 0; l < 4; ++l) {
+            const sfem_real *q = frame + 9 * (size_t)h->node[l], *lambda = g->lambda + 3 * i;
+            if (h->weight[l] == 0) continue;
+            for (c = 0; c < 3; ++c, column += n) {
+                const sfem_real f = h->weight[l] * (q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2]);
+                for (k = 0; k < n; ++k) y[k] += f * column[k];
+            }
+        }
+    }
+    sfemi_turn_rotate(frame, b->model->mesh.nodes, 0, y, y);
+    for (k = 0; k < n; ++k)
+        if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
+}
+
+static void sfemi_guard_solve(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step;
+    sfem_real *x = b->zm;
+    size_t i;
+    memcpy(x, b->rhs, n * sizeof *x);
+    for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
+    sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, x);
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
+    if (!b->grip.count) return;
+    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
+    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
+    sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+}
+
+/* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
+static sfem_real sfemi_guard_advance(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        g->w[i] = b->state.w[i] + d * b->acc[i];
+        g->u[i] = b->state.u[i] + b->step * g->w[i];
+    }
+    return sfemi_guard_forces(b, g->u, g->f);
+}
+
+/* Takes from a correction of a what would move the handles; their forces follow. */
+static void sfemi_guard_hold_correction(sfem_body *b, sfem_real *a)
+{
+    sfemi_grip *g = &b->grip;
+    const size_t bytes = 3 * (size_t)g->count * sizeof *g->lambda;
+    sfem_int k;
+    if (!g->count) return;
+    memcpy(g->place, g->lambda, bytes);
+    memset(g->lambda, 0, bytes);
+    sfemi_guard_hold(b, g, b->state.frame, a);
+    for (k = 0; k < 3 * g->count; ++k) g->lambda[k] = g->place[k] - g->lambda[k];
+}
+
+/* Newton-like corrections with the same factor toward Newmark(1/4, 1/2) itself:
+ *   r = M a + D (w + w')/2 + f'/4 + f/2 + f-/4 - L,  a -= A^-1 r,
+ * at the start M a + D w' + f'/2 + f/2 - L. Returns Psi'. */
+static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const int running = s->head->started == SFEMI_RUNNING;
+    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
+    const sfem_real h1 = running ? s->head->h : 0, d = (h1 + b->step) / 2, r0 = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real after = b->step / (4 * d), before = h1 / (4 * d);
+    size_t i;
+    int k;
+    for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
+        sfem_real size = 0, change = 0;
+        for (i = 0; i < n; ++i) {
+            const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+            b->zk[i] = b->beta * v;
+            if (b->zd) b->zd[i] = v;
+            b->zm[i] = r0 * b->acc[i] + b->alpha * v;
+        }
+        if (damped && (b->beta != 0 || b->zd))
+            sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, g->grad);
+        else memset(g->grad, 0, n * sizeof *g->grad);
+        for (i = 0; i < n; ++i)
+            g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
+                          (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
+        sfemi_turn_solve(b, b->factor, s->u, s->frame, g->grad);
+        sfemi_guard_hold_correction(b, g->grad);
+        for (i = 0; i < n; ++i) {
+            if (b->mask[i / 3] >> (i % 3) & 1) continue;
+            change += model->node_mass[i / 3] * g->grad[i] * g->grad[i];
+            size += model->node_mass[i / 3] * b->acc[i] * b->acc[i];
+            b->acc[i] -= g->grad[i];
+        }
+        psi = sfemi_guard_advance(b);
+        if (change <= b->def.correction_tolerance * b->def.correction_tolerance * size) break;
+    }
+    return psi;
+}
+
+/* Phi, its gradient on free axes in guard.grad, Psi and f at z. */
+static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_real *f, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real *mass = b->model->node_mass, h = b->step;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real phi = 0;
+    size_t i;
+    *psi = sfemi_guard_forces(b, z, f);
+    for (i = 0; i < n; ++i) {
+        const sfem_real inertia = r * mass[i / 3] * (z[i] - g->y[i]) / (h * h);
+        const int held = b->mask[i / 3] >> (i % 3) & 1;
+        if (!held) phi += inertia * (z[i] - g->y[i]) / 2;
+        g->grad[i] = held ? 0 : inertia + f[i];
+    }
+    return phi + *psi;
+}
+
+/* Puts held axes at their targets and, by the redo's factor, the handles' points: z satisfies the
+ * constraints, and what is added to it may not leave them. */
+static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
+        }
+    if (!b->guard.grip.count) return;
+    for (k = 0; k < b->guard.grip.count; ++k) { /* hold compares H z with the target's displacement */
+        const sfemi_handle *h = b->state.handle + b->guard.grip.slot[k];
+        sfem_real rest[3];
+        sfemi_grip_mean(h, b->model->mesh.x, rest);
+        for (c = 0; c < 3; ++c) b->guard.grip.lambda[3 * k + c] = h->hold.target[c] - rest[c];
+    }
+    sfemi_guard_hold(b, &b->guard.grip, b->state.frame, z);
+}
+
+static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    for (i = 0; i < n; ++i) g->w[i] = (g->u[i] - b->state.u[i]) / b->step;
+    return sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+}
+
+/* The better of u and y, by Phi, as z in guard.u, with f and grad. Returns Phi. */
+static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_real phi, phi_y;
+    memcpy(g->trial_u, g->y, bytes);
+    sfemi_guard_constrain(b, g->trial_u);
+    phi_y = sfemi_guard_potential(b, g->trial_u, g->f, psi);
+    memcpy(g->u, b->state.u, bytes);
+    sfemi_guard_constrain(b, g->u);
+    phi = sfemi_guard_potential(b, g->u, g->f, psi);
+    if (!(sfemi_finite(phi_y) && phi_y <= phi)) return phi;
+    memcpy(g->u, g->trial_u, bytes);
+    return sfemi_guard_potential(b, g->u, g->f, psi);
+}
+
+/* dir = -h^2 A1^-1 grad in the frames of z, leaving constraints alone. Returns grad.dir. */
+static sfem_real sfemi_guard_direction(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real slope = 0;
+    size_t i;
+    sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    memcpy(g->dir, g->grad, n * sizeof *g->dir);
+    sfemi_turn_solve(b, g->factor, b->state.u, g->frame, g->dir);
+    if (g->grip.count) {
+        memset(g->grip.lambda, 0, 3 * (size_t)g->grip.count * sizeof *g->grip.lambda);
+        sfemi_guard_hold(b, &g->grip, g->frame, g->dir);
+    }
+    for (i = 0; i < n; ++i) {
+        g->dir[i] *= -b->step * b->step;
+        slope += g->grad[i] * g->dir[i];
+    }
+    return slope;
+}
+
+/* One step of descent with Armijo's rule; 0 if there is none left to take. */
+static int sfemi_guard_descend(sfem_body *b, sfem_real *phi, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    const sfem_real slope = sfemi_guard_direction(b);
+    sfem_real length = 1;
+    size_t i;
+    int halvings;
+    for (halvings = 0; halvings < 20 && slope < 0; ++halvings, length /= 2) {
+        sfem_real value;
+        for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
+        value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
+        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
+        *phi = value;
+        memcpy(g->u, g->trial_u, bytes);
+        memcpy(g->f, g->trial_f, bytes);
+        return 1;
+    }
+    *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
+    return 0;
+}
+
+/* Gives free pieces the momentum that h L adds to M w, and as much of the angular momentum as the ledger
+ * allows. */
+static void sfemi_guard_restore_momentum(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real spin2 = 0, cross = 0, room, part = 1;
+    sfemi_guard_energies e;
+    size_t i;
+    sfem_int k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    for (i = 0; i < n; ++i)
+        b->zk[i] = b->model->node_mass[i / 3] * (b->state.w[i] + (g->y[i] - b->state.u[i] - b->step * b->state.w[i]) / b->step);
+    sfemi_turn_locate(b, b->state.u);
+    sfemi_turn_momentum(b, b->state.u, b->zk, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    sfemi_turn_locate(b, g->u);
+    sfemi_turn_momentum(b, g->u, g->w, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] - b->turn.piece[k].motion[c];
+    sfemi_turn_divide(b);
+    for (k = 0; k < b->turn.pieces; ++k) { /* the centre's velocity costs no energy that is watched */
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+        memset(b->turn.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
+    }
+    sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
+    for (k = 0; k < b->turn.pieces; ++k) {
+        memset(b->turn.piece[k].motion, 0, 3 * sizeof(sfem_real));
+        memcpy(b->turn.piece[k].motion + 3, b->turn.piece[k].kept + 3, 3 * sizeof(sfem_real));
+    }
+    memset(b->zk, 0, n * sizeof *b->zk);
+    sfemi_turn_add_motion(b, g->u, 1, 0, b->zk);
+    for (i = 0; i < n; ++i) {
+        spin2 += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        cross += b->model->node_mass[i / 3] * b->zk[i] * g->w[i];
+    }
+    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    room = b->state.head->budget - e.ec;
+    if (spin2 + cross > room && spin2 > 0) {
+        const sfem_real root = cross * cross + 4 * spin2 * (room > 0 ? room : 0);
+        part = (sqrt(root) - cross) / (2 * spin2);
+        part = part < 0 ? 0 : part > 1 ? 1 : part;
+    }
+    for (i = 0; i < n; ++i) g->w[i] += part * b->zk[i];
+}
+
+/* The last resort: scales what of w' is not rigid motion until Ec <= target, or to nothing. */
+static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_guard_energies e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    sfem_real inner = 0, scale;
+    size_t i;
+    if (e.ec <= target) return;
+    memcpy(b->zk, g->w, n * sizeof *b->zk);
+    sfemi_turn_locate(b, g->u);
+    if (sfemi_turn_projects(b)) {
+        sfemi_turn_motion(b, g->u, b->zk, 1);
+        sfemi_turn_add_motion(b, g->u, -1, 0, b->zk);
+    }
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) inner += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        else b->zk[i] = 0;
+    inner *= sfemi_body_coefficients(b, b->p).r;
+    scale = inner > e.ec - target ? 1 - sqrt(1 - (e.ec - target) / inner) : 1;
+    for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
+}
+
+/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
+static sfem_real sfemi_guard_work(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
+    sfem_real work = 0;
+    sfem_int k;
+    int l, c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+        }
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
+                work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+            }
+    }
+    return work;
+}
+
+/* Does the step again, by minimisation. Leaves z, w', f, rotations in guard; returns Psi. */
+static sfem_real sfemi_guard_redo(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real psi, phi, first = 0, target;
+    size_t i;
+    int k;
+    for (i = 0; i < n; ++i) {
+        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
+        g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
+    }
+    memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
+    sfemi_turn_locate(b, b->state.u);
+    phi = sfemi_guard_choose_start(b, &psi);
+    head->budget += sfemi_guard_work(b);
+    target = head->budget + .01 * head->scale;
+    if (head->last > target) target = head->last;
+    for (k = 0; k < 8; ++k) {
+        sfem_real norm = 0;
+        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
+        if (k == 0) first = norm;
+        else if (norm < 1e-6 * first || sfemi_guard_at(b, psi).ec <= target) break;
+        if (!sfemi_guard_descend(b, &phi, &psi)) break;
+    }
+    (void)sfemi_guard_at(b, psi);
+    sfemi_guard_restore_momentum(b, psi);
+    sfemi_guard_slow_down(b, psi, target);
+    return psi;
+}
+
+/* The factor of the redo, and the handles' columns for it. */
+static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_factor *f = NULL;
+    sfemi_factor_key key;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!g->factor || g->h != h) {
+        key = b->factor->key;
+        key.ck = h * h + h * b->beta;
+        key.cm = r + h * b->alpha;
+        key.cd = b->model->damping ? h : 0;
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        sfemi_factor_release(b->model, g->factor);
+        g->factor = f;
+        g->h = h;
+        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
+    }
+    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
+    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
+    g->grip.count = b->grip.count;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
+        if (!g->grip.ready[slot])
+            sfemi_grip_columns(g->factor, b->state.handle + slot, (sfem_int)(n / 3), 1, g->grip.y[slot], b->work,
+                               &b->exec);
+        g->grip.ready[slot] = 1;
+    }
+done:
+    return status;
+}
+
+/* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
+ * or -L.u after a redo. */
+static sfem_real sfemi_guard_load_change(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfem_real back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
+    sfem_real change = 0;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        if (b->turn.piece_of[i] < 0) continue;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real u = s->u[at] - back * s->w[at], d = s->force[0][at] - s->force[1][at];
+            change -= d * u;
+            p->sum[0][c] += d;
+            p->sum[1][c] += b->model->node_mass[i] * u;
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
+            change += b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
+    return change;
+}
+
+/* Work done in the step that is to be judged by handles, moved pins, and the part of the loads that is not
+ * in the energies: force . (u' - u-)/2, half of that after a start. */
+static sfem_real sfemi_guard_step_work(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real work = 0;
+    sfem_int k;
+    size_t i;
+    int l, c;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = s->handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)h->node[l] + (size_t)c;
+                work += b->grip.lambda[3 * k + c] * h->weight[l] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            }
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (b->model->node_mass[b->pin[k]] * b->acc[i] + s->f[i]) * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+        }
+    if (s->head->loaded && s->head->load_age < 2)
+        for (i = 0; i < n; ++i)
+            work += (t.load[0] * (s->force[0][i] - s->force[1][i]) + t.load[2] * (s->force[2][i] - s->force[1][i])) *
+                    (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+    return work;
+}
+
+/* The hand's force in a step that was done again: what is out of balance at the handle's nodes. */
+static void sfemi_guard_handle_forces(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfem_real h2 = b->step * b->step;
+    sfem_int k;
+    int l, c;
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        sfem_real sum = 0;
+        memset(h->force, 0, sizeof h->force);
+        for (l = 0; l < 4; ++l) {
+            sum += h->weight[l] * h->weight[l];
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
+                h->force[c] += h->weight[l] * (b->model->node_mass[h->node[l]] * (g->u[at] - g->y[at]) / h2 + g->f[at]);
+            }
+        }
+        for (c = 0; c < 3; ++c) h->force[c] /= sum;
+    }
+}
+
+/* Judges the step; where it fails, does it again. The state is not changed but for the ledger, which a
+ * failure puts back. */
+static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real budget = head->budget;
+    sfemi_guard_energies e;
+    sfem_status status = SFEM_OK;
+    g->psi = sfemi_guard_advance(b);
+    if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
+    g->redone = 0;
+    if (!b->def.no_guard && b->def.integrator == SFEM_PQR) {
+        head->budget += sfemi_guard_step_work(b);
+        e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
+                    e.ec <= head->budget + .3 * head->scale);
+    }
+    if (g->redone) {
+        head->budget = budget;
+        status = sfemi_guard_prepare_redo(b, err);
+        if (status != SFEM_OK) return status;
+        g->psi = sfemi_guard_redo(b);
+    }
+    if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
+    head->budget = budget;
+    return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to an energy that is not finite");
+}
+
+static void sfemi_guard_finish(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state *s = &b->state;
+    sfemi_state_head *head = s->head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real psi = g->psi;
+    const int redone = g->redone;
+    sfemi_guard_energies e;
+    sfem_real energy, moving;
+    sfem_int k;
+    size_t i;
+    int c;
+    if (redone) sfemi_guard_handle_forces(b);
+    else
+        for (k = 0; k < b->grip.count; ++k)
+            memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
+    sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
+    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    energy = redone ? e.ec : e.eb;
+    if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
+    moving = e.kinetic + (head->psi + psi) / 2;
+    head->scale *= exp(-b->step);
+    if (moving > head->scale) head->scale = moving;
+    if (e.floor > head->scale) head->scale = e.floor;
+    head->last = e.ec;
+    head->psi = psi;
+    head->redone += redone;
+    for (k = 0; k < b->pin_count; ++k) {
+        sfem_real x[3];
+        for (c = 0; c < 3; ++c)
+            x[c] = b->model->mesh.x[3 * (size_t)b->pin[k] + (size_t)c] + s->u[3 * (size_t)b->pin[k] + (size_t)c];
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) s->a[i] = redone ? 0 : b->acc[i];
+    memcpy(s->f_past, s->f, n * sizeof *s->f);
+    memcpy(s->f, g->f, n * sizeof *s->f);
+    memcpy(s->u, g->u, n * sizeof *s->u);
+    memcpy(s->w, g->w, n * sizeof *s->w);
+    sfemi_turn_frames(b, b->turn.rotation, s->frame);
+    head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
 /* ============================================================================================
@@ -9826,8 +10925,10 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     sfem_body_def d;
     memset(&d, 0, sizeof d);
     d.integrator = SFEM_PQR;
-    d.p = d.beta = 0.25;
+    d.p = SFEM_P_SAFE;
+    d.beta = 0.25;
     d.q = d.r = 1;
+    d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
     d.max_handles = 16;
     return d;
@@ -9837,8 +10938,13 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
     if ((unsigned)d->integrator > SFEM_CENTRAL)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
-    if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO)))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0 or SFEM_P_AUTO", d->p);
+    if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
+    if ((unsigned)d->frame > SFEM_FRAME_REST)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
+    if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
+                          d->correction_tolerance);
     if (!(sfemi_finite(d->q) && d->q >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
     if (!(sfemi_finite(d->r) && d->r > 0))
@@ -9921,20 +11027,73 @@ static void sfemi_body_place_pins(sfem_body *b)
     }
 }
 
+static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
+{
+    const sfem_allocator *al = &b->allocator;
+    sfem_int i;
+    for (i = 0; g->y && i < b->def.max_handles; ++i) sfemi_delete(al, g->y[i]);
+    sfemi_delete(al, g->y);
+    sfemi_delete(al, g->slot);
+    sfemi_delete(al, g->parts);
+    sfemi_delete(al, g->ready);
+    sfemi_delete(al, g->s);
+    sfemi_delete(al, g->wm);
+    sfemi_delete(al, g->lambda);
+    sfemi_delete(al, g->place);
+}
+
+static sfem_status sfemi_body_allocate_grip(sfem_body *b, size_t k, sfemi_grip *g, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    sfem_status status = SFEM_OK;
+    if (k == 0) return SFEM_OK;
+    SFEMI_NEW(sfem_int, g->slot, al, k);
+    SFEMI_NEW(sfem_real *, g->y, al, k);
+    SFEMI_NEW(sfem_int, g->parts, al, k);
+    SFEMI_NEW(sfem_int, g->ready, al, k);
+    SFEMI_NEW(sfem_real, g->s, al, 9 * k * k);
+    SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
+    SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
+    SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+done:
+    return status;
+}
+
+/* What only a body that turns needs. */
+static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes, tets = (size_t)b->model->mesh.tets;
+    sfemi_guard *g = &b->guard;
+    sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->y, &g->grad, &g->dir,
+                                  &g->trial_u, &g->trial_f};
+    sfem_status status = SFEM_OK;
+    size_t i;
+    SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
+    SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
+    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
+    SFEMI_NEW(sfem_real, b->turn.rotation, al,
+              9 * tets + sfem_model_work_size(b->model) + (10 + 3) * n + n + n / 3 + 3 * n);
+    b->turn.work = b->turn.rotation + 9 * tets;
+    b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
+    g->frame = b->turn.sum + 3 * n + n / 3;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->frame + (3 + i) * n;
+    SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->grip, err));
+done:
+    return status;
+}
+
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
-    sfem_int i;
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    for (i = 0; b->grip.y && i < b->def.max_handles; ++i) sfemi_delete(&al, b->grip.y[i]);
-    sfemi_delete(&al, b->grip.y);
-    sfemi_delete(&al, b->grip.slot);
-    sfemi_delete(&al, b->grip.ready);
-    sfemi_delete(&al, b->grip.s);
-    sfemi_delete(&al, b->grip.wm);
-    sfemi_delete(&al, b->grip.lambda);
-    sfemi_delete(&al, b->grip.place);
+    sfemi_factor_release(b->model, b->guard.factor);
+    sfemi_body_free_grip(b, &b->grip);
+    sfemi_body_free_grip(b, &b->guard.grip);
+    sfemi_delete(&al, b->turn.piece_of);
+    sfemi_delete(&al, b->turn.piece);
+    sfemi_delete(&al, b->turn.rotation);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
@@ -9957,9 +11116,9 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
-    bytes = sfemi_state_bytes(nodes, b->pin_count, def->max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, b->pin_count, def->max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->pin_count);
+    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->pin_count);
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
@@ -9967,15 +11126,8 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
-    if (k > 0) {
-        SFEMI_NEW(sfem_int, b->grip.slot, al, k);
-        SFEMI_NEW(sfem_real *, b->grip.y, al, k);
-        SFEMI_NEW(sfem_int, b->grip.ready, al, k);
-        SFEMI_NEW(sfem_real, b->grip.s, al, 9 * k * k);
-        SFEMI_NEW(sfem_real, b->grip.wm, al, 3 * k * k);
-        SFEMI_NEW(sfem_real, b->grip.lambda, al, 3 * k);
-        SFEMI_NEW(sfem_real, b->grip.place, al, 3 * k);
-    }
+    SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
+    if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
 done:
     return status;
 }
@@ -9996,9 +11148,15 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
+    b->turns = model->turns && def->integrator != SFEM_NEWMARK;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
+    if (b->turns && model->block_mass) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                            "a nonlinear body steps with lumped mass only: a consistent one does not turn");
+        goto done;
+    }
     SFEMI_TRY(sfemi_body_allocate(b, def, err));
     sfemi_body_place_pins(b);
     *out = b;
@@ -10013,64 +11171,74 @@ SFEM_DEF void sfem_body_free(sfem_body *body)
     if (body) sfemi_body_destroy(body);
 }
 
-/* Room for the solves with f, `rhs` at a time. */
-static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
-                                           sfem_error *err)
+/* Which pieces are held by pins or handles; where that changes, the energies count anew. */
+static void sfemi_body_find_held(sfem_body *b)
 {
-    const size_t size = sfemi_factor_work_size(f, rhs);
-    sfem_real *work;
-    sfem_status status = SFEM_OK;
-    if (size <= b->work_size) return SFEM_OK;
-    SFEMI_NEW(sfem_real, work, &b->allocator, size);
-    sfemi_delete(&b->allocator, b->work);
-    b->work = work;
-    b->work_size = size;
-done:
-    return status;
+    sfem_int i, k;
+    int l, changed = 0;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].sum[0][0] = 1;
+    for (i = 0; i < b->grip.count; ++i)
+        for (l = 0; l < 4; ++l)
+            if (b->state.handle[b->grip.slot[i]].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[b->grip.slot[i]].node[l]]].sum[0][0] = 1;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        const int held = b->turn.piece[k].sum[0][0] > 0;
+        changed |= held != b->turn.piece[k].held;
+        b->turn.piece[k].held = held;
+    }
+    if (changed) b->state.head->rebase = 1;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
 static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
 {
     sfemi_grip *g = &b->grip;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
     sfem_int i, count = 0;
     if (!g->dirty) return SFEM_OK;
     for (i = 0; i < b->def.max_handles; ++i) {
-        const int wanted = b->state.handle[i].used;
-        if ((wanted || b->def.no_allocation) && !g->y[i])
-            SFEMI_NEW(sfem_real, g->y[i], &b->allocator, 3 * n);
-        count += wanted;
+        SFEMI_TRY(sfemi_grip_reserve(b, g, i, err));
+        count += b->state.handle[i].used;
     }
     if (count || b->def.no_allocation) SFEMI_TRY(sfemi_body_reserve_work(b, b->factor, 3, err));
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i])
-            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, g->y[i], b->work,
-                               &b->exec);
+            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
+                               b->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
-    sfemi_grip_gather(g, b->state.handle, b->model, b->mask);
+    sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
+    if (b->turns) sfemi_body_find_held(b);
+    if (b->turns && b->def.no_allocation && !b->def.no_guard)
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, err));
     g->dirty = 0;
 done:
     return status;
 }
 
+static void sfemi_body_forget_columns(sfem_body *b)
+{
+    sfem_int i;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    for (i = 0; b->turns && i < b->def.max_handles; ++i) b->guard.grip.ready[i] = 0;
+    b->grip.dirty = 1;
+}
+
 /* Takes over a factor that the body owns a reference to. */
 static void sfemi_body_adopt(sfem_body *b, sfem_factor *f)
 {
-    sfem_int i;
     if (f == b->factor) {
         sfemi_factor_release(b->model, f); /* the body has one reference already */
         return;
     }
     sfemi_factor_release(b->model, b->factor);
     b->factor = f;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_body_forget_columns(b);
 }
 
 static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
@@ -10082,7 +11250,8 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
-    if (*p == SFEM_P_AUTO) *p = b->omega_max * h < 2 ? 1.0 / 12 : 0.25;
+    if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
+    if (*p < 0) *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
     limit = sfemi_pqr_stable_step(b, *p);
     if (limit > 0 && h > limit)
         return sfemi_fail(err, SFEM_UNSTABLE, "a step of %g s is beyond the stable one, %g s", h, limit);
@@ -10141,7 +11310,8 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
         if (status != SFEM_OK) return status;
     }
     b->step = h;
-    if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
+    if (b->turns) sfemi_guard_predict(b, h);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
@@ -10151,8 +11321,10 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
-    if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
+    if (!b->turns)
+        sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    if (b->turns) sfemi_guard_solve(b);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     b->phase = SFEMI_IDLE;
     if (!sfemi_all_finite(b->acc, n))
@@ -10166,40 +11338,55 @@ static void sfemi_body_age_load(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     if (!b->state.head->loaded || b->state.head->load_age >= 2) return;
+    if (b->turns) b->state.head->budget += sfemi_guard_load_change(b);
     memcpy(b->state.force[2], b->state.force[1], bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     ++b->state.head->load_age;
 }
 
-SFEM_DEF void sfem_body_finish(sfem_body *b)
+/* The handles' forces, and what the integrator does at the end of a step of a linear body. */
+static void sfemi_body_finish_linear(sfem_body *b)
 {
-    sfemi_grip *g = &b->grip;
+    const sfemi_grip *g = &b->grip;
     sfem_int i;
-    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
-    for (i = 0; i < g->count; ++i) {
+    for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
-        sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
-    }
     if (b->def.integrator == SFEM_NEWMARK) {
         sfemi_newmark_finish(b);
         sfemi_newmark_settle_handles(b, g->place);
     } else {
         sfemi_pqr_finish(b);
     }
+    b->state.head->started = SFEMI_RUNNING;
+}
+
+SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    sfem_int i;
+    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    b->phase = SFEMI_IDLE;
+    if (b->turns) {
+        const sfem_status status = sfemi_guard_judge_step(b, err);
+        if (status != SFEM_OK) return status;
+    }
+    for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    if (b->turns) sfemi_guard_finish(b);
+    else sfemi_body_finish_linear(b);
     for (i = 0; i < g->count; ++i)
         sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
-    sfemi_body_age_load(b);
-    b->state.head->started = SFEMI_RUNNING;
     b->state.head->time += b->step;
     b->state.head->h = b->step;
-    b->phase = SFEMI_IDLE;
+    ++b->state.head->steps;
+    sfemi_body_age_load(b);
+    return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status = sfem_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
-    if (status == SFEM_OK) sfem_body_finish(b);
+    if (status == SFEM_OK) status = sfem_body_finish(b, err);
     return status;
 }
 
@@ -10273,6 +11460,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
+    b->state.head->rebase = 1;
     return SFEM_OK;
 }
 
@@ -10305,6 +11493,8 @@ static void sfemi_body_restart(sfem_body *b)
     memcpy(b->state.force[2], b->state.force[0], bytes);
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
+    b->state.head->current = 0;
+    b->state.head->steps = b->state.head->redone = 0;
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -10342,7 +11532,6 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
                                           sfem_error *err)
 {
     sfemi_state_head head;
-    sfem_int i;
     if (bytes < sizeof head)
         return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
     memcpy(&head, memory, sizeof head);
@@ -10357,8 +11546,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
 }
@@ -10372,17 +11560,17 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     const sfem_int nodes = b->model->mesh.nodes;
     sfemi_state fresh, old = b->state;
     unsigned char *mask = NULL;
-    sfem_int *list = NULL, listed, i;
+    sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    bytes = sfemi_state_bytes(nodes, listed, b->def.max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, listed, b->def.max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, listed);
-    memcpy(fresh.head, old.head, sizeof *old.head + 18 * (size_t)nodes * sizeof(sfem_real));
+    sfemi_state_lay_out(&fresh, block, nodes, b->turns, listed);
+    memcpy(fresh.head, old.head, sizeof *old.head + sfemi_state_reals(nodes, b->turns) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
@@ -10396,8 +11584,9 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_factor_release(b->model, b->guard.factor);
+    b->guard.factor = NULL;
+    sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
     return SFEM_OK;
 done:
@@ -10518,7 +11707,16 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         if (b->zd) b->zd[i] = v[i];
     }
     b->phase = SFEMI_IDLE;
-    sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
+    if (b->turns) {
+        for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
+        sfemi_guard_refresh(b);
+        sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i)
+            b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
+        sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
+    } else {
+        sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
+    }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
 }
 
@@ -10574,11 +11772,11 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
         if (!g->y[k]) SFEMI_NEW(sfem_real, g->y[k], &b->allocator, 9 * (size_t)b->model->mesh.nodes);
-        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, g->y[k], b->work, &b->exec);
+        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
-        sfemi_grip_gather(g, b->state.handle, b->model, f->mask);
+        sfemi_grip_gather(g, b->state.handle, b->model, 0, f->mask);
         for (k = 0; k < g->count; ++k) {
             sfem_real rest[3];
             int c;
@@ -10682,13 +11880,17 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     sfem_body_velocities(b, b->acc);
     sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
-    sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
-    e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    if (b->turns) {
+        e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
+    } else {
+        sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
+        e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    }
     e.load = 0;
     for (i = 0; i < n; ++i)
         e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    if (!running) return e;
+    if (!running || b->turns) return e;
     if (b->def.integrator == SFEM_NEWMARK) {
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
         e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
@@ -10719,6 +11921,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.p = b->factor ? b->p : 0;
     info.omega_max = b->omega_max;
     info.factors_made = b->factors_made;
+    info.steps = b->state.head->steps;
+    info.redone = b->state.head->redone;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
