@@ -759,9 +759,17 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 #define SFEM_P_AUTO (-1.0) /* linear body: 1/12 where every mode is resolved (omega_max h < 2) */
 #define SFEM_P_SAFE (-2.0) /* 1/4 for a linear body, .27 for a corotational one, 1/2 for one that hardens */
 
-/* The frame in which the constant factor of a body that turns is used: as it is (the source's form, which
- * explodes after a turn of 5 degrees), turned with each connected piece, or with each node. */
-typedef enum sfem_frame { SFEM_FRAME_NODE, SFEM_FRAME_PIECE, SFEM_FRAME_REST } sfem_frame;
+/* The frame in which the constant factor of a body that turns is used: turned with each node (default), with
+ * each connected piece, or as it is (the source's form, which explodes after a turn of 5 degrees). The last
+ * takes in place of K its isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian: it bounds the
+ * corotational stiffness whatever turns, but is far too heavy for slender bodies, and stiffness damping is
+ * the majorant's, too. */
+typedef enum sfem_frame {
+    SFEM_FRAME_NODE,
+    SFEM_FRAME_PIECE,
+    SFEM_FRAME_REST,
+    SFEM_FRAME_MAJORANT
+} sfem_frame;
 
 enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
@@ -6875,6 +6883,21 @@ static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real 
     for (i = 3; i < 6; ++i) stress[i] = mu * strain[i];
 }
 
+/* Below this |F| a tet is a point, and all that is left of F is the rounding of G = F - I: R is then I. */
+#define SFEMI_POINT       1e-12
+#define SFEMI_POINT_MIXED 1e-6 /* G in float */
+
+static void sfemi_element_rotation(const sfem_real f[9], sfem_real point, sfem_real r[9])
+{
+    sfem_real norm2 = 0;
+    int i;
+    for (i = 0; i < 9; ++i) norm2 += f[i] * f[i];
+    if (norm2 < point * point)
+        for (i = 0; i < 9; ++i) r[i] = i % 4 ? 0 : 1;
+    else
+        sfem_polar(f, r, NULL);
+}
+
 /* ---- materials, one at a time: F = I + G, so that small G keep their digits ---- */
 
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu)
@@ -6902,7 +6925,7 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
 {
     sfem_real r[9], trace = 0, square = 0;
     int i;
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, SFEMI_POINT, r);
     for (i = 0; i < 9; ++i) {
         const sfem_real d = f[i] - r[i];
         square += d * d;
@@ -7058,7 +7081,8 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
         m->u[i] = m->v[i] = i % 4 ? 0 : 1;
         f[i] = g[i] + m->u[i];
     }
-    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN) sfem_polar(f, m->u, NULL);
+    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN)
+        sfemi_element_rotation(f, SFEMI_POINT, m->u);
     else if (law != SFEM_LINEAR) sfem_signed_svd(f, m->u, s, m->v);
     sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
     if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
@@ -7518,12 +7542,12 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block, const sfem_r
 #endif
 
 /* R of a lane that the fast way has given up. */
-static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
+static void sfemi_lanes_repair(const sfem_real g[9], sfem_real point, sfem_real r[9])
 {
     sfem_real f[9];
     int i;
     for (i = 0; i < 9; ++i) f[i] = g[i] + (i % 4 ? 0 : 1);
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, point, r);
 }
 
 /* Is any of the flags, 0 or 1, not 0? */
@@ -7684,7 +7708,7 @@ static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fus
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         if (w->bad[l] == 0) continue;                                                              \
         for (i = 0; i < 9; ++i) g[i] = w->g[i][l];                                                 \
-        sfemi_lanes_repair(g, r);                                                                  \
+        sfemi_lanes_repair(g, sizeof(T) < sizeof g[0] ? SFEMI_POINT_MIXED : SFEMI_POINT, r);       \
         for (i = 0; i < 9; ++i) w->r[i][l] = (T)r[i];                                              \
     }                                                                                              \
 }                                                                                                  \
@@ -8797,13 +8821,16 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>factor   the shared factor of a body's system matrix
  *
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
- * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. All bodies of a model with the
+ * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
+ * isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
+ * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. All bodies of a model with the
  * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
  * goes when its last body lets go. A factor never changes after it is made.
  * ============================================================================================ */
 
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
+    int majorant; /* ck times the isotropic majorant in place of K */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -8823,7 +8850,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, size_t nodes)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.precision == key->precision && f->key.ordering == key->ordering &&
+           f->key.majorant == key->majorant && f->key.precision == key->precision && f->key.ordering == key->ordering &&
            memcmp(f->mask, key->mask, nodes) == 0;
 }
 
@@ -8868,6 +8895,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
+            k.majorant = f->key.majorant;
         }
         if (!sfemi_factor_matches(f, &k, nodes)) continue;
         ++f->references;
@@ -8877,13 +8905,67 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     return f;
 }
 
+static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
+{
+    return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0));
+}
+
+/* y = the majorant times x. */
+static void sfemi_factor_multiply_majorant(const sfem_model *model, const sfem_real *x, sfem_real *y)
+{
+    sfem_int e;
+    int a, i, j;
+    memset(y, 0, 3 * (size_t)model->mesh.nodes * sizeof *y);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3], d[3][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) {
+                d[i][j] = 0;
+                for (a = 1; a < 4; ++a)
+                    d[i][j] += g[a][j] * (x[3 * (size_t)t[a] + (size_t)i] - x[3 * (size_t)t[0] + (size_t)i]);
+                d[i][j] *= sfemi_factor_isotropic(model, e);
+            }
+        for (a = 0; a < 4; ++a)
+            for (i = 0; i < 3; ++i) y[3 * (size_t)t[a] + (size_t)i] += sfemi_dot3(d[i], g[a]);
+    }
+}
+
+/* The majorant's scalars [blocks], to be freed, where the key wants it; else NULL. */
+static sfem_status sfemi_factor_majorant(const sfem_model *model, const sfemi_factor_key *key,
+                                         sfem_real **out, sfem_error *err)
+{
+    sfem_real *scalar = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int e;
+    int a, b;
+    *out = NULL;
+    if (!key->majorant) return SFEM_OK;
+    SFEMI_NEW(sfem_real, scalar, &model->allocator, model->row[model->mesh.nodes]);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (a = 0; a < 4; ++a)
+            for (b = 0; b < 4; ++b)
+                if (t[a] >= t[b])
+                    scalar[sfemi_fem_find(model->row, model->col, t[a], t[b])] +=
+                        sfemi_factor_isotropic(model, e) * sfemi_dot3(g[a], g[b]);
+    }
+    *out = scalar;
+done:
+    return status;
+}
+
 /* Block (i, j) of A at place `at` of the pattern, without what couples held axes. */
-static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, sfem_int at, sfem_int i,
-                               sfem_real b[9])
+static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *majorant,
+                               sfem_int at, sfem_int i, sfem_real b[9])
 {
     const sfem_int j = model->col[at];
     int r, c;
-    sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
+    sfemi_fem_block(model, at, i, majorant ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; majorant && r < 9; r += 4) b[r] += f->key.ck * majorant[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
             if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
@@ -8895,9 +8977,11 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
 {
     const sfem_allocator *al = &model->allocator;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_real *majorant = NULL;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
+    SFEMI_TRY(sfemi_factor_majorant(model, &f->key, &majorant, err));
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
@@ -8909,13 +8993,14 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
             if (number[model->col[at]] == 0) continue;
             col[blocks] = number[model->col[at]] - 1;
-            sfemi_factor_block(model, f, at, f->node[k], a.val + 9 * (size_t)blocks++);
+            sfemi_factor_block(model, f, majorant, at, f->node[k], a.val + 9 * (size_t)blocks++);
         }
         row[k + 1] = blocks;
     }
     *out = a;
 done:
     if (status != SFEM_OK) sfem_matrix_free(&a, al);
+    sfemi_delete(al, majorant);
     sfemi_delete(al, number);
     return status;
 }
@@ -9332,16 +9417,26 @@ typedef struct sfemi_turn {
     sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
 } sfemi_turn;
 
+/* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
+typedef struct sfemi_redo {
+    sfem_factor *factor;
+    sfem_real h;
+    sfemi_grip grip; /* the handles' columns for it */
+} sfemi_redo;
+
+enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
+
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
     sfem_real *external;   /* the loads as the corrections weigh them */
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
-    sfem_factor *factor;   /* A with p = 1, for the redo; NULL until one is needed */
-    sfem_real h;           /* what it is for */
-    sfemi_grip grip;       /* the handles' columns for it */
+    sfem_real *unit;       /* frames that do not turn */
+    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
     sfem_real psi;         /* at u */
     int redone;            /* u, w, f come from the redo */
+    int crumpled;          /* which needed the isotropic majorant */
+    int64_t descents;      /* counted over all redos */
 } sfemi_guard;
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
@@ -10054,12 +10149,12 @@ static int sfemi_turn_projects(const sfem_body *b)
     return 0;
 }
 
-/* x = A^-1 x, see above, held axes becoming 0. */
+/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
 static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
     const sfem_int nodes = b->model->mesh.nodes;
-    const int projects = sfemi_turn_projects(b);
+    const int projects = u && sfemi_turn_projects(b);
     sfem_int i, k;
     int c;
     if (projects) {
@@ -10097,7 +10192,8 @@ static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_re
         }
         sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
     }
-    sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
+    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_turn_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -10128,7 +10224,7 @@ static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real
     sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
     sfem_int e, i;
     int a, c;
-    if (b->def.frame == SFEM_FRAME_REST) return;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
     memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
     for (e = 0; e < model->mesh.tets; ++e)
         for (a = 0; a < 4; ++a) {
@@ -10509,6 +10605,7 @@ static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_re
  * constraints, and what is added to it may not leave them. */
 static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
 {
+    sfemi_grip *grip = &b->guard.redo[SFEMI_TURNED].grip;
     sfem_int k;
     int c;
     for (k = 0; k < b->pin_count; ++k)
@@ -10516,14 +10613,14 @@ static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
         }
-    if (!b->guard.grip.count) return;
-    for (k = 0; k < b->guard.grip.count; ++k) { /* hold compares H z with the target's displacement */
-        const sfemi_handle *h = b->state.handle + b->guard.grip.slot[k];
+    if (!grip->count) return;
+    for (k = 0; k < grip->count; ++k) { /* hold compares H z with the target's displacement */
+        const sfemi_handle *h = b->state.handle + grip->slot[k];
         sfem_real rest[3];
         sfemi_grip_mean(h, b->model->mesh.x, rest);
-        for (c = 0; c < 3; ++c) b->guard.grip.lambda[3 * k + c] = h->hold.target[c] - rest[c];
+        for (c = 0; c < 3; ++c) grip->lambda[3 * k + c] = h->hold.target[c] - rest[c];
     }
-    sfemi_guard_hold(b, &b->guard.grip, b->state.frame, z);
+    sfemi_guard_hold(b, grip, b->state.frame, z);
 }
 
 static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
@@ -10552,19 +10649,22 @@ static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
     return sfemi_guard_potential(b, g->u, g->f, psi);
 }
 
-/* dir = -h^2 A1^-1 grad in the frames of z, leaving constraints alone. Returns grad.dir. */
-static sfem_real sfemi_guard_direction(sfem_body *b)
+/* dir = -h^2 A^-1 grad in the frames of z, leaving constraints alone. The isotropic majorant is taken as it
+ * is: only then it bounds Phi. Returns grad.dir. */
+static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
+    sfemi_grip *grip = &g->redo[kind].grip;
+    const sfem_real *frame = kind == SFEMI_TURNED ? g->frame : g->unit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real slope = 0;
     size_t i;
-    sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
-    sfemi_turn_solve(b, g->factor, b->state.u, g->frame, g->dir);
-    if (g->grip.count) {
-        memset(g->grip.lambda, 0, 3 * (size_t)g->grip.count * sizeof *g->grip.lambda);
-        sfemi_guard_hold(b, &g->grip, g->frame, g->dir);
+    sfemi_turn_solve(b, g->redo[kind].factor, kind == SFEMI_TURNED ? b->state.u : NULL, frame, g->dir);
+    if (grip->count) {
+        memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
+        sfemi_guard_hold(b, grip, frame, g->dir);
     }
     for (i = 0; i < n; ++i) {
         g->dir[i] *= -b->step * b->step;
@@ -10574,15 +10674,15 @@ static sfem_real sfemi_guard_direction(sfem_body *b)
 }
 
 /* One step of descent with Armijo's rule; 0 if there is none left to take. */
-static int sfemi_guard_descend(sfem_body *b, sfem_real *phi, sfem_real *psi)
+static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
-    const sfem_real slope = sfemi_guard_direction(b);
+    const sfem_real slope = sfemi_guard_direction(b, kind);
     sfem_real length = 1;
     size_t i;
     int halvings;
-    for (halvings = 0; halvings < 20 && slope < 0; ++halvings, length /= 2) {
+    for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
         sfem_real value;
         for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
@@ -10692,54 +10792,21 @@ static sfem_real sfemi_guard_work(sfem_body *b)
     return work;
 }
 
-/* Does the step again, by minimisation. Leaves z, w', f, rotations in guard; returns Psi. */
-static sfem_real sfemi_guard_redo(sfem_body *b)
-{
-    sfemi_guard *g = &b->guard;
-    sfemi_state_head *head = b->state.head;
-    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real psi, phi, first = 0, target;
-    size_t i;
-    int k;
-    for (i = 0; i < n; ++i) {
-        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
-        g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
-    }
-    memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
-    sfemi_turn_locate(b, b->state.u);
-    phi = sfemi_guard_choose_start(b, &psi);
-    head->budget += sfemi_guard_work(b);
-    target = head->budget + .01 * head->scale;
-    if (head->last > target) target = head->last;
-    for (k = 0; k < 8; ++k) {
-        sfem_real norm = 0;
-        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
-        if (k == 0) first = norm;
-        else if (norm < 1e-6 * first || sfemi_guard_at(b, psi).ec <= target) break;
-        if (!sfemi_guard_descend(b, &phi, &psi)) break;
-    }
-    (void)sfemi_guard_at(b, psi);
-    sfemi_guard_restore_momentum(b, psi);
-    sfemi_guard_slow_down(b, psi, target);
-    return psi;
-}
-
 /* The factor of the redo, and the handles' columns for it. */
-static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
+static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *err)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_redo *g = &b->guard.redo[kind];
     const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_factor *f = NULL;
     sfemi_factor_key key;
     sfem_status status = SFEM_OK;
     sfem_int i;
     if (!g->factor || g->h != h) {
         key = b->factor->key;
-        key.ck = h * h + h * b->beta;
-        key.cm = r + h * b->alpha;
-        key.cd = b->model->damping ? h : 0;
+        key.majorant = kind == SFEMI_ISOTROPIC;
+        key.ck = kind == SFEMI_TURNED ? h * h + h * b->beta : h * h;
+        key.cm = kind == SFEMI_TURNED ? r + h * b->alpha : r;
+        key.cd = kind == SFEMI_TURNED && b->model->damping ? h : 0;
         SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
         sfemi_factor_release(b->model, g->factor);
         g->factor = f;
@@ -10752,12 +10819,78 @@ static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
     for (i = 0; i < b->grip.count; ++i) {
         const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
         if (!g->grip.ready[slot])
-            sfemi_grip_columns(g->factor, b->state.handle + slot, (sfem_int)(n / 3), 1, g->grip.y[slot], b->work,
-                               &b->exec);
+            sfemi_grip_columns(g->factor, b->state.handle + slot, b->model->mesh.nodes, 1, g->grip.y[slot],
+                               b->work, &b->exec);
         g->grip.ready[slot] = 1;
     }
 done:
     return status;
+}
+
+/* Lowers Phi, by the turned factor, or where that needs short steps, by the isotropic majorant, until Ec is
+ * in order and a step of descent gains little. */
+static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
+                                        sfem_error *err)
+{
+    enum { LIMIT = 60 };
+    sfemi_guard *g = &b->guard;
+    const sfem_real scale = b->state.head->scale;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real first = 0;
+    sfem_status status = SFEM_OK;
+    int k, kind = SFEMI_TURNED;
+    for (k = 0; k < LIMIT; ++k) {
+        sfem_real norm = 0, before = phi;
+        size_t i;
+        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
+        if (k == 0) first = norm;
+        if (norm == 0 || norm < 1e-6 * first) break;
+        if (sfemi_guard_descend(b, kind, &phi, psi)) {
+            const sfem_real worth = *psi < scale ? *psi : scale;
+            ++g->descents;
+            if (before - phi <= .01 * worth && sfemi_guard_at(b, *psi).ec <= target) break;
+        } else if (kind == SFEMI_TURNED) {
+            kind = SFEMI_ISOTROPIC;
+            g->crumpled = 1;
+            SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
+        } else {
+            break;
+        }
+    }
+done:
+    return status;
+}
+
+/* Does the step again, by minimisation. Leaves z, w', f, rotations and Psi in guard. */
+static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real psi, phi, target;
+    sfem_status status;
+    size_t i;
+    g->crumpled = 0;
+    status = sfemi_guard_prepare_redo(b, SFEMI_TURNED, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < n; ++i) {
+        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
+        g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
+    }
+    memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
+    sfemi_turn_locate(b, b->state.u);
+    phi = sfemi_guard_choose_start(b, &psi);
+    head->budget += sfemi_guard_work(b);
+    target = head->budget + .01 * head->scale;
+    if (head->last > target) target = head->last;
+    status = sfemi_guard_minimise(b, phi, target, &psi, err);
+    if (status != SFEM_OK) return status;
+    (void)sfemi_guard_at(b, psi);
+    sfemi_guard_restore_momentum(b, psi);
+    sfemi_guard_slow_down(b, psi, target);
+    g->psi = psi;
+    return SFEM_OK;
 }
 
 /* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
@@ -10864,9 +10997,11 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     }
     if (g->redone) {
         head->budget = budget;
-        status = sfemi_guard_prepare_redo(b, err);
-        if (status != SFEM_OK) return status;
-        g->psi = sfemi_guard_redo(b);
+        status = sfemi_guard_redo(b, err);
+        if (status != SFEM_OK) {
+            head->budget = budget;
+            return status;
+        }
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
     head->budget = budget;
@@ -10894,8 +11029,12 @@ static void sfemi_guard_finish(sfem_body *b)
     e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
     energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
-    moving = e.kinetic + (head->psi + psi) / 2;
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
     head->scale *= exp(-b->step);
+    if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
+        head->scale = 0;
+        head->budget = energy;
+    }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
     head->last = e.ec;
@@ -10940,7 +11079,7 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
-    if ((unsigned)d->frame > SFEM_FRAME_REST)
+    if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
     if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
@@ -11073,12 +11212,14 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
     SFEMI_NEW(sfem_real, b->turn.rotation, al,
-              9 * tets + sfem_model_work_size(b->model) + (10 + 3) * n + n + n / 3 + 3 * n);
+              9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
     b->turn.work = b->turn.rotation + 9 * tets;
     b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
     g->frame = b->turn.sum + 3 * n + n / 3;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->frame + (3 + i) * n;
-    SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->grip, err));
+    g->unit = g->frame + 3 * n;
+    for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
+    for (i = 0; i < SFEMI_REDOS; ++i) SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->redo[i].grip, err));
 done:
     return status;
 }
@@ -11086,11 +11227,14 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    int k;
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_factor_release(b->model, b->guard.factor);
     sfemi_body_free_grip(b, &b->grip);
-    sfemi_body_free_grip(b, &b->guard.grip);
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        sfemi_body_free_grip(b, &b->guard.redo[k].grip);
+    }
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.rotation);
@@ -11214,8 +11358,8 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
     if (b->turns) sfemi_body_find_held(b);
-    if (b->turns && b->def.no_allocation && !b->def.no_guard)
-        SFEMI_TRY(sfemi_guard_prepare_redo(b, err));
+    for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
     return status;
@@ -11225,7 +11369,8 @@ static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    for (i = 0; b->turns && i < b->def.max_handles; ++i) b->guard.grip.ready[i] = 0;
+    for (i = 0; b->turns && i < b->def.max_handles; ++i)
+        b->guard.redo[SFEMI_TURNED].grip.ready[i] = b->guard.redo[SFEMI_ISOTROPIC].grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
@@ -11283,6 +11428,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cm = k.r + k.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? k.q / 2 * h : 0;
         key.mask = b->mask;
+        key.majorant = b->turns && b->def.frame == SFEM_FRAME_MAJORANT;
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -11563,6 +11709,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes;
+    int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
@@ -11584,8 +11731,10 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    sfemi_factor_release(b->model, b->guard.factor);
-    b->guard.factor = NULL;
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        b->guard.redo[k].factor = NULL;
+    }
     sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
     return SFEM_OK;
