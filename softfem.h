@@ -9426,6 +9426,9 @@ typedef struct sfemi_redo {
 
 enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
 
+/* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
+enum { SFEMI_PAIRS = 6 };
+
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
@@ -9433,6 +9436,8 @@ typedef struct sfemi_guard {
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
     sfem_real *unit;       /* frames that do not turn */
     sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
+    sfem_real *pair;       /* [SFEMI_PAIRS][2] of its steps, made with its factor */
+    int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
@@ -10649,47 +10654,94 @@ static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
     return sfemi_guard_potential(b, g->u, g->f, psi);
 }
 
-/* dir = -h^2 A^-1 grad in the frames of z, leaving constraints alone. The isotropic majorant is taken as it
- * is: only then it bounds Phi. Returns grad.dir. */
+/* x = h^2 A^-1 x in the frames of z, leaving constraints alone. The isotropic majorant is taken as it is:
+ * only then it bounds Phi. */
+static void sfemi_guard_precondition(sfem_body *b, int kind, sfem_real *x)
+{
+    sfemi_grip *grip = &b->guard.redo[kind].grip;
+    const sfem_real *frame = kind == SFEMI_TURNED ? b->guard.frame : b->guard.unit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_turn_solve(b, b->guard.redo[kind].factor, kind == SFEMI_TURNED ? b->state.u : NULL, frame, x);
+    if (grip->count) {
+        memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
+        sfemi_guard_hold(b, grip, frame, x);
+    }
+    for (i = 0; i < n; ++i) x[i] *= b->step * b->step;
+}
+
+static sfem_real sfemi_guard_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+/* dir, a direction of descent: minus the preconditioned gradient, with the majorant corrected by the pairs
+ * (L-BFGS) [Nocedal 1980; with such a matrix: Liu, Bouaziz, Kavan 2017]. Returns grad.dir. */
 static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
-    sfemi_grip *grip = &g->redo[kind].grip;
-    const sfem_real *frame = kind == SFEMI_TURNED ? g->frame : g->unit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real slope = 0;
+    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_PAIRS ? g->pairs : SFEMI_PAIRS;
+    sfem_real part[SFEMI_PAIRS], rho[SFEMI_PAIRS];
     size_t i;
+    int k;
     if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
-    sfemi_turn_solve(b, g->redo[kind].factor, kind == SFEMI_TURNED ? b->state.u : NULL, frame, g->dir);
-    if (grip->count) {
-        memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
-        sfemi_guard_hold(b, grip, frame, g->dir);
+    for (k = 0; k < count; ++k) { /* from the last on */
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_PAIRS), *y = s + n;
+        rho[k] = sfemi_guard_dot(s, y, n);
+        part[k] = sfemi_guard_dot(s, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
     }
+    sfemi_guard_precondition(b, kind, g->dir);
+    for (k = count - 1; k >= 0; --k) {
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_PAIRS), *y = s + n;
+        const sfem_real back = sfemi_guard_dot(y, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
+    }
+    for (i = 0; i < n; ++i) g->dir[i] = -g->dir[i];
+    return sfemi_guard_dot(g->grad, g->dir, n);
+}
+
+/* Puts the pair that was begun in its slot in order, if the gradient has changed along the step as it
+ * must. */
+static void sfemi_guard_remember(sfemi_guard *g, size_t n)
+{
+    sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_PAIRS), *y = s + n;
+    size_t i;
     for (i = 0; i < n; ++i) {
-        g->dir[i] *= -b->step * b->step;
-        slope += g->grad[i] * g->dir[i];
+        s[i] = g->u[i] - s[i];
+        y[i] = g->grad[i] - y[i];
     }
-    return slope;
+    if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n))) ++g->pairs;
 }
 
 /* One step of descent with Armijo's rule; 0 if there is none left to take. */
 static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
-    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real slope = sfemi_guard_direction(b, kind);
     sfem_real length = 1;
     size_t i;
     int halvings;
+    if (kind == SFEMI_ISOTROPIC) {
+        sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_PAIRS);
+        memcpy(s, g->u, n * sizeof *s);
+        memcpy(s + n, g->grad, n * sizeof *s);
+    }
     for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
         sfem_real value;
-        for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
+        for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
         if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
         *phi = value;
-        memcpy(g->u, g->trial_u, bytes);
-        memcpy(g->f, g->trial_f, bytes);
+        memcpy(g->u, g->trial_u, n * sizeof *g->u);
+        memcpy(g->f, g->trial_f, n * sizeof *g->f);
+        if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
         return 1;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
@@ -10813,6 +10865,8 @@ static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *
         g->h = h;
         for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
     }
+    if (kind == SFEMI_ISOTROPIC && !b->guard.pair)
+        SFEMI_NEW(sfem_real, b->guard.pair, &b->allocator, 6 * SFEMI_PAIRS * (size_t)b->model->mesh.nodes);
     SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
     for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
     g->grip.count = b->grip.count;
@@ -10838,7 +10892,8 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real first = 0;
     sfem_status status = SFEM_OK;
-    int k, kind = SFEMI_TURNED;
+    int k, kind = SFEMI_TURNED, poor = 0;
+    g->pairs = 0;
     for (k = 0; k < LIMIT; ++k) {
         sfem_real norm = 0, before = phi;
         size_t i;
@@ -10848,7 +10903,8 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         if (sfemi_guard_descend(b, kind, &phi, psi)) {
             const sfem_real worth = *psi < scale ? *psi : scale;
             ++g->descents;
-            if (before - phi <= .01 * worth && sfemi_guard_at(b, *psi).ec <= target) break;
+            poor = before - phi <= .01 * worth ? poor + 1 : 0;
+            if (poor >= (kind == SFEMI_TURNED ? 1 : 5) && sfemi_guard_at(b, *psi).ec <= target) break;
         } else if (kind == SFEMI_TURNED) {
             kind = SFEMI_ISOTROPIC;
             g->crumpled = 1;
@@ -11235,6 +11291,7 @@ static void sfemi_body_destroy(sfem_body *b)
         sfemi_factor_release(b->model, b->guard.redo[k].factor);
         sfemi_body_free_grip(b, &b->guard.redo[k].grip);
     }
+    sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.rotation);
