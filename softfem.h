@@ -868,8 +868,11 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, s
 typedef struct sfem_energy {
     sfem_real kinetic, elastic, load; /* 1/2 v.Mv, 1/2 u.Ku, -(F + Mg).u; J */
     sfem_real total;                  /* their sum */
-    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load: for
-                          * (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
+                          * nonlinear body nearly, without the motion of free pieces' centres of mass: for
+                          * its guarded steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
+                          * - F.(u+u-)/2, after a step done again 1/2 w.r M w + E - F.u; for a linear body
+                          * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
                           * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a's counterpart */
 } sfem_energy;
 SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
@@ -884,7 +887,9 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
-    int64_t steps, redone;    /* since its state was set; redone: by the guard */
+    int64_t steps, redone;    /* since its state was set; redone: by the guard, */
+    int64_t descents;         /* with so many steps of descent, a solve each */
+    sfem_int corrections;     /* in the last step */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -9157,14 +9162,16 @@ typedef struct sfemi_state_head {
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
-    sfem_int current;   /* f, psi, frame and the ledger belong to u */
-    sfem_int rebase;    /* what counts as free has changed: a new ledger */
+    sfem_int current;   /* f, psi and frame belong to u */
+    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
     sfem_int unused;
-    int64_t steps, redone;
-    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger */
+    int64_t steps, redone, descents;
+    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
+    sfem_real energy;                   /* and what it conserves */
 } sfemi_state_head;
 
 /* RESTARTED: as not started, but the loads have their history. */
+enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
@@ -9441,7 +9448,7 @@ typedef struct sfemi_guard {
     sfem_real psi;         /* at u */
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
-    int64_t descents;      /* counted over all redos */
+    sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
@@ -10360,26 +10367,34 @@ static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real 
     return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
 }
 
-/* Forces, frames and a new ledger where the state was set from outside. */
-static void sfemi_guard_refresh(sfem_body *b)
+/* Forces and frames where the state was set from outside; the pieces' places. */
+static void sfemi_guard_look(sfem_body *b)
 {
     sfemi_state_head *head = b->state.head;
-    sfemi_guard_energies e;
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+        head->current = 1;
+        head->rebase = SFEMI_NEW_LEDGER;
     }
     sfemi_turn_locate(b, b->state.u);
-    if (head->current && !head->rebase) return;
-    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+}
+
+/* A ledger for steps of h from here, where the present one is void. */
+static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
+{
+    sfemi_state_head *head = b->state.head;
+    sfemi_guard_energies e;
+    sfemi_guard_look(b);
+    if (head->rebase == SFEMI_LEDGER) return;
+    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
     head->budget = head->last = e.ec;
-    if (!head->current) head->scale = 0;
+    if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
-    head->current = 1;
-    head->rebase = 0;
+    head->rebase = SFEMI_LEDGER;
 }
 
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
@@ -10394,7 +10409,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     sfem_int j;
     size_t i;
     b->step = h;
-    sfemi_guard_refresh(b);
+    sfemi_guard_refresh(b, h);
     t = sfemi_pqr_weigh(b, h);
     t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
@@ -10561,6 +10576,7 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
     int k;
     for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
         sfem_real size = 0, change = 0;
+        g->corrections = k + 1;
         for (i = 0; i < n; ++i) {
             const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
             b->zk[i] = b->beta * v;
@@ -10824,6 +10840,7 @@ static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
     sfem_int k;
     int l, c;
@@ -10831,14 +10848,14 @@ static sfem_real sfemi_guard_work(sfem_body *b)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+            work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
     for (k = 0; k < b->grip.count; ++k) {
         const sfemi_handle *h = b->state.handle + b->grip.slot[k];
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+                work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
@@ -10886,7 +10903,7 @@ done:
 static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
                                         sfem_error *err)
 {
-    enum { LIMIT = 60 };
+    enum { LIMIT = 100 };
     sfemi_guard *g = &b->guard;
     const sfem_real scale = b->state.head->scale;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -10902,9 +10919,10 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         if (norm == 0 || norm < 1e-6 * first) break;
         if (sfemi_guard_descend(b, kind, &phi, psi)) {
             const sfem_real worth = *psi < scale ? *psi : scale;
-            ++g->descents;
-            poor = before - phi <= .01 * worth ? poor + 1 : 0;
-            if (poor >= (kind == SFEMI_TURNED ? 1 : 5) && sfemi_guard_at(b, *psi).ec <= target) break;
+            const int turned = kind == SFEMI_TURNED;
+            ++b->state.head->descents;
+            poor = before - phi <= (turned ? .01 : .001) * worth ? poor + 1 : 0;
+            if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
         } else if (kind == SFEMI_TURNED) {
             kind = SFEMI_ISOTROPIC;
             g->crumpled = 1;
@@ -11001,7 +11019,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (b->model->node_mass[b->pin[k]] * b->acc[i] + s->f[i]) * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            work += s->f[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
         }
     if (s->head->loaded && s->head->load_age < 2)
         for (i = 0; i < n; ++i)
@@ -11014,7 +11032,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
 static void sfemi_guard_handle_forces(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
-    const sfem_real h2 = b->step * b->step;
+    const sfem_real h2 = b->step * b->step / sfemi_body_coefficients(b, b->p).r;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->grip.count; ++k) {
@@ -11042,6 +11060,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const sfem_real budget = head->budget;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
+    g->corrections = 0;
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
     g->redone = 0;
@@ -11083,7 +11102,7 @@ static void sfemi_guard_finish(sfem_body *b)
             memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
     e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-    energy = redone ? e.ec : e.eb;
+    energy = head->energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
     moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
     head->scale *= exp(-b->step);
@@ -11389,7 +11408,7 @@ static void sfemi_body_find_held(sfem_body *b)
         changed |= held != b->turn.piece[k].held;
         b->turn.piece[k].held = held;
     }
-    if (changed) b->state.head->rebase = 1;
+    if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
@@ -11663,7 +11682,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
-    b->state.head->rebase = 1;
+    if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
 }
 
@@ -11697,7 +11716,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
-    b->state.head->steps = b->state.head->redone = 0;
+    b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -11915,7 +11934,7 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
-        sfemi_guard_refresh(b);
+        sfemi_guard_look(b);
         sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i)
             b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
@@ -12096,6 +12115,11 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     for (i = 0; i < n; ++i)
         e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
+    if (b->turns) {
+        sfemi_guard_look(b);
+        e.conserved = s->head->steps ? s->head->energy
+                                     : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
+    }
     if (!running || b->turns) return e;
     if (b->def.integrator == SFEM_NEWMARK) {
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
@@ -12129,6 +12153,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.factors_made = b->factors_made;
     info.steps = b->state.head->steps;
     info.redone = b->state.head->redone;
+    info.descents = b->state.head->descents;
+    info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
