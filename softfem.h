@@ -11323,6 +11323,20 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b);
 }
 
+/* Which pieces are held by pins or handles. */
+static void sfemi_body_find_held(sfem_body *b)
+{
+    sfem_int i, k;
+    int l;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i)
+        for (l = 0; b->state.handle[i].used && l < 4; ++l)
+            if (b->state.handle[i].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
+}
+
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
@@ -11348,6 +11362,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (b->turns) sfemi_body_find_held(b);
 done:
     return status;
 }
@@ -11391,23 +11406,15 @@ SFEM_DEF void sfem_body_free(sfem_body *body)
     if (body) sfemi_body_destroy(body);
 }
 
-/* Which pieces are held by pins or handles; where that changes, the energies count anew. */
-static void sfemi_body_find_held(sfem_body *b)
+/* After a handle was taken or let go: where that frees or holds a piece, energies count anew. */
+static void sfemi_body_held_changed(sfem_body *b)
 {
-    sfem_int i, k;
-    int l, changed = 0;
-    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = 0;
-    for (i = 0; i < b->pin_count; ++i)
-        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].sum[0][0] = 1;
-    for (i = 0; i < b->grip.count; ++i)
-        for (l = 0; l < 4; ++l)
-            if (b->state.handle[b->grip.slot[i]].weight[l] != 0)
-                b->turn.piece[b->turn.piece_of[b->state.handle[b->grip.slot[i]].node[l]]].sum[0][0] = 1;
-    for (k = 0; k < b->turn.pieces; ++k) {
-        const int held = b->turn.piece[k].sum[0][0] > 0;
-        changed |= held != b->turn.piece[k].held;
-        b->turn.piece[k].held = held;
-    }
+    sfem_int k;
+    int changed = 0;
+    if (!b->turns) return;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
+    sfemi_body_find_held(b);
+    for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
 
@@ -11433,7 +11440,6 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    if (b->turns) sfemi_body_find_held(b);
     for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
         SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
@@ -11768,6 +11774,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
+    if (b->turns) sfemi_body_find_held(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
@@ -11813,6 +11820,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     }
     sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
+    sfemi_body_held_changed(b);
     return SFEM_OK;
 done:
     sfemi_delete(al, list);
@@ -11856,6 +11864,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
     b->grip.dirty = 1;
+    sfemi_body_held_changed(b);
     *handle = k;
     return SFEM_OK;
 }
@@ -11900,6 +11909,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
     b->grip.dirty = 1;
+    sfemi_body_held_changed(b);
 }
 
 SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_real force[3])
