@@ -9409,6 +9409,7 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
 /* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
 typedef struct sfemi_piece {
     int held; /* by a pin or a handle: no projection */
+    sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
     sfem_real sum[4][3];          /* scratch of the energies */
@@ -10012,17 +10013,17 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
  * P^T Q (beta K + rest) Q^T P w, which A bounds. A piece that a handle holds counts as held.
  * ============================================================================================ */
 
-/* Inverse of a symmetric positive semidefinite 3x3 matrix, kept finite where it is singular. */
-static void sfemi_turn_invert(const sfem_real m[9], sfem_real inverse[9])
+/* Inverse of an inertia, kept finite where it is singular; that of a piece crushed to a point, so far below
+ * its inertia at rest that only rounding tells its rotation, becomes zero. */
+static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real inverse[9])
 {
-    const sfem_real trace = m[0] + m[4] + m[8];
     sfem_real a[9], c[9], det;
     int i;
     memcpy(a, m, sizeof a);
-    for (i = 0; i < 9; i += 4) a[i] += 1e-12 * trace;
+    for (i = 0; i < 9; i += 4) a[i] += 1e-12 * (m[0] + m[4] + m[8]);
     sfemi_cofactor3(a, c);
     det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
-    for (i = 0; i < 9; ++i) inverse[i] = det > 0 ? c[i] / det : 0;
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
 }
 
 /* Mass, centre and inertia of every piece at X + u. */
@@ -10062,8 +10063,25 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         if (!t->piece[k].held) {
             sfem_real inertia[9];
             memcpy(inertia, t->piece[k].inertia_inverse, sizeof inertia);
-            sfemi_turn_invert(inertia, t->piece[k].inertia_inverse);
+            sfemi_turn_invert(inertia, t->piece[k].rest, t->piece[k].inertia_inverse);
         }
+}
+
+/* The pieces' sum m |X - centre|^2. */
+static void sfemi_turn_weigh(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    int c;
+    memset(b->guard.u, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->guard.u);
+    sfemi_turn_locate(b, b->guard.u);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
+            const sfem_real r = model->mesh.x[3 * (size_t)i + (size_t)c] - p->centre[c];
+            p->rest += model->node_mass[i] * r * r;
+        }
+    }
 }
 
 /* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
@@ -11362,6 +11380,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (b->turns) sfemi_turn_weigh(b);
     if (b->turns) sfemi_body_find_held(b);
 done:
     return status;
