@@ -10943,10 +10943,10 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         if (k == 0) first = norm;
         if (norm == 0 || norm < 1e-6 * first) break;
         if (sfemi_guard_descend(b, kind, &phi, psi)) {
-            const int turned = kind == SFEMI_TURNED, patience = turned ? 1 : *psi < .1 * scale ? 3 : 10;
+            const int turned = kind == SFEMI_TURNED;
             ++b->state.head->descents;
             poor = before - phi <= (turned ? .01 : .001) * scale ? poor + 1 : 0;
-            if (poor >= patience && sfemi_guard_at(b, *psi).ec <= target) break;
+            if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
         } else if (kind == SFEMI_TURNED) {
             kind = SFEMI_ISOTROPIC;
             g->crumpled = 1;
