@@ -311,28 +311,29 @@ typedef struct sfem_matrix {
  * >>api-element   materials: energy, stress, tangent; energies in edge lengths
  * ============================================================================================ */
 
-/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda and mu
- * are Lame's parameters; all agree for small strains and are zero, and least, at rest.
+/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda
+ * and mu are Lame's parameters; all agree for small strains and are zero, and least, at rest.
  *   SFEM_LINEAR         lambda/2 tr(e)^2 + mu e:e, e = (F + F^T)/2 - I. Small rotations only.
- *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper rotation
- *                       [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small strains; any
- *                       rotation; inverted tets recover.
- *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff. Weak in
- *                       compression: below .58 of its length the force on a bar falls (at nu = 0)
- *                       and is zero at length 0; it does not feel a mirror image, so inverted tets
- *                       stay inverted. For large rotations and stretches, not for crushing.
- *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1),
- *                       m = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
+ *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper
+ *                       rotation [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small
+ *                       strains; any rotation; inverted tets recover.
+ *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff.
+ *                       Weak in compression: below .58 of its length the force on a bar falls
+ *                       (at nu = 0) and is zero at length 0; it does not feel a mirror image,
+ *                       so inverted tets stay inverted. For large rotations and stretches, not
+ *                       for crushing.
+ *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1), m
+ *                       = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
  *                       neo-Hookean of Smith, de Goes, Kim 2018. Any strain, defined through
  *                       inversion; keeps volume best as nu nears 0.5. */
 typedef enum sfem_law { SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN } sfem_law;
 
 /* Derivatives of the stress.
- *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles. SFEM_COROTATIONAL has a
- *                        pole where the two smallest signed singular values of F sum to 0: there the
- *                        sum is kept above 1e-8.
- *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite one, from
- *                        closed forms in singular values [Smith, de Goes, Kim 2019]
+ *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles.
+ *                        SFEM_COROTATIONAL has a pole where the two smallest signed singular
+ *                        values of F sum to 0: there the sum is kept above 1e-8.
+ *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite
+ *                        one, from closed forms in singular values [Smith, de Goes, Kim 2019]
  *   SFEM_TANGENT_FROZEN  SFEM_COROTATIONAL without the change of R: R k R^T, always positive
  *                        semidefinite; the other laws as with SFEM_TANGENT_PSD */
 typedef enum sfem_tangent {
@@ -341,56 +342,60 @@ typedef enum sfem_tangent {
     SFEM_TANGENT_FROZEN
 } sfem_tangent;
 
-/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in float and
- * everything else in double: half the memory traffic, a residual of a solve of about 4e-7 on good
- * meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a strain of 1e-3. */
+/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in
+ * float and everything else in double: half the memory traffic, a residual of a solve of about
+ * 4e-7 on good meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a
+ * strain of 1e-3. */
 typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
 
 /* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
 
-/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat, inverted
- * or zero; a number that is not finite gives numbers that are not finite. About 0.4 us at most. */
-SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9]);
+/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat,
+ * inverted or zero; a number that is not finite gives numbers that are not finite. Tens of ns,
+ * 0.7 us where R is all but undetermined. */
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9]);
 
 /* P = dPsi/dF, the first Piola-Kirchhoff stress, Pa; returns Psi. */
-SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                   sfem_real p[9]);
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9], sfem_real p[9]);
 
 /* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81]);
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9]);
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
+                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
+                                    sfem_real dp[9]);
 
-/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its energy, J,
- * the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m. force and k may be
- * NULL. */
+/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its
+ * energy, J, the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m.
+ * force and k may be NULL. */
 SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
                                 const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
                                 sfem_real k[144]);
 
-/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or 1, which
- * stands for whatever the compiler makes of the portable ones. */
+/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or
+ * 1, which stands for whatever the compiler makes of the portable ones. */
 SFEM_DEF int sfem_vector_width(void);
 
-/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative det F the
- * smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a double smallest
- * singular value of an inverted F) one of the nearest is given, I for F = 0. Never fails on finite F;
- * R is orthogonal and S symmetric to a few rounding errors (of |F|). */
+/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative
+ * det F the smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a
+ * double smallest singular value of an inverted F) one of the nearest is given, I for F = 0.
+ * Never fails on finite F; R is orthogonal and S symmetric to a few rounding errors (of |F|). */
 SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9]);
 
-/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of det F:
- * one-sided Jacobi, small singular values to their own rounding error. Entries below 1e-150 of the
- * largest count as 0. */
+/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of
+ * det F: one-sided Jacobi, small singular values to their own rounding error. Entries below
+ * 1e-150 of the largest count as 0. */
 SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9]);
 
-/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared lengths
- * alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest direction n_k, and with
- * it all invariants and every isotropic energy [Mandal, Chaudhuri, Chaudhuri 2023, supplement, Theorem
- * 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12 13 23; dim = 2: triangles in their plane,
- * three edges 01 02 12, in plane strain. Flat tets and triangles have the C of least norm that fits
- * best. */
+/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared
+ * lengths alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest
+ * direction n_k, and with it all invariants and every isotropic energy [Mandal, Chaudhuri,
+ * Chaudhuri 2023, supplement, Theorem 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12
+ * 13 23; dim = 2: triangles in their plane, three edges 01 02 12, in plane strain. Flat tets
+ * and triangles have the C of least norm that fits best. */
 typedef struct sfem_edge_shape {
     int dim, nodes, edges;
     int rank;          /* edges, or less where flat */
@@ -403,19 +408,21 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
 /* d2 [edges]: squared lengths, m^2, of positions x [nodes][dim]. */
 SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2);
 /* C [dim][dim] of squared lengths. */
-SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c);
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2,
+                                     sfem_real *c);
 /* I_C = tr C, II_C = tr C^2, III_C = det C, and with a fibre a [dim] (NULL: 0) IV_C = a.C a,
  * V_C = a.C^2 a. */
 SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
                                    const sfem_real *fibre, sfem_real invariants[5]);
-/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL. Lengths
- * do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above 1e-8. */
+/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL.
+ * Lengths do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above
+ * 1e-8. */
 SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, sfem_real lambda,
                                     sfem_real mu, const sfem_real *d2, sfem_real *slope);
-/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i - x_j), N.
- * The force on node i is its negative. */
-SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
-                               sfem_real *force);
+/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i -
+ * x_j), N. The force on node i is its negative. */
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
+                               const sfem_real *slope, sfem_real *force);
 
 /* ============================================================================================
  * >>api-model   finite elements: K, M, D, loads, stress
@@ -480,22 +487,26 @@ SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real 
 SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                           const sfem_exec *exec);
 
-/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient, the
- * internal force [nodes][3], N (what the body pushes back with is its negative). A translation changes
- * nothing but rounding of u; forces sum to zero in every tet.
+/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient,
+ * the internal force [nodes][3], N (what the body pushes back with is its negative). A
+ * translation changes nothing but the rounding of u; the forces of a tet sum to zero.
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      about 10 to 20 ns a tet (corotational, AVX2), half a microsecond for a tet where R is all
- *             but undetermined; O(tets) at any u. Not finite u give an energy that is not finite.
- * Allocates nothing; same bits for any number of threads, but not from one vector path to another. */
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19;
+ *             0.7 us for one whose R is all but undetermined. Any finite u will do; others give
+ *             an energy that is not finite.
+ * Allocates nothing. Same bits for any number of threads, but not from one vector width (see
+ * sfem_vector_width) to another. */
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model);
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
-                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
-                                     sfem_real *work, const sfem_exec *exec);
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec);
 
-/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern, such as
- * sfem_model_combine makes. About 1 us a tet; allocates nothing; same bits for any number of threads. */
+/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern,
+ * such as sfem_model_combine makes. 0.2 (linear) to 0.8 us a tet; allocates nothing; same bits for
+ * any number of threads. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
@@ -827,10 +838,19 @@ static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *
     for (i = 0; i < count; ++i) task(data, i);
 }
 
-/* Instruction sets that hot kernels are compiled for on top of what the compiler was told to use. */
+/* Instruction sets that hot kernels are compiled for on top of what the compiler was told to
+ * use. */
 #if defined(__GNUC__) && defined(__x86_64__) && !defined(SFEM_NO_DISPATCH)
 #define SFEMI_X86_PATHS
 #include <immintrin.h>
+#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
+#define SFEMI_AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
+#endif
+
+#if defined(__GNUC__)
+#define SFEMI_INLINE static inline __attribute__((always_inline))
+#else
+#define SFEMI_INLINE static inline
 #endif
 
 SFEM_DEF int sfem_vector_width(void)
@@ -882,24 +902,32 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 /* c = a b, a^T b, a b^T. c must be neither. */
 static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j)
-            c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        c[i] = a[i] * b[0] + a[i + 1] * b[3] + a[i + 2] * b[6];
+        c[i + 1] = a[i] * b[1] + a[i + 1] * b[4] + a[i + 2] * b[7];
+        c[i + 2] = a[i] * b[2] + a[i + 1] * b[5] + a[i + 2] * b[8];
+    }
 }
 
 static void sfemi_mul3_tn(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j) c[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j];
+    int i;
+    for (i = 0; i < 3; ++i) {
+        c[3 * i] = a[i] * b[0] + a[3 + i] * b[3] + a[6 + i] * b[6];
+        c[3 * i + 1] = a[i] * b[1] + a[3 + i] * b[4] + a[6 + i] * b[7];
+        c[3 * i + 2] = a[i] * b[2] + a[3 + i] * b[5] + a[6 + i] * b[8];
+    }
 }
 
 static void sfemi_mul3_nt(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j) c[3 * i + j] = sfemi_dot3(a + 3 * i, b + 3 * j);
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        c[i] = sfemi_dot3(a + i, b);
+        c[i + 1] = sfemi_dot3(a + i, b + 3);
+        c[i + 2] = sfemi_dot3(a + i, b + 6);
+    }
 }
 
 /* d(det f)/df; f:c = 3 det f. */
@@ -910,17 +938,16 @@ static void sfemi_cofactor3(const sfem_real *f, sfem_real *c)
     sfemi_cross(f, f + 3, c + 6);
 }
 
-/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle that zeroes the
- * off-diagonal entry pq of a symmetric matrix. */
+/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle, at most 45
+ * degrees, that zeroes the off-diagonal entry pq of a symmetric matrix. */
 static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
 {
-    const sfem_real theta = (qq - pp) / (2 * pq);
-    const sfem_real t = 1 / (fabs(theta) + sqrt(theta * theta + 1));
-    return theta < 0 ? -t : t;
+    const sfem_real d = qq - pp, t = 2 * pq / (fabs(d) + sqrt(d * d + 4 * pq * pq));
+    return d < 0 ? -t : t;
 }
 
-/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric matrix
- * a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
+/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric
+ * matrix a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
 static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
 {
     sfem_real norm = 0;
@@ -929,7 +956,7 @@ static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
         norm += a[i] * a[i];
         v[i] = i % (n + 1) ? 0 : 1;
     }
-    norm = 1e-17 * sqrt(norm);
+    norm = 2e-16 * sqrt(norm); /* the rounding error */
     for (sweep = 0; sweep < 30 && turned; ++sweep) {
         turned = 0;
         for (p = 0; p < n - 1; ++p) {
@@ -970,9 +997,10 @@ static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
     }
 }
 
-/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were. Sweeps of
- * it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the start: the singular
- * value decomposition, its small values to their own rounding error [Hestenes 1958]. */
+/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were.
+ * Sweeps of it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the
+ * start: the singular value decomposition, its small values to their own rounding error
+ * [Hestenes 1958]. */
 static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
 {
     sfem_real pp = 0, qq = 0, pq = 0, t, c, s;
@@ -996,10 +1024,11 @@ static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
     return 1;
 }
 
-/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none); where
- * nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves enough. */
-static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9], int k,
-                           sfem_real axis[3])
+/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none);
+ * where nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves
+ * enough. */
+static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9],
+                           int k, sfem_real axis[3])
 {
     sfem_real length = 0, size, along;
     int tries, pass, i;
@@ -1038,8 +1067,9 @@ SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[
         v[i] = i % 4 ? 0 : 1;
     }
     if (!(scale > 0)) scale = 1;
-    for (i = 0; i < 9; ++i) b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
-    for (sweep = 0; sweep < 20 && turned; ++sweep) { /* b = f v / scale */
+    for (i = 0; i < 9; ++i)
+        b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
+    for (sweep = 0; sweep < 20 && turned; ++sweep) {           /* b = f v / scale */
         turned = sfemi_svd_turn(3, b, v, 0, 1);
         turned |= sfemi_svd_turn(3, b, v, 0, 2);
         turned |= sfemi_svd_turn(3, b, v, 1, 2);
@@ -1063,9 +1093,10 @@ SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[
 
 /* The nearest rotation R of an ordinary F, or 0. The trace t of S is the largest root of
  *     p(t) = t^4 - 2 |F|^2 t^2 - 8 det F t + |F|^4 - 4 |cof F|^2,
- * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura 2022]. That
- * loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F flat or a little
- * inverted is ordinary, F of rank 1 is not. The root is approached from above by Halley's method, which cannot overshoot. */
+ * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura
+ * 2022]. That loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F
+ * flat or a little inverted is ordinary, F of rank 1 is not. The root is approached from above
+ * by Halley's method, which cannot overshoot. */
 static int sfemi_polar_fast(const sfem_real f[9], sfem_real r[9])
 {
     sfem_real c[9], ftf[9], norm2 = 0, cof2 = 0, det, t, step, slope;
@@ -2310,7 +2341,8 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
 
 /* Rows 0..3 of g: the gradients of the four shape functions. Returns the volume. */
 static sfem_real sfemi_element_gradients_of(const sfem_real *x0, const sfem_real *x1,
-                                            const sfem_real *x2, const sfem_real *x3, sfem_real g[4][3])
+                                            const sfem_real *x2, const sfem_real *x3,
+                                            sfem_real g[4][3])
 {
     sfem_real e[3][3], volume6;
     int a, i;
@@ -2332,10 +2364,9 @@ static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sf
 {
     const sfem_int *t = mesh->tet + 4 * (size_t)tet;
     const sfem_real *x = mesh->x;
-    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1], x + 3 * (size_t)t[2],
-                                      x + 3 * (size_t)t[3], g);
+    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1],
+                                      x + 3 * (size_t)t[2], x + 3 * (size_t)t[3], g);
 }
-
 /* k = V (lambda ga gb^T + mu gb ga^T + mu (ga.gb) I): the block of nodes a, b of K_e. */
 static void sfemi_element_block(const sfem_real *ga, const sfem_real *gb, sfem_real lambda_v,
                                 sfem_real mu_v, sfem_real k[9])
@@ -2387,7 +2418,8 @@ SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambd
 }
 
 /* p = lambda tr(e) I + 2 mu e; returns lambda/2 tr(e)^2 + mu e:e. */
-static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9], sfem_real p[9])
+static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9],
+                                 sfem_real p[9])
 {
     const sfem_real trace = e[0] + e[4] + e[8];
     sfem_real square = 0;
@@ -2414,7 +2446,8 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
     return lambda / 2 * trace * trace + mu * square;
 }
 
-static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9], sfem_real p[9])
+static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                                sfem_real p[9])
 {
     sfem_real e[9], s[9], gs[9], energy;
     int i, j;
@@ -2448,8 +2481,8 @@ static sfem_real sfemi_law_neohookean(sfem_real lambda, sfem_real mu, const sfem
     return m / 2 * (i - 1.5 * j - log1p(i / 4)) + l / 2 * j * j;
 }
 
-static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
-                                  sfem_real p[9])
+static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                  const sfem_real g[9], sfem_real p[9])
 {
     sfem_real e[9];
     int i, j;
@@ -2457,8 +2490,10 @@ static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, 
     case SFEM_COROTATIONAL:
         for (i = 0; i < 9; ++i) e[i] = g[i] + (i % 4 ? 0 : 1);
         return sfemi_law_corotational(lambda, mu, e, p);
-    case SFEM_STVK: return sfemi_law_stvk(lambda, mu, g, p);
-    case SFEM_NEOHOOKEAN: return sfemi_law_neohookean(lambda, mu, g, p);
+    case SFEM_STVK:
+        return sfemi_law_stvk(lambda, mu, g, p);
+    case SFEM_NEOHOOKEAN:
+        return sfemi_law_neohookean(lambda, mu, g, p);
     default:
         for (i = 0; i < 3; ++i)
             for (j = 0; j < 3; ++j) e[3 * i + j] = (g[3 * i + j] + g[3 * j + i]) / 2;
@@ -2473,8 +2508,8 @@ static void sfemi_law_less_one(const sfem_real f[9], sfem_real g[9])
     for (i = 0; i < 9; ++i) g[i] = f[i] - (i % 4 ? 0 : 1);
 }
 
-SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                   sfem_real p[9])
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9], sfem_real p[9])
 {
     sfem_real g[9];
     SFEM_ASSERT(f && p && (unsigned)law <= SFEM_NEOHOOKEAN);
@@ -2482,7 +2517,8 @@ SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
     return sfemi_law_stress(law, lambda, mu, g, p);
 }
 
-SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9])
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9])
 {
     sfem_real p[9];
     return sfem_law_stress(law, lambda, mu, f, p);
@@ -2490,8 +2526,8 @@ SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
 
 /* ---- tangents ----
  *
- * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T alone, and
- * their dP/dF is simple in that frame: with dF~ = U^T dF V,
+ * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T
+ * alone, and their dP/dF is simple in that frame: with dF~ = U^T dF V,
  *     dP~_ii = sum_j d2Psi/(ds_i ds_j) dF~_jj,    dP~_ij = both dF~_ij + swap dF~_ji,
  * both +- swap the eigenvalues of the symmetric (flip) and skew (twist) change of the pair ij,
  * (Psi_i - Psi_j)/(s_i - s_j) and (Psi_i + Psi_j)/(s_i + s_j), the quotients done by hand
@@ -2505,11 +2541,13 @@ typedef struct sfemi_modes {
 static const int sfemi_law_pair[3][2] = {{1, 2}, {0, 2}, {0, 1}};
 
 /* The law's derivatives at s: a, and flip and twist by pair. */
-static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real s[3],
-                                  sfem_real a[9], sfem_real flip[3], sfem_real twist[3])
+static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu,
+                                  const sfem_real s[3], sfem_real a[9], sfem_real flip[3],
+                                  sfem_real twist[3])
 {
     const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, det = s[0] * s[1] * s[2];
-    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2, trace = s[0] + s[1] + s[2] - 3;
+    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2,
+                    trace = s[0] + s[1] + s[2] - 3;
     const sfem_real b = l * (det - 1) - .75 * m, c = m * (1 - 1 / (norm2 + 1));
     const sfem_real d = 2 * m / ((norm2 + 1) * (norm2 + 1));
     int k, i, j;
@@ -2542,6 +2580,9 @@ static void sfemi_law_project(sfem_real a[9])
 {
     sfem_real w[3], v[9], copy[9];
     int i, j, k;
+    const sfem_real minor = a[0] * a[4] - a[1] * a[1];
+    sfemi_cofactor3(a, copy);
+    if (a[0] > 0 && minor > 0 && sfemi_dot3(a, copy) > 0) return; /* definite as it is */
     memcpy(copy, a, sizeof copy);
     sfemi_sym_eigen(3, copy, w, v);
     if (w[2] >= 0) return;
@@ -2549,6 +2590,20 @@ static void sfemi_law_project(sfem_real a[9])
         for (j = 0; j < 3; ++j)
             for (k = 0, a[3 * i + j] = 0; k < 3; ++k)
                 if (w[k] > 0) a[3 * i + j] += w[k] * v[3 * i + k] * v[3 * j + k];
+}
+
+/* As sfem_signed_svd, but small s only to the rounding error of the largest: by R and the
+ * eigenvectors of S where F is ordinary. */
+static void sfemi_law_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9])
+{
+    sfem_real r[9], rtf[9];
+    if (!sfemi_polar_fast(f, r)) {
+        sfem_signed_svd(f, u, s, v);
+        return;
+    }
+    sfemi_mul3_tn(r, f, rtf);
+    sfemi_sym_eigen(3, rtf, s, v);
+    sfemi_mul3(r, v, u);
 }
 
 static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
@@ -2560,14 +2615,17 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
         m->u[i] = m->v[i] = i % 4 ? 0 : 1;
         f[i] = g[i] + m->u[i];
     }
-    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN) sfem_polar(f, m->u, NULL);
-    else if (law != SFEM_LINEAR) sfem_signed_svd(f, m->u, s, m->v);
+    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN)
+        sfem_polar(f, m->u, NULL);
+    else if (law != SFEM_LINEAR)
+        sfemi_law_svd(f, m->u, s, m->v);
     sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
     if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
     for (i = 0; i < 3; ++i) {
         if (kind != SFEM_TANGENT_EXACT) {
             flip[i] = fmax(flip[i], 0);
-            twist[i] = law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
+            twist[i] =
+                law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
         }
         m->both[i] = (flip[i] + twist[i]) / 2;
         m->swap[i] = (flip[i] - twist[i]) / 2;
@@ -2590,8 +2648,9 @@ static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_
     sfemi_mul3_nt(t, m->v, dp);
 }
 
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9])
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
+                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
+                                    sfem_real dp[9])
 {
     sfem_real g[9];
     sfemi_modes modes;
@@ -2617,31 +2676,89 @@ SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, con
     }
 }
 
-/* block = volume ga.(dP/dF).gb, the 3x3 block of two nodes whose shape gradients are, in the frame V,
- * ga and gb. */
-static void sfemi_modes_block(const sfemi_modes *m, sfem_real volume, const sfem_real ga[3],
-                              const sfem_real gb[3], sfem_real block[9])
-{
-    sfem_real x[9], t[9];
-    int k, i, j;
-    for (k = 0; k < 3; ++k) {
-        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
-        x[4 * k] = volume * (m->a[4 * k] * ga[k] * gb[k] + m->both[j] * ga[i] * gb[i] +
-                             m->both[i] * ga[j] * gb[j]);
-        x[3 * i + j] = volume * (m->a[3 * i + j] * ga[i] * gb[j] + m->swap[k] * ga[j] * gb[i]);
-        x[3 * j + i] = volume * (m->a[3 * i + j] * ga[j] * gb[i] + m->swap[k] * ga[i] * gb[j]);
-    }
-    sfemi_mul3(m->u, x, t);
-    sfemi_mul3_nt(t, m->u, block);
-}
+/* The stiffness of a tet by blocks of its node pairs a >= b, in the order 00 10 11 20 .. 33,
+ * all at once: the pairs are lanes of a vector. */
+#define SFEMI_PAIRS 12 /* ten, and two that are zero */
 
-/* The shape gradients in the frame V. */
-static void sfemi_modes_turn(const sfemi_modes *m, sfem_real g[4][3], sfem_real in_v[4][3])
+typedef struct sfemi_pairs {
+    sfem_real a[3][SFEMI_PAIRS],
+        b[3][SFEMI_PAIRS];       /* shape gradients of both nodes in the frame V */
+    sfem_real x[9][SFEMI_PAIRS]; /* the blocks in the frame U, */
+    sfem_real k[9][SFEMI_PAIRS]; /* and in that of the world */
+} sfemi_pairs;
+
+/* Bit p of swap: pair p wants the block of (b, a) instead of (a, b). */
+static void sfemi_pairs_fill(const sfemi_modes *m, sfem_real g[4][3], unsigned swap, sfemi_pairs *w)
 {
-    int a, i;
+    sfem_real in_v[4][3];
+    int a, b, i, p;
     for (a = 0; a < 4; ++a)
         for (i = 0; i < 3; ++i)
             in_v[a][i] = g[a][0] * m->v[i] + g[a][1] * m->v[3 + i] + g[a][2] * m->v[6 + i];
+    for (a = 0, p = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++p)
+            for (i = 0; i < 3; ++i) {
+                w->a[i][p] = in_v[swap >> p & 1 ? b : a][i];
+                w->b[i][p] = in_v[swap >> p & 1 ? a : b][i];
+            }
+    for (i = 0; i < 3; ++i) w->a[i][10] = w->a[i][11] = w->b[i][10] = w->b[i][11] = 0;
+}
+
+/* x = volume ga.(dP/dF).gb in its entries nn, ij and ji; n, i, j are constants, all different. */
+SFEMI_INLINE void sfemi_pairs_entries(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w,
+                                      const int n, const int i, const int j)
+{
+    const sfem_real ann = volume * m->a[4 * n], aij = volume * m->a[3 * i + j];
+    const sfem_real swap = volume * m->swap[n], bi = volume * m->both[i], bj = volume * m->both[j];
+    int p;
+    for (p = 0; p < SFEMI_PAIRS; ++p) {
+        const sfem_real an = w->a[n][p], ai = w->a[i][p], aj = w->a[j][p];
+        const sfem_real cn = w->b[n][p], ci = w->b[i][p], cj = w->b[j][p];
+        w->x[4 * n][p] = ann * an * cn + bj * ai * ci + bi * aj * cj;
+        w->x[3 * i + j][p] = aij * ai * cj + swap * aj * ci;
+        w->x[3 * j + i][p] = aij * aj * ci + swap * ai * cj;
+    }
+}
+
+SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    int p, i;
+    sfemi_pairs_entries(m, volume, w, 0, 1, 2);
+    sfemi_pairs_entries(m, volume, w, 1, 0, 2);
+    sfemi_pairs_entries(m, volume, w, 2, 0, 1);
+    for (i = 0; i < 3; ++i) { /* k = u x u^T, by rows of u x */
+        const sfem_real a = m->u[3 * i], b = m->u[3 * i + 1], c = m->u[3 * i + 2];
+        for (p = 0; p < SFEMI_PAIRS; ++p) {
+            const sfem_real t0 = a * w->x[0][p] + b * w->x[3][p] + c * w->x[6][p];
+            const sfem_real t1 = a * w->x[1][p] + b * w->x[4][p] + c * w->x[7][p];
+            const sfem_real t2 = a * w->x[2][p] + b * w->x[5][p] + c * w->x[8][p];
+            w->k[3 * i][p] = t0 * m->u[0] + t1 * m->u[1] + t2 * m->u[2];
+            w->k[3 * i + 1][p] = t0 * m->u[3] + t1 * m->u[4] + t2 * m->u[5];
+            w->k[3 * i + 2][p] = t0 * m->u[6] + t1 * m->u[7] + t2 * m->u[8];
+        }
+    }
+}
+
+typedef void (*sfemi_pairs_kernel)(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w);
+
+static void sfemi_pairs_portable(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    sfemi_pairs_blocks(m, volume, w);
+}
+
+#ifdef SFEMI_X86_PATHS
+SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    sfemi_pairs_blocks(m, volume, w);
+}
+#endif
+
+static sfemi_pairs_kernel sfemi_pairs_pick(void)
+{
+#ifdef SFEMI_X86_PATHS
+    if (sfem_vector_width() >= 4) return sfemi_pairs_avx2;
+#endif
+    return sfemi_pairs_portable;
 }
 
 /* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
@@ -2651,17 +2768,18 @@ static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const
     int i, j;
     for (i = 0; i < 3; ++i)
         for (j = 0; j < 3; ++j)
-            grad[3 * i + j] = (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] +
-                              (u3[i] - u0[i]) * g[3][j];
+            grad[3 * i + j] =
+                (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] + (u3[i] - u0[i]) * g[3][j];
 }
 
 SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
                                 const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
                                 sfem_real k[144])
 {
-    sfem_real g[4][3], in_v[4][3], grad[9], p[9], block[9], volume, energy;
+    sfem_real g[4][3], grad[9], p[9], volume, energy;
     sfemi_modes modes;
-    int a, b, i;
+    sfemi_pairs pairs;
+    int a, b, i, n;
     SFEM_ASSERT(x && u && (unsigned)law <= SFEM_NEOHOOKEAN);
     volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, g);
     sfemi_element_deform(u, u + 3, u + 6, u + 9, g, grad);
@@ -2670,12 +2788,14 @@ SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, co
         for (i = 0; i < 3; ++i) force[3 * a + i] = volume * sfemi_dot3(p + 3 * i, g[a]);
     if (!k) return energy;
     sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
-    sfemi_modes_turn(&modes, g, in_v);
-    for (a = 0; a < 4; ++a)
-        for (b = 0; b < 4; ++b) {
-            sfemi_modes_block(&modes, volume, in_v[a], in_v[b], block);
-            for (i = 0; i < 9; ++i) k[12 * (3 * a + i / 3) + 3 * b + i % 3] = block[i];
-        }
+    sfemi_pairs_fill(&modes, g, 0, &pairs);
+    sfemi_pairs_portable(&modes, volume, &pairs);
+    for (a = 0, n = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n)
+            for (i = 0; i < 9; ++i) {
+                k[12 * (3 * a + i / 3) + 3 * b + i % 3] = pairs.k[i][n];
+                k[12 * (3 * b + i % 3) + 3 * a + i / 3] = pairs.k[i][n];
+            }
     return energy;
 }
 
@@ -2702,8 +2822,9 @@ SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2)
     }
 }
 
-/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the product
- * with a symmetric tensor written the same way is n.C n. Zero for an edge without length. */
+/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the
+ * product with a symmetric tensor written the same way is n.C n. Zero for an edge without
+ * length. */
 static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length2, sfem_real *q)
 {
     const int edges = dim == 3 ? 6 : 3;
@@ -2712,15 +2833,16 @@ static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length
         const int *end = sfemi_edge_ends(dim, k);
         sfem_real n[3];
         for (i = 0; i < dim; ++i)
-            n[i] = length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
+            n[i] =
+                length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
         for (i = 0, at = 0; i < dim; ++i) q[edges * k + at++] = n[i] * n[i];
         for (i = 0; i < dim; ++i)
             for (j = i + 1; j < dim; ++j) q[edges * k + at++] = sqrt(2.0) * n[i] * n[j];
     }
 }
 
-/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the sum of
- * v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
+/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the
+ * sum of v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
 static int sfemi_edge_pseudo_inverse(int m, sfem_real *q, sfem_real *w)
 {
     sfem_real v[36], square[6], largest = 0;
@@ -2752,8 +2874,9 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
     out->dim = dim;
     out->nodes = dim + 1;
     out->edges = dim == 3 ? 6 : 3;
-    out->volume = dim == 3 ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
-                           : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
+    out->volume = dim == 3
+                      ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
+                      : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
     sfem_edge_lengths2(dim, x, length2);
     sfemi_edge_rows(dim, x, length2, q);
     out->rank = sfemi_edge_pseudo_inverse(out->edges, q, w);
@@ -2767,7 +2890,8 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
     }
 }
 
-SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c)
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2,
+                                     sfem_real *c)
 {
     int i, k;
     SFEM_ASSERT(shape && d2 && c);
@@ -2816,8 +2940,8 @@ SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real
 }
 
 /* dPsi/dC, with C = I + c. */
-static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real c[9],
-                                   sfem_real s[9])
+static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real c[9], sfem_real s[9])
 {
     const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, i = c[0] + c[4] + c[8];
     sfem_real full[9], e[9], cof[9], third, det, volume, a;
@@ -2850,12 +2974,13 @@ SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, 
     energy = sfemi_edge_stress(law, lambda, mu, c, s);
     for (k = 0; slope && k < shape->edges; ++k)
         for (i = 0, slope[k] = 0; i < shape->dim; ++i)
-            for (j = 0; j < shape->dim; ++j) slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
+            for (j = 0; j < shape->dim; ++j)
+                slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
     return energy;
 }
 
-SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
-                               sfem_real *force)
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
+                               const sfem_real *slope, sfem_real *force)
 {
     const int dim = shape->dim;
     int k, i;
@@ -2874,19 +2999,21 @@ SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
 
 /* ---- the same for many tets at once ----
  *
- * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each loop over
- * lanes below is straight-line arithmetic that a compiler turns into vector instructions (gcc from 12 on
- * and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double and float; the paths below it compile
- * that for several instruction sets. `fused` is a constant there: fused multiply-adds are asked for by
- * name, so that the bits of a result depend on the path and on nothing else. */
+ * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each
+ * loop over lanes below is straight-line arithmetic that a compiler turns into vector
+ * instructions (gcc from 12 on and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double
+ * and float; the paths below it compile that for several instruction sets. `fused` is a
+ * constant there: fused multiply-adds are asked for by name, so that the bits of a result
+ * depend on the path and on nothing else. */
 #define SFEMI_LANES 16
 
 typedef struct sfemi_block {
     sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
-    sfem_real lambda[SFEMI_LANES], mu[SFEMI_LANES]; /* times the volume, J; 0 in lanes that fill up */
+    sfem_real lambda[SFEMI_LANES];    /* times the volume, J; 0 in lanes that fill up */
+    sfem_real mu[SFEMI_LANES];
     sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
     sfem_int tet[SFEMI_LANES];
-    sfem_int law, count;              /* count of the lanes are tets, the others copies of the last */
+    sfem_int law, count;              /* so many lanes are tets, the others copies of the last */
     sfem_int pad[14];                 /* to whole cache lines */
 } sfemi_block;
 
@@ -2895,23 +3022,22 @@ typedef struct sfemi_totals {
     sfem_real energy[SFEMI_LANES], inverted[SFEMI_LANES]; /* inverted: tets with det F <= 0 */
 } sfemi_totals;
 
-/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4]; the
- * nearest rotations go to rotation [tets][9], if not NULL. */
+/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
+ * the nearest rotations go to rotation [tets][9], if not NULL. */
 typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
                                     sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
 
 #if defined(__GNUC__)
-#define SFEMI_INLINE static inline __attribute__((always_inline))
 #define SFEMI_FMA_d(a, b, c) __builtin_fma(a, b, c)
 #define SFEMI_FMA_f(a, b, c) __builtin_fmaf(a, b, c)
 #else
-#define SFEMI_INLINE static inline
 #define SFEMI_FMA_d(a, b, c) ((a) * (b) + (c))
 #define SFEMI_FMA_f(a, b, c) ((a) * (b) + (c))
 #endif
 
 /* d = u_a - u_0 by lanes, a = 1, 2, 3; and out_a += d, out_0 -= the sum of d. */
-typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u, sfem_real d[9][SFEMI_LANES]);
+typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u,
+                             sfem_real d[9][SFEMI_LANES]);
 typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                               sfem_real *out);
 
@@ -2947,9 +3073,6 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
 }
 
 #ifdef SFEMI_X86_PATHS
-#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
-#define SFEMI_AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
-
 /* Rows <-> columns of four vectors of four. */
 SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
 {
@@ -2990,8 +3113,8 @@ SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
     _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
 }
 
-SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
-                                          sfem_real *out)
+SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
+                                          const sfem_real d[9][SFEMI_LANES], sfem_real *out)
 {
     int l, a;
     for (l = 0; l < SFEMI_LANES; l += 4) { /* lanes that fill up add zero */
@@ -3040,8 +3163,8 @@ SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
     return any != 0;
 }
 
-#define SFEMI_LANE_KERNELS(T, S, STEP, ROUND)                                                      \
-/* a b + c; and with it a0 b0 + a1 b1 + a2 b2 (+ c), a b - c d */                                  \
+/* MA = a b + c, DOT = a0 b0 + a1 b1 + a2 b2, DET = a b - c d, rounded as the path does it */
+#define SFEMI_LANE_ARITHMETIC(T, S)                                                                \
 SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
 {                                                                                                  \
     return fused ? SFEMI_FMA_##S(a, b, c) : a * b + c;                                             \
@@ -3053,8 +3176,17 @@ SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2
 SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a, b, -(c * d));                                                    \
-}                                                                                                  \
-                                                                                                   \
+}
+SFEMI_LANE_ARITHMETIC(double, d)
+SFEMI_LANE_ARITHMETIC(float, f)
+#define SFEMI_MA_d(a, b, c)                sfemi_ma_d(fused, a, b, c)
+#define SFEMI_MA_f(a, b, c)                sfemi_ma_f(fused, a, b, c)
+#define SFEMI_DOT_d(a0, b0, a1, b1, a2, b2) sfemi_dot_d(fused, a0, b0, a1, b1, a2, b2)
+#define SFEMI_DOT_f(a0, b0, a1, b1, a2, b2) sfemi_dot_f(fused, a0, b0, a1, b1, a2, b2)
+#define SFEMI_DET_d(a, b, c, d)            sfemi_det_d(fused, a, b, c, d)
+#define SFEMI_DET_f(a, b, c, d)            sfemi_det_f(fused, a, b, c, d)
+
+#define SFEMI_LANE_KERNELS(T, S, MA, DOT, DET, STEP, ROUND)                                        \
 typedef struct sfemi_lanes_##S {                                                                   \
     sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
     T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
@@ -3076,17 +3208,20 @@ SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *
     for (i = 0; i < 3; ++i)                                                                        \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T a = (T)w->d[i][l], b = (T)w->d[3 + i][l], c = (T)w->d[6 + i][l];               \
-            w->g[3 * i][l] = sfemi_dot_##S(fused, a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]);\
-            w->g[3 * i + 1][l] = sfemi_dot_##S(fused, a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]);\
-            w->g[3 * i + 2][l] = sfemi_dot_##S(fused, a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]);\
+            w->g[3 * i][l] =                                                                       \
+                DOT(a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]); \
+            w->g[3 * i + 1][l] =                                                                   \
+                DOT(a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]); \
+            w->g[3 * i + 2][l] =                                                                   \
+                DOT(a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]); \
         }                                                                                          \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
         const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
         const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
-        w->det[l] = sfemi_dot_##S(fused, f0, sfemi_det_##S(fused, f4, f8, f5, f7),                 \
-                                  f1, sfemi_det_##S(fused, f5, f6, f3, f8),                        \
-                                  f2, sfemi_det_##S(fused, f3, f7, f4, f6));                       \
+        w->det[l] = DOT(f0, DET(f4, f8, f5, f7),                                                   \
+                                  f1, DET(f5, f6, f3, f8),                                         \
+                                  f2, DET(f3, f7, f4, f6));                                        \
         w->lambda[l] = (T)block->lambda[l];                                                        \
         w->mu[l] = (T)block->mu[l];                                                                \
     }                                                                                              \
@@ -3100,15 +3235,15 @@ SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)  
         const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
         const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
         const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
-        const T c0 = sfemi_det_##S(fused, f4, f8, f5, f7), c1 = sfemi_det_##S(fused, f5, f6, f3, f8);\
-        const T c2 = sfemi_det_##S(fused, f3, f7, f4, f6), c3 = sfemi_det_##S(fused, f2, f7, f1, f8);\
-        const T c4 = sfemi_det_##S(fused, f0, f8, f2, f6), c5 = sfemi_det_##S(fused, f1, f6, f0, f7);\
-        const T c6 = sfemi_det_##S(fused, f1, f5, f2, f4), c7 = sfemi_det_##S(fused, f2, f3, f0, f5);\
-        const T c8 = sfemi_det_##S(fused, f0, f4, f1, f3);                                         \
-        const T n = sfemi_dot_##S(fused, f0, f0, f1, f1, f2, f2) + sfemi_dot_##S(fused, f3, f3, f4, f4, f5, f5) +\
-                    sfemi_dot_##S(fused, f6, f6, f7, f7, f8, f8);                                  \
-        const T m = sfemi_dot_##S(fused, c0, c0, c1, c1, c2, c2) + sfemi_dot_##S(fused, c3, c3, c4, c4, c5, c5) +\
-                    sfemi_dot_##S(fused, c6, c6, c7, c7, c8, c8);                                  \
+        const T c0 = DET(f4, f8, f5, f7), c1 = DET(f5, f6, f3, f8);                                \
+        const T c2 = DET(f3, f7, f4, f6), c3 = DET(f2, f7, f1, f8);                                \
+        const T c4 = DET(f0, f8, f2, f6), c5 = DET(f1, f6, f0, f7);                                \
+        const T c6 = DET(f1, f5, f2, f4), c7 = DET(f2, f3, f0, f5);                                \
+        const T c8 = DET(f0, f4, f1, f3);                                                          \
+        const T n = DOT(f0, f0, f1, f1, f2, f2) + DOT(f3, f3, f4, f4, f5, f5) +                    \
+                    DOT(f6, f6, f7, f7, f8, f8);                                                   \
+        const T m = DOT(c0, c0, c1, c1, c2, c2) + DOT(c3, c3, c4, c4, c5, c5) +                    \
+                    DOT(c6, c6, c7, c7, c8, c8);                                                   \
         w->c[0][l] = c0, w->c[1][l] = c1, w->c[2][l] = c2;                                         \
         w->c[3][l] = c3, w->c[4][l] = c4, w->c[5][l] = c5;                                         \
         w->c[6][l] = c6, w->c[7][l] = c7, w->c[8][l] = c8;                                         \
@@ -3116,7 +3251,7 @@ SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)  
         w->r[3][l] = f3, w->r[4][l] = f4, w->r[5][l] = f5;                                         \
         w->r[6][l] = f6, w->r[7][l] = f7, w->r[8][l] = f8;                                         \
         w->norm2[l] = n;                                                                           \
-        w->constant[l] = sfemi_ma_##S(fused, n, n, -4 * m);                                        \
+        w->constant[l] = MA(n, n, -4 * m);                                                         \
         w->trace[l] = (n + 3) / 2;                                                                 \
     }                                                                                              \
 }                                                                                                  \
@@ -3127,10 +3262,10 @@ SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)   
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T t = w->trace[l], n = w->norm2[l], d = w->det[l], t2 = t * t;                       \
-        const T p = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t2 - 2 * n, t, -8 * d), t, w->constant[l]);\
-        const T slope = sfemi_ma_##S(fused, t2 - n, t, -2 * d);                                    \
+        const T p = MA(MA(t2 - 2 * n, t, -8 * d), t, w->constant[l]);                              \
+        const T slope = MA(t2 - n, t, -2 * d);                                                     \
         const T half = (3 * t2 - n) / 2;                                                           \
-        const T step = p * slope / sfemi_det_##S(fused, 4 * slope, slope, p, half);                \
+        const T step = p * slope / DET(4 * slope, slope, p, half);                                 \
                 w->trace[l] = t - step;                                                            \
         w->bad[l] = step <= (T)STEP * (t - step) ? 0 : 1; /* also where step is not a number */    \
     }                                                                                              \
@@ -3142,44 +3277,44 @@ SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused) 
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T t = w->trace[l], n = w->norm2[l];                                                  \
-        const T slope = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t, t, -n), t, -2 * w->det[l]);     \
+        const T slope = MA(MA(t, t, -n), t, -2 * w->det[l]);                                       \
         const T over = 1 / slope;                                                                  \
         w->bad[l] = slope > (T)ROUND * t * t * t ? w->bad[l] : 1;                                  \
-        w->k[0][l] = sfemi_ma_##S(fused, t, t, n) * over;                                          \
+        w->k[0][l] = MA(t, t, n) * over;                                                           \
         w->k[1][l] = -2 * over;                                                                    \
         w->k[2][l] = 2 * t * over;                                                                 \
     }                                                                                              \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l], f3 = w->r[3][l], f4 = w->r[4][l];\
-        const T f5 = w->r[5][l], f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                \
+        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l];                                 \
+        const T f3 = w->r[3][l], f4 = w->r[4][l], f5 = w->r[5][l];                                 \
+        const T f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                                 \
         const T a = w->k[0][l], b = w->k[1][l];                                                    \
-        w->s[0][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f0, f0, f3, f3, f6, f6), a);      \
-        w->s[1][l] = b * sfemi_dot_##S(fused, f0, f1, f3, f4, f6, f7);                             \
-        w->s[2][l] = b * sfemi_dot_##S(fused, f0, f2, f3, f5, f6, f8);                             \
-        w->s[3][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f1, f1, f4, f4, f7, f7), a);      \
-        w->s[4][l] = b * sfemi_dot_##S(fused, f1, f2, f4, f5, f7, f8);                             \
-        w->s[5][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f2, f2, f5, f5, f8, f8), a);      \
+        w->s[0][l] = MA(b, DOT(f0, f0, f3, f3, f6, f6), a);                                        \
+        w->s[1][l] = b * DOT(f0, f1, f3, f4, f6, f7);                                              \
+        w->s[2][l] = b * DOT(f0, f2, f3, f5, f6, f8);                                              \
+        w->s[3][l] = MA(b, DOT(f1, f1, f4, f4, f7, f7), a);                                        \
+        w->s[4][l] = b * DOT(f1, f2, f4, f5, f7, f8);                                              \
+        w->s[5][l] = MA(b, DOT(f2, f2, f5, f5, f8, f8), a);                                        \
     }                                                                                              \
     for (i = 0; i < 9; i += 3)                                                                     \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T x = w->r[i][l], y = w->r[i + 1][l], z = w->r[i + 2][l], b = w->k[2][l];        \
             const T s0 = w->s[0][l], s1 = w->s[1][l], s2 = w->s[2][l];                             \
             const T s3 = w->s[3][l], s4 = w->s[4][l], s5 = w->s[5][l];                             \
-            w->r[i][l] = sfemi_ma_##S(fused, b, w->c[i][l], sfemi_dot_##S(fused, x, s0, y, s1, z, s2));\
-            w->r[i + 1][l] = sfemi_ma_##S(fused, b, w->c[i + 1][l], sfemi_dot_##S(fused, x, s1, y, s3, z, s4));\
-            w->r[i + 2][l] = sfemi_ma_##S(fused, b, w->c[i + 2][l], sfemi_dot_##S(fused, x, s2, y, s4, z, s5));\
+            w->r[i][l] = MA(b, w->c[i][l], DOT(x, s0, y, s1, z, s2));                              \
+            w->r[i + 1][l] = MA(b, w->c[i + 1][l], DOT(x, s1, y, s3, z, s4));                      \
+            w->r[i + 2][l] = MA(b, w->c[i + 2][l], DOT(x, s2, y, s4, z, s5));                      \
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope is\
- * below ROUND t^3 are done again the slow way */                                                  \
+/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope  \
+ * is below ROUND t^3 are done again the slow way */                                               \
 SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
 {                                                                                                  \
     sfem_real g[9], r[9];                                                                          \
     int l, i, k;                                                                                   \
     sfemi_lanes_quartic_##S(w, fused);                                                             \
-    sfemi_lanes_halley_##S(w, fused);                                                              \
-    for (k = 0; k < 5; ++k) {                                                                      \
+    for (k = 0; k < 8; ++k) {                                                                      \
         sfemi_lanes_halley_##S(w, fused);                                                          \
         if (!sfemi_lanes_any(w->bad, sizeof w->bad)) break;                                        \
     }                                                                                              \
@@ -3198,16 +3333,17 @@ SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)   
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T e0 = w->g[0][l], e4 = w->g[4][l], e8 = w->g[8][l], trace = e0 + e4 + e8;           \
-        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l], e5 = w->g[5][l] + w->g[7][l];\
+        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l];                        \
+        const T e5 = w->g[5][l] + w->g[7][l];                                                      \
         const T mu = w->mu[l], lt = w->lambda[l] * trace;                                          \
-        w->p[0][l] = sfemi_ma_##S(fused, 2 * mu, e0, lt);                                          \
-        w->p[4][l] = sfemi_ma_##S(fused, 2 * mu, e4, lt);                                          \
-        w->p[8][l] = sfemi_ma_##S(fused, 2 * mu, e8, lt);                                          \
+        w->p[0][l] = MA(2 * mu, e0, lt);                                                           \
+        w->p[4][l] = MA(2 * mu, e4, lt);                                                           \
+        w->p[8][l] = MA(2 * mu, e8, lt);                                                           \
         w->p[1][l] = w->p[3][l] = mu * e1;                                                         \
         w->p[2][l] = w->p[6][l] = mu * e2;                                                         \
         w->p[5][l] = w->p[7][l] = mu * e5;                                                         \
-        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
-                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+        w->energy[l] = MA(lt / 2, trace,                                                           \
+                       mu * (DOT(e0, e0, e4, e4, e8, e8) + DOT(e1, e1, e2, e2, e5, e5) / 2));      \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
@@ -3215,24 +3351,25 @@ SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fus
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l], r3 = w->r[3][l], r4 = w->r[4][l];\
-        const T r5 = w->r[5][l], r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                \
+        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l];                                 \
+        const T r3 = w->r[3][l], r4 = w->r[4][l], r5 = w->r[5][l];                                 \
+        const T r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                                 \
         const T d0 = w->g[0][l] + (1 - r0), d1 = w->g[1][l] - r1, d2 = w->g[2][l] - r2;            \
         const T d3 = w->g[3][l] - r3, d4 = w->g[4][l] + (1 - r4), d5 = w->g[5][l] - r5;            \
         const T d6 = w->g[6][l] - r6, d7 = w->g[7][l] - r7, d8 = w->g[8][l] + (1 - r8);            \
-        const T trace = sfemi_dot_##S(fused, r0, d0, r1, d1, r2, d2) + sfemi_dot_##S(fused, r3, d3, r4, d4, r5, d5) +\
-                        sfemi_dot_##S(fused, r6, d6, r7, d7, r8, d8);                              \
-        const T square = sfemi_dot_##S(fused, d0, d0, d1, d1, d2, d2) + sfemi_dot_##S(fused, d3, d3, d4, d4, d5, d5) +\
-                         sfemi_dot_##S(fused, d6, d6, d7, d7, d8, d8);                             \
+        const T trace = DOT(r0, d0, r1, d1, r2, d2) + DOT(r3, d3, r4, d4, r5, d5) +                \
+                        DOT(r6, d6, r7, d7, r8, d8);                                               \
+        const T square = DOT(d0, d0, d1, d1, d2, d2) + DOT(d3, d3, d4, d4, d5, d5) +               \
+                         DOT(d6, d6, d7, d7, d8, d8);                                              \
         const T lt = w->lambda[l] * trace;                                                         \
         w->trace[l] = lt;                                                                          \
-        w->energy[l] = sfemi_ma_##S(fused, w->mu[l], square, lt / 2 * trace);                      \
+        w->energy[l] = MA(w->mu[l], square, lt / 2 * trace);                                       \
     }                                                                                              \
     for (i = 0; i < 9; ++i) {                                                                      \
         const T one = i % 4 ? 0 : 1;                                                               \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T r = w->r[i][l], d = w->g[i][l] + (one - r);                                    \
-            w->p[i][l] = sfemi_ma_##S(fused, 2 * w->mu[l], d, w->trace[l] * r);                    \
+            w->p[i][l] = MA(2 * w->mu[l], d, w->trace[l] * r);                                     \
         }                                                                                          \
     }                                                                                              \
 }                                                                                                  \
@@ -3241,28 +3378,29 @@ SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)     
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
-        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
-        const T e0 = g0 + sfemi_dot_##S(fused, g0, g0, g3, g3, g6, g6) / 2;                        \
-        const T e4 = g4 + sfemi_dot_##S(fused, g1, g1, g4, g4, g7, g7) / 2;                        \
-        const T e8 = g8 + sfemi_dot_##S(fused, g2, g2, g5, g5, g8, g8) / 2;                        \
-        const T e1 = g1 + g3 + sfemi_dot_##S(fused, g0, g1, g3, g4, g6, g7);                       \
-        const T e2 = g2 + g6 + sfemi_dot_##S(fused, g0, g2, g3, g5, g6, g8);                       \
-        const T e5 = g5 + g7 + sfemi_dot_##S(fused, g1, g2, g4, g5, g7, g8);                       \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l];                                 \
+        const T g3 = w->g[3][l], g4 = w->g[4][l], g5 = w->g[5][l];                                 \
+        const T g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                                 \
+        const T e0 = g0 + DOT(g0, g0, g3, g3, g6, g6) / 2;                                         \
+        const T e4 = g4 + DOT(g1, g1, g4, g4, g7, g7) / 2;                                         \
+        const T e8 = g8 + DOT(g2, g2, g5, g5, g8, g8) / 2;                                         \
+        const T e1 = g1 + g3 + DOT(g0, g1, g3, g4, g6, g7);                                        \
+        const T e2 = g2 + g6 + DOT(g0, g2, g3, g5, g6, g8);                                        \
+        const T e5 = g5 + g7 + DOT(g1, g2, g4, g5, g7, g8);                                        \
         const T mu = w->mu[l], trace = e0 + e4 + e8, lt = w->lambda[l] * trace;                    \
-        const T s0 = sfemi_ma_##S(fused, 2 * mu, e0, lt), s4 = sfemi_ma_##S(fused, 2 * mu, e4, lt);\
-        const T s8 = sfemi_ma_##S(fused, 2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;\
-        w->p[0][l] = s0 + sfemi_dot_##S(fused, g0, s0, g1, s1, g2, s2);                            \
-        w->p[1][l] = s1 + sfemi_dot_##S(fused, g0, s1, g1, s4, g2, s5);                            \
-        w->p[2][l] = s2 + sfemi_dot_##S(fused, g0, s2, g1, s5, g2, s8);                            \
-        w->p[3][l] = s1 + sfemi_dot_##S(fused, g3, s0, g4, s1, g5, s2);                            \
-        w->p[4][l] = s4 + sfemi_dot_##S(fused, g3, s1, g4, s4, g5, s5);                            \
-        w->p[5][l] = s5 + sfemi_dot_##S(fused, g3, s2, g4, s5, g5, s8);                            \
-        w->p[6][l] = s2 + sfemi_dot_##S(fused, g6, s0, g7, s1, g8, s2);                            \
-        w->p[7][l] = s5 + sfemi_dot_##S(fused, g6, s1, g7, s4, g8, s5);                            \
-        w->p[8][l] = s8 + sfemi_dot_##S(fused, g6, s2, g7, s5, g8, s8);                            \
-        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
-                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+        const T s0 = MA(2 * mu, e0, lt), s4 = MA(2 * mu, e4, lt);                                  \
+        const T s8 = MA(2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;                 \
+        w->p[0][l] = s0 + DOT(g0, s0, g1, s1, g2, s2);                                             \
+        w->p[1][l] = s1 + DOT(g0, s1, g1, s4, g2, s5);                                             \
+        w->p[2][l] = s2 + DOT(g0, s2, g1, s5, g2, s8);                                             \
+        w->p[3][l] = s1 + DOT(g3, s0, g4, s1, g5, s2);                                             \
+        w->p[4][l] = s4 + DOT(g3, s1, g4, s4, g5, s5);                                             \
+        w->p[5][l] = s5 + DOT(g3, s2, g4, s5, g5, s8);                                             \
+        w->p[6][l] = s2 + DOT(g6, s0, g7, s1, g8, s2);                                             \
+        w->p[7][l] = s5 + DOT(g6, s1, g7, s4, g8, s5);                                             \
+        w->p[8][l] = s8 + DOT(g6, s2, g7, s5, g8, s8);                                             \
+        w->energy[l] = MA(lt / 2, trace,                                                           \
+                       mu * (DOT(e0, e0, e4, e4, e8, e8) + DOT(e1, e1, e2, e2, e5, e5) / 2));      \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
@@ -3271,51 +3409,55 @@ SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
-        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
-        const T c0 = sfemi_det_##S(fused, g4, g8, g5, g7), c1 = sfemi_det_##S(fused, g5, g6, g3, g8);\
-        const T c2 = sfemi_det_##S(fused, g3, g7, g4, g6), c3 = sfemi_det_##S(fused, g2, g7, g1, g8);\
-        const T c4 = sfemi_det_##S(fused, g0, g8, g2, g6), c5 = sfemi_det_##S(fused, g1, g6, g0, g7);\
-        const T c6 = sfemi_det_##S(fused, g1, g5, g2, g4), c7 = sfemi_det_##S(fused, g2, g3, g0, g5);\
-        const T c8 = sfemi_det_##S(fused, g0, g4, g1, g3);                                         \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l];                                 \
+        const T g3 = w->g[3][l], g4 = w->g[4][l], g5 = w->g[5][l];                                 \
+        const T g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                                 \
+        const T c0 = DET(g4, g8, g5, g7), c1 = DET(g5, g6, g3, g8);                                \
+        const T c2 = DET(g3, g7, g4, g6), c3 = DET(g2, g7, g1, g8);                                \
+        const T c4 = DET(g0, g8, g2, g6), c5 = DET(g1, g6, g0, g7);                                \
+        const T c6 = DET(g1, g5, g2, g4), c7 = DET(g2, g3, g0, g5);                                \
+        const T c8 = DET(g0, g4, g1, g3);                                                          \
         const T trace = g0 + g4 + g8;                                                              \
-        const T i = 2 * trace + sfemi_dot_##S(fused, g0, g0, g1, g1, g2, g2) +                     \
-                    sfemi_dot_##S(fused, g3, g3, g4, g4, g5, g5) + sfemi_dot_##S(fused, g6, g6, g7, g7, g8, g8);\
-        const T j = trace + (c0 + c4 + c8) + sfemi_dot_##S(fused, g0, c0, g1, c1, g2, c2);         \
+        const T i = 2 * trace + DOT(g0, g0, g1, g1, g2, g2) +                                      \
+                    DOT(g3, g3, g4, g4, g5, g5) + DOT(g6, g6, g7, g7, g8, g8);                     \
+        const T j = trace + (c0 + c4 + c8) + DOT(g0, c0, g1, c1, g2, c2);                          \
         const T k1 = w->mu[l], lambda = w->lambda[l] + 5 * k1 / 6, k2 = k1 * i / (12 + 3 * i);     \
-        const T a = k1 + k2, b = sfemi_ma_##S(fused, lambda, j, -k1), lj = lambda * j;             \
-        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + sfemi_ma_##S(fused, k2, g0 + 1, lj * (1 + c0 + trace - g0));\
-        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + sfemi_ma_##S(fused, k2, g4 + 1, lj * (1 + c4 + trace - g4));\
-        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + sfemi_ma_##S(fused, k2, g8 + 1, lj * (1 + c8 + trace - g8));\
-        w->p[1][l] = sfemi_ma_##S(fused, a, g1, b * (c1 - g3));                                    \
-        w->p[2][l] = sfemi_ma_##S(fused, a, g2, b * (c2 - g6));                                    \
-        w->p[3][l] = sfemi_ma_##S(fused, a, g3, b * (c3 - g1));                                    \
-        w->p[5][l] = sfemi_ma_##S(fused, a, g5, b * (c5 - g7));                                    \
-        w->p[6][l] = sfemi_ma_##S(fused, a, g6, b * (c6 - g2));                                    \
-        w->p[7][l] = sfemi_ma_##S(fused, a, g7, b * (c7 - g5));                                    \
+        const T a = k1 + k2, b = MA(lambda, j, -k1), lj = lambda * j;                              \
+        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + MA(k2, g0 + 1, lj * (1 + c0 + trace - g0));     \
+        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + MA(k2, g4 + 1, lj * (1 + c4 + trace - g4));     \
+        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + MA(k2, g8 + 1, lj * (1 + c8 + trace - g8));     \
+        w->p[1][l] = MA(a, g1, b * (c1 - g3));                                                     \
+        w->p[2][l] = MA(a, g2, b * (c2 - g6));                                                     \
+        w->p[3][l] = MA(a, g3, b * (c3 - g1));                                                     \
+        w->p[5][l] = MA(a, g5, b * (c5 - g7));                                                     \
+        w->p[6][l] = MA(a, g6, b * (c6 - g2));                                                     \
+        w->p[7][l] = MA(a, g7, b * (c7 - g5));                                                     \
         w->trace[l] = i / 4;                                                                       \
-        w->energy[l] = sfemi_ma_##S(fused, lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));              \
+        w->energy[l] = MA(lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));                               \
     }                                                                                              \
-    for (l = 0; l < SFEMI_LANES; ++l) w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);\
+    for (l = 0; l < SFEMI_LANES; ++l)                                                              \
+        w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);                          \
 }                                                                                                  \
                                                                                                    \
 /* the forces p g_a on nodes 1, 2, 3 */                                                            \
-SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block, const int fused)\
+SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
+                                         const int fused)                                          \
 {                                                                                                  \
     int l, a;                                                                                      \
     for (a = 0; a < 9; a += 3)                                                                     \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
-            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l], z = (T)block->shape[a + 2][l];\
-            w->d[a][l] = sfemi_dot_##S(fused, w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);        \
-            w->d[a + 1][l] = sfemi_dot_##S(fused, w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);    \
-            w->d[a + 2][l] = sfemi_dot_##S(fused, w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);    \
+            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l];                      \
+            const T z = (T)block->shape[a + 2][l];                                                 \
+            w->d[a][l] = DOT(w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);                         \
+            w->d[a + 1][l] = DOT(w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);                     \
+            w->d[a + 2][l] = DOT(w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);                     \
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count, const sfem_real *u,\
-                                         sfem_real *out, sfem_real *rotation, sfemi_totals *totals,\
-                                         const sfemi_gather gather, const sfemi_scatter scatter,   \
-                                         const int fused)                                          \
+SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,                 \
+                                         const sfem_real *u, sfem_real *out, sfem_real *rotation,  \
+                                         sfemi_totals *totals, const sfemi_gather gather,          \
+                                         const sfemi_scatter scatter, const int fused)             \
 {                                                                                                  \
     sfemi_totals sum;                                                                              \
     sfemi_lanes_##S w;                                                                             \
@@ -3347,12 +3489,12 @@ SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int coun
     *totals = sum;                                                                                 \
 }
 
-SFEMI_LANE_KERNELS(double, d, 2e-6, 3e-2)
-SFEMI_LANE_KERNELS(float, f, 2e-3, 6e-2)
+SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
+SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
 #define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,\
-                        sfem_real *rotation, sfemi_totals *totals)                                 \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
+                        sfem_real *out, sfem_real *rotation, sfemi_totals *totals)                 \
 {                                                                                                  \
     sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
                            sfemi_scatter_##PATH, FUSED);                                           \
@@ -3390,10 +3532,10 @@ static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
 
 /* ---- chunks: how forces and tangents are computed on any number of threads ----
  *
- * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and adds
- * into copies of their forces, which are then added up node by node. What a chunk does and the order of
- * every sum are fixed by the mesh. For tangents, chunks without a common node have one colour and add
- * into the matrix at the same time. */
+ * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and
+ * adds into copies of their forces, which are then added up node by node. What a chunk does and
+ * the order of every sum are fixed by the mesh. For tangents, chunks without a common node have
+ * one colour and add into the matrix at the same time. */
 #define SFEMI_CHUNK_TETS 256
 #define SFEMI_CHUNK_TASK 4     /* chunks a task */
 #define SFEMI_NODE_TASK  2048  /* nodes a task */
@@ -3629,9 +3771,10 @@ static void sfemi_chunks_count(const sfem_model *model, sfemi_chunks *c, sfem_in
     c->copies = c->copy_start[c->count];
 }
 
-/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the chunk. */
-static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, const sfem_int *local,
-                              sfemi_block *block, sfem_int lane)
+/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the
+ * chunk. */
+static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
+                              const sfem_int *local, sfemi_block *block, sfem_int lane)
 {
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
     sfem_real g[4][3];
@@ -3645,8 +3788,8 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, c
     if (!filler) block->count = lane + 1;
 }
 
-/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane after
- * lane then adds to different nodes, and need not wait for the last sum. */
+/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane
+ * after lane then adds to different nodes, and need not wait for the last sum. */
 static void sfemi_chunks_fill_blocks(const sfem_model *model, sfemi_chunks *c, sfem_int k,
                                      const sfem_int *local)
 {
@@ -3701,8 +3844,10 @@ static sfem_int sfemi_chunks_of(const sfemi_chunks *c, sfem_int copy)
     sfem_int low = 0, high = c->count;
     while (high - low > 1) {
         const sfem_int mid = low + (high - low) / 2;
-        if (c->copy_start[mid] <= copy) low = mid;
-        else high = mid;
+        if (c->copy_start[mid] <= copy)
+            low = mid;
+        else
+            high = mid;
     }
     return low;
 }
@@ -4088,9 +4233,10 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
 }
 
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
-                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
-                                     sfem_real *work, const sfem_exec *exec)
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
@@ -4121,6 +4267,7 @@ typedef struct sfemi_tangents {
     sfem_tangent kind;
     sfem_real *val;
     const sfem_int *chunk; /* of one colour */
+    sfemi_pairs_kernel kernel;
 } sfemi_tangents;
 
 /* Adds the tangent of a lane's tet. */
@@ -4128,24 +4275,27 @@ static void sfemi_tangents_tet(const sfemi_tangents *job, const sfemi_block *blo
 {
     const sfem_int e = block->tet[lane], *t = job->model->mesh.tet + 4 * (size_t)e;
     const sfem_int *place = job->model->chunks.place + 10 * (size_t)e;
-    sfem_real g[4][3], in_v[4][3], grad[9], k[9];
+    sfem_real g[4][3], grad[9];
+    unsigned swap = 0;
     sfemi_modes modes;
-    int a, b, i;
+    sfemi_pairs pairs;
+    int a, b, i, n;
     for (i = 0; i < 3; ++i) {
         for (a = 1; a < 4; ++a) g[a][i] = block->shape[3 * a - 3 + i][lane];
         g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
     }
     sfemi_element_deform(job->u + 3 * (size_t)t[0], job->u + 3 * (size_t)t[1],
                          job->u + 3 * (size_t)t[2], job->u + 3 * (size_t)t[3], g, grad);
-    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind, &modes);
-    sfemi_modes_turn(&modes, g, in_v);
-    for (a = 0; a < 4; ++a)
-        for (b = 0; b <= a; ++b) {
-            sfem_real *to = job->val + 9 * (size_t)*place++;
-            const int down = t[a] >= t[b];
-            sfemi_modes_block(&modes, 1, in_v[down ? a : b], in_v[down ? b : a], k);
-            for (i = 0; i < 9; ++i) to[i] += k[i];
-        }
+    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind,
+                    &modes);
+    for (a = 0, n = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n) swap |= (unsigned)(t[a] < t[b]) << n;
+    sfemi_pairs_fill(&modes, g, swap, &pairs);
+    job->kernel(&modes, 1, &pairs);
+    for (n = 0; n < 10; ++n) {
+        sfem_real *to = job->val + 9 * (size_t)place[n];
+        for (i = 0; i < 9; ++i) to[i] += pairs.k[i][n];
+    }
 }
 
 static void sfemi_tangents_chunk(void *data, sfem_int index)
@@ -4155,7 +4305,8 @@ static void sfemi_tangents_chunk(void *data, sfem_int index)
     const sfem_int k = job->chunk[index];
     sfem_int b, lane;
     for (b = c->block_start[k]; b < c->block_start[k + 1]; ++b)
-        for (lane = 0; lane < c->block[b].count; ++lane) sfemi_tangents_tet(job, c->block + b, lane);
+        for (lane = 0; lane < c->block[b].count; ++lane)
+            sfemi_tangents_tet(job, c->block + b, lane);
 }
 
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
@@ -4170,6 +4321,7 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
+    job.kernel = sfemi_pairs_pick();
     memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
     for (n = 0; n < c->colors; ++n) {
         job.chunk = c->color_chunk + c->color_start[n];
