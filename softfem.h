@@ -1260,7 +1260,7 @@ static void sfemi_dissect_reach(sfemi_dissect *d)
             sfem_real u[3];
             sfemi_sub3(d->x + 3 * (size_t)i, d->x + 3 * (size_t)d->g->adj[e], u);
             for (k = 0; k < SFEMI_DISSECT_DIRECTIONS; ++k) {
-                const float r = (float)fabs(sfemi_dissect_key(sfemi_dissect_axis(k), u));
+                const float r = (float)fabs((double)sfemi_dissect_key(sfemi_dissect_axis(k), u));
                 if (r > d->reach[k]) d->reach[k] = r;
             }
         }
