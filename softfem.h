@@ -418,7 +418,7 @@ SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full /* [3n]
  * triangular with a positive diagonal, S the signs of the pivots, so that L |d|^1/2 of the textbook's
  * L D L^T is what is stored. Positive definite matrices are always safe; of an indefinite one (K -
  * sigma M) the number of negative pivots is its number of negative eigenvalues [Sylvester], and it is
- * refused where a pivot or the growth of L would make that number a guess. */
+ * refused where a pivot drowns in rounding or a trial solve fails: that number would be a guess. */
 
 typedef enum sfem_ordering {
     SFEM_ORDER_BEST,       /* of the following two, what needs fewer operations */
@@ -450,7 +450,7 @@ typedef struct sfem_ldl_info {
     size_t work_bytes;      /* update matrices */
     sfem_int negative;      /* pivots < 0 */
     sfem_real pivot_min, pivot_max; /* of their absolute values */
-    sfem_real growth;       /* max_i (|L| |L|^T)_ii / max |a_ij|: 1 if positive definite */
+    sfem_real residual;     /* unless def.positive: |b - A x| / (|A| |x| + |b|) of a trial solve */
     const char *path;       /* the vector path: "portable", "avx2", "avx512" */
 } sfem_ldl_info;
 
@@ -935,6 +935,11 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #else
 #define SFEMI_X86 0
 #endif
+#if defined(__FMA__) && !SFEMI_X86
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
+#endif
 #ifndef SFEM_SELF
 #define SFEM_SELF "softfem.h"
 #endif
@@ -1080,7 +1085,7 @@ static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *
  * A kernel is a function SFEMI_KERNEL(name) in section >>kernels, marked SFEMI_TARGET; its instances
  * are called name_0, name_1, name_2, and a table of pointers for each path, like sfemi_ldl_kernels,
  * chooses between them. Inside it SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
- * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_SUB, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
+ * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
  * (c - a b). Multiply-adds are explicit, so that the bits depend on the path and on nothing else. */
 static int sfemi_path(void)
 {
@@ -5337,7 +5342,7 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
 static int sfemi_merge_pays(double k, double m, double zeros, double n)
 {
     const double share = zeros / (k * (k + 1) / 2 + k * m);
-    const int small = n < 900; /* calls dominate: merge more */
+    const int small = n < 2500; /* calls dominate: merge more */
     if (k <= 4) return share < (small ? 0.6 : 0.4);
     if (k <= 8) return share < (small ? 0.35 : 0.15);
     if (k <= 16) return share < (small ? 0.2 : 0.08);
@@ -5596,7 +5601,7 @@ done:
 
 /* Cuts the work into tasks of at most a 16th of it and finds the place of every update matrix. */
 #define SFEMI_TASK_SHARE 16
-#define SFEMI_TASK_LEAST 4e6 /* floating-point operations below which one task does everything */
+#define SFEMI_TASK_LEAST 3e7 /* floating-point operations below which one task does everything */
 
 /* First fit: blocks that live at the same time do not overlap. */
 typedef struct sfemi_slot {
@@ -5841,7 +5846,7 @@ done:
     return status;
 }
 
-/* --- numeric factor -------------------------------------------------------------------------- */
+/* --- the factor and its solves --------------------------------------------------------------- */
 
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
@@ -5859,8 +5864,196 @@ struct sfem_ldl {
     sfem_int *negative;  /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
     double unit;         /* power of 2 near the root of the largest entry of A */
-    double pivot_min, pivot_max, growth;
+    double *probe;       /* unless positive: for a solve that tells whether the factor is any good */
+    double pivot_min, pivot_max, residual;
 };
+
+/* --- solve ----------------------------------------------------------------------------------- */
+
+#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
+#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
+#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
+
+/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
+ * and scratch for each task; each row of `block` numbers side by side */
+typedef struct sfemi_solve {
+    const sfem_ldl *ldl;
+    size_t block;
+    double *w, *scratch;
+    float *w32, *scratch32;
+    const sfem_int *tasks;
+} sfemi_solve;
+
+static size_t sfemi_solve_rows(const sfemi_symbolic *y)
+{
+    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
+}
+
+SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
+}
+
+/* The tasks of both sweeps, for double and float. */
+#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
+                          backward_, forward8_, backward8_)                                          \
+    static void forward_task(void *data, sfem_int index)                                             \
+    {                                                                                                \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
+        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
+        const size_t n = 3 * q->block; /* numbers to a node */                                       \
+        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
+        sfem_int s, c;                                                                               \
+        size_t i;                                                                                    \
+        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
+            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
+            size_t a = y->start[c];                                                                  \
+            if (y->of[c] == t) continue;                                                             \
+            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
+                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
+                                           : buffer + n * (size_t)(y->place[a] - wide);              \
+                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
+            }                                                                                        \
+        }                                                                                            \
+        for (s = y->task[t]; s <= root; ++s) {                                                       \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            R *x = w + n * (size_t)y->first[s];                                                      \
+            if (q->block == 1)                                                                       \
+                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
+            else                                                                                     \
+                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
+                                      scratch);                                                      \
+            if (q->ldl->negative[s]) {                                                               \
+                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
+                size_t p;                                                                            \
+                for (p = 0; p < k; ++p)                                                              \
+                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
+                        x[p * q->block + i] = -x[p * q->block + i];                                  \
+            }                                                                                        \
+        }                                                                                            \
+    }                                                                                                \
+    static void backward_task(void *data, sfem_int index)                                            \
+    {                                                                                                \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
+        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
+        const size_t n = 3 * q->block;                                                               \
+        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        size_t a;                                                                                    \
+        sfem_int s;                                                                                  \
+        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
+            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
+            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
+                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
+            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
+        }                                                                                            \
+        for (s = root; s >= y->task[t]; --s) {                                                       \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
+                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
+                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
+        }                                                                                            \
+    }
+
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8)
+SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
+                  forward32, backward32, forward8_32, backward8_32)
+#undef SFEMI_SOLVE_TASKS
+
+/* Up the tree and down again, level by level. */
+static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
+                               sfem_task backward)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    sfem_int l;
+    for (l = 0; l < y->levels; ++l) {
+        q->tasks = y->by_level + y->level[l];
+        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
+    }
+    for (l = y->levels; l-- > 0;) {
+        q->tasks = y->by_level + y->level[l];
+        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
+    }
+}
+
+/* count <= block right sides; those that are missing are 0 */
+static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    size_t i, r, c;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+}
+
+/* The same in float, each right side scaled to 1 lest floats overflow. */
+static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    double unit[SFEMI_SOLVE_BLOCK];
+    size_t i, r, c;
+    for (r = 0; r < count; ++r) {
+        double most = 0;
+        int e = 0;
+        for (i = 0; i < n; ++i)
+            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
+        if (most > 0) (void)frexp(most, &e);
+        unit[r] = ldexp(1.0, -e);
+    }
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w32[(3 * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
+    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
+}
+
+SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
+                             const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    sfemi_solve q;
+    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.w = work;
+    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
+    q.w32 = (float *)(void *)q.w;
+    q.scratch32 = (float *)(void *)q.scratch;
+    while (rhs > 0 && n > 0) {
+        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
+        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
+        else sfemi_solve_some(&q, count, x, exec);
+        x += count * n;
+        rhs -= (sfem_int)count;
+    }
+}
+
+/* --- numeric factor -------------------------------------------------------------------------- */
 
 typedef struct sfemi_front {
     const sfem_ldl *ldl;
@@ -6157,7 +6350,6 @@ static void sfemi_factor_task(void *data, sfem_int index)
             ldl->lost_at[t] = sfemi_front_factor(ldl, job->a, s, ldl->lost + t, job->exec);
 }
 
-/* What the pivots were: extremes, signs, growth. */
 static void sfemi_ldl_statistics(sfem_ldl *ldl)
 {
     const size_t n = 3 * (size_t)ldl->symbolic->n;
@@ -6170,6 +6362,44 @@ static void sfemi_ldl_statistics(sfem_ldl *ldl)
     }
     ldl->pivot_min = n ? 1 / (high * high) : 0;
     ldl->pivot_max = n ? 1 / (low * low) : 0;
+}
+
+/* Without pivoting, small pivots may have blown L up. One solve shows it: refused above 1e-8. */
+static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const size_t n = 3 * (size_t)a->n;
+    double *x = ldl->probe, *r = x + n, top_a = 0, top_x = 0, top_r = 0;
+    size_t i, at = 0;
+    sfemi_solve q;
+    uint32_t random = 1;
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = 1;
+    q.w = r + n;
+    q.scratch = q.w + sfemi_solve_rows(ldl->symbolic);
+    for (i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        x[i] = (double)(int32_t)random * (1. / 2147483648.);
+    }
+    sfemi_solve_some(&q, 1, x, &ldl->exec);
+    sfem_matrix_multiply(a, x, r, NULL);
+    for (i = 0; i < 9 * (size_t)ldl->symbolic->blocks; ++i)
+        if (fabs(a->val[i]) > top_a) top_a = fabs(a->val[i]);
+    for (random = 1, i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        r[i] = fabs(r[i] - (double)(int32_t)random * (1. / 2147483648.));
+        if (fabs(x[i]) > top_x) top_x = fabs(x[i]);
+        if (r[i] > top_r || !sfemi_finite(r[i])) {
+            top_r = r[i];
+            at = i;
+        }
+    }
+    ldl->residual = n ? top_r / (top_a * top_x + 1) : 0;
+    if (ldl->residual <= 1e-8 && sfemi_finite(top_r)) return SFEM_OK;
+    return sfemi_fail_at(err, SFEM_SINGULAR, (sfem_int)(at / 3), -1,
+                         "the matrix is too close to singular or needs pivoting: a trial solve leaves "
+                         "%g of its right side, most at node %ld",
+                         top_r, (long)(at / 3));
 }
 
 static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int task,
@@ -6193,6 +6423,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     const sfemi_symbolic *y = ldl->symbolic;
     const sfem_int threads = sfemi_threads(&ldl->exec);
     sfemi_factor_job job;
+    sfem_status status = SFEM_OK;
     sfem_int l, k;
     double most = 0;
     ldl->valid = 0;
@@ -6216,8 +6447,9 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
                 return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
     }
     sfemi_ldl_statistics(ldl);
-    ldl->valid = 1;
-    return SFEM_OK;
+    if (!ldl->positive) status = sfemi_ldl_try(ldl, a, err);
+    ldl->valid = status == SFEM_OK;
+    return status;
 }
 
 #define SFEMI_PANEL_SLACK 512 /* numbers after L that the block solve may read: half a tile square */
@@ -6243,6 +6475,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
     SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
     if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
+    if (!ldl->positive) SFEMI_NEW(double, ldl->probe, m, 2 * n + sfem_ldl_work_size(ldl, 1));
     SFEMI_NEW(double, ldl->scale, m, n + 1);
     SFEMI_NEW(double, ldl->floor, m, n + 1);
     SFEMI_NEW(double, ldl->lost, m, nt + 1);
@@ -6359,7 +6592,7 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
     for (s = 0; s < y->supernodes; ++s) info.negative += ldl->negative[s];
     info.pivot_min = ldl->pivot_min;
     info.pivot_max = ldl->pivot_max;
-    info.growth = ldl->growth;
+    info.residual = ldl->residual;
     info.path = y->kernels->name;
     return info;
 }
@@ -6374,6 +6607,7 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->l32);
     sfemi_delete(&m, ldl->update);
     sfemi_delete(&m, ldl->signs);
+    sfemi_delete(&m, ldl->probe);
     sfemi_delete(&m, ldl->scale);
     sfemi_delete(&m, ldl->floor);
     sfemi_delete(&m, ldl->lost);
@@ -6381,191 +6615,6 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->negative);
     sfemi_delete(&m, ldl->stale);
     sfemi_delete(&m, ldl);
-}
-
-/* --- solve ----------------------------------------------------------------------------------- */
-
-#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
-#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
-#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
-
-/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
- * and scratch for each task; each row of `block` numbers side by side */
-typedef struct sfemi_solve {
-    const sfem_ldl *ldl;
-    size_t block;
-    double *w, *scratch;
-    float *w32, *scratch32;
-    const sfem_int *tasks;
-} sfemi_solve;
-
-static size_t sfemi_solve_rows(const sfemi_symbolic *y)
-{
-    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
-}
-
-SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
-{
-    const sfemi_symbolic *y = ldl->symbolic;
-    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
-           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
-}
-
-/* The tasks of both sweeps, for double and float. */
-#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
-                          backward_, forward8_, backward8_)                                          \
-    static void forward_task(void *data, sfem_int index)                                             \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
-        const size_t n = 3 * q->block; /* numbers to a node */                                       \
-        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
-        sfem_int s, c;                                                                               \
-        size_t i;                                                                                    \
-        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
-        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
-            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
-            size_t a = y->start[c];                                                                  \
-            if (y->of[c] == t) continue;                                                             \
-            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
-                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
-                                           : buffer + n * (size_t)(y->place[a] - wide);              \
-                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
-            }                                                                                        \
-        }                                                                                            \
-        for (s = y->task[t]; s <= root; ++s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            R *x = w + n * (size_t)y->first[s];                                                      \
-            if (q->block == 1)                                                                       \
-                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
-            else                                                                                     \
-                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
-                                      scratch);                                                      \
-            if (q->ldl->negative[s]) {                                                               \
-                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
-                size_t p;                                                                            \
-                for (p = 0; p < k; ++p)                                                              \
-                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
-                        x[p * q->block + i] = -x[p * q->block + i];                                  \
-            }                                                                                        \
-        }                                                                                            \
-    }                                                                                                \
-    static void backward_task(void *data, sfem_int index)                                            \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
-        const size_t n = 3 * q->block;                                                               \
-        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        size_t a;                                                                                    \
-        sfem_int s;                                                                                  \
-        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
-            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
-            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
-                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
-            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
-        }                                                                                            \
-        for (s = root; s >= y->task[t]; --s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
-                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
-                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
-        }                                                                                            \
-    }
-
-SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
-                  backward, forward8, backward8)
-SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
-                  forward32, backward32, forward8_32, backward8_32)
-#undef SFEMI_SOLVE_TASKS
-
-/* Up the tree and down again, level by level. */
-static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
-                               sfem_task backward)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    sfem_int l;
-    for (l = 0; l < y->levels; ++l) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
-    }
-    for (l = y->levels; l-- > 0;) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
-    }
-}
-
-/* count <= block right sides; those that are missing are 0 */
-static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
-    size_t i, r, c;
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < b; ++r)
-                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
-    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
-}
-
-/* The same in float, each right side scaled to 1 lest floats overflow. */
-static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
-    double unit[SFEMI_SOLVE_BLOCK];
-    size_t i, r, c;
-    for (r = 0; r < count; ++r) {
-        double most = 0;
-        int e = 0;
-        for (i = 0; i < n; ++i)
-            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
-        if (most > 0) (void)frexp(most, &e);
-        unit[r] = ldexp(1.0, -e);
-    }
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < b; ++r)
-                q->w32[(3 * i + c) * b + r] =
-                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
-    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
-    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
-}
-
-SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
-                             const sfem_exec *exec)
-{
-    const size_t n = 3 * (size_t)ldl->symbolic->n;
-    sfemi_solve q;
-    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
-    memset(&q, 0, sizeof q);
-    q.ldl = ldl;
-    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
-    q.w = work;
-    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
-    q.w32 = (float *)(void *)q.w;
-    q.scratch32 = (float *)(void *)q.scratch;
-    while (rhs > 0 && n > 0) {
-        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
-        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
-        else sfemi_solve_some(&q, count, x, exec);
-        x += count * n;
-        rhs -= (sfem_int)count;
-    }
 }
 
 /* --- dense ----------------------------------------------------------------------------------- */
@@ -11958,9 +12007,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 
 /* --- vectors ---------------------------------------------------------------------------------
  * Doubles are 4 wide, on AVX-512 8; floats 8 wide on every path. */
-#if SFEMI_PATH == 2
+#if SFEMI_PATH == 2 && !defined(SFEMI_EMULATE_AVX512) /* a test's, for processors without it */
 #define SFEMI_TARGET __attribute__((target("avx512f,avx2,fma")))
-#elif SFEMI_PATH == 1
+#elif SFEMI_PATH >= 1
 #define SFEMI_TARGET __attribute__((target("avx2,fma")))
 #else
 #define SFEMI_TARGET
@@ -11982,35 +12031,32 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_PASTE(a, b, c) SFEMI_PASTE3(a, b, c)
 #define SFEMI_KERNEL(name) SFEMI_PASTE(name, SFEMI_BITS, SFEMI_PATH)
 
-#if SFEMI_PATH == 2 && SFEMI_BITS == 64
+#if SFEMI_PATH == 2 && SFEMI_BITS == 64 && !defined(SFEMI_EMULATE_AVX512)
 #define SFEMI_V __m512d
 #define SFEMI_LD(p) _mm512_loadu_pd(p)
 #define SFEMI_ST(p, v) _mm512_storeu_pd(p, v)
 #define SFEMI_DUP(s) _mm512_set1_pd(s)
 #define SFEMI_ADD(a, b) _mm512_add_pd(a, b)
-#define SFEMI_SUB(a, b) _mm512_sub_pd(a, b)
 #define SFEMI_MUL(a, b) _mm512_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm512_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
 #define SFEMI_HALF(p) _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
-#elif SFEMI_PATH >= 1 && SFEMI_BITS == 64
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 64 && SFEMI_W == 4
 #define SFEMI_V __m256d
 #define SFEMI_LD(p) _mm256_loadu_pd(p)
 #define SFEMI_ST(p, v) _mm256_storeu_pd(p, v)
 #define SFEMI_DUP(s) _mm256_set1_pd(s)
 #define SFEMI_ADD(a, b) _mm256_add_pd(a, b)
-#define SFEMI_SUB(a, b) _mm256_sub_pd(a, b)
 #define SFEMI_MUL(a, b) _mm256_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_pd(a, b, c)
 #define SFEMI_HALF(p) _mm256_loadu_pd(p)
-#elif SFEMI_PATH >= 1
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 32
 #define SFEMI_V __m256
 #define SFEMI_LD(p) _mm256_loadu_ps(p)
 #define SFEMI_ST(p, v) _mm256_storeu_ps(p, v)
 #define SFEMI_DUP(s) _mm256_set1_ps(s)
 #define SFEMI_ADD(a, b) _mm256_add_ps(a, b)
-#define SFEMI_SUB(a, b) _mm256_sub_ps(a, b)
 #define SFEMI_MUL(a, b) _mm256_mul_ps(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
@@ -12021,19 +12067,61 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
         const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                    \
         _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));    \
     }
-#elif defined(__GNUC__) && !defined(FP_FAST_FMA) /* two or more registers to a vector */
-typedef SFEMI_R SFEMI_KERNEL(sfemi_v) __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R))));
-typedef SFEMI_R SFEMI_KERNEL(sfemi_u)
-    __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R)), aligned(sizeof(SFEMI_R)), may_alias));
+#elif defined(__GNUC__) && SFEMI_W * SFEMI_BITS == 256 /* two vectors of 16 bytes: SSE2, NEON */
+typedef SFEMI_R SFEMI_KERNEL(sfemi_h) __attribute__((vector_size(16)));
+typedef SFEMI_R SFEMI_KERNEL(sfemi_u) __attribute__((vector_size(16), aligned(4), may_alias));
+typedef struct SFEMI_KERNEL(sfemi_v) {
+    SFEMI_KERNEL(sfemi_h) a, b;
+} SFEMI_KERNEL(sfemi_v);
 #define SFEMI_V SFEMI_KERNEL(sfemi_v)
-#define SFEMI_LD(p) (*(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p))
-#define SFEMI_ST(p, v) (*(SFEMI_KERNEL(sfemi_u) *)(void *)(p) = (v))
-#define SFEMI_DUP(s) (s) /* only as an operand */
-#define SFEMI_ADD(a, b) ((a) + (b))
-#define SFEMI_SUB(a, b) ((a) - (b))
-#define SFEMI_MUL(a, b) ((a) * (b))
-#define SFEMI_FMA(a, b, c) ((a) * (b) + (c))
-#define SFEMI_FNMA(a, b, c) ((c) - (a) * (b))
+#define SFEMI_H SFEMI_KERNEL(sfemi_h)
+/* a processor with multiply-add always uses it here, lest the compiler choose */
+#if defined(__FMA__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_pd(x, y, z)
+#elif defined(__FMA__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_ps(x, y, z)
+#elif defined(__aarch64__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f64(z, x, y)
+#elif defined(__aarch64__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f32(z, x, y)
+#else
+#define SFEMI_FMAH(x, y, z) ((x) * (y) + (z))
+#endif
+#define SFEMI_PAIR(name, arguments, first, second)                                                   \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                         \
+    {                                                                                                \
+        SFEMI_V r;                                                                                   \
+        r.a = first;                                                                                 \
+        r.b = second;                                                                                \
+        return r;                                                                                    \
+    }
+SFEMI_PAIR(sfemi_v_load, (const SFEMI_R *p), *(const SFEMI_KERNEL(sfemi_u) *)(const void *)p,
+           *(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p + SFEMI_W / 2))
+static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(sfemi_v_dup)(SFEMI_R s)
+{
+#if SFEMI_BITS == 64
+    const SFEMI_H h = {s, s};
+#else
+    const SFEMI_H h = {s, s, s, s};
+#endif
+    SFEMI_V r;
+    r.a = r.b = h;
+    return r;
+}
+SFEMI_PAIR(sfemi_v_add, (SFEMI_V x, SFEMI_V y), x.a + y.a, x.b + y.b)
+SFEMI_PAIR(sfemi_v_mul, (SFEMI_V x, SFEMI_V y), x.a *y.a, x.b *y.b)
+SFEMI_PAIR(sfemi_v_fma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(x.a, y.a, z.a),
+           SFEMI_FMAH(x.b, y.b, z.b))
+SFEMI_PAIR(sfemi_v_fnma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(-x.a, y.a, z.a),
+           SFEMI_FMAH(-x.b, y.b, z.b))
+static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
+{
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)p = v.a;
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)(p + SFEMI_W / 2) = v.b;
+}
+#undef SFEMI_PAIR
+#undef SFEMI_FMAH
+#undef SFEMI_H
 #else /* plain C; a processor with multiply-add always uses it, lest the compiler choose */
 typedef struct SFEMI_KERNEL(sfemi_v) {
     SFEMI_R e[SFEMI_W];
@@ -12055,7 +12143,6 @@ typedef struct SFEMI_KERNEL(sfemi_v) {
 SFEMI_LANES(sfemi_v_load, (const SFEMI_R *p), p[i])
 SFEMI_LANES(sfemi_v_dup, (SFEMI_R s), s)
 SFEMI_LANES(sfemi_v_add, (SFEMI_V a, SFEMI_V b), a.e[i] + b.e[i])
-SFEMI_LANES(sfemi_v_sub, (SFEMI_V a, SFEMI_V b), a.e[i] - b.e[i])
 SFEMI_LANES(sfemi_v_mul, (SFEMI_V a, SFEMI_V b), a.e[i] * b.e[i])
 SFEMI_LANES(sfemi_v_fma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(a.e[i], b.e[i], c.e[i]))
 SFEMI_LANES(sfemi_v_fnma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(-a.e[i], b.e[i], c.e[i]))
@@ -12063,11 +12150,12 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
 {
     memcpy(p, v.e, sizeof v.e);
 }
+#endif
+#ifndef SFEMI_LD
 #define SFEMI_LD(p) SFEMI_KERNEL(sfemi_v_load)(p)
 #define SFEMI_ST(p, v) SFEMI_KERNEL(sfemi_v_store)(p, v)
 #define SFEMI_DUP(s) SFEMI_KERNEL(sfemi_v_dup)(s)
 #define SFEMI_ADD(a, b) SFEMI_KERNEL(sfemi_v_add)(a, b)
-#define SFEMI_SUB(a, b) SFEMI_KERNEL(sfemi_v_sub)(a, b)
 #define SFEMI_MUL(a, b) SFEMI_KERNEL(sfemi_v_mul)(a, b)
 #define SFEMI_FMA(a, b, c) SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
 #define SFEMI_FNMA(a, b, c) SFEMI_KERNEL(sfemi_v_fnma)(a, b, c)
@@ -12098,9 +12186,9 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_block)(
     int nv, size_t depth, const double *a, size_t ha, const double *b, size_t hb, double *c, int nq,
     int load, int tri, const double *r)
 {
-    SFEMI_V c00 = {0}, c01 = {0}, c02 = {0}, c10 = {0}, c11 = {0}, c12 = {0};
-    SFEMI_V c20 = {0}, c21 = {0}, c22 = {0}, c30 = {0}, c31 = {0}, c32 = {0};
-    SFEMI_V a0 = {0}, a1 = {0}, a2 = {0};
+    SFEMI_V c00 = SFEMI_DUP(0), c01 = SFEMI_DUP(0), c02 = SFEMI_DUP(0), c10 = SFEMI_DUP(0), c11 = SFEMI_DUP(0), c12 = SFEMI_DUP(0);
+    SFEMI_V c20 = SFEMI_DUP(0), c21 = SFEMI_DUP(0), c22 = SFEMI_DUP(0), c30 = SFEMI_DUP(0), c31 = SFEMI_DUP(0), c32 = SFEMI_DUP(0);
+    SFEMI_V a0 = SFEMI_DUP(0), a1 = SFEMI_DUP(0), a2 = SFEMI_DUP(0);
     size_t p;
     if (load) {
 #define SFEMI_C(q)                                                                                   \
@@ -12273,7 +12361,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
 #define SFEMI_ACCUMULATE(OP, depth, a, y)                                                            \
     {                                                                                                \
         size_t p_ = 0;                                                                               \
-        SFEMI_V d0 = {0}, d1 = {0}, d2 = {0};                                                        \
+        SFEMI_V d0 = SFEMI_DUP(0), d1 = SFEMI_DUP(0), d2 = SFEMI_DUP(0);                                                        \
         for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                           \
             c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
             if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
@@ -12306,7 +12394,7 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int n
 #endif
         1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
     const size_t h = (size_t)nv * SFEMI_W;
-    SFEMI_V c0 = {0}, c1 = {0}, c2 = {0};
+    SFEMI_V c0 = SFEMI_DUP(0), c1 = SFEMI_DUP(0), c2 = SFEMI_DUP(0);
     if (j) {
         c0 = SFEMI_LD(out);
         if (nv > 1) c1 = SFEMI_LD(out + SFEMI_W);
@@ -12546,7 +12634,6 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
 #undef SFEMI_ST
 #undef SFEMI_DUP
 #undef SFEMI_ADD
-#undef SFEMI_SUB
 #undef SFEMI_MUL
 #undef SFEMI_FMA
 #undef SFEMI_FNMA
