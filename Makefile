@@ -39,8 +39,7 @@ OPENMP ?= $(eval OPENMP := $$(call links,int omp_get_max_threads(void); \
           int main(void){return omp_get_max_threads();},-fopenmp))$(OPENMP)
 
 FLAGS = -std=c99 $(WARNINGS) -I. $(if $(filter 1,$(OPENMP)),-fopenmp) \
-        $(if $(SANITIZE),-fsanitize=$(SANITIZE) -fno-sanitize-recover=all -fno-omit-frame-pointer) \
-        $(CFLAGS) $(CPPFLAGS)
+        $(CFLAGS) $(CPPFLAGS) $(INSTRUMENT)
 ENVIRONMENT = SFEM_SCRATCH=$(BUILD)/scratch SFEM_FILTER='$(FILTER)' \
               $(if $(wildcard $(MESHES)),SFEM_MESHES=$(MESHES))
 
@@ -65,11 +64,12 @@ strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign sym
 	@BUILD=$(BUILD)/strict sh tests/strict.sh
 
 asan: ## the tests under address and undefined-behaviour sanitizers
-	$(MAKE) check BUILD=$(BUILD)/asan OPENMP=0 CFLAGS='-O1 -g' SANITIZE=address,undefined
+	$(MAKE) check BUILD=$(BUILD)/asan OPENMP=0 CFLAGS='-O1 -g' \
+	    INSTRUMENT='-fsanitize=address,undefined -fno-sanitize-recover=all'
 
 tsan: ## the tests named after threads under the thread sanitizer (all: FILTER='*')
 ifneq ($(THREADED)$(FILTER),)
-	$(MAKE) check BUILD=$(BUILD)/tsan OPENMP=0 CFLAGS='-O1 -g' SANITIZE=thread \
+	$(MAKE) check BUILD=$(BUILD)/tsan OPENMP=0 CFLAGS='-O1 -g' INSTRUMENT=-fsanitize=thread \
 	    FILTER='$(or $(FILTER),*thread*)' \
 	    $(if $(FILTER),,TESTS='$(patsubst tests/%.c,%,$(THREADED))')
 else
@@ -92,7 +92,7 @@ format: ## lay out examples, tests and benches by tests/.clang-format
 
 coverage: ## lines of softfem.h that the tests reach
 	rm -rf $(BUILD)/coverage
-	$(MAKE) check BUILD=$(BUILD)/coverage OPENMP=0 CFLAGS='-O0 -g --coverage'
+	$(MAKE) check BUILD=$(BUILD)/coverage OPENMP=0 CFLAGS='-O0 -g' INSTRUMENT=--coverage
 	gcov -n $(BUILD)/coverage/softfem.gcda $(BUILD)/coverage/tests/*.gcda | grep -A1 "File 'softfem.h'"
 
 clean: ## remove every product
@@ -161,7 +161,7 @@ $(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) s
 	if [ -n "$$missing" ]; \
 	then echo "left out; to compare with them too: apt-get install$$missing"; fi; \
 	$(CC) $(FLAGS) $$defines -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -c -o $@.o $< && \
-	$$link $(if $(filter 1,$(OPENMP)),-fopenmp) -o $@ $@.o $$objects \
+	$$link $(if $(filter 1,$(OPENMP)),-fopenmp) $(INSTRUMENT) -o $@ $@.o $$objects \
 	    $(BUILD)/softfem.o $(LDFLAGS) $$libraries -lm
 
 # Everything is built anew when the compiler or its flags change.

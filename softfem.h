@@ -27,7 +27,7 @@
  *     IMPL   >>base         status, allocation, threads, vector paths
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
- *            >>meshio       readers and writers (left out by SFEM_NO_STDIO)
+ *            >>meshio       readers and writers
  *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
  *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
@@ -35,6 +35,8 @@
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
  *            >>newmark      implicit Newmark          >>pqr  the (p,q,r) family, central difference
+ *            >>turn         A^-1 in a body that turns: frames, rigid projection
+ *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *     TAIL   licence, changes
  *
@@ -44,8 +46,10 @@
  *
  *     SFEM_STATIC        every function static: the whole library inside one source file
  *     SFEM_ASSERT(x)     what to do about misuse of the interface; default assert(x)
- *     SFEM_NO_STDIO      leave the readers and writers out
+ *     SFEM_NO_STDIO      leave out what takes a file path; sfem_mesh_parse stays
  *     SFEM_NO_DISPATCH   portable kernels only, whatever the processor offers
+ *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
+ *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -293,6 +297,64 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * >>api-meshio   files
  * ============================================================================================ */
 
+/* READING. Which format it is shows in the data itself:
+ *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region is
+ *                            the volume's first physical group (0 without one) if any volume has
+ *                            one, else the number of its entity
+ *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
+ * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
+ * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
+ * sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find. Numbers are read
+ * exactly, whatever the locale: the double nearest to the text.
+ *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line
+ *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
+ *           SFEM_NOT_FINITE  a coordinate that is NaN or infinite, or overflows; err->line
+ *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY, and for a file SFEM_IO
+ *   cost    O(bytes). Memory follows the data that is there, not the counts that it claims. */
+
+/* From memory; the text needs no terminating 0. */
+SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
+                                     const sfem_allocator *allocator, sfem_mesh *out,
+                                     sfem_error *err);
+
+#ifndef SFEM_NO_STDIO
+/* From a file, which is read whole. */
+SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err);
+
+/* WRITING. Text has a decimal point in any locale, and as many digits (15 or 17) as bring the same
+ * double back. A file that exists is overwritten; SFEM_IO tells if it could not be opened or not be
+ * written to the end (the disk is full), and what is there of it then is useless. */
+
+/* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
+SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
+
+/* Values at nodes or in tets, to be written next to the mesh. */
+typedef struct sfem_field {
+    const char *name;
+    const sfem_real *values; /* [nodes or tets][components] */
+    sfem_int components;     /* 1 scalar, 3 vector, 6 or 9 tensor: xx yy zz xy yz xz, or by rows */
+    int per_tet;
+} sfem_field;
+
+/* VTK XML unstructured grid (.vtu, for ParaView): doubles, in binary.
+ *   x       [nodes][3] current positions, m; NULL = rest
+ *   fields  [count], may be NULL if count is 0; the mesh's regions are added by themselves
+ *   errors  SFEM_BAD_ARGUMENT (a field without name or values, components < 1), SFEM_IO */
+SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
+                                    const sfem_field *fields, sfem_int count, sfem_error *err);
+
+/* ParaView's list (.pvd) of .vtu files, relative to it, and their times, s. */
+SFEM_DEF sfem_status sfem_write_pvd(const char *path, const char *const *files,
+                                    const sfem_real *times, sfem_int count, sfem_error *err);
+
+/* Wavefront OBJ of a surface at positions x (NULL = rest): only the nodes on it, in mesh order.
+ * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. */
+SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
+                                    const sfem_surface *surface, const sfem_real *x,
+                                    sfem_error *err);
+#endif
+
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
  * ============================================================================================ */
@@ -302,10 +364,171 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * diagonal block, which is always there, is the last of its row. A diagonal block is stored whole. */
 typedef struct sfem_matrix {
     sfem_int n;
-    const sfem_int *row; /* [n+1] */
-    const sfem_int *col; /* [row[n]] */
-    sfem_real *val;      /* [row[n]][3][3], row-major blocks */
+    const sfem_int *row;                    /* [n+1] */
+    const sfem_int *col;                    /* [row[n]] */
+    sfem_real *val;                         /* [row[n]][3][3], row-major blocks */
+    const struct sfem_matrix_upper *upper;  /* where the columns are, or NULL: see below */
 } sfem_matrix;
+
+/* The upper half of a pattern, seen by rows: the blocks k in (start[j], start[j+1]) of row i = row[.]
+ * stand in column j < i and are val[entry[.]]. Only a product on several threads needs it. */
+typedef struct sfem_matrix_upper {
+    sfem_int n;
+    sfem_int *start; /* [n+1] */
+    sfem_int *row;   /* [start[n]], ascending for each column */
+    sfem_int *entry; /* [start[n]] */
+    sfem_allocator allocator;
+} sfem_matrix_upper;
+
+/* A matrix that owns its arrays, the sum of count blocks: block[e] is added at (i[e], j[e]), and
+ * transposed at (j[e], i[e]) where that is the lower half. The diagonal blocks need not be named.
+ * block may be NULL: then the pattern is made and the values are 0. Duplicates are added in the order
+ * in which they are given.
+ *   errors  SFEM_BAD_ARGUMENT (an index outside [0, n)), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *   cost    O(n + count) */
+SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_int *i,
+                                        const sfem_int *j, const sfem_real *block /* [count][3][3] */,
+                                        const sfem_allocator *allocator, sfem_matrix *out,
+                                        sfem_error *err);
+SFEM_DEF void sfem_matrix_free(sfem_matrix *a, const sfem_allocator *allocator); /* not a->upper */
+
+/* Is it what the struct says, and every number finite? SFEM_BAD_ARGUMENT or SFEM_NOT_FINITE with the
+ * node (block row). */
+SFEM_DEF sfem_status sfem_matrix_check(const sfem_matrix *a, sfem_error *err);
+
+SFEM_DEF sfem_status sfem_matrix_upper_create(const sfem_matrix *a, const sfem_allocator *allocator,
+                                              sfem_matrix_upper *out, sfem_error *err);
+SFEM_DEF void sfem_matrix_upper_free(sfem_matrix_upper *upper);
+
+/* y = A x, [3n]. On several threads if a->upper is set (each row is then gathered, lower half first),
+ * and else on one: the same bits for any number of threads. x and y must not overlap. */
+SFEM_DEF void sfem_matrix_multiply(const sfem_matrix *a, const sfem_real *x, sfem_real *y,
+                                   const sfem_exec *exec);
+
+/* Both halves as scalars, for other libraries: count first, then fill. */
+SFEM_DEF size_t sfem_matrix_csr_count(const sfem_matrix *a); /* entries, all blocks counted whole */
+SFEM_DEF sfem_status sfem_matrix_to_csr(const sfem_matrix *a, sfem_int *row /* [3n+1] */,
+                                        sfem_int *col, sfem_real *val /* [count] each */,
+                                        sfem_error *err);
+SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full /* [3n][3n] */);
+
+/* --- L D L^T of a sparse matrix --------------------------------------------------------------
+ *
+ * Multifrontal [Duff and Reid 1983] on 3x3 blocks, without pivoting: A = P^T L S L^T P, L lower
+ * triangular with a positive diagonal, S the signs of the pivots, so that L |d|^1/2 of the textbook's
+ * L D L^T is what is stored. Positive definite matrices are always safe; of an indefinite one (K -
+ * sigma M) the number of negative pivots is its number of negative eigenvalues [Sylvester], and it is
+ * refused where a pivot drowns in rounding or a trial solve fails: that number would be a guess. */
+
+typedef enum sfem_ordering {
+    SFEM_ORDER_BEST,       /* of the following two, what needs fewer operations */
+    SFEM_ORDER_AMD,        /* approximate minimum degree of the node graph */
+    SFEM_ORDER_DISSECTION, /* nested dissection by planes; needs coordinates */
+    SFEM_ORDER_NATURAL     /* as the rows stand */
+} sfem_ordering;
+
+typedef struct sfem_ldl sfem_ldl; /* immutable once made, but for sfem_ldl_refactor */
+
+typedef struct sfem_ldl_def {
+    sfem_ordering ordering;
+    const sfem_real *x; /* [n][3] coordinates of the nodes, only read while creating, or NULL */
+    int positive;       /* every pivot must be > 0, else SFEM_NOT_SPD */
+    int mixed;          /* keep a float copy of L, which the solves use: half the memory traffic */
+    int keep;           /* keep the update matrices, so that a part can be refactored */
+    sfem_allocator allocator;
+    sfem_exec exec; /* used by create and refactor */
+} sfem_ldl_def;
+
+typedef struct sfem_ldl_info {
+    sfem_int n, supernodes;
+    sfem_ordering ordering; /* the one that was taken */
+    size_t nnz;             /* scalars in L with its diagonal, zeros of merged columns included */
+    double flops;           /* operations that the ordering needs, without those on such zeros */
+    size_t bytes;           /* all of it: factor_bytes + analysis_bytes + work_bytes */
+    size_t factor_bytes;    /* L, and its float copy */
+    size_t analysis_bytes;  /* shared with those made by sfem_ldl_create_like */
+    size_t work_bytes;      /* update matrices */
+    sfem_int negative;      /* pivots < 0 */
+    sfem_real pivot_min, pivot_max; /* of their absolute values */
+    sfem_real residual;     /* unless def.positive: |b - A x| / (|A| |x| + |b|) of a trial solve */
+    const char *path;       /* the vector path: "portable", "avx2", "avx512" */
+} sfem_ldl_info;
+
+SFEM_DEF sfem_ldl_def sfem_default_ldl_def(void); /* BEST, positive = 1, the rest 0 */
+
+/* Analyses the pattern and factorises A.
+ *   errors  SFEM_NOT_SPD (positive = 1: node and pivot), SFEM_SINGULAR (positive = 0: node),
+ *           SFEM_NOT_FINITE (node), SFEM_BAD_ARGUMENT (the pattern is not what sfem_matrix promises,
+ *           or dissection without coordinates), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *   n = 0   is allowed */
+SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix *a, sfem_ldl **out,
+                                     sfem_error *err);
+
+/* The same for another matrix of the same pattern; the analysis is shared (counted atomically), the
+ * options are those of `like`. SFEM_MISMATCH if n or the number of blocks differ; the rest of the
+ * pattern is the caller's word. */
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, sfem_ldl **out,
+                                          sfem_error *err);
+
+/* New values on the same pattern; allocates nothing. After a failure the factor is void (there is no
+ * room for two) and may only be refactored again or freed. */
+SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err);
+
+/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the path from them to the root of the elimination tree, with the very bits of a
+ * full refactorisation. Needs def.keep, else does a full one. */
+SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
+                                             const sfem_int *node, sfem_error *err);
+
+/* Solves A x = b in place for rhs right sides. Const: many threads may solve with one factor, each
+ * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but may
+ * differ between a right side alone and among others. */
+SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs); /* in sfem_real */
+SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n] */,
+                             sfem_real *work, const sfem_exec *exec);
+
+SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl);
+SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl); /* NULL is allowed */
+
+/* --- dense matrices: lower half, column-major, a[i + j n], in place ---------------------------
+ *
+ * Below about 100 scalars they beat the sparse factor, which also has to be analysed. */
+
+/* A = L L^T. SFEM_NOT_SPD names in err->node the row / 3; a is then partly overwritten. */
+SFEM_DEF sfem_status sfem_dense_cholesky(sfem_int n, sfem_real *a, sfem_error *err);
+/* A = L D L^T without pivoting, D on the diagonal; the number of negative pivots. SFEM_SINGULAR if a
+ * pivot is below 1e-14 of its row. */
+SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative, sfem_error *err);
+SFEM_DEF void sfem_dense_cholesky_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
+                                        sfem_real *x /* [rhs][n] */);
+SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
+                                   sfem_real *x /* [rhs][n] */);
+
+/* --- conjugate gradients [Hestenes and Stiefel 1952] ------------------------------------------ */
+
+typedef struct sfem_cg_def {
+    sfem_real tolerance;            /* stop at |b - A x| <= tolerance |b|; 1e-8 */
+    sfem_int max_iterations;        /* 0: 3n */
+    const sfem_ldl *preconditioner; /* NULL: the inverse diagonal blocks */
+    sfem_exec exec;
+} sfem_cg_def;
+
+typedef struct sfem_cg_info {
+    sfem_int iterations;
+    sfem_real residual; /* |b - A x| / |b|, computed anew at the end */
+    int converged;
+} sfem_cg_info;
+
+SFEM_DEF sfem_cg_def sfem_default_cg_def(void);
+SFEM_DEF size_t sfem_cg_work_size(const sfem_cg_def *def, const sfem_matrix *a); /* in sfem_real */
+
+/* Solves A x = b from the x given; allocates nothing. info is written unless the status is one of the
+ * first three, and may be NULL.
+ *   errors  SFEM_NOT_SPD (a direction of negative curvature, or a diagonal block: node),
+ *           SFEM_NOT_FINITE, SFEM_MISMATCH (the preconditioner's size),
+ *           SFEM_NOT_CONVERGED: x is the last iterate, and may do */
+SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a, const sfem_real *b,
+                                   sfem_real *x, sfem_real *work, sfem_cg_info *info,
+                                   sfem_error *err);
 
 /* ============================================================================================
  * >>api-element   materials: energy, stress, tangent; energies in edge lengths
@@ -453,16 +676,17 @@ typedef struct sfem_model_def {
     sfem_int material_count;
     const sfem_int *tet_material; /* [tets] index into materials; NULL: mesh->region is the index */
     sfem_mass mass;               /* lumped: rho V/4 a node; consistent: rho V/20 (1 + delta_ab) */
-    const sfem_matrix *damping;   /* added to D, N s/m: any symmetric matrix within K's pattern, or NULL */
+    const sfem_matrix *damping;   /* added to D, N s/m: any matrix within K's pattern, or NULL */
     sfem_allocator allocator;
 } sfem_model_def;
 
 SFEM_DEF sfem_model_def sfem_default_model_def(void);
 
 /* Builds a model of linear tetrahedra, K_e = V B^T C B.
- *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet, a node in no tet),
- *           SFEM_NOT_FINITE, SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
- *           SFEM_TOO_LARGE; the text names the tet or node
+ *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet), SFEM_NOT_FINITE,
+ *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
+ *           SFEM_TOO_LARGE; the text names the tet or node. A node in no tet has no mass and
+ *           stays where it is.
  *   cost    O(tets), about 0.2 us a tet */
 SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err);
 SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; memory goes with the last body */
@@ -543,7 +767,12 @@ typedef enum sfem_integrator { SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL } sfem_integ
  * damping a start of fourth order. */
 typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_start;
 
-#define SFEM_P_AUTO (-1.0) /* p = 1/12 where every mode is resolved (omega_max h < 2), else 1/4 */
+#define SFEM_P_AUTO (-1.0) /* linear body: 1/12 where every mode is resolved (omega_max h < 2) */
+#define SFEM_P_SAFE (-2.0) /* 1/4 for a linear body, .27 for a corotational one, 1/2 for one that hardens */
+
+/* The frame in which the constant factor of a body that turns is used: as it is (the source's form, which
+ * explodes after a turn of 5 degrees), turned with each connected piece, or with each node. */
+typedef enum sfem_frame { SFEM_FRAME_NODE, SFEM_FRAME_PIECE, SFEM_FRAME_REST } sfem_frame;
 
 enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
@@ -551,11 +780,15 @@ typedef struct sfem_body sfem_body;
 
 typedef struct sfem_body_def {
     sfem_integrator integrator;
-    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
+    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
     sfem_start start;
+    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
+    int no_guard;             /* take every step as it comes, even if it makes energy */
+    sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
+    sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
     sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s */
@@ -571,7 +804,7 @@ typedef struct sfem_body_def {
     sfem_exec exec;
 } sfem_body_def;
 
-/* (p,q,r) with p = 1/4, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
+/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
 SFEM_DEF sfem_body_def sfem_default_body_def(void);
 
 /* Creates a body at rest in its rest position. Nothing is factored yet. O(nodes).
@@ -581,8 +814,9 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
 SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
- * has one with the same matrix and pins; the handles' columns (three solves a handle). The only
- * function after creation that allocates. sfem_body_step calls it where it has to.
+ * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
+ * a loop, the only function that allocates; set_pins and solve_static do, too. sfem_body_step calls it
+ * where it has to.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
@@ -594,11 +828,11 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
  * them. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
- * during this step. solve leaves the step's acceleration where sfem_body_acceleration points. finish
- * takes the step. predict may be called again to give a step up. */
+ * during this step, as F at its start does. solve leaves the step's acceleration where
+ * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
-SFEM_DEF void sfem_body_finish(sfem_body *body);
+SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
 SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2 */
 
@@ -653,6 +887,7 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
+    int64_t steps, redone;    /* since its state was set; redone: by the guard */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -690,6 +925,7 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #if defined(SOFTFEM_IMPLEMENTATION) && !defined(SFEMI_IMPLEMENTED)
 #define SFEMI_IMPLEMENTED
 
+#include <errno.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -701,6 +937,22 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #endif
 #ifdef _OPENMP
 #include <omp.h>
+#endif
+/* Vector paths. Kernels stand once, in section >>kernels at the end of the implementation, and are
+ * compiled once for each path by including this file again; SFEMI_PATH tells which. */
+#if defined(__GNUC__) && defined(__x86_64__) && !defined(SFEM_NO_DISPATCH)
+#define SFEMI_X86 1
+#include <immintrin.h>
+#else
+#define SFEMI_X86 0
+#endif
+#if defined(__FMA__) && !SFEMI_X86
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+#ifndef SFEM_SELF
+#define SFEM_SELF "softfem.h"
 #endif
 
 #ifdef __cplusplus
@@ -838,30 +1090,44 @@ static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *
     for (i = 0; i < count; ++i) task(data, i);
 }
 
-/* Instruction sets that hot kernels are compiled for on top of what the compiler was told to
- * use. */
-#if defined(__GNUC__) && defined(__x86_64__) && !defined(SFEM_NO_DISPATCH)
-#define SFEMI_X86_PATHS
-#include <immintrin.h>
-#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
-#define SFEMI_AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
+/* The vector path of this processor: 0 portable, 1 AVX2 with FMA, 2 AVX-512F. SFEM_FORCE_PATH takes one
+ * whatever the processor says. Costs a few loads: ask once for each loop, not once for each element.
+ *
+ * A kernel is a function SFEMI_KERNEL(name) in section >>kernels, marked SFEMI_TARGET; its instances
+ * are called name_0, name_1, name_2, and a table of pointers for each path, like sfemi_ldl_kernels,
+ * chooses between them. Inside it SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
+ * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
+ * (c - a b). Multiply-adds are explicit, so that the bits depend on the path and on nothing else. */
+static int sfemi_path(void)
+{
+#if defined(SFEM_FORCE_PATH) && SFEMI_X86
+    return SFEM_FORCE_PATH;
+#elif SFEMI_X86
+    if (__builtin_cpu_supports("avx512f")) return 2;
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 1;
+    return 0;
+#else
+    return 0;
 #endif
+}
 
 #if defined(__GNUC__)
-#define SFEMI_INLINE static inline __attribute__((always_inline))
+#define SFEMI_INLINE inline __attribute__((always_inline))
 #else
-#define SFEMI_INLINE static inline
+#define SFEMI_INLINE inline
+#endif
+
+/* For kernels that vector types would only obscure: loops over lanes that the compiler turns into
+ * vector instructions of the given set. */
+#if SFEMI_X86
+#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
+#define SFEMI_AVX512 __attribute__((target("avx512f,avx2,fma")))
 #endif
 
 SFEM_DEF int sfem_vector_width(void)
 {
-#ifdef SFEMI_X86_PATHS
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl"))
-        return 8;
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 4;
-#endif
-    return 1;
+    static const int width[3] = {1, 4, 8};
+    return width[sfemi_path()];
 }
 
 /* ============================================================================================
@@ -1181,8 +1447,8 @@ static sfem_status sfemi_mesh_new(double nodes, double tets, const sfem_allocato
     if (nodes > (double)INT32_MAX || tets > (double)INT32_MAX)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%.0f nodes and %.0f tets: at most 2^31 - 1 of each",
                           nodes, tets);
-    m.nodes = (sfem_int)nodes;
-    m.tets = (sfem_int)tets;
+    m.nodes = (sfem_int)(nodes + 0.5); /* -ffast-math divides inexactly */
+    m.tets = (sfem_int)(tets + 0.5);
     SFEMI_NEW(sfem_real, m.x, &m.allocator, 3 * (size_t)m.nodes);
     SFEMI_NEW(sfem_int, m.tet, &m.allocator, 4 * (size_t)m.tets);
     *out = m;
@@ -2241,6 +2507,23 @@ static void sfemi_mesh_clamp(sfem_real b[4])
     for (i = 0; i < 4; ++i) b[i] /= sum;
 }
 
+/* Is a point in the box round a tet? Most tets end here. */
+static int sfemi_mesh_near(const sfem_real *x, const sfem_int *tet, const sfem_real *point)
+{
+    int i, k;
+    for (k = 0; k < 3; ++k) {
+        sfem_real low = x[3 * (size_t)tet[0] + (size_t)k], high = low, slack;
+        for (i = 1; i < 4; ++i) {
+            sfem_real v = x[3 * (size_t)tet[i] + (size_t)k];
+            low = v < low ? v : low;
+            high = v > high ? v : high;
+        }
+        slack = 4 * SFEMI_MESH_INSIDE * (high - low);
+        if (point[k] < low - slack || point[k] > high + slack) return 0;
+    }
+    return 1;
+}
+
 SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
                               sfem_int *tet, sfem_real bary[4])
 {
@@ -2249,9 +2532,10 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     int i;
     SFEM_ASSERT(mesh && point);
     if (!x) x = mesh->x;
+    if (!sfemi_all_finite(point, 3)) return 0;
     for (t = 0; t < mesh->tets; ++t) {
         const sfem_int *v = mesh->tet + 4 * (size_t)t;
-        if (!sfemi_mesh_gradients(x, v, g)) continue;
+        if (!sfemi_mesh_near(x, v, point) || !sfemi_mesh_gradients(x, v, g)) continue;
         sfemi_sub3(point, x + 3 * (size_t)v[0], p);
         sfemi_mesh_barycentric(g, p, b);
         low = b[0];
@@ -2268,6 +2552,22 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     if (tet) *tet = found;
     if (bary) memcpy(bary, best, sizeof best);
     return 1;
+}
+
+/* Are the nodes of a tet on both sides of a plane through the origin of a ray? For two planes along
+ * the ray that is what a tet needs that it meets. Tets that share nodes agree about them. */
+static int sfemi_mesh_straddles(const sfem_real *x, const sfem_int *tet, const sfem_real *origin,
+                                const sfem_real *normal)
+{
+    int i, above = 0, below = 0;
+    for (i = 0; i < 4; ++i) {
+        sfem_real p[3], side;
+        sfemi_sub3(x + 3 * (size_t)tet[i], origin, p);
+        side = sfemi_dot3(p, normal);
+        above |= side >= 0;
+        below |= side <= 0;
+    }
+    return above && below;
 }
 
 /* Where the ray origin + s direction, s >= 0, enters a tet, and b there; 0 if it passes by. */
@@ -2298,19 +2598,27 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
                                 const sfem_real origin[3], const sfem_real direction[3],
                                 sfem_int *tet, sfem_real bary[4], sfem_real *distance)
 {
-    sfem_real unit[3], b[4], best[4], enter, nearest = 0, length = 0;
+    sfem_real unit[3], axis[3] = {0, 0, 0}, side[3], up[3];
+    sfem_real b[4], best[4], enter, nearest = 0, length = 0;
     sfem_int t, found = -1;
-    int i;
+    int i, k;
     SFEM_ASSERT(mesh && origin && direction);
     if (!x) x = mesh->x;
     for (i = 0; i < 3; ++i)
         if (fabs(direction[i]) > length) length = fabs(direction[i]);
-    if (!(length > 0) || !sfemi_finite(length)) return 0;
+    if (!(length > 0) || !sfemi_all_finite(direction, 3) || !sfemi_all_finite(origin, 3)) return 0;
     for (i = 0; i < 3; ++i) unit[i] = direction[i] / length; /* no under- or overflow in the norm */
     length = sqrt(sfemi_dot3(unit, unit));
     for (i = 0; i < 3; ++i) unit[i] /= length;
+    k = fabs(unit[0]) < .6 ? 0 : fabs(unit[1]) < .6 ? 1 : 2; /* an axis not along the ray */
+    axis[k] = 1;
+    sfemi_cross(unit, axis, side);
+    sfemi_cross(unit, side, up);
     for (t = 0; t < mesh->tets; ++t) {
-        if (!sfemi_mesh_clip(x, mesh->tet + 4 * (size_t)t, origin, unit, &enter, b)) continue;
+        const sfem_int *v = mesh->tet + 4 * (size_t)t;
+        if (!sfemi_mesh_straddles(x, v, origin, side) || !sfemi_mesh_straddles(x, v, origin, up) ||
+            !sfemi_mesh_clip(x, v, origin, unit, &enter, b))
+            continue;
         if (found >= 0 && enter >= nearest) continue;
         nearest = enter;
         found = t;
@@ -2328,9 +2636,4236 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * >>meshio   readers and writers
  * ============================================================================================ */
 
+/* Everything is parsed from memory between two pointers, so a file of any content can be read: a
+ * count is believed only as far as the bytes behind it could hold that many things.
+ *
+ * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
+ * manual, MSH file format, version 4.1. The VTK file formats, for VTK 4.2 and later. */
+
+/* ---- numbers as text, the same in any locale ---- */
+
+#define SFEMI_DIGITS 800 /* more than 768 significant digits never change a rounding */
+#define SFEMI_LIMBS  256 /* 800 digits shifted by 64 bits + 10^1130, the largest divisor */
+
+typedef struct sfemi_big { /* a natural number, low limbs first, no zero limb on top */
+    uint32_t limb[SFEMI_LIMBS];
+    int n;
+} sfemi_big;
+
+static void sfemi_big_multiply_add(sfemi_big *b, uint32_t factor, uint32_t add)
+{
+    uint64_t carry = add;
+    int i;
+    for (i = 0; i < b->n; ++i) {
+        carry += (uint64_t)b->limb[i] * factor;
+        b->limb[i] = (uint32_t)carry;
+        carry >>= 32;
+    }
+    if (carry) b->limb[b->n++] = (uint32_t)carry;
+}
+
+/* b = floor(b / divisor); returns 1 if there was a remainder. */
+static int sfemi_big_divide(sfemi_big *b, uint32_t divisor)
+{
+    uint64_t rest = 0;
+    int i;
+    for (i = b->n; i-- > 0;) {
+        rest = rest << 32 | b->limb[i];
+        b->limb[i] = (uint32_t)(rest / divisor);
+        rest %= divisor;
+    }
+    while (b->n > 0 && !b->limb[b->n - 1]) --b->n;
+    return rest != 0;
+}
+
+static void sfemi_big_shift(sfemi_big *b, int bits)
+{
+    int i, words = bits / 32;
+    if (b->n == 0) return;
+    sfemi_big_multiply_add(b, (uint32_t)1 << bits % 32, 0);
+    for (i = b->n; i-- > 0;) b->limb[i + words] = b->limb[i];
+    for (i = 0; i < words; ++i) b->limb[i] = 0;
+    b->n += words;
+}
+
+/* The double nearest to (b + a bit if sticky) 2^exponent, ties to even; b is above 0, and has more
+ * than 53 bits if sticky. */
+static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
+{
+    int i, k, length = 32 * b->n, drop;
+    uint64_t q = 0;
+    sfem_real x;
+    for (i = 31; !(b->limb[b->n - 1] >> i & 1); --i) --length;
+    drop = length - 53;
+    if (drop < -1074 - exponent) drop = -1074 - exponent; /* subnormal: fewer bits */
+    if (drop < 0) drop = 0;
+    for (i = b->n - 1; i >= drop / 32; --i) { /* b >> drop: 53 bits at most */
+        k = 32 * i - drop;
+        q |= k >= 0 ? (uint64_t)b->limb[i] << k : (uint64_t)b->limb[i] >> -k;
+    }
+    if (drop > 0 && (drop - 1) / 32 < b->n) {
+        int half = (int)(b->limb[(drop - 1) / 32] >> (drop - 1) % 32 & 1);
+        if (b->limb[(drop - 1) / 32] & (((uint32_t)1 << (drop - 1) % 32) - 1)) sticky = 1;
+        for (i = 0; i < (drop - 1) / 32; ++i) sticky |= b->limb[i] != 0;
+        q += (uint64_t)(half && (sticky || (q & 1)));
+    }
+    exponent += drop;
+    for (; q < (uint64_t)1 << 52 && exponent > -1074; --exponent) q <<= 1;
+    q += (uint64_t)(exponent + 1074) << 52; /* q's own top bit counts the exponent on by one */
+    if (q > 0x7ff0000000000000u) q = 0x7ff0000000000000u;
+    memcpy(&x, &q, sizeof x); /* arithmetic may flush subnormals, as -ffast-math has it */
+    return x;
+}
+
+/* digits 10^exponent */
+static sfem_real sfemi_big_scale(sfemi_big *b, int exponent, int sticky)
+{
+    int shift = 0;
+    for (; exponent >= 9; exponent -= 9) sfemi_big_multiply_add(b, 1000000000u, 0);
+    for (; exponent > 0; --exponent) sfemi_big_multiply_add(b, 10, 0);
+    if (exponent < 0) { /* so far to the left that 64 bits remain: 3.322 > log2(10) */
+        shift = 65 + -exponent * 3322 / 1000;
+        sfemi_big_shift(b, shift);
+    }
+    for (; exponent <= -9; exponent += 9) sticky |= sfemi_big_divide(b, 1000000000u);
+    for (; exponent < 0; ++exponent) sticky |= sfemi_big_divide(b, 10);
+    return sfemi_big_round(b, sticky, -shift);
+}
+
+/* Reads [+-]digits[.digits][e[+-]digits]; returns where it ends, or NULL if that is not there. Too
+ * large numbers give infinity. */
+static const char *sfemi_text_real(const char *p, const char *end, sfem_real *out)
+{
+    sfemi_big b;
+    int negative, any = 0, point = 0, digits = 0, sticky = 0, minus;
+    int64_t exponent = 0, e = 0;
+    b.n = 0;
+    negative = p < end && *p == '-';
+    if (p < end && (*p == '-' || *p == '+')) ++p;
+    for (; p < end && ((*p >= '0' && *p <= '9') || (*p == '.' && !point)); ++p) {
+        if (*p == '.') {
+            point = 1;
+            continue;
+        }
+        any = 1;
+        exponent -= point;
+        if (digits == SFEMI_DIGITS) {
+            sticky |= *p != '0';
+            ++exponent;
+        } else if (*p != '0' || b.n) {
+            sfemi_big_multiply_add(&b, 10, (uint32_t)(*p - '0'));
+            ++digits;
+        }
+    }
+    if (!any) return NULL;
+    if (p < end && (*p == 'e' || *p == 'E')) {
+        ++p;
+        minus = p < end && *p == '-';
+        if (p < end && (*p == '-' || *p == '+')) ++p;
+        if (p == end || *p < '0' || *p > '9') return NULL;
+        for (; p < end && *p >= '0' && *p <= '9'; ++p)
+            if (e < INT64_MAX / 20) e = 10 * e + (*p - '0');
+        exponent += minus ? -e : e;
+    }
+    if (!b.n || digits + exponent < -330)
+        *out = 0;
+    else if (digits + exponent > 310)
+        *out = HUGE_VAL;
+    else
+        *out = sfemi_big_scale(&b, (int)exponent, sticky);
+    if (negative) *out = -*out;
+    return p;
+}
+
+/* ---- scanning ---- */
+
+typedef struct sfemi_scan {
+    const char *p, *end;
+    sfem_int line; /* of p, from 1 */
+    int in_row;    /* numbers are looked for up to the end of the line only */
+    sfem_error *err;
+} sfemi_scan;
+
+SFEMI_PRINTF(3, 4)
+static sfem_status sfemi_scan_fail(const sfemi_scan *s, sfem_status status, const char *format, ...)
+{
+    char text[180];
+    va_list list;
+    va_start(list, format);
+    vsnprintf(text, sizeof text, format, list);
+    va_end(list);
+    sfemi_fail(s->err, status, "line %ld: %s", (long)s->line, text);
+    if (s->err) s->err->line = s->line;
+    return status;
+}
+
+static int sfemi_is_blank(char c) { return c == ' ' || (c >= '\t' && c <= '\r' && c != '\n'); }
+
+static void sfemi_scan_space(sfemi_scan *s)
+{
+    for (; s->p < s->end; ++s->p) {
+        if (*s->p == '\n') {
+            if (s->in_row) return;
+            if (s->line < INT32_MAX) ++s->line;
+        } else if (!sfemi_is_blank(*s->p))
+            return;
+    }
+}
+
+static void sfemi_scan_skip_line(sfemi_scan *s)
+{
+    const char *p =
+        s->p < s->end ? (const char *)memchr(s->p, '\n', (size_t)(s->end - s->p)) : NULL;
+    s->p = p ? p + 1 : s->end;
+    if (p && s->line < INT32_MAX) ++s->line;
+}
+
+/* The next word, of no letters at the end of the data (or of the line, in a row). */
+typedef struct sfemi_word {
+    const char *p;
+    size_t n;
+} sfemi_word;
+
+static sfemi_word sfemi_scan_peek(sfemi_scan *s)
+{
+    sfemi_word w;
+    const char *q;
+    sfemi_scan_space(s);
+    for (q = s->p; q < s->end && *q != '\n' && !sfemi_is_blank(*q); ++q) {
+    }
+    w.p = s->p;
+    w.n = (size_t)(q - s->p);
+    return w;
+}
+
+static sfemi_word sfemi_scan_word(sfemi_scan *s)
+{
+    sfemi_word w = sfemi_scan_peek(s);
+    s->p += w.n;
+    return w;
+}
+
+/* Is it this word? Capitals count as small letters. */
+static int sfemi_word_is(sfemi_word w, const char *text)
+{
+    size_t i;
+    for (i = 0; i < w.n; ++i) {
+        char a = w.p[i], b = text[i];
+        if (a >= 'A' && a <= 'Z') a = (char)(a - 'A' + 'a');
+        if (b >= 'A' && b <= 'Z') b = (char)(b - 'A' + 'a');
+        if (a != b || !b) return 0;
+    }
+    return text[w.n] == 0;
+}
+
+/* A word for a sentence: shortened, with nothing in it that is not printable. */
+static const char *sfemi_word_text(sfemi_word w, char text[25])
+{
+    size_t i;
+    for (i = 0; i < w.n && i < 24; ++i) text[i] = w.p[i] >= 32 && w.p[i] < 127 ? w.p[i] : '?';
+    text[i] = 0;
+    return text;
+}
+
+/* "expected a node tag, found 'x'" */
+static sfem_status sfemi_scan_expected(sfemi_scan *s, const char *what, sfemi_word found)
+{
+    char text[25];
+    if (!found.n)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, but the %s ends", what,
+                               s->in_row && s->p < s->end ? "line" : "data");
+    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what,
+                           sfemi_word_text(found, text));
+}
+
+static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, const char *what,
+                                      int64_t *out)
+{
+    sfemi_word w = sfemi_scan_peek(s);
+    size_t i = w.n && (w.p[0] == '-' || w.p[0] == '+');
+    int negative = w.n && w.p[0] == '-';
+    int64_t v = 0;
+    if (i == w.n) return sfemi_scan_expected(s, what, w);
+    for (; i < w.n; ++i) {
+        if (w.p[i] < '0' || w.p[i] > '9') return sfemi_scan_expected(s, what, w);
+        if (v > (INT64_MAX - 9) / 10)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s is too large a number", what);
+        v = 10 * v + (w.p[i] - '0');
+    }
+    if (negative) v = -v;
+    if (v < low || v > high)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %lld, not in %lld .. %lld", what,
+                               (long long)v, (long long)low, (long long)high);
+    s->p += w.n;
+    *out = v;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_scan_real(sfemi_scan *s, const char *what, sfem_real *out)
+{
+    sfemi_word w = sfemi_scan_peek(s);
+    const char *q = sfemi_text_real(w.p, w.p + w.n, out);
+    size_t sign = w.n && (w.p[0] == '-' || w.p[0] == '+');
+    sfemi_word name;
+    name.p = w.p + sign;
+    name.n = w.n - sign;
+    if (sfemi_word_is(name, "nan") || sfemi_word_is(name, "inf") || sfemi_word_is(name, "infinity"))
+        return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is not finite", what);
+    if (q != w.p + w.n || !w.n) return sfemi_scan_expected(s, what, w);
+    if (!sfemi_finite(*out))
+        return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is too large for a double", what);
+    s->p += w.n;
+    return SFEM_OK;
+}
+
+/* Nothing more on this line? */
+static sfem_status sfemi_scan_end_of_row(sfemi_scan *s, const char *what)
+{
+    sfemi_word w;
+    s->in_row = 1;
+    w = sfemi_scan_peek(s);
+    s->in_row = 0;
+    return w.n ? sfemi_scan_expected(s, what, w) : SFEM_OK;
+}
+
+/* A count of things that take `each` bytes at least, of which there are no more than the data could
+ * still hold, or an sfem_int. */
+static sfem_status sfemi_scan_count(sfemi_scan *s, size_t each, const char *what, sfem_int *out)
+{
+    int64_t n;
+    sfem_status status = sfemi_scan_integer(s, 0, INT64_MAX, what, &n);
+    if (status != SFEM_OK) return status;
+    if ((uint64_t)n > ((uint64_t)(s->end - s->p) + 1) / each)
+        return sfemi_scan_fail(s, SFEM_FORMAT,
+                               "%s is %lld, more than the rest of the data can hold", what,
+                               (long long)n);
+    if (n > INT32_MAX)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "%s is %lld, above 2^31 - 1", what, (long long)n);
+    *out = (sfem_int)n;
+    return SFEM_OK;
+}
+
+/* ---- Gmsh 4.1 ASCII ---- */
+
+/* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
+typedef struct sfemi_tags {
+    int64_t *tag;    /* [count] */
+    sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
+    size_t mask;
+} sfemi_tags;
+
+static sfem_status sfemi_tags_new(sfemi_tags *g, sfem_int count, const sfem_allocator *a,
+                                  sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    size_t size = 16;
+    while (size < 2 * (size_t)count) size *= 2;
+    SFEMI_NEW(int64_t, g->tag, a, count);
+    SFEMI_NEW(sfem_int, g->table, a, size);
+    g->mask = size - 1;
+done:
+    return status; /* the caller frees what there is */
+}
+
+static void sfemi_tags_free(sfemi_tags *g, const sfem_allocator *a)
+{
+    sfemi_delete(a, g->tag);
+    sfemi_delete(a, g->table);
+}
+
+/* The slot of a tag, or the empty one where it would go. */
+static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t h = (uint64_t)tag * 0x9e3779b97f4a7c15u;
+    size_t i = (size_t)(h ^ h >> 32) & g->mask;
+    while (g->table[i] && g->tag[g->table[i] - 1] != tag) i = (i + 1) & g->mask;
+    return g->table + i;
+}
+
+typedef struct sfemi_gmsh {
+    sfemi_scan s;
+    sfem_mesh m;
+    sfemi_tags node, volume;
+    sfem_int volumes, *group; /* [volumes] first physical group, or 0 */
+    int any_group, has_format, has_nodes, has_elements;
+} sfemi_gmsh;
+
+static sfem_status sfemi_gmsh_end(sfemi_gmsh *g, const char *end)
+{
+    sfemi_word w = sfemi_scan_peek(&g->s);
+    if (!sfemi_word_is(w, end)) return sfemi_scan_expected(&g->s, end, w);
+    g->s.p += w.n;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_gmsh_format(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfemi_word w = sfemi_scan_peek(s);
+    sfem_status status;
+    sfem_real version;
+    int64_t binary, size;
+    char text[25];
+    if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
+        return sfemi_scan_expected(s, "a Gmsh version", w);
+    if (!sfemi_word_is(w, "4.1"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 4.1 ASCII is read",
+                               sfemi_word_text(w, text));
+    s->p += w.n;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "the file type (0 ASCII, 1 binary)", &binary));
+    if (binary) return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 4.1 binary: only 4.1 ASCII is read");
+    SFEMI_TRY(sfemi_scan_integer(s, 1, 64, "the data size", &size));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndMeshFormat"));
+    g->has_format = 1;
+done:
+    return status;
+}
+
+/* One volume: tag, box, physical groups, bounding surfaces. */
+static sfem_status sfemi_gmsh_volume(sfemi_gmsh *g, sfem_int i)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int *slot;
+    sfem_real x;
+    int64_t v, groups, group = 0;
+    int k;
+    sfemi_scan_space(s);
+    s->in_row = 1;
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a volume tag", &v));
+    for (k = 0; k < 6; ++k) SFEMI_TRY(sfemi_scan_real(s, "a bound of the volume", &x));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of physical groups", &groups));
+    if (groups > 0)
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
+    g->volume.tag[i] = v;
+    slot = sfemi_tags_slot(&g->volume, v);
+    if (*slot) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
+        goto done;
+    }
+    *slot = i + 1;
+    g->group[i] = (sfem_int)(group < 0 ? -group : group); /* a sign only tells the orientation */
+    if (groups > 0) g->any_group = 1;
+    sfemi_scan_skip_line(s);
+done:
+    s->in_row = 0;
+    return status;
+}
+
+static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
+{
+    static const char *const what[4] = {"the count of points", "the count of curves",
+                                        "the count of surfaces", "the count of volumes"};
+    sfemi_scan *s = &g->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int count[4], i;
+    int k;
+    if (g->group) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Entities section");
+    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, 8, what[k], &count[k]));
+    SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
+    SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
+    g->volumes = count[3];
+    for (k = 0; k < 3; ++k)
+        for (i = 0; i < count[k]; ++i) {
+            sfemi_word w = sfemi_scan_peek(s);
+            if (!w.n || *w.p == '$') return sfemi_scan_expected(s, "another entity", w);
+            sfemi_scan_skip_line(s);
+        }
+    for (i = 0; i < count[3]; ++i) SFEMI_TRY(sfemi_gmsh_volume(g, i));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
+done:
+    return status;
+}
+
+/* One block of nodes: all their tags, then all their places. */
+static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g, sfem_int first, sfem_int *n)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int i, count = 0;
+    int64_t dimension, v, parametric;
+    int k;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
+    SFEMI_TRY(sfemi_scan_integer(s, INT32_MIN, INT32_MAX, "the tag of an entity", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "'parametric' (0 or 1)", &parametric));
+    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes in a block", &count));
+    if (count > g->m.nodes - first) {
+        status = sfemi_scan_fail(
+            s, SFEM_FORMAT, "the blocks have more than the %ld nodes announced", (long)g->m.nodes);
+        goto done;
+    }
+    for (i = first; i < first + count; ++i) {
+        sfem_int *slot;
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT64_MAX, "a node tag", &v));
+        g->node.tag[i] = v;
+        slot = sfemi_tags_slot(&g->node, v);
+        if (*slot) {
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
+            goto done;
+        }
+        *slot = i + 1;
+    }
+    for (i = first; i < first + count; ++i) {
+        sfem_real ignored;
+        sfemi_scan_space(s);
+        s->in_row = 1;
+        for (k = 0; k < 3; ++k)
+            SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
+        for (k = 0; k < (parametric ? (int)dimension : 0); ++k)
+            SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
+        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+    }
+    *n = count;
+done:
+    s->in_row = 0;
+    return status;
+}
+
+static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int nodes = 0, n = 0, filled = 0;
+    int64_t blocks, v;
+    if (g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Nodes section");
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of node blocks", &blocks));
+    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes", &nodes));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest node tag", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest node tag", &v));
+    SFEMI_NEW(sfem_real, g->m.x, &g->m.allocator, 3 * (size_t)nodes);
+    SFEMI_TRY(sfemi_tags_new(&g->node, nodes, &g->m.allocator, err));
+    g->m.nodes = nodes;
+    for (; blocks > 0; --blocks) {
+        SFEMI_TRY(sfemi_gmsh_node_block(g, filled, &n));
+        filled += n;
+    }
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndNodes"));
+    if (filled != nodes) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%ld nodes announced, %ld found", (long)nodes,
+                                 (long)filled);
+        goto done;
+    }
+    g->has_nodes = 1;
+done:
+    return status;
+}
+
+/* Tet number t from its row: tag and four node tags. */
+static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g, sfem_int t)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    int64_t v;
+    int k;
+    s->in_row = 1;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "an element tag", &v));
+    for (k = 0; k < 4; ++k) {
+        sfem_int slot;
+        SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
+        slot = *sfemi_tags_slot(&g->node, v);
+        if (!slot) {
+            status =
+                sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node tag %lld, which is not there",
+                                (long)t, (long long)v);
+            if (s->err) s->err->tet = t;
+            goto done;
+        }
+        g->m.tet[4 * (size_t)t + (size_t)k] = slot - 1;
+    }
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+done:
+    s->in_row = 0;
+    return status;
+}
+
+/* One block of elements. First they are only counted: g->m.tet is NULL then. */
+static sfem_status sfemi_gmsh_element_block(sfemi_gmsh *g, int64_t *elements, sfem_int *tets)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int slot, region;
+    int64_t dimension, entity, type, count, i;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements in a block", &count));
+    region = (sfem_int)entity;
+    if (g->any_group) {
+        slot = *sfemi_tags_slot(&g->volume, entity);
+        region = slot ? g->group[slot - 1] : 0;
+    }
+    for (i = 0; i < count; ++i) {
+        sfemi_word w = sfemi_scan_peek(s);
+        if (!w.n || *w.p == '$') {
+            status = sfemi_scan_expected(s, "another element", w);
+            goto done;
+        }
+        if (type == 4 && *tets == INT32_MAX) {
+            status = sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+            goto done;
+        }
+        if (type == 4 && g->m.tet) {
+            SFEMI_TRY(sfemi_gmsh_tet(g, *tets));
+            g->m.region[*tets] = region;
+        } else
+            sfemi_scan_skip_line(s);
+        *tets += type == 4;
+    }
+    *elements += count;
+done:
+    return status;
+}
+
+static sfem_status sfemi_gmsh_elements(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s, start;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int tets = 0;
+    int64_t blocks, elements, v, b, found = 0;
+    if (g->has_elements) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Elements section");
+    if (!g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "$Elements come before $Nodes");
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of element blocks", &blocks));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements", &elements));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest element tag", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest element tag", &v));
+    start = *s;
+    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &tets));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    if (found != elements) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%lld elements announced, %lld found",
+                                 (long long)elements, (long long)found);
+        goto done;
+    }
+    SFEMI_NEW(sfem_int, g->m.tet, &g->m.allocator, 4 * (size_t)tets);
+    SFEMI_NEW(sfem_int, g->m.region, &g->m.allocator, tets);
+    *s = start;
+    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &g->m.tets));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    g->has_elements = 1;
+done:
+    return status;
+}
+
+/* Goes past the line $End<name> of section $<name>. */
+static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
+{
+    sfemi_scan *s = &g->s;
+    sfemi_word w;
+    while (s->p < s->end) {
+        w = sfemi_scan_peek(s);
+        if (w.n == name.n + 3 && !memcmp(w.p, "$End", 4) &&
+            !memcmp(w.p + 4, name.p + 1, name.n - 1)) {
+            s->p += w.n;
+            return SFEM_OK;
+        }
+        sfemi_scan_skip_line(s);
+    }
+    w.n = 0;
+    return sfemi_scan_expected(s, "the end of the section", w);
+}
+
+static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
+        if (*w.p != '$') return sfemi_scan_expected(s, "a section like $Nodes", w);
+        if (sfemi_word_is(w, "$MeshFormat"))
+            status = sfemi_gmsh_format(g);
+        else if (!g->has_format)
+            return sfemi_scan_expected(s, "$MeshFormat", w);
+        else if (sfemi_word_is(w, "$Entities"))
+            status = sfemi_gmsh_entities(g);
+        else if (sfemi_word_is(w, "$Nodes"))
+            status = sfemi_gmsh_nodes(g);
+        else if (sfemi_word_is(w, "$Elements"))
+            status = sfemi_gmsh_elements(g);
+        else
+            status = sfemi_gmsh_skip(g, w);
+    }
+    if (status == SFEM_OK && !g->has_elements)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "the data ends before $Nodes and $Elements");
+    return status;
+}
+
+/* ---- VTK legacy ASCII ---- */
+
+typedef struct sfemi_vtk {
+    sfemi_scan s;
+    sfem_mesh m;
+    sfemi_scan cell_scan;    /* the numbers behind CELLS, or behind CONNECTIVITY */
+    sfem_int cells, *offset; /* [cells+1] where each cell's nodes begin, in 5.1 */
+    sfem_int numbers;        /* how many stand there */
+    unsigned char *type;     /* [cells] 255 for any type above */
+    int has_points, has_cells, has_types;
+} sfemi_vtk;
+
+static sfem_status sfemi_vtk_header(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfemi_word w;
+    sfem_real version;
+    char text[25];
+    int k;
+    for (k = 0; k < 4; ++k) sfemi_scan_word(s); /* "# vtk DataFile Version" is what led here */
+    s->in_row = 1;
+    w = sfemi_scan_peek(s);
+    s->in_row = 0;
+    if (!w.n || sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
+        return sfemi_scan_expected(s, "a VTK version", w);
+    if (version < 1 || version >= 6)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %s: only 1.0 to 5.1 are read",
+                               sfemi_word_text(w, text));
+    sfemi_scan_skip_line(s);
+    sfemi_scan_skip_line(s); /* the title, which may be empty */
+    w = sfemi_scan_peek(s);
+    if (sfemi_word_is(w, "BINARY"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy binary: only ASCII is read");
+    if (!sfemi_word_is(w, "ASCII")) return sfemi_scan_expected(s, "ASCII", w);
+    s->p += w.n;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_vtk_skip_words(sfemi_scan *s, int64_t count, const char *what)
+{
+    for (; count > 0; --count) {
+        sfemi_word w = sfemi_scan_word(s);
+        if (!w.n) return sfemi_scan_expected(s, what, w);
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_vtk_points(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n = 0;
+    size_t i;
+    if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
+    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of the points"));
+    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
+    for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + i));
+    r->m.nodes = n;
+    r->has_points = 1;
+done:
+    return status;
+}
+
+/* CELLS n size, then rows of a count and as many nodes; from 5.1 on CELLS n+1 size, then OFFSETS
+ * and CONNECTIVITY. Cells are looked at when their types are known: here they are only passed
+ * over. */
+static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n = 0, i;
+    int64_t v, before = 0;
+    if (r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS a second time");
+    SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
+    SFEMI_TRY(sfemi_scan_count(s, 2, "the count of numbers in CELLS", &r->numbers));
+    if (sfemi_word_is(sfemi_scan_peek(s), "OFFSETS")) {
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the offsets"));
+        SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, n);
+        for (i = 0; i < n; ++i) {
+            SFEMI_TRY(sfemi_scan_integer(s, before, i ? r->numbers : 0, "an offset", &v));
+            r->offset[i] = (sfem_int)v;
+            before = v;
+        }
+        if (n && before != r->numbers) {
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "the last offset is %lld, not %ld",
+                                     (long long)before, (long)r->numbers);
+            goto done;
+        }
+        if (!sfemi_word_is(sfemi_scan_peek(s), "CONNECTIVITY")) {
+            status = sfemi_scan_expected(s, "CONNECTIVITY", sfemi_scan_peek(s));
+            goto done;
+        }
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the connectivity"));
+        n -= n > 0;
+    }
+    r->cells = n;
+    r->cell_scan = *s;
+    SFEMI_TRY(sfemi_vtk_skip_words(s, r->numbers, "another number of a cell"));
+    r->has_cells = 1;
+done:
+    return status;
+}
+
+static sfem_status sfemi_vtk_types(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n = 0, i;
+    int64_t v;
+    if (r->has_types) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES a second time");
+    if (!r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES come before CELLS");
+    SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cell types", &n));
+    if (n != r->cells) {
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%ld cell types for %ld cells", (long)n,
+                                 (long)r->cells);
+        goto done;
+    }
+    SFEMI_NEW(unsigned char, r->type, &r->m.allocator, n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a cell type", &v));
+        r->type[i] = (unsigned char)(v < 255 ? v : 255);
+    }
+    r->has_types = 1;
+done:
+    return status;
+}
+
+/* FIELD name count, then so many arrays: name, components, tuples, type, values. */
+static sfem_status sfemi_vtk_field(sfemi_scan *s)
+{
+    sfem_status status;
+    int64_t arrays, components, tuples;
+    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of a field"));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "the count of arrays in a field", &arrays));
+    for (; arrays > 0; --arrays) {
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of an array"));
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
+        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of an array"));
+        SFEMI_TRY(sfemi_vtk_skip_words(s, components * tuples, "another value of an array"));
+    }
+done:
+    return status;
+}
+
+/* A METADATA block ends with an empty line. */
+static void sfemi_vtk_skip_metadata(sfemi_scan *s)
+{
+    sfemi_word w;
+    do {
+        sfemi_scan_skip_line(s);
+        s->in_row = 1;
+        w = sfemi_scan_peek(s);
+        s->in_row = 0;
+    } while (w.n);
+}
+
+/* Nodes of a cell of a fixed shape, by type; 0 = any number. */
+static int sfemi_vtk_cell_nodes(int type)
+{
+    static const unsigned char nodes[15] = {0, 1, 0, 2, 0, 3, 0, 0, 4, 4, 4, 8, 8, 6, 5};
+    return type < 15 ? nodes[type] : 0;
+}
+
+/* The tets among the cells. */
+static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->cell_scan;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int i, t = 0, left = r->numbers;
+    int64_t nodes, v;
+    for (i = 0; i < r->cells; ++i) t += r->type[i] == 10;
+    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)t);
+    for (i = 0; i < r->cells; ++i) {
+        int wanted = sfemi_vtk_cell_nodes(r->type[i]);
+        if (r->offset)
+            nodes = r->offset[i + 1] - r->offset[i];
+        else {
+            if (left < 1) {
+                status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS end in cell %ld of %ld", (long)i,
+                                         (long)r->cells);
+                goto done;
+            }
+            SFEMI_TRY(sfemi_scan_integer(s, 0, left - 1, "the count of nodes of a cell", &nodes));
+            --left;
+        }
+        if (wanted && nodes != wanted) {
+            sfemi_scan_space(s);
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "cell %ld of type %d has %lld nodes, not %d",
+                                     (long)i, r->type[i], (long long)nodes, wanted);
+            goto done;
+        }
+        left -= (sfem_int)nodes;
+        if (r->type[i] != 10) {
+            SFEMI_TRY(sfemi_vtk_skip_words(s, nodes, "another number of a cell"));
+            continue;
+        }
+        for (; nodes > 0; --nodes) {
+            SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node of a tet", &v));
+            if (v < 0 || v >= r->m.nodes) {
+                status =
+                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld",
+                                    (long)r->m.tets, (long long)v, (long)r->m.nodes);
+                if (s->err) s->err->tet = r->m.tets;
+                goto done;
+            }
+            r->m.tet[4 * (size_t)r->m.tets + (size_t)(4 - nodes)] = (sfem_int)v;
+        }
+        ++r->m.tets;
+    }
+    if (left)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
+done:
+    return status;
+}
+
+static sfem_status sfemi_vtk_read(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->s;
+    sfemi_word w;
+    sfem_status status = sfemi_vtk_header(r);
+    int has_dataset = 0;
+    while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
+        if (sfemi_word_is(w, "DATASET")) {
+            w = sfemi_scan_peek(s);
+            if (!sfemi_word_is(w, "UNSTRUCTURED_GRID"))
+                return sfemi_scan_expected(s, "UNSTRUCTURED_GRID", w);
+            s->p += w.n;
+            has_dataset = 1;
+        } else if (sfemi_word_is(w, "FIELD"))
+            status = sfemi_vtk_field(s);
+        else if (sfemi_word_is(w, "METADATA"))
+            sfemi_vtk_skip_metadata(s);
+        else if (!has_dataset)
+            return sfemi_scan_expected(s, "DATASET", w);
+        else if (sfemi_word_is(w, "POINTS"))
+            status = sfemi_vtk_points(r);
+        else if (sfemi_word_is(w, "CELLS"))
+            status = sfemi_vtk_cells(r);
+        else if (sfemi_word_is(w, "CELL_TYPES"))
+            status = sfemi_vtk_types(r);
+        else if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA"))
+            break;
+        else
+            return sfemi_scan_expected(s, "POINTS, CELLS or CELL_TYPES", w);
+    }
+    if (status != SFEM_OK) return status;
+    if (!r->has_points || !r->has_types)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
+                               !r->has_points ? "POINTS"
+                               : r->has_cells ? "CELL_TYPES"
+                                              : "CELLS");
+    return sfemi_vtk_tets(r);
+}
+
+/* ---- either ---- */
+
+static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, const sfem_allocator *a,
+                                         sfem_mesh *out)
+{
+    sfemi_gmsh g;
+    sfem_status status;
+    memset(&g, 0, sizeof g);
+    g.s = *s;
+    g.m.allocator = *a;
+    status = sfemi_gmsh_read(&g);
+    sfemi_tags_free(&g.node, a);
+    sfemi_tags_free(&g.volume, a);
+    sfemi_delete(a, g.group);
+    *out = g.m;
+    return status;
+}
+
+static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, const sfem_allocator *a,
+                                        sfem_mesh *out)
+{
+    sfemi_vtk r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.m.allocator = *a;
+    status = sfemi_vtk_read(&r);
+    sfemi_delete(a, r.offset);
+    sfemi_delete(a, r.type);
+    *out = r.m;
+    return status;
+}
+
+static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
+{
+    sfemi_word w;
+    w.p = s->p;
+    w.n = strlen(text);
+    return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
+}
+
+SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
+                                     const sfem_allocator *allocator, sfem_mesh *out,
+                                     sfem_error *err)
+{
+    sfem_status status;
+    char begin[25];
+    sfem_allocator a;
+    sfem_mesh m;
+    sfemi_scan s;
+    SFEM_ASSERT(out && (data || !bytes));
+    memset(&a, 0, sizeof a);
+    memset(&m, 0, sizeof m);
+    memset(&s, 0, sizeof s);
+    if (allocator) a = *allocator;
+    s.p = bytes ? (const char *)data : "";
+    s.end = s.p + bytes;
+    s.line = 1;
+    s.err = err;
+    if (sfemi_scan_begins(&s, "\xef\xbb\xbf")) s.p += 3; /* a byte order mark */
+    sfemi_scan_space(&s);
+    if (sfemi_scan_begins(&s, "$"))
+        status = sfemi_mesh_parse_gmsh(&s, &a, &m);
+    else if (sfemi_scan_begins(&s, "# vtk DataFile Version"))
+        status = sfemi_mesh_parse_vtk(&s, &a, &m);
+    else if (s.p == s.end)
+        status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
+    else
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "only Gmsh 4.1 ASCII and VTK legacy ASCII are read, this begins "
+                                 "with '%s'",
+                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
+    if (status == SFEM_OK && m.tets < 1)
+        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
+                            (long)m.nodes);
+    if (status == SFEM_OK) {
+        sfem_mesh_orient(&m);
+        *out = m;
+    } else
+        sfem_mesh_free(&m);
+    return status;
+}
+
+#ifndef SFEM_NO_STDIO
+
+/* ---- files ---- */
+
+/* "path: text", with the system's reason if there is one. */
+static sfem_status sfemi_file_fail(const char *path, const char *text, sfem_error *err)
+{
+    const char *reason = errno ? strerror(errno) : "no reason given";
+    return sfemi_fail(err, SFEM_IO, "%.120s: %s (%.60s)", path, text, reason);
+}
+
+/* The whole file, in a buffer that doubles. */
+static sfem_status sfemi_file_read(const char *path, const sfem_allocator *a, char **out,
+                                   size_t *bytes, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    char *buffer = NULL, *larger = NULL;
+    size_t size = 65536, n = 0, got;
+    FILE *f;
+    errno = 0;
+    f = fopen(path, "rb");
+    if (!f) return sfemi_file_fail(path, "cannot be opened", err);
+    SFEMI_NEW(char, buffer, a, size);
+    while ((got = fread(buffer + n, 1, size - n, f)) > 0) {
+        n += got;
+        if (n < size) continue;
+        if (size > (size_t)-1 / 2) {
+            status = sfemi_fail(err, SFEM_TOO_LARGE, "%.120s: too large a file", path);
+            goto done;
+        }
+        SFEMI_NEW(char, larger, a, 2 * size);
+        memcpy(larger, buffer, n);
+        sfemi_delete(a, buffer);
+        buffer = larger;
+        larger = NULL;
+        size *= 2;
+    }
+    if (ferror(f)) {
+        status = sfemi_file_fail(path, "cannot be read", err);
+        goto done;
+    }
+    *out = buffer;
+    *bytes = n;
+    buffer = NULL;
+done:
+    sfemi_delete(a, buffer);
+    fclose(f);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err)
+{
+    sfem_allocator a;
+    sfem_status status;
+    char *data = NULL;
+    size_t bytes = 0;
+    SFEM_ASSERT(path && out);
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    status = sfemi_file_read(path, &a, &data, &bytes, err);
+    if (status != SFEM_OK) return status;
+    status = sfem_mesh_parse(data, bytes, &a, out, err);
+    sfemi_delete(&a, data);
+    if (status != SFEM_OK && err) { /* put the path in front */
+        sfem_error e = *err;
+        sfemi_fail_at(err, status, e.node, e.tet, "%.100s: %.135s", path, e.text);
+        err->line = e.line;
+    }
+    return status;
+}
+
+/* Closes a file that was written; tells if any of it failed. */
+static sfem_status sfemi_file_close(FILE *f, const char *path, sfem_error *err)
+{
+    int failed = fflush(f) != 0;
+    failed |= ferror(f) != 0;
+    if (!failed) return fclose(f) ? sfemi_file_fail(path, "cannot be written", err) : SFEM_OK;
+    sfemi_file_fail(path, "cannot be written", err); /* while errno still says why */
+    fclose(f);
+    return SFEM_IO;
+}
+
+static sfem_status sfemi_file_create(const char *path, FILE **f, sfem_error *err)
+{
+    errno = 0;
+    *f = fopen(path, "wb");
+    return *f ? SFEM_OK : sfemi_file_fail(path, "cannot be opened for writing", err);
+}
+
+/* Writes x with 15 or 17 digits and a point, whatever the locale's is, and `after` it. */
+static void sfemi_file_real(FILE *f, sfem_real x, const char *after)
+{
+    char text[64], *p, *q;
+    sfem_real back;
+    int digits, n;
+    for (digits = 15; digits <= 17; digits += 2) {
+        n = snprintf(text, sizeof text, "%.*g", digits, x);
+        for (p = text; *p == '-' || (*p >= '0' && *p <= '9'); ++p) {
+        }
+        if (*p && *p != 'e' && *p != 'n' && *p != 'i') { /* the locale's decimal separator */
+            for (q = p; *q && !(*q >= '0' && *q <= '9'); ++q) {
+            }
+            *p++ = '.';
+            memmove(p, q, (size_t)(text + n + 1 - q));
+        }
+        if (sfemi_text_real(text, text + strlen(text), &back) && !memcmp(&back, &x, sizeof x))
+            break;
+    }
+    fputs(text, f);
+    fputs(after, f);
+}
+
+static void sfemi_file_point(FILE *f, const sfem_real *x)
+{
+    sfemi_file_real(f, x[0], " ");
+    sfemi_file_real(f, x[1], " ");
+    sfemi_file_real(f, x[2], "\n");
+}
+
+SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err)
+{
+    const sfem_int *region;
+    sfem_status status;
+    sfem_int i, end, blocks = 0;
+    FILE *f;
+    SFEM_ASSERT(path && mesh);
+    region = mesh->region;
+    status = sfemi_file_create(path, &f, err);
+    if (status != SFEM_OK) return status;
+    fprintf(f, "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 %ld 1 %ld\n3 1 0 %ld\n",
+            (long)mesh->nodes, (long)mesh->nodes, (long)mesh->nodes);
+    for (i = 0; i < mesh->nodes; ++i) fprintf(f, "%ld\n", (long)i + 1);
+    for (i = 0; i < mesh->nodes; ++i) sfemi_file_point(f, mesh->x + 3 * (size_t)i);
+    for (i = 0; i < mesh->tets; ++i) blocks += i == 0 || (region && region[i] != region[i - 1]);
+    fprintf(f, "$EndNodes\n$Elements\n%ld %ld 1 %ld\n", (long)blocks, (long)mesh->tets,
+            (long)mesh->tets);
+    for (i = 0; i < mesh->tets;) { /* a block for each run of tets of one region */
+        for (end = i + 1; end < mesh->tets && (!region || region[end] == region[i]);) ++end;
+        fprintf(f, "3 %ld 4 %ld\n", region ? (long)region[i] : 1L, (long)end - (long)i);
+        for (; i < end; ++i) {
+            const sfem_int *v = mesh->tet + 4 * (size_t)i;
+            fprintf(f, "%ld %ld %ld %ld %ld\n", (long)i + 1, (long)v[0] + 1, (long)v[1] + 1,
+                    (long)v[2] + 1, (long)v[3] + 1);
+        }
+    }
+    fputs("$EndElements\n", f);
+    return sfemi_file_close(f, path, err);
+}
+
+/* Text inside the quotes of an XML attribute. */
+static void sfemi_file_xml(FILE *f, const char *text)
+{
+    for (; *text; ++text) {
+        if (*text == '&')
+            fputs("&amp;", f);
+        else if (*text == '<')
+            fputs("&lt;", f);
+        else if (*text == '>')
+            fputs("&gt;", f);
+        else if (*text == '"')
+            fputs("&quot;", f);
+        else if ((unsigned char)*text < 32)
+            fputc(' ', f);
+        else
+            fputc(*text, f);
+    }
+}
+
+/* The header of an array in the appended data, whose place moves on by its size. */
+static void sfemi_vtu_array(FILE *f, const char *type, const char *name, sfem_int components,
+                            uint64_t bytes, uint64_t *offset)
+{
+    fprintf(f, "<DataArray type=\"%s\" Name=\"", type);
+    sfemi_file_xml(f, name);
+    fprintf(f, "\" NumberOfComponents=\"%ld\" format=\"appended\" offset=\"%lld\"/>\n",
+            (long)components, (long long)*offset);
+    *offset += bytes + 8;
+}
+
+static void sfemi_vtu_fields(FILE *f, const sfem_mesh *m, const sfem_field *fields, sfem_int count,
+                             int per_tet, uint64_t *offset)
+{
+    const uint64_t items = (uint64_t)(per_tet ? m->tets : m->nodes);
+    sfem_int i;
+    fputs(per_tet ? "<CellData>\n" : "<PointData>\n", f);
+    for (i = 0; i < count; ++i)
+        if (!fields[i].per_tet == !per_tet)
+            sfemi_vtu_array(f, "Float64", fields[i].name, fields[i].components,
+                            items * (uint64_t)fields[i].components * sizeof(sfem_real), offset);
+    if (per_tet && m->region) sfemi_vtu_array(f, "Int32", "region", 1, 4 * items, offset);
+    fputs(per_tet ? "</CellData>\n" : "</PointData>\n", f);
+}
+
+static void sfemi_vtu_data(FILE *f, const void *data, uint64_t bytes)
+{
+    fwrite(&bytes, sizeof bytes, 1, f);
+    if (bytes) fwrite(data, 1, (size_t)bytes, f);
+}
+
+/* The appended data, in the order of the headers. */
+static void sfemi_vtu_append(FILE *f, const sfem_mesh *m, const sfem_real *x,
+                             const sfem_field *fields, sfem_int count)
+{
+    const uint64_t nodes = (uint64_t)m->nodes, tets = (uint64_t)m->tets;
+    uint64_t bytes = 8 * tets;
+    sfem_int i;
+    int per_tet;
+    sfemi_vtu_data(f, x, nodes * 3 * sizeof *x);
+    sfemi_vtu_data(f, m->tet, tets * 4 * sizeof *m->tet);
+    fwrite(&bytes, sizeof bytes, 1, f);
+    for (i = 1; i <= m->tets; ++i) {
+        int64_t end = 4 * (int64_t)i;
+        fwrite(&end, sizeof end, 1, f);
+    }
+    fwrite(&tets, sizeof tets, 1, f);
+    for (i = 0; i < m->tets; ++i) fputc(10, f);
+    for (per_tet = 0; per_tet < 2; ++per_tet)
+        for (i = 0; i < count; ++i)
+            if (!fields[i].per_tet == !per_tet)
+                sfemi_vtu_data(f, fields[i].values,
+                               (per_tet ? tets : nodes) * (uint64_t)fields[i].components *
+                                   sizeof(sfem_real));
+    if (m->region) sfemi_vtu_data(f, m->region, tets * sizeof *m->region);
+}
+
+SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
+                                    const sfem_field *fields, sfem_int count, sfem_error *err)
+{
+    const uint16_t one = 1;
+    unsigned char low;
+    uint64_t offset = 0, nodes, tets;
+    sfem_status status;
+    sfem_int i;
+    FILE *f;
+    SFEM_ASSERT(path && mesh && (fields || count <= 0));
+    for (i = 0; i < count; ++i)
+        if (!fields[i].name || !fields[i].name[0] || !fields[i].values || fields[i].components < 1)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                              "field %ld needs a name, values and at least 1 component", (long)i);
+    status = sfemi_file_create(path, &f, err);
+    if (status != SFEM_OK) return status;
+    memcpy(&low, &one, 1);
+    nodes = (uint64_t)mesh->nodes;
+    tets = (uint64_t)mesh->tets;
+    fprintf(f,
+            "<?xml version=\"1.0\"?>\n<VTKFile type=\"UnstructuredGrid\" version=\"1.0\" "
+            "byte_order=\"%s\" header_type=\"UInt64\">\n<UnstructuredGrid>\n"
+            "<Piece NumberOfPoints=\"%ld\" NumberOfCells=\"%ld\">\n<Points>\n",
+            low ? "LittleEndian" : "BigEndian", (long)mesh->nodes, (long)mesh->tets);
+    sfemi_vtu_array(f, "Float64", "Points", 3, nodes * 3 * sizeof *mesh->x, &offset);
+    fputs("</Points>\n<Cells>\n", f);
+    sfemi_vtu_array(f, "Int32", "connectivity", 1, tets * 4 * sizeof *mesh->tet, &offset);
+    sfemi_vtu_array(f, "Int64", "offsets", 1, 8 * tets, &offset);
+    sfemi_vtu_array(f, "UInt8", "types", 1, tets, &offset);
+    fputs("</Cells>\n", f);
+    sfemi_vtu_fields(f, mesh, fields, count, 0, &offset);
+    sfemi_vtu_fields(f, mesh, fields, count, 1, &offset);
+    fputs("</Piece>\n</UnstructuredGrid>\n<AppendedData encoding=\"raw\">\n_", f);
+    sfemi_vtu_append(f, mesh, x ? x : mesh->x, fields, count);
+    fputs("\n</AppendedData>\n</VTKFile>\n", f);
+    return sfemi_file_close(f, path, err);
+}
+
+SFEM_DEF sfem_status sfem_write_pvd(const char *path, const char *const *files,
+                                    const sfem_real *times, sfem_int count, sfem_error *err)
+{
+    sfem_status status;
+    sfem_int i;
+    FILE *f;
+    SFEM_ASSERT(path && ((files && times) || count <= 0));
+    for (i = 0; i < count; ++i)
+        if (!files[i] || !sfemi_finite(times[i]))
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "file %ld needs a name and a finite time",
+                              (long)i);
+    status = sfemi_file_create(path, &f, err);
+    if (status != SFEM_OK) return status;
+    fputs("<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\">\n<Collection>\n",
+          f);
+    for (i = 0; i < count; ++i) {
+        fputs("<DataSet timestep=\"", f);
+        sfemi_file_real(f, times[i], "\" part=\"0\" file=\"");
+        sfemi_file_xml(f, files[i]);
+        fputs("\"/>\n", f);
+    }
+    fputs("</Collection>\n</VTKFile>\n", f);
+    return sfemi_file_close(f, path, err);
+}
+
+SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
+                                    const sfem_surface *surface, const sfem_real *x,
+                                    sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_surface own;
+    sfem_int *number = NULL, i, n = 0;
+    size_t k;
+    FILE *f = NULL;
+    SFEM_ASSERT(path && mesh);
+    memset(&own, 0, sizeof own);
+    if (!surface) {
+        SFEMI_TRY(sfem_mesh_surface(mesh, &mesh->allocator, &own, err));
+        surface = &own;
+    }
+    if (!x) x = mesh->x;
+    SFEMI_NEW(sfem_int, number, &mesh->allocator, mesh->nodes);
+    for (k = 0; k < 3 * (size_t)surface->triangles; ++k) number[surface->tri[k]] = 1;
+    SFEMI_TRY(sfemi_file_create(path, &f, err));
+    for (i = 0; i < mesh->nodes; ++i)
+        if (number[i]) {
+            number[i] = ++n;
+            fputs("v ", f);
+            sfemi_file_point(f, x + 3 * (size_t)i);
+        }
+    for (k = 0; k < 3 * (size_t)surface->triangles; k += 3)
+        fprintf(f, "f %ld %ld %ld\n", (long)number[surface->tri[k]],
+                (long)number[surface->tri[k + 1]], (long)number[surface->tri[k + 2]]);
+    status = sfemi_file_close(f, path, err);
+done:
+    sfemi_delete(&mesh->allocator, number);
+    sfem_surface_free(&own);
+    return status;
+}
+
+#endif /* SFEM_NO_STDIO */
+
 /* ============================================================================================
  * >>sparse   3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
  * ============================================================================================ */
+
+/* --- matrices -------------------------------------------------------------------------------- */
+
+SFEM_DEF void sfem_matrix_free(sfem_matrix *a, const sfem_allocator *allocator)
+{
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *m = allocator ? allocator : &standard;
+    if (!a) return;
+    sfemi_delete(m, (void *)(uintptr_t)a->row);
+    sfemi_delete(m, (void *)(uintptr_t)a->col);
+    sfemi_delete(m, a->val);
+    memset(a, 0, sizeof *a);
+}
+
+/* Adds block b, transposed if asked, to block d. */
+static void sfemi_matrix_add(sfem_real *d, const sfem_real *b, int transposed)
+{
+    int r, c;
+    for (r = 0; r < 3; ++r)
+        for (c = 0; c < 3; ++c) d[3 * r + c] += transposed ? b[3 * c + r] : b[3 * r + c];
+}
+
+SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_int *i,
+                                        const sfem_int *j, const sfem_real *block,
+                                        const sfem_allocator *allocator, sfem_matrix *out,
+                                        sfem_error *err)
+{
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *m = allocator ? allocator : &standard;
+    sfem_status status = SFEM_OK;
+    sfem_int *bycol = NULL, *start = NULL, *byrow = NULL, *row = NULL, *col = NULL, *place = NULL;
+    sfem_real *val = NULL;
+    sfem_int e, k, c, blocks;
+    SFEM_ASSERT(out && (count == 0 || (i && j)));
+    if (n < 0 || count < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a matrix of %ld rows and %ld blocks", (long)n,
+                          (long)count);
+    if (n > INT32_MAX / 3 || count > INT32_MAX - n)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld rows and %ld blocks overflow an index", (long)n,
+                          (long)count);
+    for (e = 0; e < count; ++e)
+        if (i[e] < 0 || i[e] >= n || j[e] < 0 || j[e] >= n)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "block %ld stands at (%ld, %ld) of %ld rows",
+                              (long)e, (long)i[e], (long)j[e], (long)n);
+    /* sort twice, stably, by column and then by row; numbers from count on are the diagonal */
+    SFEMI_NEW(sfem_int, start, m, (size_t)n + 2);
+    SFEMI_NEW(sfem_int, bycol, m, (size_t)count + (size_t)n);
+    SFEMI_NEW(sfem_int, byrow, m, (size_t)count + (size_t)n);
+    SFEMI_NEW(sfem_int, place, m, (size_t)count + (size_t)n);
+#define SFEMI_I(e) ((e) >= count ? (e) - count : i[e] > j[e] ? i[e] : j[e])
+#define SFEMI_J(e) ((e) >= count ? (e) - count : i[e] > j[e] ? j[e] : i[e])
+    for (e = 0; e < count + n; ++e) ++start[SFEMI_J(e) + 1];
+    for (c = 0; c < n; ++c) start[c + 1] += start[c];
+    for (e = 0; e < count + n; ++e) bycol[start[SFEMI_J(e)]++] = e;
+    memset(start, 0, ((size_t)n + 2) * sizeof *start);
+    for (e = 0; e < count + n; ++e) ++start[SFEMI_I(e) + 1];
+    for (c = 0; c < n; ++c) start[c + 1] += start[c];
+    for (k = 0; k < count + n; ++k) byrow[start[SFEMI_I(bycol[k])]++] = bycol[k];
+    SFEMI_NEW(sfem_int, row, m, (size_t)n + 1);
+    for (blocks = 0, k = 0; k < count + n; ++k) {
+        const sfem_int r = SFEMI_I(byrow[k]);
+        if (k == 0 || SFEMI_I(byrow[k - 1]) != r || SFEMI_J(byrow[k - 1]) != SFEMI_J(byrow[k])) {
+            ++blocks;
+            row[r + 1] = blocks;
+        }
+        place[byrow[k]] = blocks - 1;
+    }
+    SFEMI_NEW(sfem_int, col, m, (size_t)blocks + 1);
+    SFEMI_NEW(sfem_real, val, m, 9 * (size_t)blocks + 1);
+    for (e = 0; e < count + n; ++e) {
+        col[place[e]] = SFEMI_J(e);
+        if (e < count && block) sfemi_matrix_add(val + 9 * (size_t)place[e], block + 9 * (size_t)e, i[e] < j[e]);
+    }
+#undef SFEMI_I
+#undef SFEMI_J
+    memset(out, 0, sizeof *out);
+    out->n = n;
+    out->row = row;
+    out->col = col;
+    out->val = val;
+    row = col = NULL;
+    val = NULL;
+done:
+    sfemi_delete(m, bycol);
+    sfemi_delete(m, byrow);
+    sfemi_delete(m, start);
+    sfemi_delete(m, place);
+    sfemi_delete(m, row);
+    sfemi_delete(m, col);
+    sfemi_delete(m, val);
+    return status;
+}
+
+/* The pattern alone, O(blocks). */
+static sfem_status sfemi_matrix_check_pattern(const sfem_matrix *a, sfem_error *err)
+{
+    sfem_int i, k;
+    if (a->n < 0 || a->n > INT32_MAX / 3)
+        return sfemi_fail(err, a->n < 0 ? SFEM_BAD_ARGUMENT : SFEM_TOO_LARGE,
+                          "a matrix of %ld block rows", (long)a->n);
+    if (a->n == 0) return SFEM_OK;
+    if (a->row[0] != 0)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, 0, -1, "row 0 starts at block %ld, not 0",
+                             (long)a->row[0]);
+    for (i = 0; i < a->n; ++i) {
+        if (a->row[i + 1] <= a->row[i] || a->col[a->row[i + 1] - 1] != i)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, i, -1,
+                                 "row %ld does not end with its diagonal block", (long)i);
+        for (k = a->row[i]; k < a->row[i + 1]; ++k)
+            if (a->col[k] < 0 || (k > a->row[i] && a->col[k] <= a->col[k - 1]))
+                return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, i, -1,
+                                     "the columns of row %ld do not ascend", (long)i);
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, sfem_error *err)
+{
+    sfem_int i, k;
+    int c;
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1]; ++k)
+            for (c = 0; c < 9; ++c)
+                if (!sfemi_finite(a->val[9 * (size_t)k + (size_t)c]))
+                    return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1,
+                                         "block (%ld, %ld) of the matrix is not finite", (long)i,
+                                         (long)a->col[k]);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_matrix_check(const sfem_matrix *a, sfem_error *err)
+{
+    const sfem_status status = sfemi_matrix_check_pattern(a, err);
+    return status != SFEM_OK ? status : sfemi_matrix_check_values(a, err);
+}
+
+SFEM_DEF sfem_status sfem_matrix_upper_create(const sfem_matrix *a, const sfem_allocator *allocator,
+                                              sfem_matrix_upper *out, sfem_error *err)
+{
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *m = allocator ? allocator : &standard;
+    sfem_status status = SFEM_OK;
+    sfem_matrix_upper u;
+    sfem_int i, k;
+    memset(&u, 0, sizeof u);
+    u.n = a->n;
+    u.allocator = *m;
+    SFEMI_NEW(sfem_int, u.start, m, (size_t)a->n + 2);
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) ++u.start[a->col[k] + 2];
+    for (i = 0; i < a->n; ++i) u.start[i + 2] += u.start[i + 1];
+    SFEMI_NEW(sfem_int, u.row, m, (size_t)u.start[a->n + 1] + 1);
+    SFEMI_NEW(sfem_int, u.entry, m, (size_t)u.start[a->n + 1] + 1);
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) {
+            const sfem_int p = u.start[a->col[k] + 1]++;
+            u.row[p] = i;
+            u.entry[p] = k;
+        }
+    *out = u;
+    return SFEM_OK;
+done:
+    sfem_matrix_upper_free(&u);
+    return status;
+}
+
+SFEM_DEF void sfem_matrix_upper_free(sfem_matrix_upper *u)
+{
+    if (!u) return;
+    sfemi_delete(&u->allocator, u->start);
+    sfemi_delete(&u->allocator, u->row);
+    sfemi_delete(&u->allocator, u->entry);
+    memset(u, 0, sizeof *u);
+}
+
+/* y += B x and y += B^T x for a 3x3 block. */
+static void sfemi_block_times(const sfem_real *b, const sfem_real *x, sfem_real *y)
+{
+    y[0] += b[0] * x[0] + b[1] * x[1] + b[2] * x[2];
+    y[1] += b[3] * x[0] + b[4] * x[1] + b[5] * x[2];
+    y[2] += b[6] * x[0] + b[7] * x[1] + b[8] * x[2];
+}
+
+static void sfemi_block_times_transposed(const sfem_real *b, const sfem_real *x, sfem_real *y)
+{
+    y[0] += b[0] * x[0] + b[3] * x[1] + b[6] * x[2];
+    y[1] += b[1] * x[0] + b[4] * x[1] + b[7] * x[2];
+    y[2] += b[2] * x[0] + b[5] * x[1] + b[8] * x[2];
+}
+
+#define SFEMI_MATRIX_ROWS 1024 /* rows of one task */
+
+typedef struct sfemi_matrix_job {
+    const sfem_matrix *a;
+    const sfem_real *x;
+    sfem_real *y;
+} sfemi_matrix_job;
+
+static void sfemi_matrix_gather(void *data, sfem_int task)
+{
+    const sfemi_matrix_job *job = (const sfemi_matrix_job *)data;
+    const sfem_matrix *a = job->a;
+    const sfem_matrix_upper *u = a->upper;
+    const sfem_int first = task * SFEMI_MATRIX_ROWS;
+    const sfem_int last = first + SFEMI_MATRIX_ROWS < a->n ? first + SFEMI_MATRIX_ROWS : a->n;
+    sfem_int i, k;
+    for (i = first; i < last; ++i) {
+        sfem_real s[3] = {0, 0, 0};
+        for (k = a->row[i]; k < a->row[i + 1]; ++k)
+            sfemi_block_times(a->val + 9 * (size_t)k, job->x + 3 * (size_t)a->col[k], s);
+        for (k = u->start[i]; k < u->start[i + 1]; ++k)
+            sfemi_block_times_transposed(a->val + 9 * (size_t)u->entry[k],
+                                         job->x + 3 * (size_t)u->row[k], s);
+        memcpy(job->y + 3 * (size_t)i, s, sizeof s);
+    }
+}
+
+SFEM_DEF void sfem_matrix_multiply(const sfem_matrix *a, const sfem_real *x, sfem_real *y,
+                                   const sfem_exec *exec)
+{
+    sfem_int i, k;
+    SFEM_ASSERT(a && (a->n == 0 || (x && y && x != y)));
+    if (a->upper) {
+        sfemi_matrix_job job;
+        job.a = a;
+        job.x = x;
+        job.y = y;
+        sfemi_run(exec, (a->n + SFEMI_MATRIX_ROWS - 1) / SFEMI_MATRIX_ROWS, sfemi_matrix_gather, &job);
+        return;
+    }
+    for (i = 0; i < a->n; ++i) {
+        const sfem_real *xi = x + 3 * (size_t)i;
+        sfem_real s[3] = {0, 0, 0};
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) {
+            const sfem_real *b = a->val + 9 * (size_t)k;
+            const size_t j = 3 * (size_t)a->col[k];
+            sfemi_block_times(b, x + j, s);
+            sfemi_block_times_transposed(b, xi, y + j);
+        }
+        sfemi_block_times(a->val + 9 * (size_t)k, xi, s);
+        memcpy(y + 3 * (size_t)i, s, sizeof s);
+    }
+}
+
+SFEM_DEF size_t sfem_matrix_csr_count(const sfem_matrix *a)
+{
+    return a->n ? 9 * (2 * (size_t)a->row[a->n] - (size_t)a->n) : 0;
+}
+
+SFEM_DEF sfem_status sfem_matrix_to_csr(const sfem_matrix *a, sfem_int *row, sfem_int *col,
+                                        sfem_real *val, sfem_error *err)
+{
+    sfem_int i, k, at = 0;
+    int r, c;
+    if (sfem_matrix_csr_count(a) > (size_t)INT32_MAX)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%lu scalar entries overflow an index",
+                          (unsigned long)sfem_matrix_csr_count(a));
+    for (i = 0; i <= 3 * a->n; ++i) row[i] = 0;
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1]; ++k) {
+            row[3 * i] += 3; /* the width of block row i, which is turned into starts below */
+            if (a->col[k] != i) row[3 * a->col[k]] += 3;
+        }
+    for (i = 0; i < a->n; ++i) {
+        const sfem_int width = row[3 * i];
+        for (r = 0; r < 3; ++r, at += width) row[3 * i + r] = at;
+    }
+    /* by block rows, first the lower half: the columns of each row ascend, as row i gets its upper
+     * blocks from later rows; row[] is a cursor and is put back at the end */
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1]; ++k)
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c) {
+                    const sfem_int j = a->col[k];
+                    const sfem_real v = a->val[9 * (size_t)k + (size_t)(3 * r + c)];
+                    col[row[3 * i + r]] = 3 * j + c;
+                    val[row[3 * i + r]++] = v;
+                    if (j == i) continue;
+                    col[row[3 * j + c]] = 3 * i + r;
+                    val[row[3 * j + c]++] = v;
+                }
+    for (i = 3 * a->n; i > 0; --i) row[i] = row[i - 1];
+    row[0] = 0;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full)
+{
+    const size_t n = 3 * (size_t)a->n;
+    sfem_int i, k;
+    size_t r, c;
+    memset(full, 0, n * n * sizeof *full);
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1]; ++k)
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c) {
+                    const size_t p = 3 * (size_t)i + r, q = 3 * (size_t)a->col[k] + c;
+                    full[p * n + q] = a->val[9 * (size_t)k + 3 * r + c];
+                    if (a->col[k] != i) full[q * n + p] = full[p * n + q];
+                }
+}
+
+/* --- ordering --------------------------------------------------------------------------------
+ * Everything here works on the graph of the nodes; a node is three rows of the matrix. */
+
+typedef struct sfemi_graph { /* neighbours of i: adj[start[i]] ... adj[start[i+1] - 1], without i */
+    sfem_int n;
+    sfem_int *start, *adj;
+} sfemi_graph;
+
+static void sfemi_graph_free(const sfem_allocator *m, sfemi_graph *g)
+{
+    sfemi_delete(m, g->start);
+    sfemi_delete(m, g->adj);
+    memset(g, 0, sizeof *g);
+}
+
+static sfem_status sfemi_graph_create(const sfem_matrix *a, const sfem_allocator *m, sfemi_graph *out,
+                                      sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_graph g = {0, NULL, NULL};
+    sfem_int i, k;
+    g.n = a->n;
+    if (a->n && a->row[a->n] > INT32_MAX / 2)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld blocks overflow the graph's index",
+                          (long)a->row[a->n]);
+    SFEMI_NEW(sfem_int, g.start, m, (size_t)a->n + 2);
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) {
+            ++g.start[i + 2];
+            ++g.start[a->col[k] + 2];
+        }
+    for (i = 0; i < a->n; ++i) g.start[i + 2] += g.start[i + 1];
+    SFEMI_NEW(sfem_int, g.adj, m, (size_t)g.start[a->n + 1] + 1);
+    for (i = 0; i < a->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) {
+            g.adj[g.start[i + 1]++] = a->col[k];
+            g.adj[g.start[a->col[k] + 1]++] = i;
+        }
+    *out = g;
+    return SFEM_OK;
+done:
+    sfemi_graph_free(m, &g);
+    return status;
+}
+
+/* Approximate minimum degree [Amestoy, Davis, Duff 1996] on a quotient graph: a live variable has a
+ * list of elements and then of variables, an element (an eliminated pivot) a list of variables. */
+typedef struct sfemi_amd {
+    sfem_int n, space, used;
+    sfem_int *list;    /* [space] all lists */
+    sfem_int *spare;   /* [space] the other half of the garbage collector */
+    sfem_int *at;      /* [n] where the list starts */
+    sfem_int *length;  /* [n] */
+    sfem_int *elements; /* [n] how many of it are elements */
+    sfem_int *weight;  /* [n] nodes in the variable; 0: absorbed, or not a variable; < 0: in the new
+                        * element just now */
+    sfem_int *degree;  /* [n] approximate external degree; of an element, its weight */
+    sfem_int *mark;    /* [n] of elements: 0 dead, else compared with the stamp */
+    sfem_int *into;    /* [n] variable: the pivot or variable that absorbed it, or -1 */
+    sfem_int *head, *next, *prev; /* [n+1], [n], [n] lists of equal degree */
+    sfem_int *hash, *bucket;      /* [n] of a variable; [n] hash lists, through next */
+} sfemi_amd;
+
+static void sfemi_amd_unlink(sfemi_amd *q, sfem_int i)
+{
+    const sfem_int before = q->prev[i], after = q->next[i];
+    if (before >= 0) q->next[before] = after;
+    else if (q->head[q->degree[i]] == i) q->head[q->degree[i]] = after;
+    else return; /* not linked: a variable that is not to be eliminated */
+    if (after >= 0) q->prev[after] = before;
+}
+
+static void sfemi_amd_link(sfemi_amd *q, sfem_int i)
+{
+    const sfem_int first = q->head[q->degree[i]];
+    q->prev[i] = -1;
+    q->next[i] = first;
+    if (first >= 0) q->prev[first] = i;
+    q->head[q->degree[i]] = i;
+}
+
+/* Moves the live lists to the front. */
+static void sfemi_amd_collect(sfemi_amd *q)
+{
+    sfem_int i, used = 0, *swap = q->list;
+    for (i = 0; i < q->n; ++i) {
+        if (!q->weight[i] && !q->mark[i]) continue;
+        memcpy(q->spare + used, q->list + q->at[i], (size_t)q->length[i] * sizeof *q->list);
+        q->at[i] = used;
+        used += q->length[i];
+    }
+    q->list = q->spare;
+    q->spare = swap;
+    q->used = used;
+}
+
+/* Makes p an element: its list becomes all variables reachable from it; returns their weight. */
+static sfem_int sfemi_amd_element(sfemi_amd *q, sfem_int p)
+{
+    sfem_int e, k, total = 0, count = 0, *out;
+    const sfem_int elements = q->elements[p], length = q->length[p];
+    if (q->used > q->space - q->n) sfemi_amd_collect(q);
+    out = q->list + q->used;
+    q->weight[p] = -q->weight[p];
+    for (e = 0; e <= elements; ++e) {
+        const sfem_int source = e < elements ? q->list[q->at[p] + e] : p;
+        const sfem_int *v = q->list + q->at[source] + (e < elements ? 0 : elements);
+        const sfem_int *end = q->list + q->at[source] + (e < elements ? q->length[source] : length);
+        for (; v < end; ++v) {
+            k = *v;
+            if (q->weight[k] <= 0) continue;
+            total += q->weight[k];
+            q->weight[k] = -q->weight[k];
+            out[count++] = k;
+            sfemi_amd_unlink(q, k);
+        }
+        if (e < elements) q->mark[source] = 0; /* absorbed */
+    }
+    q->at[p] = q->used;
+    q->length[p] = count;
+    q->elements[p] = 0;
+    q->used += count;
+    return total;
+}
+
+/* Are the lists of i and j the same? The stamp marks those of i. */
+static int sfemi_amd_same(const sfemi_amd *q, sfem_int i, sfem_int j, const sfem_int *seen,
+                          sfem_int stamp)
+{
+    const sfem_int *v = q->list + q->at[j], *end = v + q->length[j];
+    if (q->length[i] != q->length[j] || q->elements[i] != q->elements[j]) return 0;
+    for (; v < end; ++v)
+        if (seen[*v] != stamp) return 0;
+    return 1;
+}
+
+/* Orders the nodes that are not held; those are never eliminated, but count in the degrees of others
+ * [Pellegrini, Roman, Amestoy 2000]. order gets the others' numbers, its length is returned in *count. */
+static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *held,
+                                   const sfem_allocator *m, sfem_int *order, sfem_int *count,
+                                   sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_amd q;
+    sfem_int *pool = NULL, *seen = NULL, *pivots = NULL;
+    const sfem_int n = g->n, nnz = n ? g->start[n] : 0;
+    sfem_int i, k, p, live = 0, left = 0, least = 0, stamp = 1, same = 0, made = 0, dense, total = 0;
+    memset(&q, 0, sizeof q);
+    q.n = n;
+    if (nnz > INT32_MAX / 2 - 2 * n)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld edges overflow the ordering's index", (long)nnz);
+    q.space = nnz + nnz / 4 + 2 * n + 1;
+    SFEMI_NEW(sfem_int, q.list, m, q.space);
+    SFEMI_NEW(sfem_int, q.spare, m, q.space);
+    SFEMI_NEW(sfem_int, pool, m, 14 * (size_t)n + 1);
+    q.at = pool;
+    q.length = q.at + n;
+    q.elements = q.length + n;
+    q.weight = q.elements + n;
+    q.degree = q.weight + n;
+    q.mark = q.degree + n;
+    q.into = q.mark + n;
+    q.next = q.into + n;
+    q.prev = q.next + n;
+    q.hash = q.prev + n;
+    q.bucket = q.hash + n;
+    seen = q.bucket + n;
+    pivots = seen + n;
+    q.head = pivots + n; /* n+1 */
+    for (i = 0; i <= n; ++i) q.head[i] = -1;
+    /* nodes of very many neighbours come last and are forgotten meanwhile */
+    dense = (sfem_int)(10 * sqrt((double)n));
+    if (dense < 40) dense = 40;
+    for (i = 0; i < n; ++i) {
+        q.into[i] = q.bucket[i] = q.prev[i] = q.next[i] = -1;
+        q.weight[i] = g->start[i + 1] - g->start[i] > dense && !(held && held[i]) ? 0 : 1;
+        live += q.weight[i];
+        if (q.weight[i] && !(held && held[i])) ++left;
+    }
+    for (i = 0; i < n; ++i) {
+        if (!q.weight[i]) continue;
+        q.at[i] = q.used;
+        for (k = g->start[i]; k < g->start[i + 1]; ++k)
+            if (q.weight[g->adj[k]]) q.list[q.used++] = g->adj[k];
+        q.length[i] = q.degree[i] = q.used - q.at[i];
+        if (!(held && held[i])) sfemi_amd_link(&q, i);
+    }
+    while (left > 0) {
+        sfem_int external, *v, *end, *keep;
+        while (q.head[least] < 0) ++least;
+        p = q.head[least];
+        sfemi_amd_unlink(&q, p);
+        external = sfemi_amd_element(&q, p);
+        pivots[made++] = p;
+        left += q.weight[p]; /* which is negative now */
+        live += q.weight[p];
+        /* |Le \ Lp| of each element e next to p, as mark[e] - stamp */
+        for (v = q.list + q.at[p], end = v + q.length[p]; v < end; ++v) {
+            const sfem_int *e = q.list + q.at[*v], *last = e + q.elements[*v];
+            for (; e < last; ++e) {
+                if (!q.mark[*e]) continue;
+                if (q.mark[*e] < stamp) q.mark[*e] = q.degree[*e] + stamp;
+                q.mark[*e] += q.weight[*v]; /* negative: less its own */
+            }
+        }
+        /* new lists and degrees of the variables of p */
+        for (v = q.list + q.at[p]; v < end; ++v) {
+            const sfem_int me = *v, *e = q.list + q.at[me], *last = e + q.elements[me];
+            const sfem_int *stop = q.list + q.at[me] + q.length[me];
+            const int is_held = held && held[me];
+            sfem_int degree = 0, *start = q.list + q.at[me];
+            uint32_t hash = 0;
+            keep = start;
+            for (; e < last; ++e) {
+                const sfem_int extra = q.mark[*e] - stamp;
+                if (!q.mark[*e]) continue;
+                if (extra > 0) {
+                    degree += extra;
+                    hash += (uint32_t)*e;
+                    *keep++ = *e;
+                } else q.mark[*e] = 0; /* nothing outside p: absorbed */
+            }
+            q.elements[me] = (sfem_int)(keep - start) + 1;
+            {
+                sfem_int *first_variable = keep;
+                for (; e < stop; ++e)
+                    if (q.weight[*e] > 0) {
+                        degree += q.weight[*e];
+                        hash += (uint32_t)*e;
+                        *keep++ = *e;
+                    }
+                /* p becomes the first element: the first variable and element make room */
+                if (degree == 0 && !is_held) { /* mass elimination: nothing left outside p */
+                    const sfem_int w = -q.weight[me];
+                    q.weight[p] -= w;
+                    external -= w;
+                    left -= w;
+                    live -= w;
+                    q.weight[me] = 0;
+                    q.into[me] = p;
+                    continue;
+                }
+                *keep = *first_variable;
+                *first_variable = *start;
+                *start = p;
+                if (first_variable == start) *start = p;
+            }
+            q.length[me] = (sfem_int)(keep - start) + 1;
+            hash += (uint32_t)p;
+            if (degree < q.degree[me]) q.degree[me] = degree;
+            hash %= (uint32_t)n;
+            q.hash[me] = (sfem_int)hash;
+            q.next[me] = q.bucket[hash];
+            q.bucket[hash] = me;
+        }
+        q.degree[p] = external;
+        q.mark[p] = stamp; /* alive; below every later stamp */
+        stamp += n + 1;
+        if (stamp > INT32_MAX - 2 * n - 4) {
+            stamp = 2;
+            for (i = 0; i < n; ++i)
+                if (q.mark[i]) q.mark[i] = 1;
+        }
+        /* variables that look the same become one */
+        for (v = q.list + q.at[p]; v < end; ++v) {
+            sfem_int b, c, last;
+            if (q.weight[*v] >= 0) continue;
+            b = q.bucket[q.hash[*v]];
+            q.bucket[q.hash[*v]] = -1;
+            for (; b >= 0 && q.next[b] >= 0; b = q.next[b]) {
+                ++same;
+                for (k = 0; k < q.length[b]; ++k) seen[q.list[q.at[b] + k]] = same;
+                for (last = b, c = q.next[b]; c >= 0; c = q.next[c]) {
+                    if ((!held || held[b] == held[c]) && sfemi_amd_same(&q, b, c, seen, same)) {
+                        q.weight[b] += q.weight[c];
+                        q.weight[c] = 0;
+                        q.into[c] = b;
+                        q.next[last] = q.next[c];
+                    } else last = c;
+                }
+            }
+        }
+        /* back into the degree lists */
+        keep = q.list + q.at[p];
+        for (v = keep; v < end; ++v) {
+            const sfem_int me = *v, w = -q.weight[me];
+            sfem_int degree;
+            if (w <= 0) continue;
+            q.weight[me] = w;
+            degree = q.degree[me] + external - w;
+            if (degree > live - w) degree = live - w;
+            if (degree < 0) degree = 0;
+            q.degree[me] = degree;
+            q.prev[me] = q.next[me] = -1;
+            if (!(held && held[me])) {
+                sfemi_amd_link(&q, me);
+                if (degree < least) least = degree;
+            }
+            *keep++ = me;
+        }
+        q.length[p] = (sfem_int)(keep - (q.list + q.at[p]));
+        q.weight[p] = 0;
+        if (!q.length[p]) q.mark[p] = 0;
+    }
+    /* each pivot with all that it absorbed; lists through next, heads in bucket */
+    for (i = 0; i < n; ++i) q.bucket[i] = q.next[i] = -1;
+    for (i = n - 1; i >= 0; --i) {
+        sfem_int root = i;
+        if (q.into[i] < 0) continue;
+        while (q.into[root] >= 0) root = q.into[root];
+        q.next[i] = q.bucket[root];
+        q.bucket[root] = i;
+    }
+    for (k = 0; k < made; ++k) {
+        order[total++] = pivots[k];
+        for (i = q.bucket[pivots[k]]; i >= 0; i = q.next[i]) order[total++] = i;
+    }
+    for (i = 0; i < n; ++i)
+        if (g->start[i + 1] - g->start[i] > dense && !(held && held[i])) order[total++] = i;
+    *count = total;
+done:
+    sfemi_delete(m, q.list);
+    sfemi_delete(m, q.spare);
+    sfemi_delete(m, pool);
+    return status;
+}
+
+/* Nested dissection from the coordinates [George 1973; Miller, Teng, Thurston, Vavasis 1997 for the
+ * setting]: a set of nodes is cut by the best of planes in 13 directions, the fewest nodes that cover
+ * the cut edges are the separator [Koenig 1931], which is then refined by moving single nodes
+ * [Fiduccia, Mattheyses 1982; Ashcraft, Liu 1997 for separators]. */
+#define SFEMI_DISSECT_LEAF 200 /* sets this small are left to minimum degree */
+#define SFEMI_DISSECT_DIRECTIONS 13
+#define SFEMI_DISSECT_WAYS 14 /* and by distance along edges */
+#define SFEMI_DISSECT_TRIALS 3 /* of which so many, the cheapest by count, are tried in full */
+#define SFEMI_DISSECT_BINS 241
+
+typedef struct sfemi_dissect {
+    const sfemi_graph *g;
+    const sfem_real *x;
+    sfem_int *set;         /* [n] all nodes; a set is a range of it */
+    sfem_int *inside;      /* [n] stamp of the set that a node is in, while it is cut */
+    sfem_int *mate, *from; /* [n] matching; search tree */
+    sfem_int *queue;       /* [3n] of the search; also the log of moves, at most three for a node */
+    sfem_int *near[2];     /* [n] of separator nodes: neighbours on either side */
+    sfem_int *band;        /* [n] nodes so close to the plane that an edge may be cut */
+    float *key;            /* [n] by position in the set */
+    signed char *side, *best; /* [n] by node: 0, 1, or 2 for the separator; 3 for a while */
+    float reach[SFEMI_DISSECT_WAYS]; /* longest edge along each direction */
+    sfem_int stamp;
+} sfemi_dissect;
+
+static const signed char *sfemi_dissect_axis(int direction)
+{
+    static const signed char axis[SFEMI_DISSECT_DIRECTIONS][3] = {
+        {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 1, 0}, {1, -1, 0}, {1, 0, 1}, {1, 0, -1},
+        {0, 1, 1}, {0, 1, -1}, {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
+    return axis[direction];
+}
+
+static float sfemi_dissect_key(const signed char *axis, const sfem_real *x)
+{
+    return (float)(axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2]);
+}
+
+static void sfemi_dissect_reach(sfemi_dissect *d)
+{
+    sfem_int i, e;
+    int k;
+    for (i = 0; i < d->g->n; ++i)
+        for (e = d->g->start[i]; e < d->g->start[i + 1] && d->g->adj[e] < i; ++e) {
+            sfem_real u[3];
+            sfemi_sub3(d->x + 3 * (size_t)i, d->x + 3 * (size_t)d->g->adj[e], u);
+            for (k = 0; k < SFEMI_DISSECT_DIRECTIONS; ++k) {
+                const float r = (float)fabs((double)sfemi_dissect_key(sfemi_dissect_axis(k), u));
+                if (r > d->reach[k]) d->reach[k] = r;
+            }
+        }
+}
+
+/* mate[] = edges from a node that is far from others, found by two searches; a curled or perforated body
+ * is cut better across its length than by a plane. */
+static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_int m)
+{
+    sfem_int k, e, start = set[0], pass, head, tail, next;
+    for (pass = 0; pass < 2; ++pass) {
+        for (k = 0; k < m; ++k) d->mate[set[k]] = -1;
+        for (head = tail = 0, next = 0; tail < m;) {
+            if (head == tail) { /* another piece goes on where this one ended */
+                while (tail > 0 && d->mate[set[next]] >= 0) ++next;
+                d->mate[tail > 0 ? set[next] : start] = tail > 0 ? d->mate[d->queue[tail - 1]] + 2 : 0;
+                d->queue[tail] = tail > 0 ? set[next] : start;
+                ++tail;
+            }
+            for (; head < tail; ++head) {
+                const sfem_int v = d->queue[head];
+                for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+                    const sfem_int w = d->g->adj[e];
+                    if (d->inside[w] != d->stamp || d->mate[w] >= 0) continue;
+                    d->mate[w] = d->mate[v] + 1;
+                    d->queue[tail++] = w;
+                }
+            }
+        }
+        start = d->queue[m - 1];
+    }
+}
+
+/* Keys of the set, and the plane that about halves them: keys < cut are side 0. Found from counts in
+ * bins, which keep the layers of a lattice together. */
+static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int m, int direction)
+{
+    const signed char *axis = sfemi_dissect_axis(direction % SFEMI_DISSECT_DIRECTIONS);
+    sfem_int count[SFEMI_DISSECT_BINS], k, under = 0, b;
+    float low = 0, high = 0, scale;
+    if (direction == SFEMI_DISSECT_DIRECTIONS) sfemi_dissect_distance(d, set, m);
+    for (k = 0; k < m; ++k) {
+        const float key = direction == SFEMI_DISSECT_DIRECTIONS
+                              ? (float)d->mate[set[k]]
+                              : sfemi_dissect_key(axis, d->x + 3 * (size_t)set[k]);
+        d->key[k] = key;
+        if (k == 0 || key < low) low = key;
+        if (k == 0 || key > high) high = key;
+    }
+    if (!(high > low)) return low;
+    low -= (high - low) * 0.00137f; /* no lattice plane at the edge of a bin */
+    scale = (SFEMI_DISSECT_BINS - 1) / (high - low);
+    memset(count, 0, sizeof count);
+    for (k = 0; k < m; ++k) ++count[(int)((d->key[k] - low) * scale)];
+    for (b = 0; b < SFEMI_DISSECT_BINS && 2 * (under + count[b]) <= m; ++b) under += count[b];
+    /* the median is in bin b: before it or after it, whichever is closer to half */
+    if (b < SFEMI_DISSECT_BINS && m - 2 * under > 2 * (under + count[b]) - m) ++b;
+    return low + (float)b / scale;
+}
+
+/* The band around the plane, with sides; returns the smaller number of nodes that touch the other side,
+ * which covers all cut edges, with a penalty for imbalance; -1 if a side is empty. */
+static double sfemi_dissect_count(sfemi_dissect *d, const sfem_int *set, sfem_int m, float cut,
+                                  float reach, sfem_int *banded)
+{
+    sfem_int k, e, left = 0, bands = 0, touch[2] = {0, 0};
+    const float width = reach * 1.0001f;
+    double off;
+    for (k = 0; k < m; ++k) {
+        const float key = d->key[k] - cut;
+        left += key < 0;
+        if (key >= width || key < -width) continue;
+        d->side[set[k]] = key >= 0;
+        d->inside[set[k]] = d->stamp + 1; /* in the set, and in the band */
+        d->band[bands++] = set[k];
+    }
+    *banded = bands;
+    for (k = 0; k < bands; ++k) {
+        const sfem_int v = d->band[k];
+        const signed char s = d->side[v];
+        for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+            const sfem_int w = d->g->adj[e];
+            if (d->inside[w] == d->stamp + 1 && d->side[w] != s) {
+                ++touch[s];
+                break;
+            }
+        }
+    }
+    for (k = 0; k < bands; ++k) d->inside[d->band[k]] = d->stamp;
+    if (!left || left == m) return -1;
+    off = (double)(2 * left - m) / m;
+    return (touch[0] < touch[1] ? touch[0] : touch[1]) * (1 + 2 * off * off);
+}
+
+/* Searches an alternating path from the free node r of side 0 and turns it over. */
+static int sfemi_dissect_augment(sfemi_dissect *d, sfem_int r)
+{
+    sfem_int head = 0, tail = 0, e;
+    d->queue[tail++] = r;
+    while (head < tail) {
+        const sfem_int v = d->queue[head++];
+        for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+            sfem_int w = d->g->adj[e];
+            if (d->inside[w] != d->stamp || d->side[w] != 1 || d->near[0][w] == r) continue;
+            d->near[0][w] = r; /* seen in this search */
+            d->from[w] = v;
+            if (d->mate[w] >= 0) {
+                d->queue[tail++] = d->mate[w];
+                continue;
+            }
+            while (w >= 0) { /* turn the path over */
+                const sfem_int u = d->from[w], next = d->mate[u];
+                d->mate[w] = u;
+                d->mate[u] = w;
+                w = next;
+            }
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* The fewest nodes that cover all edges between the sides become the separator. */
+static void sfemi_dissect_cover(sfemi_dissect *d, const sfem_int *set, sfem_int m)
+{
+    sfem_int k, e, head = 0, tail = 0;
+    for (k = 0; k < m; ++k) {
+        d->mate[set[k]] = d->from[set[k]] = -1;
+        d->near[0][set[k]] = -1;
+    }
+    for (k = 0; k < m; ++k) { /* greedy first */
+        const sfem_int v = set[k];
+        if (d->side[v] != 0) continue;
+        for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+            const sfem_int w = d->g->adj[e];
+            if (d->inside[w] == d->stamp && d->side[w] == 1 && d->mate[w] < 0) {
+                d->mate[v] = w;
+                d->mate[w] = v;
+                break;
+            }
+        }
+    }
+    for (k = 0; k < m; ++k)
+        if (d->side[set[k]] == 0 && d->mate[set[k]] < 0) sfemi_dissect_augment(d, set[k]);
+    /* what alternating paths reach from the free nodes of side 0; near[1] marks it */
+    for (k = 0; k < m; ++k) {
+        d->near[1][set[k]] = 0;
+        if (d->side[set[k]] == 0 && d->mate[set[k]] < 0) {
+            d->near[1][set[k]] = 1;
+            d->queue[tail++] = set[k];
+        }
+    }
+    while (head < tail) {
+        const sfem_int v = d->queue[head++];
+        for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+            const sfem_int w = d->g->adj[e];
+            if (d->inside[w] != d->stamp || d->side[w] != 1 || d->near[1][w]) continue;
+            d->near[1][w] = 1;
+            if (!d->near[1][d->mate[w]]) {
+                d->near[1][d->mate[w]] = 1;
+                d->queue[tail++] = d->mate[w];
+            }
+        }
+    }
+    for (k = 0; k < m; ++k) {
+        const sfem_int v = set[k];
+        if (d->mate[v] >= 0 && d->near[1][v] == (d->side[v] == 1)) d->side[v] = 3;
+    }
+    for (k = 0; k < m; ++k)
+        if (d->side[set[k]] == 3) d->side[set[k]] = 2;
+}
+
+static void sfemi_dissect_near(sfemi_dissect *d, sfem_int v)
+{
+    sfem_int e;
+    d->near[0][v] = d->near[1][v] = 0;
+    for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+        const sfem_int w = d->g->adj[e];
+        if (d->inside[w] == d->stamp && d->side[w] < 2) ++d->near[(int)d->side[w]][v];
+    }
+}
+
+/* One pass: separator nodes move to a side, which draws their neighbours from the other side into the
+ * separator; each node leaves once, and the best state seen is kept. Returns whether it got better. */
+static int sfemi_dissect_pass(sfemi_dissect *d, const sfem_int *set, sfem_int m, sfem_int *size)
+{
+    sfem_int *sep = d->mate, *log = d->queue, *seen = d->from; /* seen: left the separator already */
+    sfem_int count = 0, k, e, logged = 0, best_logged = 0, best, moves = 0, first, idle = 0;
+    const sfem_int limit = (sfem_int)(0.58 * m);
+    for (k = 0; k < m; ++k) {
+        seen[set[k]] = 0;
+        if (d->side[set[k]] == 2) {
+            sfemi_dissect_near(d, set[k]);
+            sep[count++] = set[k];
+        }
+    }
+    first = best = count;
+    while (idle < 30 + first / 8 && moves < 2 * first) {
+        sfem_int pick = -1, to = 0, cost = INT32_MAX, v;
+        for (k = 0; k < count; ++k) {
+            int s;
+            if (seen[sep[k]]) continue;
+            for (s = 0; s < 2; ++s) {
+                const sfem_int c = d->near[1 - s][sep[k]];
+                if (size[s] + 1 > limit && size[s] >= size[1 - s]) continue;
+                if (c < cost || (c == cost && size[s] < size[to])) {
+                    cost = c;
+                    pick = k;
+                    to = s;
+                }
+            }
+        }
+        if (pick < 0) break;
+        v = sep[pick];
+        sep[pick] = sep[--count];
+        seen[v] = 1;
+        d->side[v] = (signed char)to;
+        log[logged++] = v * 2; /* entered a side; odd: left side for the separator */
+        ++size[to];
+        ++moves;
+        for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+            const sfem_int w = d->g->adj[e];
+            sfem_int f;
+            if (d->inside[w] != d->stamp) continue;
+            if (d->side[w] == 2) ++d->near[to][w];
+            if (d->side[w] != 1 - to) continue;
+            d->side[w] = 2;
+            --size[1 - to];
+            log[logged++] = w * 2 + 1;
+            sfemi_dissect_near(d, w);
+            sep[count++] = w;
+            for (f = d->g->start[w]; f < d->g->start[w + 1]; ++f)
+                if (d->inside[d->g->adj[f]] == d->stamp && d->side[d->g->adj[f]] == 2)
+                    --d->near[1 - to][d->g->adj[f]];
+        }
+        ++idle;
+        if (count < best) {
+            best = count;
+            best_logged = logged;
+            idle = 0;
+        }
+    }
+    while (logged > best_logged) { /* back to the best */
+        const sfem_int v = log[--logged] / 2;
+        if (log[logged] & 1) { /* it came from the side opposite to the node that drew it */
+            sfem_int back = logged;
+            while (log[back] & 1) --back;
+            d->side[v] = (signed char)(1 - d->side[log[back] / 2]);
+            ++size[(int)d->side[v]];
+        } else {
+            --size[(int)d->side[v]];
+            d->side[v] = 2;
+        }
+    }
+    return best < first;
+}
+
+/* Cuts set[0..m) in place into side 0, side 1 and separator, of out[] nodes; returns 0 if it cannot. */
+static int sfemi_dissect_cut(sfemi_dissect *d, sfem_int *set, sfem_int m, sfem_int *out)
+{
+    double cost[SFEMI_DISSECT_WAYS], best = -1;
+    float cut[SFEMI_DISSECT_WAYS];
+    sfem_int k, bands, at[3];
+    int i, trial;
+    d->stamp += 2;
+    for (k = 0; k < m; ++k) d->inside[set[k]] = d->stamp;
+    for (i = 0; i < SFEMI_DISSECT_WAYS; ++i) {
+        cut[i] = sfemi_dissect_plane(d, set, m, i);
+        cost[i] = sfemi_dissect_count(d, set, m, cut[i], d->reach[i], &bands);
+    }
+    for (trial = 0; trial < SFEMI_DISSECT_TRIALS; ++trial) {
+        int pick = -1, pass;
+        sfem_int size[3] = {0, 0, 0};
+        double off, score;
+        for (i = 0; i < SFEMI_DISSECT_WAYS; ++i)
+            if (cost[i] >= 0 && (pick < 0 || cost[i] < cost[pick])) pick = i;
+        if (pick < 0 || (best >= 0 && cost[pick] > 1.5 * best)) break;
+        cost[pick] = -1;
+        (void)sfemi_dissect_plane(d, set, m, pick);
+        (void)sfemi_dissect_count(d, set, m, cut[pick], d->reach[pick], &bands);
+        for (k = 0; k < m; ++k) d->side[set[k]] = d->key[k] >= cut[pick];
+        sfemi_dissect_cover(d, d->band, bands);
+        for (k = 0; k < m; ++k) ++size[(int)d->side[set[k]]];
+        for (pass = 0; pass < 3 && sfemi_dissect_pass(d, set, m, size); ++pass) continue;
+        size[2] = m - size[0] - size[1];
+        if (!size[0] || !size[1]) continue;
+        off = (double)(size[0] - size[1]) / m;
+        score = size[2] * (1 + 2 * off * off);
+        if (best >= 0 && score >= best) continue;
+        best = score;
+        for (k = 0; k < m; ++k) d->best[set[k]] = d->side[set[k]];
+        memcpy(out, size, sizeof size);
+    }
+    if (best < 0) return 0;
+    at[0] = 0;
+    at[1] = out[0];
+    at[2] = out[0] + out[1];
+    for (k = 0; k < m; ++k) d->queue[at[(int)d->best[set[k]]]++] = set[k];
+    memcpy(set, d->queue, (size_t)m * sizeof *set);
+    return 1;
+}
+
+/* order[new] = old. The interiors of the smallest sets are ordered by minimum degree, all at once. */
+static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
+                                       const sfem_allocator *m, sfem_int *order, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_dissect d;
+    sfem_int *pool = NULL, *leaf_at = NULL, *leaf = NULL, *amd = NULL;
+    signed char *sides = NULL;
+    unsigned char *held = NULL;
+    sfem_int stack[3 * 64], depth = 0, k, n = g->n, leaves = 0, count = 0;
+    memset(&d, 0, sizeof d);
+    SFEMI_NEW(sfem_int, pool, m, 12 * (size_t)n + 1);
+    SFEMI_NEW(float, d.key, m, (size_t)n + 1);
+    SFEMI_NEW(signed char, sides, m, 2 * (size_t)n + 1);
+    SFEMI_NEW(unsigned char, held, m, (size_t)n + 1);
+    d.g = g;
+    d.x = x;
+    d.set = order;
+    d.inside = pool;
+    d.mate = pool + n;
+    d.from = d.mate + n;
+    d.queue = d.from + n;
+    d.near[0] = d.queue + 3 * n;
+    d.near[1] = d.near[0] + n;
+    d.band = d.near[1] + n;
+    leaf_at = d.band + n;
+    leaf = leaf_at + n;
+    amd = leaf + n;
+    d.side = sides;
+    d.best = sides + n;
+    sfemi_dissect_reach(&d);
+    d.reach[SFEMI_DISSECT_DIRECTIONS] = 1;
+    for (k = 0; k < n; ++k) order[k] = k;
+    stack[depth++] = 0;
+    stack[depth++] = n;
+    while (depth > 0) {
+        const sfem_int last = stack[--depth], first = stack[--depth];
+        sfem_int size[3] = {0, 0, 0};
+        if (last - first <= SFEMI_DISSECT_LEAF || depth + 4 > 3 * 64 ||
+            !sfemi_dissect_cut(&d, order + first, last - first, size)) {
+            leaf_at[leaves] = first;
+            for (k = first; k < last; ++k) leaf[order[k]] = leaves;
+            ++leaves;
+            continue;
+        }
+        for (k = last - size[2]; k < last; ++k) held[order[k]] = 1;
+        stack[depth++] = first;
+        stack[depth++] = first + size[0];
+        stack[depth++] = first + size[0];
+        stack[depth++] = last - size[2];
+    }
+    SFEMI_TRY(sfemi_order_amd(g, held, m, amd, &count, err));
+    for (k = 0; k < count; ++k) order[leaf_at[leaf[amd[k]]]++] = amd[k];
+done:
+    sfemi_delete(m, pool);
+    sfemi_delete(m, d.key);
+    sfemi_delete(m, sides);
+    sfemi_delete(m, held);
+    return status;
+}
+
+/* --- elimination tree ------------------------------------------------------------------------ */
+
+typedef struct sfemi_tree {
+    sfem_int n;
+    sfem_int *order;   /* [n] order[new] = old */
+    sfem_int *inverse; /* [n] */
+    sfem_int *parent;  /* [n] in new numbers, > own, or -1 */
+    sfem_int *count;   /* [n] nodes in the column of L, its own included */
+    sfem_int *pool;
+    double flops;
+} sfemi_tree;
+
+/* Numbers the nodes of a forest so that each subtree is contiguous and ends with its root; to[old] =
+ * new. head and next are work of [n]. */
+static void sfemi_tree_postorder(sfem_int n, const sfem_int *parent, sfem_int *to, sfem_int *head,
+                                 sfem_int *next)
+{
+    sfem_int i, root, made = 0;
+    for (i = 0; i < n; ++i) head[i] = -1;
+    for (i = n - 1; i >= 0; --i)
+        if (parent[i] >= 0) {
+            next[i] = head[parent[i]];
+            head[parent[i]] = i;
+        }
+    for (root = 0; root < n; ++root) {
+        if (parent[root] >= 0) continue;
+        for (i = root;;) { /* down to the first leaf, number, then its sibling or its parent */
+            while (head[i] >= 0) {
+                const sfem_int child = head[i];
+                head[i] = next[child];
+                i = child;
+            }
+            to[i] = made++;
+            if (i == root) break;
+            i = parent[i];
+        }
+    }
+}
+
+static void sfemi_tree_parents(const sfemi_graph *g, const sfemi_tree *t, sfem_int *parent,
+                               sfem_int *above)
+{
+    sfem_int i, k; /* Liu 1990; above[] is the tree with its paths shortened */
+    for (i = 0; i < t->n; ++i) {
+        const sfem_int old = t->order[i];
+        parent[i] = above[i] = -1;
+        for (k = g->start[old]; k < g->start[old + 1]; ++k) {
+            sfem_int j = t->inverse[g->adj[k]];
+            while (j >= 0 && j < i) {
+                const sfem_int next = above[j];
+                above[j] = i;
+                if (next < 0) parent[j] = i;
+                j = next;
+            }
+        }
+    }
+}
+
+/* Column counts of L [Gilbert, Ng, Peyton 1994] on a postordered tree; work [4n]. */
+static void sfemi_tree_counts(const sfemi_graph *g, sfemi_tree *t, sfem_int *work)
+{
+    const sfem_int n = t->n;
+    sfem_int *first = work, *most = work + n, *previous = work + 2 * n, *above = work + 3 * n;
+    sfem_int i, j, k;
+    for (j = 0; j < n; ++j) {
+        most[j] = previous[j] = first[j] = -1;
+        above[j] = j;
+    }
+    for (j = 0; j < n; ++j) {
+        t->count[j] = first[j] < 0;
+        if (first[j] < 0) first[j] = j;
+        if (t->parent[j] >= 0 && first[t->parent[j]] < 0) first[t->parent[j]] = first[j];
+    }
+    for (j = 0; j < n; ++j) {
+        const sfem_int old = t->order[j];
+        if (t->parent[j] >= 0) --t->count[t->parent[j]];
+        for (k = g->start[old]; k < g->start[old + 1]; ++k) {
+            sfem_int q, r, s;
+            i = t->inverse[g->adj[k]];
+            if (i <= j || first[j] <= most[i]) continue;
+            most[i] = first[j]; /* j is a leaf of the subtree of row i */
+            q = previous[i];
+            previous[i] = j;
+            ++t->count[j];
+            if (q < 0) continue;
+            for (r = q; above[r] != r; r = above[r]) continue;
+            for (; q != r; q = s) {
+                s = above[q];
+                above[q] = r;
+            }
+            --t->count[r];
+        }
+        if (t->parent[j] >= 0) above[j] = t->parent[j];
+    }
+    t->flops = 0;
+    for (j = 0; j < n; ++j) {
+        const double c = 3.0 * t->count[j]; /* three columns of c, c - 1, c - 2 */
+        if (t->parent[j] >= 0) t->count[t->parent[j]] += t->count[j];
+        t->flops += c * c + (c - 1) * (c - 1) + (c - 2) * (c - 2);
+    }
+}
+
+/* Tree, postorder (which replaces the order given) and counts. */
+static sfem_status sfemi_tree_create(const sfemi_graph *g, sfemi_tree *out, const sfem_int *order,
+                                     const sfem_allocator *m, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_tree t;
+    sfem_int *work = NULL;
+    const sfem_int n = g->n;
+    sfem_int i;
+    memset(&t, 0, sizeof t);
+    t.n = n;
+    SFEMI_NEW(sfem_int, t.pool, m, 4 * (size_t)n + 1);
+    SFEMI_NEW(sfem_int, work, m, 4 * (size_t)n + 1);
+    t.order = t.pool;
+    t.inverse = t.order + n;
+    t.parent = t.inverse + n;
+    t.count = t.parent + n;
+    for (i = 0; i < n; ++i) {
+        t.order[i] = order[i];
+        t.inverse[order[i]] = i;
+    }
+    sfemi_tree_parents(g, &t, t.count, work);
+    sfemi_tree_postorder(n, t.count, work, work + n, work + 2 * n);
+    for (i = 0; i < n; ++i) t.parent[work[i]] = t.count[i] < 0 ? -1 : work[t.count[i]];
+    for (i = 0; i < n; ++i) t.inverse[order[i]] = work[i];
+    for (i = 0; i < n; ++i) t.order[t.inverse[i]] = i;
+    sfemi_tree_counts(g, &t, work);
+    *out = t;
+    t.pool = NULL;
+done:
+    sfemi_delete(m, work);
+    sfemi_delete(m, t.pool);
+    return status;
+}
+
+/* --- fronts and kernels ---------------------------------------------------------------------- */
+
+/* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
+typedef struct sfemi_shape {
+    size_t k, f, t, w;
+    size_t tiles, diagonal, boundary; /* all; those with pivots; the one that holds row k */
+    size_t last;                      /* height of the last tile */
+} sfemi_shape;
+
+static sfemi_shape sfemi_shape_of(size_t k, size_t f, size_t w)
+{
+    sfemi_shape s;
+    s.k = k;
+    s.f = f;
+    s.w = w;
+    s.t = 3 * w;
+    s.tiles = (f + s.t - 1) / s.t;
+    s.diagonal = (k + s.t - 1) / s.t;
+    s.boundary = k / s.t;
+    s.last = (f - (s.tiles - 1) * s.t + w - 1) / w * w;
+    return s;
+}
+
+static size_t sfemi_shape_height(const sfemi_shape *s, size_t tile)
+{
+    return tile + 1 < s->tiles ? s->t : s->last;
+}
+
+static size_t sfemi_shape_columns(const sfemi_shape *s, size_t tile) /* of L */
+{
+    return (tile + 1) * s->t < s->k ? (tile + 1) * s->t : s->k;
+}
+
+static size_t sfemi_shape_panel(const sfemi_shape *s, size_t tile) /* where its part of L starts */
+{
+    const size_t q = s->boundary;
+    if (tile <= q) return s->t * s->t * (tile * (tile + 1) / 2);
+    return s->t * s->t * (q * (q + 1) / 2) + (tile - q) * s->t * s->k;
+}
+
+static size_t sfemi_shape_panel_size(const sfemi_shape *s)
+{
+    return sfemi_shape_panel(s, s->tiles - 1) + s->last * sfemi_shape_columns(s, s->tiles - 1);
+}
+
+static size_t sfemi_shape_update(const sfemi_shape *s, size_t tile) /* where its part of U starts */
+{
+    const size_t d = tile - s->boundary;
+    return s->t * s->t * (d * (d + 1) / 2);
+}
+
+static size_t sfemi_shape_update_size(const sfemi_shape *s)
+{
+    if (s->f == s->k) return 0;
+    return sfemi_shape_update(s, s->tiles - 1) +
+           s->last * ((s->tiles - 1) * s->t + s->last - s->boundary * s->t);
+}
+
+#define SFEMI_BITS 64
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#if SFEMI_X86
+#define SFEMI_BITS 64
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 64
+#define SFEMI_PATH 2
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 2
+#include SFEM_SELF
+#endif
+
+typedef struct sfemi_ldl_kernels {
+    const char *name;
+    size_t width; /* of a vector of doubles; tiles are three vectors high */
+    void (*update)(size_t, size_t, const double *, const double *, size_t, double *, int, int);
+    void (*eliminate)(size_t, size_t, const double *, const double *, size_t, double *, int,
+                      const double *);
+    int (*pivots)(size_t, size_t, double *, int, int, const double *, double *, double *);
+    void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
+    void (*invert)(size_t, size_t, double *, const double *);
+    void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
+                     double *);
+    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *, double *);
+    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
+                      double *);
+    void (*invert32)(size_t, size_t, float *, const double *);
+    void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
+                       float *);
+    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *, float *);
+    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
+                         float *);
+} sfemi_ldl_kernels;
+
+static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
+{
+#define SFEMI_TABLE(name, width, p)                                                                  \
+    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,      \
+     sfemi_ldl_add_64_##p, sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p,                        \
+     sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p,               \
+     sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p,                   \
+     sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
+    static const sfemi_ldl_kernels table[] = {
+        SFEMI_TABLE("portable", 4, 0),
+#if SFEMI_X86
+        SFEMI_TABLE("avx2", 4, 1),
+        SFEMI_TABLE("avx512", 8, 2),
+#endif
+    };
+#undef SFEMI_TABLE
+    return table + path;
+}
+
+/* --- symbolic analysis ----------------------------------------------------------------------- */
+
+#if defined(__GNUC__)
+#define SFEMI_COUNT_UP(p) ((void)__atomic_add_fetch((p), 1, __ATOMIC_RELAXED))
+#define SFEMI_COUNT_DOWN(p) __atomic_sub_fetch((p), 1, __ATOMIC_ACQ_REL)
+#elif defined(_MSC_VER)
+long _InterlockedIncrement(long volatile *);
+long _InterlockedDecrement(long volatile *);
+#define SFEMI_COUNT_UP(p) ((void)_InterlockedIncrement(p))
+#define SFEMI_COUNT_DOWN(p) _InterlockedDecrement(p)
+#else /* no atomics: make and free factors from one thread */
+#define SFEMI_COUNT_UP(p) ((void)++*(p))
+#define SFEMI_COUNT_DOWN(p) (--*(p))
+#endif
+
+/* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1] in
+ * the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
+ *
+ * Work is cut into tasks, the same for any number of threads: a task is a run of supernodes, either a
+ * whole subtree of the elimination tree or one supernode above those. Tasks of equal level do not
+ * depend on each other. */
+typedef struct sfemi_symbolic {
+    long references; /* atomic */
+    sfem_allocator allocator;
+    const sfemi_ldl_kernels *kernels;
+    sfem_int n, blocks, supernodes, tasks, levels;
+    sfem_ordering ordering;
+    sfem_int *order;   /* [n] order[new] = old */
+    sfem_int *inverse; /* [n] */
+    sfem_int *first;   /* [supernodes + 1] */
+    size_t *start;     /* [supernodes + 1] */
+    sfem_int *rows;    /* [start[supernodes]] */
+    sfem_int *place;   /* where in the parent's front each of the rows is, in nodes */
+    sfem_int *target;  /* where in the solve's work array each of the rows is, in nodes */
+    sfem_int *parent;  /* [supernodes] or -1 */
+    sfem_int *child;   /* [supernodes] first child or -1 */
+    sfem_int *sibling; /* [supernodes] next child of the same parent or -1 */
+    size_t *panel;     /* [supernodes + 1] where L starts */
+    size_t *panel32;   /* [supernodes + 1] where its float copy starts */
+    size_t *update;    /* [supernodes] where the update matrix stands in the work memory */
+    size_t *update_kept; /* [supernodes + 1] the same, if all are kept */
+    size_t *signs;     /* [tasks + 1] where a task's signed copy of a panel stands */
+    sfem_int *from;    /* [supernodes + 1] blocks of A that start in the supernode's columns */
+    sfem_int *source;  /* [blocks] block of A */
+    sfem_int *into;    /* [blocks][2] row and column in nodes in the front; row < 0: ~row, transposed */
+    sfem_int *task;    /* [tasks + 1] first supernode */
+    sfem_int *of;      /* [supernodes] task */
+    sfem_int *buffer;  /* [tasks + 1] where its buffer starts in the solve's work array, in nodes */
+    sfem_int *level;   /* [levels + 1] into by_level */
+    sfem_int *by_level; /* [tasks] */
+    size_t *scratch;   /* [tasks + 1] the solve's scratch of a task, in rows */
+    size_t update_size, update_kept_size; /* in scalars */
+    size_t nnz, bytes;
+    double flops;
+} sfemi_symbolic;
+
+static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, size_t w)
+{
+    const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);
+    return sfemi_shape_of(k, k + 3 * (y->start[s + 1] - y->start[s]), w);
+}
+
+static void sfemi_symbolic_free(sfemi_symbolic *y)
+{
+    sfem_allocator m;
+    if (!y || SFEMI_COUNT_DOWN(&y->references) > 0) return;
+    m = y->allocator;
+    sfemi_delete(&m, y->order);
+    sfemi_delete(&m, y->inverse);
+    sfemi_delete(&m, y->first);
+    sfemi_delete(&m, y->start);
+    sfemi_delete(&m, y->rows);
+    sfemi_delete(&m, y->place);
+    sfemi_delete(&m, y->target);
+    sfemi_delete(&m, y->parent);
+    sfemi_delete(&m, y->child);
+    sfemi_delete(&m, y->sibling);
+    sfemi_delete(&m, y->panel);
+    sfemi_delete(&m, y->panel32);
+    sfemi_delete(&m, y->update);
+    sfemi_delete(&m, y->update_kept);
+    sfemi_delete(&m, y->signs);
+    sfemi_delete(&m, y->scratch);
+    sfemi_delete(&m, y->from);
+    sfemi_delete(&m, y->source);
+    sfemi_delete(&m, y->into);
+    sfemi_delete(&m, y->task);
+    sfemi_delete(&m, y->of);
+    sfemi_delete(&m, y->buffer);
+    sfemi_delete(&m, y->level);
+    sfemi_delete(&m, y->by_level);
+    sfemi_delete(&m, y);
+}
+
+/* Is it worth a merged supernode of k columns over m rows to hold so many zeros? */
+static int sfemi_merge_pays(double k, double m, double zeros, double n)
+{
+    const double share = zeros / (k * (k + 1) / 2 + k * m);
+    const int small = n < 2500; /* calls dominate: merge more */
+    if (k <= 4) return share < (small ? 0.6 : 0.4);
+    if (k <= 8) return share < (small ? 0.35 : 0.15);
+    if (k <= 16) return share < (small ? 0.2 : 0.08);
+    return share < (small ? 0.08 : 0.03);
+}
+
+/* Supernodes: columns of equal structure [Ashcraft, Grimes 1989], then children merged into parents
+ * where that adds few zeros. Renumbers so that each is contiguous; fills order, inverse, first,
+ * parent. */
+static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t, sfem_error *err)
+{
+    const sfem_allocator *m = &y->allocator;
+    const sfem_int n = t->n;
+    sfem_status status = SFEM_OK;
+    sfem_int *pool = NULL, *head, *tail, *next, *of, *parent, *width, *below, *child, *sibling, *to;
+    double *zeros = NULL;
+    sfem_int i, s, count = 0, made = 0, at = 0;
+    SFEMI_NEW(sfem_int, pool, m, 10 * (size_t)n + 1);
+    SFEMI_NEW(double, zeros, m, (size_t)n + 1);
+    head = pool; /* columns of a supernode as a list, until they are numbered */
+    tail = head + n;
+    next = tail + n;
+    of = next + n;
+    parent = of + n;
+    width = parent + n;
+    below = width + n;
+    child = below + n;
+    sibling = child + n;
+    to = sibling + n;
+    for (i = 0; i < n; ++i) {
+        if (i == 0 || t->parent[i - 1] != i || t->count[i - 1] != t->count[i] + 1) {
+            head[count] = i;
+            width[count] = 0;
+            child[count] = -1;
+            ++count;
+        } else next[tail[count - 1]] = i;
+        s = count - 1;
+        tail[s] = i;
+        next[i] = -1;
+        of[i] = s;
+        ++width[s];
+        below[s] = t->count[i] - 1;
+    }
+    for (s = count - 1; s >= 0; --s) {
+        parent[s] = t->parent[tail[s]] < 0 ? -1 : of[t->parent[tail[s]]];
+        if (parent[s] < 0) continue;
+        sibling[s] = child[parent[s]];
+        child[parent[s]] = s;
+    }
+    for (s = 0; s < count; ++s) { /* children first; merge the one with the least new zeros, repeat */
+        for (;;) {
+            sfem_int c, before = -1, pick = -1, pick_before = -1;
+            double least = 0;
+            for (c = child[s]; c >= 0; before = c, c = sibling[c]) {
+                const double extra = zeros[c] + (double)width[c] * (width[s] + below[s] - below[c]);
+                if (pick >= 0 && extra >= least) continue;
+                if (!sfemi_merge_pays(width[c] + width[s], below[s], extra + zeros[s], n)) continue;
+                pick = c;
+                pick_before = before;
+                least = extra;
+            }
+            if (pick < 0) break;
+            zeros[s] += least;
+            next[tail[pick]] = head[s];
+            head[s] = head[pick];
+            width[s] += width[pick];
+            width[pick] = 0;
+            if (pick_before < 0) child[s] = sibling[pick];
+            else sibling[pick_before] = sibling[pick];
+            for (c = child[pick]; c >= 0;) { /* its children become those of s */
+                const sfem_int after = sibling[c];
+                parent[c] = s;
+                sibling[c] = child[s];
+                child[s] = c;
+                c = after;
+            }
+        }
+    }
+    /* number what is left in postorder: merged ones are leaves without columns */
+    sfemi_tree_postorder(count, parent, to, of, sibling);
+    for (s = 0; s < count; ++s) child[to[s]] = s;
+    for (i = 0; i < count; ++i) made += width[child[i]] > 0;
+    SFEMI_NEW(sfem_int, y->first, m, (size_t)made + 1);
+    SFEMI_NEW(sfem_int, y->parent, m, (size_t)made + 1);
+    SFEMI_NEW(sfem_int, y->child, m, (size_t)made + 1);
+    SFEMI_NEW(sfem_int, y->sibling, m, (size_t)made + 1);
+    SFEMI_NEW(sfem_int, y->order, m, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, y->inverse, m, (size_t)n + 1);
+    y->supernodes = made;
+    for (made = 0, i = 0; i < count; ++i) {
+        s = child[i];
+        if (!width[s]) continue;
+        of[s] = made;
+        y->first[made++] = at;
+        for (s = head[s]; s >= 0; s = next[s]) {
+            y->inverse[t->order[s]] = at;
+            y->order[at++] = t->order[s];
+        }
+    }
+    y->first[made] = at;
+    for (i = 0; i < count; ++i)
+        if (width[child[i]]) y->parent[of[child[i]]] = parent[child[i]] < 0 ? -1 : of[parent[child[i]]];
+    for (s = made; s-- > 0;) y->child[s] = -1;
+    for (s = made; s-- > 0;) {
+        y->sibling[s] = -1;
+        if (y->parent[s] < 0) continue;
+        y->sibling[s] = y->child[y->parent[s]];
+        y->child[y->parent[s]] = s;
+    }
+done:
+    sfemi_delete(m, pool);
+    sfemi_delete(m, zeros);
+    return status;
+}
+
+/* Sorts few integers: quicksort down to runs of 16, then insertion. */
+static void sfemi_sort_int(sfem_int *v, size_t n)
+{
+    size_t i, j;
+    while (n > 16) {
+        const sfem_int a = v[0], b = v[n / 2], c = v[n - 1];
+        const sfem_int pivot = a < b ? (b < c ? b : a < c ? c : a) : a < c ? a : b < c ? c : b;
+        size_t low = 0, high = n - 1;
+        for (;; ++low, --high) {
+            sfem_int t;
+            while (v[low] < pivot) ++low;
+            while (v[high] > pivot) --high;
+            if (low >= high) break;
+            t = v[low];
+            v[low] = v[high];
+            v[high] = t;
+        }
+        if (low < n - low) { /* the shorter part by recursion: depth at most log n */
+            sfemi_sort_int(v, low);
+            v += low;
+            n -= low;
+        } else {
+            sfemi_sort_int(v + low, n - low);
+            n = low;
+        }
+    }
+    for (i = 1; i < n; ++i) {
+        const sfem_int x = v[i];
+        for (j = i; j > 0 && v[j - 1] > x; --j) v[j] = v[j - 1];
+        v[j] = x;
+    }
+}
+
+/* The rows below each supernode: those of A and of its children. */
+static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, sfem_error *err)
+{
+    const sfem_allocator *m = &y->allocator;
+    sfem_status status = SFEM_OK;
+    sfem_int *mark = NULL, i, s, c, e, k;
+    size_t total = 0, room = 0, a;
+    SFEMI_NEW(sfem_int, mark, m, (size_t)y->n + 1);
+    SFEMI_NEW(size_t, y->start, m, (size_t)y->supernodes + 1);
+    room = 4 * (size_t)y->n + 64;
+    SFEMI_NEW(sfem_int, y->rows, m, room);
+    for (i = 0; i < y->n; ++i) mark[i] = -1;
+    for (s = 0; s < y->supernodes; ++s) {
+        const sfem_int last = y->first[s + 1];
+        const size_t begin = total;
+        if (room - total < (size_t)(y->n - last)) { /* at most so many more */
+            sfem_int *bigger;
+            room = 2 * room + (size_t)y->n;
+            SFEMI_NEW(sfem_int, bigger, m, room);
+            memcpy(bigger, y->rows, total * sizeof *bigger);
+            sfemi_delete(m, y->rows);
+            y->rows = bigger;
+        }
+        for (i = y->first[s]; i < last; ++i) {
+            const sfem_int old = y->order[i];
+            for (e = g->start[old]; e < g->start[old + 1]; ++e) {
+                k = y->inverse[g->adj[e]];
+                if (k < last || mark[k] == s) continue;
+                mark[k] = s;
+                y->rows[total++] = k;
+            }
+        }
+        for (c = y->child[s]; c >= 0; c = y->sibling[c])
+            for (a = y->start[c]; a < y->start[c + 1]; ++a) {
+                k = y->rows[a];
+                if (k < last || mark[k] == s) continue;
+                mark[k] = s;
+                y->rows[total++] = k;
+            }
+        sfemi_sort_int(y->rows + begin, total - begin);
+        y->start[s + 1] = total;
+    }
+    SFEMI_NEW(sfem_int, y->place, m, total + 1);
+    SFEMI_NEW(sfem_int, y->target, m, total + 1);
+    for (s = 0; s < y->supernodes; ++s) {
+        const sfem_int p = y->parent[s];
+        size_t b;
+        if (p < 0) continue;
+        b = y->start[p];
+        for (a = y->start[s]; a < y->start[s + 1]; ++a) {
+            if (y->rows[a] < y->first[p + 1]) {
+                y->place[a] = y->rows[a] - y->first[p];
+                continue;
+            }
+            while (y->rows[b] != y->rows[a]) ++b;
+            y->place[a] = (sfem_int)(b - y->start[p]) + y->first[p + 1] - y->first[p];
+        }
+    }
+done:
+    sfemi_delete(m, mark);
+    return status;
+}
+
+/* Where each block of A goes. */
+static sfem_status sfemi_symbolic_blocks(sfemi_symbolic *y, const sfem_matrix *a, sfem_error *err)
+{
+    const sfem_allocator *m = &y->allocator;
+    sfem_status status = SFEM_OK;
+    sfem_int *where = NULL, *of = NULL, i, s, k;
+    SFEMI_NEW(sfem_int, of, m, (size_t)y->n + 1);
+    SFEMI_NEW(sfem_int, where, m, (size_t)y->n + 1);
+    SFEMI_NEW(sfem_int, y->from, m, (size_t)y->supernodes + 2);
+    SFEMI_NEW(sfem_int, y->source, m, (size_t)y->blocks + 1);
+    SFEMI_NEW(sfem_int, y->into, m, 2 * (size_t)y->blocks + 2);
+    for (s = 0; s < y->supernodes; ++s)
+        for (i = y->first[s]; i < y->first[s + 1]; ++i) of[i] = s;
+#define SFEMI_LOW(i, k)                                                                              \
+    (y->inverse[i] < y->inverse[a->col[k]] ? y->inverse[i] : y->inverse[a->col[k]])
+    for (i = 0; i < y->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1]; ++k) ++y->from[of[SFEMI_LOW(i, k)] + 2];
+    for (s = 0; s < y->supernodes; ++s) y->from[s + 2] += y->from[s + 1];
+    for (i = 0; i < y->n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1]; ++k) {
+            const sfem_int p = y->from[of[SFEMI_LOW(i, k)] + 1]++, col = SFEMI_LOW(i, k);
+            const sfem_int row = y->inverse[i] + y->inverse[a->col[k]] - col;
+            y->source[p] = k;
+            y->into[2 * (size_t)p] = y->inverse[i] < y->inverse[a->col[k]] ? ~row : row;
+            y->into[2 * (size_t)p + 1] = col;
+        }
+#undef SFEMI_LOW
+    for (s = 0; s < y->supernodes; ++s) { /* numbers in the front instead of in the matrix */
+        const sfem_int width = y->first[s + 1] - y->first[s];
+        size_t r;
+        for (i = 0; i < width; ++i) where[y->first[s] + i] = i;
+        for (r = y->start[s]; r < y->start[s + 1]; ++r)
+            where[y->rows[r]] = (sfem_int)(r - y->start[s]) + width;
+        for (k = y->from[s]; k < y->from[s + 1]; ++k) {
+            sfem_int *into = y->into + 2 * (size_t)k;
+            into[0] = into[0] < 0 ? ~where[~into[0]] : where[into[0]];
+            into[1] = where[into[1]];
+        }
+    }
+done:
+    sfemi_delete(m, of);
+    sfemi_delete(m, where);
+    return status;
+}
+
+/* Cuts the work into tasks of at most a 16th of it and finds the place of every update matrix. */
+#define SFEMI_TASK_SHARE 16
+#define SFEMI_TASK_LEAST 3e7 /* floating-point operations below which one task does everything */
+
+/* First fit: blocks that live at the same time do not overlap. */
+typedef struct sfemi_slot {
+    size_t at, size;
+    sfem_int until;
+} sfemi_slot;
+
+static size_t sfemi_slot_take(sfemi_slot *slot, sfem_int *count, size_t size, sfem_int now,
+                              sfem_int until)
+{
+    sfem_int i, kept = 0;
+    size_t at = 0;
+    for (i = 0; i < *count; ++i)
+        if (slot[i].until >= now) slot[kept++] = slot[i];
+    for (i = 0; i < kept && slot[i].at < at + size; ++i) at = slot[i].at + slot[i].size;
+    memmove(slot + i + 1, slot + i, (size_t)(kept - i) * sizeof *slot);
+    slot[i].at = at;
+    slot[i].size = size;
+    slot[i].until = until;
+    *count = kept + 1;
+    return at;
+}
+
+static double sfemi_front_flops(const sfemi_symbolic *y, sfem_int s)
+{
+    const double k = 3.0 * (y->first[s + 1] - y->first[s]);
+    const double m = 3.0 * (double)(y->start[s + 1] - y->start[s]);
+    return k * (k * k / 3 + k * m + m * m);
+}
+
+static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
+{
+    const sfem_allocator *m = &y->allocator;
+    const sfem_int ns = y->supernodes;
+    sfem_status status = SFEM_OK;
+    double *weight = NULL, total = 0, sum = 0;
+    sfem_int *level = NULL, s, t, tasks = 0, top = 0;
+    SFEMI_NEW(double, weight, m, (size_t)ns + 1);
+    SFEMI_NEW(sfem_int, y->of, m, (size_t)ns + 1);
+    SFEMI_NEW(sfem_int, y->task, m, (size_t)ns + 1);
+    for (s = 0; s < ns; ++s) {
+        const double own = sfemi_front_flops(y, s);
+        weight[s] += own + 2000; /* the work around a front */
+        total += own + 2000;
+        if (y->parent[s] >= 0) weight[y->parent[s]] += weight[s];
+    }
+    if (total < SFEMI_TASK_LEAST) total *= 2 * SFEMI_TASK_SHARE;
+    /* A task ends with each supernode that is heavy, or whose parent is; light trees are put together,
+     * also with what follows, as they have no rows outside. */
+    for (s = 0; s < ns; ++s) {
+        const int heavy = weight[s] > total / SFEMI_TASK_SHARE;
+        const sfem_int p = y->parent[s];
+        y->of[s] = tasks;
+        if (p < 0) sum += weight[s];
+        if (!heavy && p >= 0 && weight[p] <= total / SFEMI_TASK_SHARE) continue;
+        if (!heavy && p < 0 && sum <= total / SFEMI_TASK_SHARE) continue;
+        sum = 0;
+        y->task[++tasks] = s + 1;
+    }
+    if (y->task[tasks] < ns) y->task[++tasks] = ns;
+    y->tasks = tasks;
+    SFEMI_NEW(sfem_int, level, m, (size_t)tasks + 1);
+    for (t = 0; t < tasks; ++t) { /* children come before parents */
+        const sfem_int p = y->parent[y->task[t + 1] - 1];
+        if (level[t] > top) top = level[t];
+        if (p >= 0 && level[y->of[p]] <= level[t]) level[y->of[p]] = level[t] + 1;
+    }
+    y->levels = tasks ? top + 1 : 0;
+    SFEMI_NEW(sfem_int, y->level, m, (size_t)y->levels + 3);
+    SFEMI_NEW(sfem_int, y->by_level, m, (size_t)tasks + 1);
+    for (t = 0; t < tasks; ++t) ++y->level[level[t] + 2];
+    for (t = 0; t < y->levels; ++t) y->level[t + 2] += y->level[t + 1];
+    for (t = 0; t < tasks; ++t) y->by_level[y->level[level[t] + 1]++] = t;
+done:
+    sfemi_delete(m, weight);
+    sfemi_delete(m, level);
+    return status;
+}
+
+/* The places of L, of the update matrices, and of the rows in the solve's work array. */
+static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
+{
+    const sfem_allocator *m = &y->allocator;
+    const sfem_int ns = y->supernodes;
+    const size_t w = y->kernels->width;
+    sfem_status status = SFEM_OK;
+    sfemi_slot *slot = NULL;
+    size_t shared = 0, *base = NULL;
+    sfem_int s, t, l, k, count = 0;
+    SFEMI_NEW(sfemi_slot, slot, m, (size_t)ns + 1);
+    SFEMI_NEW(size_t, base, m, (size_t)y->tasks + 2);
+    SFEMI_NEW(size_t, y->panel, m, (size_t)ns + 1);
+    SFEMI_NEW(size_t, y->panel32, m, (size_t)ns + 1);
+    SFEMI_NEW(size_t, y->update, m, (size_t)ns + 1);
+    SFEMI_NEW(size_t, y->update_kept, m, (size_t)ns + 1);
+    SFEMI_NEW(size_t, y->signs, m, (size_t)y->tasks + 1);
+    SFEMI_NEW(size_t, y->scratch, m, (size_t)y->tasks + 1);
+    SFEMI_NEW(sfem_int, y->buffer, m, (size_t)y->tasks + 1);
+    for (t = 0; t < y->tasks; ++t) {
+        const sfem_int root = y->task[t + 1] - 1, end = y->first[root + 1];
+        size_t widest = 0, signs = 0;
+        count = 0;
+        for (s = y->task[t]; s <= root; ++s) {
+            const sfemi_shape h = sfemi_symbolic_shape(y, s, w), h32 = sfemi_symbolic_shape(y, s, 8);
+            const size_t size = sfemi_shape_panel_size(&h), u = sfemi_shape_update_size(&h);
+            size_t a, b = y->start[root];
+            y->panel[s + 1] = y->panel[s] + size;
+            y->panel32[s + 1] = y->panel32[s] + sfemi_shape_panel_size(&h32);
+            y->update_kept[s + 1] = y->update_kept[s] + u;
+            y->nnz += h.k * (h.k + 1) / 2 + h.k * (h.f - h.k);
+            if (size > signs) signs = size;
+            if (h.f > widest) widest = h.f;
+            for (a = y->start[s]; a < y->start[s + 1]; ++a) {
+                if (y->rows[a] < end) {
+                    y->target[a] = y->rows[a];
+                    continue;
+                }
+                while (y->rows[b] != y->rows[a]) ++b;
+                y->target[a] = y->n + y->buffer[t] + (sfem_int)(b - y->start[root]);
+            }
+            if (s == root || !u) continue;
+            y->update[s] = sfemi_slot_take(slot, &count, u, s, y->parent[s]);
+            if (y->update[s] + u > base[t + 1]) base[t + 1] = y->update[s] + u;
+        }
+        y->signs[t + 1] = y->signs[t] + signs;
+        y->scratch[t + 1] = y->scratch[t] + widest + 24;
+        if (y->start[root + 1] - y->start[root] > (size_t)(INT32_MAX / 4 - y->n - y->buffer[t])) {
+            status = sfemi_fail(err, SFEM_TOO_LARGE, "the solve's work array overflows an index");
+            goto done;
+        }
+        y->buffer[t + 1] = y->buffer[t] + (sfem_int)(y->start[root + 1] - y->start[root]);
+    }
+    /* roots of tasks live from their level to their parent's */
+    for (count = 0, l = 0; l < y->levels; ++l)
+        for (k = y->level[l]; k < y->level[l + 1]; ++k) {
+            const sfem_int root = y->task[y->by_level[k] + 1] - 1;
+            const size_t u = y->update_kept[root + 1] - y->update_kept[root];
+            sfem_int until = l;
+            if (!u) continue;
+            for (until = l + 1; until < y->levels; ++until) {
+                const sfem_int *b = y->by_level + y->level[until], *e = y->by_level + y->level[until + 1];
+                while (b < e && *b != y->of[y->parent[root]]) ++b;
+                if (b < e) break;
+            }
+            y->update[root] = sfemi_slot_take(slot, &count, u, l, until);
+            if (y->update[root] + u > shared) shared = y->update[root] + u;
+        }
+    for (base[0] = shared, t = 0; t < y->tasks; ++t) {
+        base[t + 1] += base[t];
+        for (s = y->task[t]; s < y->task[t + 1] - 1; ++s) y->update[s] += base[t];
+    }
+    y->update_size = base[y->tasks];
+    y->update_kept_size = y->update_kept[ns];
+done:
+    sfemi_delete(m, slot);
+    sfemi_delete(m, base);
+    return status;
+}
+
+/* The better of two orderings, or the one asked for. Minimum degree always wins on small meshes, and
+ * dissection on large ones unless they are thin, so that one of the two can then be saved (measured). */
+#define SFEMI_DISSECT_FROM 1500
+#define SFEMI_DISSECT_SURE 8000
+
+static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_graph *g,
+                                        sfem_ordering *taken, sfemi_tree *out, sfem_error *err)
+{
+    const sfem_allocator *m = &def->allocator;
+    sfem_status status = SFEM_OK;
+    sfemi_tree best, other;
+    sfem_int *order = NULL, i;
+    memset(&best, 0, sizeof best);
+    memset(&other, 0, sizeof other);
+    SFEMI_NEW(sfem_int, order, m, (size_t)g->n + 1);
+    *taken = def->ordering;
+    if (def->ordering == SFEM_ORDER_NATURAL) {
+        for (i = 0; i < g->n; ++i) order[i] = i;
+        SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
+    }
+    if (def->ordering == SFEM_ORDER_DISSECTION ||
+        (def->ordering == SFEM_ORDER_BEST && def->x && g->n >= SFEMI_DISSECT_FROM)) {
+        *taken = SFEM_ORDER_DISSECTION;
+        SFEMI_TRY(sfemi_order_dissect(g, def->x, m, order, err));
+        SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
+    }
+    if (def->ordering == SFEM_ORDER_AMD ||
+        (def->ordering == SFEM_ORDER_BEST && (g->n < SFEMI_DISSECT_SURE || best.flops < 20. * g->n * g->n))) {
+        SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
+        SFEMI_TRY(sfemi_tree_create(g, &other, order, m, err));
+        if (!best.pool || other.flops < best.flops) {
+            *taken = SFEM_ORDER_AMD;
+            sfemi_delete(m, best.pool);
+            best = other;
+            other.pool = NULL;
+        }
+    }
+    *out = best;
+    best.pool = NULL;
+done:
+    sfemi_delete(m, order);
+    sfemi_delete(m, best.pool);
+    sfemi_delete(m, other.pool);
+    return status;
+}
+
+static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_matrix *a,
+                                         sfemi_symbolic **out, sfem_error *err)
+{
+    const sfem_allocator *m = &def->allocator;
+    sfem_status status = SFEM_OK;
+    sfemi_symbolic *y = NULL;
+    sfemi_graph g = {0, NULL, NULL};
+    sfemi_tree tree;
+    memset(&tree, 0, sizeof tree);
+    if (def->ordering == SFEM_ORDER_DISSECTION && !def->x)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "nested dissection needs coordinates");
+    if (def->x && !sfemi_all_finite(def->x, 3 * (size_t)a->n))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "a coordinate given for the ordering is not finite");
+    SFEMI_NEW(sfemi_symbolic, y, m, 1);
+    y->references = 1;
+    y->allocator = *m;
+    y->kernels = sfemi_ldl_kernels_of(sfemi_path());
+    y->n = a->n;
+    y->blocks = a->n ? a->row[a->n] : 0;
+    SFEMI_TRY(sfemi_graph_create(a, m, &g, err));
+    SFEMI_TRY(sfemi_symbolic_order(def, &g, &y->ordering, &tree, err));
+    y->flops = tree.flops;
+    SFEMI_TRY(sfemi_symbolic_supernodes(y, &tree, err));
+    SFEMI_TRY(sfemi_symbolic_rows(y, &g, err));
+    SFEMI_TRY(sfemi_symbolic_blocks(y, a, err));
+    SFEMI_TRY(sfemi_symbolic_tasks(y, err));
+    SFEMI_TRY(sfemi_symbolic_layout(y, err));
+    y->bytes = sizeof *y + 8 * (size_t)y->n + 3 * y->start[y->supernodes] * sizeof(sfem_int) +
+               12 * (size_t)y->blocks + (size_t)y->supernodes * (5 * sizeof(size_t) + 20) +
+               (size_t)y->tasks * 40;
+    *out = y;
+    y = NULL;
+done:
+    sfemi_graph_free(m, &g);
+    sfemi_delete(m, tree.pool);
+    sfemi_symbolic_free(y);
+    return status;
+}
+
+/* --- the factor and its solves --------------------------------------------------------------- */
+
+struct sfem_ldl {
+    sfemi_symbolic *symbolic;
+    sfem_allocator allocator;
+    sfem_exec exec;
+    int positive, mixed, keep, valid;
+    double *l;           /* all panels */
+    float *l32;          /* the same in float, divided by unit */
+    double *update;      /* update matrices */
+    double *signs;       /* signed copies of panels, unless positive */
+    double *scale;       /* [3n] s / sqrt|d| of each pivot */
+    double *floor;       /* [3n] what a pivot must exceed */
+    double *lost;        /* [tasks] the pivot that stopped a task */
+    sfem_int *lost_at;   /* [tasks] its column, or -1 */
+    sfem_int *negative;  /* [supernodes] negative pivots */
+    unsigned char *stale; /* [supernodes] to be renewed */
+    double unit;         /* power of 2 near the root of the largest entry of A */
+    double *probe;       /* unless positive: for a solve that tells whether the factor is any good */
+    double pivot_min, pivot_max, residual;
+};
+
+/* --- solve ----------------------------------------------------------------------------------- */
+
+#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
+#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
+#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
+
+/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
+ * and scratch for each task; each row of `block` numbers side by side */
+typedef struct sfemi_solve {
+    const sfem_ldl *ldl;
+    size_t block;
+    double *w, *scratch;
+    float *w32, *scratch32;
+    const sfem_int *tasks;
+} sfemi_solve;
+
+static size_t sfemi_solve_rows(const sfemi_symbolic *y)
+{
+    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
+}
+
+SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
+}
+
+/* The tasks of both sweeps, for double and float. */
+#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
+                          backward_, forward8_, backward8_)                                          \
+    static void forward_task(void *data, sfem_int index)                                             \
+    {                                                                                                \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
+        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
+        const size_t n = 3 * q->block; /* numbers to a node */                                       \
+        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
+        sfem_int s, c;                                                                               \
+        size_t i;                                                                                    \
+        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
+            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
+            size_t a = y->start[c];                                                                  \
+            if (y->of[c] == t) continue;                                                             \
+            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
+                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
+                                           : buffer + n * (size_t)(y->place[a] - wide);              \
+                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
+            }                                                                                        \
+        }                                                                                            \
+        for (s = y->task[t]; s <= root; ++s) {                                                       \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            R *x = w + n * (size_t)y->first[s];                                                      \
+            if (q->block == 1)                                                                       \
+                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
+            else                                                                                     \
+                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
+                                      scratch);                                                      \
+            if (q->ldl->negative[s]) {                                                               \
+                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
+                size_t p;                                                                            \
+                for (p = 0; p < k; ++p)                                                              \
+                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
+                        x[p * q->block + i] = -x[p * q->block + i];                                  \
+            }                                                                                        \
+        }                                                                                            \
+    }                                                                                                \
+    static void backward_task(void *data, sfem_int index)                                            \
+    {                                                                                                \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
+        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
+        const size_t n = 3 * q->block;                                                               \
+        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        size_t a;                                                                                    \
+        sfem_int s;                                                                                  \
+        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
+            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
+            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
+                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
+            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
+        }                                                                                            \
+        for (s = root; s >= y->task[t]; --s) {                                                       \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
+                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
+                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
+        }                                                                                            \
+    }
+
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8)
+SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
+                  forward32, backward32, forward8_32, backward8_32)
+#undef SFEMI_SOLVE_TASKS
+
+/* Up the tree and down again, level by level. */
+static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
+                               sfem_task backward)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    sfem_int l;
+    for (l = 0; l < y->levels; ++l) {
+        q->tasks = y->by_level + y->level[l];
+        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
+    }
+    for (l = y->levels; l-- > 0;) {
+        q->tasks = y->by_level + y->level[l];
+        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
+    }
+}
+
+/* count <= block right sides; those that are missing are 0 */
+static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    size_t i, r, c;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+}
+
+/* The same in float, each right side scaled to 1 lest floats overflow. */
+static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    double unit[SFEMI_SOLVE_BLOCK];
+    size_t i, r, c;
+    for (r = 0; r < count; ++r) {
+        double most = 0;
+        int e = 0;
+        for (i = 0; i < n; ++i)
+            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
+        if (most > 0) (void)frexp(most, &e);
+        unit[r] = ldexp(1.0, -e);
+    }
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w32[(3 * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
+    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
+}
+
+SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
+                             const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    sfemi_solve q;
+    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.w = work;
+    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
+    q.w32 = (float *)(void *)q.w;
+    q.scratch32 = (float *)(void *)q.scratch;
+    while (rhs > 0 && n > 0) {
+        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
+        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
+        else sfemi_solve_some(&q, count, x, exec);
+        x += count * n;
+        rhs -= (sfem_int)count;
+    }
+}
+
+/* --- numeric factor -------------------------------------------------------------------------- */
+
+typedef struct sfemi_front {
+    const sfem_ldl *ldl;
+    const sfem_matrix *a;
+    sfem_int s;
+    sfemi_shape h;
+    double *l, *u, *scale;
+    double *b; /* what stands at the right of products: l, or its signed copy */
+    const sfem_exec *exec;
+    size_t begin, end; /* diagonal tiles of the block of columns at work */
+    int load;
+    sfem_int child;
+} sfemi_front;
+
+static double *sfemi_ldl_update_of(const sfem_ldl *ldl, sfem_int s)
+{
+    return ldl->update + (ldl->keep ? ldl->symbolic->update_kept[s] : ldl->symbolic->update[s]);
+}
+
+/* Clears the front's panel and puts the values of A there. */
+static void sfemi_front_begin(sfemi_front *q)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const sfemi_shape *h = &q->h;
+    const double least = q->ldl->positive ? 4e-15 : 1e-13;
+    sfem_int e;
+    memset(q->l, 0, sfemi_shape_panel_size(h) * sizeof *q->l);
+    for (e = y->from[q->s]; e < y->from[q->s + 1]; ++e) {
+        const sfem_int in = y->into[2 * (size_t)e];
+        const double *v = q->a->val + 9 * (size_t)y->source[e];
+        const size_t row = 3 * (size_t)(in < 0 ? ~in : in), col = 3 * (size_t)y->into[2 * (size_t)e + 1];
+        const size_t tile = row / h->t, hd = sfemi_shape_height(h, tile);
+        const size_t across = in < 0 ? 3 : 1, down = in < 0 ? 1 : 3;
+        double *d = q->l + sfemi_shape_panel(h, tile) + col * hd + (row - tile * h->t);
+        int c;
+        for (c = 0; c < 3; ++c, d += hd, v += across) {
+            d[0] = v[0];
+            d[1] = v[down];
+            d[2] = v[2 * down];
+        }
+        if (row == col) {
+            double *f = q->ldl->floor + 3 * (size_t)y->first[q->s] + row;
+            v = q->a->val + 9 * (size_t)y->source[e];
+            for (c = 0; c < 3; ++c) f[c] = least * fabs(v[4 * c]);
+        }
+    }
+}
+
+/* Adds the rows of one tile of a child's update matrix. */
+static void sfemi_front_add_tile(void *data, sfem_int index)
+{
+    const sfemi_front *q = (const sfemi_front *)data;
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, q->child, h->w);
+    const sfem_int *place = y->place + y->start[q->child];
+    const sfem_int pivots = y->first[q->s + 1] - y->first[q->s], below = (sfem_int)((ch.f - ch.k) / 3);
+    const size_t tile = ch.boundary + (size_t)index, hs = sfemi_shape_height(&ch, tile);
+    const double *src = sfemi_ldl_update_of(q->ldl, q->child) + sfemi_shape_update(&ch, tile);
+    const size_t c0 = ch.boundary * ch.t, d0 = h->boundary * h->t;
+    const sfem_int per = (sfem_int)(h->t / 3), shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
+    sfem_int a = shift < 0 ? 0 : shift, last = shift + per < below ? shift + per : below, b, inner;
+    for (inner = 0; inner < a && place[inner] < pivots; ++inner) continue;
+    while (a < last) {
+        const size_t pt = 3 * (size_t)place[a] / h->t, hd = sfemi_shape_height(h, pt);
+        double *dl = q->l + sfemi_shape_panel(h, pt) + (3 * (size_t)place[a] - pt * h->t);
+        double *du = NULL;
+        const double *from = src + (ch.k + 3 * (size_t)a - tile * ch.t) + (ch.k - c0) * hs;
+        sfem_int stop = a + 1;
+        while (stop < last && place[stop] == place[stop - 1] + 1 &&
+               3 * (size_t)place[stop] / h->t == pt)
+            ++stop;
+        if (place[a] >= pivots || place[stop - 1] >= pivots)
+            du = q->u + sfemi_shape_update(h, pt) + (3 * (size_t)place[a] - pt * h->t);
+        /* columns left of the run, then its own triangle */
+        for (; inner < a && place[inner] < pivots; ++inner) continue;
+        y->kernels->add(inner, place, 3 * (size_t)(stop - a), from, hs, dl, hd);
+        if (inner < a)
+            y->kernels->add(a - inner, place + inner, 3 * (size_t)(stop - a),
+                            from + 3 * (size_t)inner * hs, hs, du - d0 * hd, hd);
+        for (b = a; b < stop; ++b) {
+            const size_t skip = 3 * (size_t)(b - a);
+            y->kernels->add(1, place + b, 3 * (size_t)(stop - b), from + 3 * (size_t)b * hs + skip, hs,
+                            (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
+        }
+        a = stop;
+    }
+}
+
+/* The columns [begin, end) of diagonal tiles in the rows of one tile below them. */
+static void sfemi_front_rows(const sfemi_front *q, size_t tile, size_t end)
+{
+    const sfemi_ldl_kernels *k = q->ldl->symbolic->kernels;
+    const sfemi_shape *h = &q->h;
+    const size_t ha = sfemi_shape_height(h, tile);
+    double *a = q->l + sfemi_shape_panel(h, tile);
+    size_t j, g;
+    for (j = q->begin; j < end; ++j) {
+        const size_t first = j * h->t, n = sfemi_shape_columns(h, j) - first;
+        const double *b = q->b + sfemi_shape_panel(h, j);
+        for (g = 0; g < n; g += 4)
+            k->eliminate(ha, first + g, a, b + g, sfemi_shape_height(h, j), a + (first + g) * ha,
+                         n - g < 4 ? (int)(n - g) : 4, q->scale + first + g);
+    }
+}
+
+static void sfemi_front_rows_task(void *data, sfem_int index)
+{
+    const sfemi_front *q = (const sfemi_front *)data;
+    size_t tile = q->end + 4 * (size_t)index, last = tile + 4;
+    for (; tile < last && tile < q->h.tiles; ++tile) sfemi_front_rows(q, tile, q->end);
+}
+
+/* Copies columns of a tile with the signs of their pivots. */
+static void sfemi_front_sign(const sfemi_front *q, size_t tile, size_t begin, size_t end)
+{
+    const size_t h = sfemi_shape_height(&q->h, tile), at = sfemi_shape_panel(&q->h, tile);
+    size_t c, i;
+    for (c = begin; c < end; ++c)
+        for (i = 0; i < h; ++i) {
+            const double v = q->l[at + c * h + i];
+            q->b[at + c * h + i] = q->scale[c] < 0 ? -v : v;
+        }
+}
+
+/* Factorises one diagonal tile; returns the column whose pivot is lost, or -1. */
+static sfem_int sfemi_front_diagonal(const sfemi_front *q, size_t tile, double *lost)
+{
+    const sfemi_ldl_kernels *k = q->ldl->symbolic->kernels;
+    const sfemi_shape *h = &q->h;
+    const size_t ha = sfemi_shape_height(h, tile), first = tile * h->t;
+    const size_t n = sfemi_shape_columns(h, tile) - first, at = sfemi_shape_panel(h, tile);
+    const double *floor = q->ldl->floor + 3 * (size_t)q->ldl->symbolic->first[q->s] + first;
+    double *a = q->l + at;
+    size_t g;
+    if (q->b != q->l) sfemi_front_sign(q, tile, 0, first);
+    for (g = 0; g < n; g += 4) {
+        const int nq = n - g < 4 ? (int)(n - g) : 4;
+        double *c = a + (first + g) * ha;
+        int got;
+        k->update(ha, first + g, a, q->b + at + g, ha, c, nq, 1);
+        got = k->pivots(ha, g, c, nq, q->ldl->positive, floor + g, q->scale + first + g, lost);
+        if (got < nq) return (sfem_int)(first + g) + got;
+        if (q->b != q->l) sfemi_front_sign(q, tile, first + g, first + g + (size_t)nq);
+    }
+    return -1;
+}
+
+#define SFEMI_FRONT_BLOCK 96 /* columns that are eliminated together */
+
+/* Eliminates the front's k columns; returns the one that is lost, or -1. */
+static sfem_int sfemi_front_eliminate(sfemi_front *q, double *lost)
+{
+    const sfemi_shape *h = &q->h;
+    const size_t block = SFEMI_FRONT_BLOCK / h->t;
+    size_t tile;
+    sfem_int at;
+    for (q->begin = 0; q->begin < h->diagonal; q->begin = q->end) {
+        q->end = q->begin + block < h->diagonal ? q->begin + block : h->diagonal;
+        for (tile = q->begin; tile < q->end; ++tile) {
+            sfemi_front_rows(q, tile, tile);
+            at = sfemi_front_diagonal(q, tile, lost);
+            if (at >= 0) return at;
+        }
+        sfemi_run(q->exec, (sfem_int)((h->tiles - q->end + 3) / 4), sfemi_front_rows_task, q);
+    }
+    if (q->b != q->l)
+        for (tile = h->diagonal; tile < h->tiles; ++tile) sfemi_front_sign(q, tile, 0, h->k);
+    return -1;
+}
+
+/* U -= L21 S L21^T, four tiles of rows, from the last ones on (they are the longest). */
+static void sfemi_front_update_task(void *data, sfem_int index)
+{
+    const sfemi_front *q = (const sfemi_front *)data;
+    const sfemi_ldl_kernels *k = q->ldl->symbolic->kernels;
+    const sfemi_shape *h = &q->h;
+    const size_t last = h->tiles - 4 * (size_t)index, c0 = h->boundary * h->t;
+    const size_t begin = last < h->boundary + 4 ? h->boundary : last - 4;
+    size_t tile, j, g;
+    for (j = h->boundary; j < last; ++j) {
+        const double *b = q->b + sfemi_shape_panel(h, j);
+        const size_t hb = sfemi_shape_height(h, j), skip = j == h->boundary ? (h->k - c0) / 4 * 4 : 0;
+        for (tile = j > begin ? j : begin; tile < last; ++tile) {
+            const size_t ha = sfemi_shape_height(h, tile);
+            double *u = q->u + sfemi_shape_update(h, tile) + (j * h->t - c0) * ha;
+            for (g = skip; g < hb; g += 4)
+                k->update(ha, h->k, q->l + sfemi_shape_panel(h, tile), b + g, hb, u + g * ha, 4,
+                          q->load);
+        }
+    }
+}
+
+/* The float copy of a panel, whose tiles are of other height; before the diagonal is inverted. */
+static void sfemi_front_copy32(const sfemi_front *q, const sfemi_shape *h32, float *out)
+{
+    const sfemi_shape *h = &q->h;
+    const double unit = 1 / q->ldl->unit;
+    size_t tile, p, i;
+    for (tile = 0; tile < h32->tiles; ++tile) {
+        const size_t hd = sfemi_shape_height(h32, tile), n = sfemi_shape_columns(h32, tile);
+        memset(out, 0, hd * n * sizeof *out);
+        for (i = 0; i < hd && tile * h32->t + i < h->f;) {
+            const size_t row = tile * h32->t + i, from = row / h->t, hs = sfemi_shape_height(h, from);
+            const size_t in = row - from * h->t, columns = sfemi_shape_columns(h, from);
+            const size_t rows = hs - in < hd - i ? hs - in : hd - i;
+            const double *src = q->l + sfemi_shape_panel(h, from) + in;
+            size_t r;
+            for (p = 0; p < n && p < columns; ++p)
+                for (r = 0; r < rows; ++r) out[p * hd + i + r] = (float)(src[p * hs + r] * unit);
+            i += rows;
+        }
+        out += hd * n;
+    }
+}
+
+/* Diagonal tiles are replaced by their inverses, for the solve. */
+static void sfemi_front_finish(const sfemi_front *q)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const sfemi_shape *h = &q->h;
+    size_t tile;
+    if (q->ldl->mixed) {
+        const sfemi_shape h32 = sfemi_symbolic_shape(y, q->s, 8);
+        float *l32 = q->ldl->l32 + y->panel32[q->s];
+        double scale[24];
+        sfemi_front_copy32(q, &h32, l32);
+        for (tile = 0; tile < h32.diagonal; ++tile) {
+            const size_t first = tile * h32.t, n = sfemi_shape_columns(&h32, tile) - first;
+            const size_t hd = sfemi_shape_height(&h32, tile);
+            size_t p;
+            for (p = 0; p < n; ++p) scale[p] = q->scale[first + p] * q->ldl->unit;
+            y->kernels->invert32(hd, n, l32 + sfemi_shape_panel(&h32, tile) + first * hd, scale);
+        }
+    }
+    for (tile = 0; tile < h->diagonal; ++tile) {
+        const size_t first = tile * h->t, hd = sfemi_shape_height(h, tile);
+        y->kernels->invert(hd, sfemi_shape_columns(h, tile) - first,
+                           q->l + sfemi_shape_panel(h, tile) + first * hd, q->scale + first);
+    }
+}
+
+#define SFEMI_FRONT_PARALLEL 2e7 /* operations from which a front is worth several threads */
+
+/* One front: assemble, eliminate, update. Returns the lost column in the new numbering, or -1. */
+static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int s, double *lost,
+                                   const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfemi_front q;
+    sfem_int at;
+    size_t p;
+    q.ldl = ldl;
+    q.a = a;
+    q.s = s;
+    q.h = sfemi_symbolic_shape(y, s, y->kernels->width);
+    q.l = ldl->l + y->panel[s];
+    q.u = sfemi_ldl_update_of(ldl, s);
+    q.scale = ldl->scale + 3 * (size_t)y->first[s];
+    q.b = ldl->positive ? q.l : ldl->signs + y->signs[y->of[s]];
+    q.exec = sfemi_front_flops(y, s) > SFEMI_FRONT_PARALLEL ? exec : NULL;
+    q.load = y->child[s] >= 0;
+    sfemi_front_begin(&q);
+    if (q.load) memset(q.u, 0, sfemi_shape_update_size(&q.h) * sizeof *q.u);
+    for (q.child = y->child[s]; q.child >= 0; q.child = y->sibling[q.child]) {
+        const sfemi_shape h = sfemi_symbolic_shape(y, q.child, y->kernels->width);
+        if (h.f > h.k) sfemi_run(q.exec, (sfem_int)(h.tiles - h.boundary), sfemi_front_add_tile, &q);
+    }
+    at = sfemi_front_eliminate(&q, lost);
+    if (at >= 0) return at + 3 * y->first[s];
+    if (q.h.f > q.h.k)
+        sfemi_run(q.exec, (sfem_int)((q.h.tiles - q.h.boundary + 3) / 4), sfemi_front_update_task, &q);
+    ldl->negative[s] = 0;
+    for (p = 0; p < q.h.k; ++p) ldl->negative[s] += q.scale[p] < 0;
+    sfemi_front_finish(&q);
+    return -1;
+}
+
+typedef struct sfemi_factor_job {
+    sfem_ldl *ldl;
+    const sfem_matrix *a;
+    const sfem_int *tasks;
+    const sfem_exec *exec;
+} sfemi_factor_job;
+
+static void sfemi_factor_task(void *data, sfem_int index)
+{
+    const sfemi_factor_job *job = (const sfemi_factor_job *)data;
+    sfem_ldl *ldl = job->ldl;
+    const sfem_int t = job->tasks[index], end = ldl->symbolic->task[t + 1];
+    sfem_int s = ldl->symbolic->task[t];
+    ldl->lost_at[t] = -1;
+    for (; s < end && ldl->lost_at[t] < 0; ++s)
+        if (ldl->stale[s])
+            ldl->lost_at[t] = sfemi_front_factor(ldl, job->a, s, ldl->lost + t, job->exec);
+}
+
+static void sfemi_ldl_statistics(sfem_ldl *ldl)
+{
+    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    double low = 0, high = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        const double r = fabs(ldl->scale[i]);
+        if (i == 0 || r < low) low = r;
+        if (r > high) high = r;
+    }
+    ldl->pivot_min = n ? 1 / (high * high) : 0;
+    ldl->pivot_max = n ? 1 / (low * low) : 0;
+}
+
+/* Without pivoting, small pivots may have blown L up. One solve shows it: refused above 1e-8. */
+static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const size_t n = 3 * (size_t)a->n;
+    double *x = ldl->probe, *r = x + n, top_a = 0, top_x = 0, top_r = 0;
+    size_t i, at = 0;
+    sfemi_solve q;
+    uint32_t random = 1;
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = 1;
+    q.w = r + n;
+    q.scratch = q.w + sfemi_solve_rows(ldl->symbolic);
+    for (i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        x[i] = (double)(int32_t)random * (1. / 2147483648.);
+    }
+    sfemi_solve_some(&q, 1, x, &ldl->exec);
+    sfem_matrix_multiply(a, x, r, NULL);
+    for (i = 0; i < 9 * (size_t)ldl->symbolic->blocks; ++i)
+        if (fabs(a->val[i]) > top_a) top_a = fabs(a->val[i]);
+    for (random = 1, i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        r[i] = fabs(r[i] - (double)(int32_t)random * (1. / 2147483648.));
+        if (fabs(x[i]) > top_x) top_x = fabs(x[i]);
+        if (r[i] > top_r || !sfemi_finite(r[i])) {
+            top_r = r[i];
+            at = i;
+        }
+    }
+    ldl->residual = n ? top_r / (top_a * top_x + 1) : 0;
+    if (ldl->residual <= 1e-8 && sfemi_finite(top_r)) return SFEM_OK;
+    return sfemi_fail_at(err, SFEM_SINGULAR, (sfem_int)(at / 3), -1,
+                         "the matrix is too close to singular or needs pivoting: a trial solve leaves "
+                         "%g of its right side, most at node %ld",
+                         top_r, (long)(at / 3));
+}
+
+static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int task,
+                                    sfem_error *err)
+{
+    const sfem_int node = ldl->symbolic->order[ldl->lost_at[task] / 3];
+    const sfem_status status = sfemi_matrix_check_values(a, err);
+    if (status != SFEM_OK) return status;
+    if (ldl->positive)
+        return sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
+                             "the matrix is not positive definite: pivot %g at node %ld, direction %d",
+                             ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+    return sfemi_fail_at(err, SFEM_SINGULAR, node, -1,
+                         "the matrix is singular or needs pivoting: pivot %g at node %ld, direction %d",
+                         ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+}
+
+/* Factorises the supernodes that are marked stale. */
+static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    const sfem_int threads = sfemi_threads(&ldl->exec);
+    sfemi_factor_job job;
+    sfem_status status = SFEM_OK;
+    sfem_int l, k;
+    double most = 0;
+    ldl->valid = 0;
+    job.ldl = ldl;
+    job.a = a;
+    for (k = 0; k < y->n; ++k) {
+        const double *v = a->val + 9 * ((size_t)a->row[k + 1] - 1);
+        if (fabs(v[0]) > most) most = fabs(v[0]);
+    }
+    k = 0;
+    if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &k);
+    ldl->unit = ldexp(1.0, k);
+    for (l = 0; l < y->levels; ++l) {
+        const sfem_int count = y->level[l + 1] - y->level[l];
+        const int wide = threads > 1 && count < threads; /* then the fronts themselves are shared out */
+        job.tasks = y->by_level + y->level[l];
+        job.exec = wide ? &ldl->exec : NULL;
+        sfemi_run(wide ? NULL : &ldl->exec, count, sfemi_factor_task, &job);
+        for (k = y->level[l]; k < y->level[l + 1]; ++k)
+            if (ldl->lost_at[y->by_level[k]] >= 0)
+                return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
+    }
+    sfemi_ldl_statistics(ldl);
+    if (!ldl->positive) status = sfemi_ldl_try(ldl, a, err);
+    ldl->valid = status == SFEM_OK;
+    return status;
+}
+
+#define SFEMI_PANEL_SLACK 512 /* numbers after L that the block solve may read: half a tile square */
+
+/* The options of like's or def's; takes over one reference to the analysis, also when it fails. */
+static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
+                                  sfem_ldl **out, sfem_error *err)
+{
+    const sfem_allocator *m = &like->allocator;
+    sfem_status status = SFEM_OK;
+    sfem_ldl *ldl = NULL;
+    const size_t n = 3 * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
+    SFEMI_NEW(sfem_ldl, ldl, m, 1);
+    ldl->symbolic = y;
+    y = NULL;
+    ldl->allocator = *m;
+    ldl->exec = like->exec;
+    ldl->positive = like->positive;
+    ldl->mixed = like->mixed;
+    ldl->keep = like->keep;
+    y = ldl->symbolic;
+    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + SFEMI_PANEL_SLACK);
+    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
+    SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
+    if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
+    if (!ldl->positive) SFEMI_NEW(double, ldl->probe, m, 2 * n + sfem_ldl_work_size(ldl, 1));
+    SFEMI_NEW(double, ldl->scale, m, n + 1);
+    SFEMI_NEW(double, ldl->floor, m, n + 1);
+    SFEMI_NEW(double, ldl->lost, m, nt + 1);
+    SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
+    SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
+    SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
+    memset(ldl->stale, 1, ns);
+    SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
+    *out = ldl;
+    return SFEM_OK;
+done:
+    if (ldl) sfem_ldl_free(ldl);
+    else sfemi_symbolic_free(y);
+    return status;
+}
+
+SFEM_DEF sfem_ldl_def sfem_default_ldl_def(void)
+{
+    sfem_ldl_def def;
+    memset(&def, 0, sizeof def);
+    def.ordering = SFEM_ORDER_BEST;
+    def.positive = 1;
+    return def;
+}
+
+SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix *a, sfem_ldl **out,
+                                     sfem_error *err)
+{
+    sfem_status status;
+    sfemi_symbolic *y = NULL;
+    sfem_ldl like;
+    SFEM_ASSERT(def && a && out);
+    status = sfemi_matrix_check_pattern(a, err);
+    if (status == SFEM_OK) status = sfemi_symbolic_create(def, a, &y, err);
+    if (status != SFEM_OK) return status;
+    memset(&like, 0, sizeof like);
+    like.allocator = def->allocator;
+    like.exec = def->exec;
+    like.positive = def->positive;
+    like.mixed = def->mixed;
+    like.keep = def->keep;
+    return sfemi_ldl_make(&like, y, a, out, err);
+}
+
+static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const sfem_int blocks = a->n ? a->row[a->n] : 0;
+    if (a->n != ldl->symbolic->n || blocks != ldl->symbolic->blocks)
+        return sfemi_fail(err, SFEM_MISMATCH,
+                          "the matrix has %ld rows and %ld blocks, the factor's had %ld and %ld",
+                          (long)a->n, (long)blocks, (long)ldl->symbolic->n, (long)ldl->symbolic->blocks);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, sfem_ldl **out,
+                                          sfem_error *err)
+{
+    const sfem_status status = sfemi_ldl_matches(like, a, err);
+    if (status != SFEM_OK) return status;
+    SFEMI_COUNT_UP(&like->symbolic->references);
+    return sfemi_ldl_make(like, like->symbolic, a, out, err);
+}
+
+SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const sfem_status status = sfemi_ldl_matches(ldl, a, err);
+    if (status != SFEM_OK) return status;
+    memset(ldl->stale, 1, (size_t)ldl->symbolic->supernodes);
+    return sfemi_ldl_factor(ldl, a, err);
+}
+
+SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
+                                             const sfem_int *node, sfem_error *err)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    const sfem_status status = sfemi_ldl_matches(ldl, a, err);
+    sfem_int i, low, high;
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < count; ++i)
+        if (node[i] < 0 || node[i] >= y->n)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "node %ld of %ld", (long)node[i], (long)y->n);
+    if (!ldl->keep || !ldl->valid) return sfem_ldl_refactor(ldl, a, err);
+    memset(ldl->stale, 0, (size_t)y->supernodes);
+    for (i = 0; i < count; ++i) {
+        const sfem_int at = y->inverse[node[i]];
+        for (low = 0, high = y->supernodes; high - low > 1;) {
+            const sfem_int middle = low + (high - low) / 2;
+            if (y->first[middle] <= at) low = middle;
+            else high = middle;
+        }
+        for (; low >= 0 && !ldl->stale[low]; low = y->parent[low]) ldl->stale[low] = 1;
+    }
+    return sfemi_ldl_factor(ldl, a, err);
+}
+
+SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    const size_t ns = (size_t)y->supernodes, n = 3 * (size_t)y->n;
+    sfem_ldl_info info;
+    sfem_int s;
+    memset(&info, 0, sizeof info);
+    info.n = y->n;
+    info.supernodes = y->supernodes;
+    info.ordering = y->ordering;
+    info.nnz = y->nnz;
+    info.flops = y->flops;
+    info.factor_bytes = y->panel[ns] * sizeof(double) + (ldl->mixed ? y->panel32[ns] * sizeof(float) : 0);
+    info.analysis_bytes = y->bytes;
+    info.work_bytes = (ldl->keep ? y->update_kept_size : y->update_size) * sizeof(double) +
+                      2 * n * sizeof(double) + ns * 5 + (size_t)y->tasks * 12 +
+                      (ldl->positive ? 0 : y->signs[y->tasks] * sizeof(double));
+    info.bytes = info.factor_bytes + info.analysis_bytes + info.work_bytes;
+    for (s = 0; s < y->supernodes; ++s) info.negative += ldl->negative[s];
+    info.pivot_min = ldl->pivot_min;
+    info.pivot_max = ldl->pivot_max;
+    info.residual = ldl->residual;
+    info.path = y->kernels->name;
+    return info;
+}
+
+SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
+{
+    sfem_allocator m;
+    if (!ldl) return;
+    m = ldl->allocator;
+    sfemi_symbolic_free(ldl->symbolic);
+    sfemi_delete(&m, ldl->l);
+    sfemi_delete(&m, ldl->l32);
+    sfemi_delete(&m, ldl->update);
+    sfemi_delete(&m, ldl->signs);
+    sfemi_delete(&m, ldl->probe);
+    sfemi_delete(&m, ldl->scale);
+    sfemi_delete(&m, ldl->floor);
+    sfemi_delete(&m, ldl->lost);
+    sfemi_delete(&m, ldl->lost_at);
+    sfemi_delete(&m, ldl->negative);
+    sfemi_delete(&m, ldl->stale);
+    sfemi_delete(&m, ldl);
+}
+
+/* --- dense ----------------------------------------------------------------------------------- */
+
+/* Left-looking by columns, four at a time: a(j:n, j) -= sum of a(j:n, p) s_p a(j, p). unit: L D L^T. */
+static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative, double *lost)
+{
+    const size_t m = (size_t)n;
+    size_t i, j, p;
+    *negative = 0;
+    for (j = 0; j < m; ++j) {
+        sfem_real *c = a + j * m, d = fabs(c[j]), r;
+        const double floor = unit ? 1e-14 * d : 4e-15 * d;
+        for (p = 0; p + 4 <= j; p += 4) {
+            const sfem_real *q = a + p * m, *s = q + m, *t = s + m, *u = t + m;
+            const sfem_real w0 = unit ? q[j] * q[p] : q[j], w1 = unit ? s[j] * s[p + 1] : s[j];
+            const sfem_real w2 = unit ? t[j] * t[p + 2] : t[j], w3 = unit ? u[j] * u[p + 3] : u[j];
+            for (i = j; i < m; ++i) c[i] -= (q[i] * w0 + s[i] * w1) + (t[i] * w2 + u[i] * w3);
+        }
+        for (; p < j; ++p) {
+            const sfem_real *q = a + p * m, w = unit ? q[j] * q[p] : q[j];
+            for (i = j; i < m; ++i) c[i] -= q[i] * w;
+        }
+        d = c[j];
+        if (!((unit ? fabs(d) : d) > floor) || !sfemi_finite(d)) {
+            *lost = d;
+            return (sfem_int)j;
+        }
+        *negative += d < 0;
+        r = unit ? d : sqrt(d);
+        for (i = j + 1; i < m; ++i) c[i] /= r;
+        c[j] = r;
+    }
+    return -1;
+}
+
+SFEM_DEF sfem_status sfem_dense_cholesky(sfem_int n, sfem_real *a, sfem_error *err)
+{
+    double lost = 0;
+    sfem_int negative, at;
+    SFEM_ASSERT(n >= 0 && (n == 0 || a));
+    at = sfemi_dense_factor(n, a, 0, &negative, &lost);
+    if (at < 0) return SFEM_OK;
+    return sfemi_fail_at(err, sfemi_finite(lost) ? SFEM_NOT_SPD : SFEM_NOT_FINITE, at / 3, -1,
+                         "the dense matrix is not positive definite: pivot %g in row %ld", lost, (long)at);
+}
+
+SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative, sfem_error *err)
+{
+    double lost = 0;
+    sfem_int count, at;
+    SFEM_ASSERT(n >= 0 && (n == 0 || a) && negative);
+    at = sfemi_dense_factor(n, a, 1, &count, &lost);
+    if (at < 0) {
+        *negative = count;
+        return SFEM_OK;
+    }
+    return sfemi_fail_at(err, sfemi_finite(lost) ? SFEM_SINGULAR : SFEM_NOT_FINITE, at / 3, -1,
+                         "the dense matrix is singular or needs pivoting: pivot %g in row %ld", lost,
+                         (long)at);
+}
+
+static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
+{
+    const size_t m = (size_t)n;
+    size_t i, j;
+    for (; rhs > 0; --rhs, x += m) {
+        for (j = 0; j < m; ++j) {
+            const sfem_real *c = a + j * m;
+            const sfem_real v = unit ? x[j] : x[j] / c[j];
+            for (i = j + 1; i < m; ++i) x[i] -= c[i] * v;
+            x[j] = unit ? v / c[j] : v;
+        }
+        for (j = m; j-- > 0;) {
+            const sfem_real *c = a + j * m;
+            sfem_real v = x[j];
+            for (i = j + 1; i < m; ++i) v -= c[i] * x[i];
+            x[j] = unit ? v : v / c[j];
+        }
+    }
+}
+
+SFEM_DEF void sfem_dense_cholesky_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x)
+{
+    sfemi_dense_solve(n, a, rhs, x, 0);
+}
+
+SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x)
+{
+    sfemi_dense_solve(n, a, rhs, x, 1);
+}
+
+/* --- conjugate gradients --------------------------------------------------------------------- */
+
+SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
+{
+    sfem_cg_def def;
+    memset(&def, 0, sizeof def);
+    def.tolerance = 1e-8;
+    return def;
+}
+
+SFEM_DEF size_t sfem_cg_work_size(const sfem_cg_def *def, const sfem_matrix *a)
+{
+    return 13 * (size_t)a->n + (def->preconditioner ? sfem_ldl_work_size(def->preconditioner, 1) : 9 * (size_t)a->n) + 8;
+}
+
+/* Inverse of a symmetric positive definite 3x3 block, of which the lower half is read; 0 if it is not. */
+static int sfemi_block_invert(const sfem_real *b, sfem_real *out)
+{
+    const sfem_real c0 = b[4] * b[8] - b[7] * b[7], c1 = b[6] * b[7] - b[3] * b[8];
+    const sfem_real c2 = b[3] * b[7] - b[4] * b[6], det = b[0] * c0 + b[3] * c1 + b[6] * c2;
+    if (!(b[0] > 0) || !(b[0] * b[4] - b[3] * b[3] > 0) || !(det > 0) || !sfemi_finite(det)) return 0;
+    out[0] = c0 / det;
+    out[1] = out[3] = c1 / det;
+    out[2] = out[6] = c2 / det;
+    out[4] = (b[0] * b[8] - b[6] * b[6]) / det;
+    out[5] = out[7] = (b[3] * b[6] - b[0] * b[7]) / det;
+    out[8] = (b[0] * b[4] - b[3] * b[3]) / det;
+    return 1;
+}
+
+static sfem_real sfemi_dot(size_t n, const sfem_real *a, const sfem_real *b)
+{
+    sfem_real s0 = 0, s1 = 0, s2 = 0, s3 = 0;
+    size_t i;
+    for (i = 0; i + 4 <= n; i += 4) {
+        s0 += a[i] * b[i];
+        s1 += a[i + 1] * b[i + 1];
+        s2 += a[i + 2] * b[i + 2];
+        s3 += a[i + 3] * b[i + 3];
+    }
+    for (; i < n; ++i) s0 += a[i] * b[i];
+    return (s0 + s1) + (s2 + s3);
+}
+
+typedef struct sfemi_cg {
+    const sfem_cg_def *def;
+    const sfem_matrix *a;
+    size_t n;
+    sfem_real *r, *p, *z, *inverse, *work; /* inverse: the diagonal blocks */
+} sfemi_cg;
+
+static void sfemi_cg_precondition(const sfemi_cg *c)
+{
+    size_t i;
+    if (c->def->preconditioner) {
+        memcpy(c->z, c->r, c->n * sizeof *c->z);
+        sfem_ldl_solve(c->def->preconditioner, 1, c->z, c->work, &c->def->exec);
+        return;
+    }
+    memset(c->z, 0, c->n * sizeof *c->z);
+    for (i = 0; i < c->n / 3; ++i) sfemi_block_times(c->inverse + 9 * i, c->r + 3 * i, c->z + 3 * i);
+}
+
+SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a, const sfem_real *b,
+                                   sfem_real *x, sfem_real *work, sfem_cg_info *info, sfem_error *err)
+{
+    sfemi_cg c;
+    sfem_int it = 0, node;
+    sfem_real rz = 0, norm, goal, *ap;
+    const sfem_int limit = def->max_iterations > 0 ? def->max_iterations : 3 * a->n;
+    size_t i;
+    int restarted = 0;
+    c.def = def;
+    c.a = a;
+    c.n = 3 * (size_t)a->n;
+    c.r = work;
+    c.p = c.r + c.n;
+    c.z = c.p + c.n;
+    ap = c.z + c.n;
+    c.inverse = c.work = ap + c.n;
+    if (def->preconditioner && def->preconditioner->symbolic->n != a->n)
+        return sfemi_fail(err, SFEM_MISMATCH, "the preconditioner has %ld rows, the matrix %ld",
+                          (long)def->preconditioner->symbolic->n, (long)a->n);
+    if (!def->preconditioner)
+        for (node = 0; node < a->n; ++node)
+            if (!sfemi_block_invert(a->val + 9 * ((size_t)a->row[node + 1] - 1), c.inverse + 9 * (size_t)node)) {
+                const sfem_status status = sfemi_matrix_check_values(a, err);
+                return status != SFEM_OK ? status
+                                         : sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
+                                                         "the diagonal block of node %ld is not positive "
+                                                         "definite", (long)node);
+            }
+    norm = sqrt(sfemi_dot(c.n, b, b));
+    sfem_matrix_multiply(a, x, c.r, &def->exec);
+    for (i = 0; i < c.n; ++i) c.r[i] = b[i] - c.r[i];
+    if (!sfemi_finite(norm) || !sfemi_finite(sfemi_dot(c.n, c.r, c.r)))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the right side, the start or the matrix is not finite");
+    goal = def->tolerance * norm;
+    for (;;) {
+        sfem_real rr = sqrt(sfemi_dot(c.n, c.r, c.r)), pap, alpha, next;
+        if (rr <= goal || it >= limit) {
+            /* the recurrence drifts from b - A x: check, and go on from the truth once */
+            sfem_matrix_multiply(a, x, ap, &def->exec);
+            for (i = 0; i < c.n; ++i) c.r[i] = b[i] - ap[i];
+            rr = sqrt(sfemi_dot(c.n, c.r, c.r));
+            if (rr <= goal || it >= limit || restarted++ > 2) {
+                if (info) {
+                    info->iterations = it;
+                    info->residual = norm > 0 ? rr / norm : rr;
+                    info->converged = rr <= goal;
+                }
+                return rr <= goal ? SFEM_OK
+                                  : sfemi_fail(err, SFEM_NOT_CONVERGED,
+                                               "conjugate gradients: %ld iterations, residual %g of %g",
+                                               (long)it, rr / (norm > 0 ? norm : 1), def->tolerance);
+            }
+            rz = 0;
+        }
+        sfemi_cg_precondition(&c);
+        next = sfemi_dot(c.n, c.r, c.z);
+        if (rz > 0) {
+            const sfem_real beta = next / rz;
+            for (i = 0; i < c.n; ++i) c.p[i] = c.z[i] + beta * c.p[i];
+        } else memcpy(c.p, c.z, c.n * sizeof *c.p);
+        rz = next;
+        sfem_matrix_multiply(a, c.p, ap, &def->exec);
+        pap = sfemi_dot(c.n, c.p, ap);
+        if (!sfemi_finite(pap))
+            return sfemi_fail(err, SFEM_NOT_FINITE, "conjugate gradients: a number is not finite");
+        if (!(pap > 0) || !(rz > 0))
+            return sfemi_fail(err, SFEM_NOT_SPD,
+                              "conjugate gradients: curvature %g in iteration %ld", pap, (long)it);
+        alpha = rz / pap;
+        for (i = 0; i < c.n; ++i) {
+            x[i] += alpha * c.p[i];
+            c.r[i] -= alpha * ap[i];
+        }
+        ++it;
+    }
+}
 
 /* ============================================================================================
  * >>element   linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
@@ -2367,6 +6902,7 @@ static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sf
     return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1],
                                       x + 3 * (size_t)t[2], x + 3 * (size_t)t[3], g);
 }
+
 /* k = V (lambda ga gb^T + mu gb ga^T + mu (ga.gb) I): the block of nodes a, b of K_e. */
 static void sfemi_element_block(const sfem_real *ga, const sfem_real *gb, sfem_real lambda_v,
                                 sfem_real mu_v, sfem_real k[9])
@@ -2705,8 +7241,8 @@ static void sfemi_pairs_fill(const sfemi_modes *m, sfem_real g[4][3], unsigned s
 }
 
 /* x = volume ga.(dP/dF).gb in its entries nn, ij and ji; n, i, j are constants, all different. */
-SFEMI_INLINE void sfemi_pairs_entries(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w,
-                                      const int n, const int i, const int j)
+static SFEMI_INLINE void sfemi_pairs_entries(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w,
+                                             const int n, const int i, const int j)
 {
     const sfem_real ann = volume * m->a[4 * n], aij = volume * m->a[3 * i + j];
     const sfem_real swap = volume * m->swap[n], bi = volume * m->both[i], bj = volume * m->both[j];
@@ -2720,7 +7256,7 @@ SFEMI_INLINE void sfemi_pairs_entries(const sfemi_modes *m, sfem_real volume, sf
     }
 }
 
-SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+static SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     int p, i;
     sfemi_pairs_entries(m, volume, w, 0, 1, 2);
@@ -2746,7 +7282,7 @@ static void sfemi_pairs_portable(const sfemi_modes *m, sfem_real volume, sfemi_p
     sfemi_pairs_blocks(m, volume, w);
 }
 
-#ifdef SFEMI_X86_PATHS
+#if SFEMI_X86
 SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     sfemi_pairs_blocks(m, volume, w);
@@ -2755,8 +7291,8 @@ SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, 
 
 static sfemi_pairs_kernel sfemi_pairs_pick(void)
 {
-#ifdef SFEMI_X86_PATHS
-    if (sfem_vector_width() >= 4) return sfemi_pairs_avx2;
+#if SFEMI_X86
+    if (sfemi_path() > 0) return sfemi_pairs_avx2;
 #endif
     return sfemi_pairs_portable;
 }
@@ -3072,7 +7608,7 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
     }
 }
 
-#ifdef SFEMI_X86_PATHS
+#if SFEMI_X86
 /* Rows <-> columns of four vectors of four. */
 SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
 {
@@ -3154,7 +7690,7 @@ static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
 }
 
 /* Is any of the flags, 0 or 1, not 0? */
-SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
+static SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
 {
     uint64_t word[SFEMI_LANES], any = 0;
     size_t i;
@@ -3165,15 +7701,15 @@ SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
 
 /* MA = a b + c, DOT = a0 b0 + a1 b1 + a2 b2, DET = a b - c d, rounded as the path does it */
 #define SFEMI_LANE_ARITHMETIC(T, S)                                                                \
-SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
+static SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                 \
 {                                                                                                  \
     return fused ? SFEMI_FMA_##S(a, b, c) : a * b + c;                                             \
 }                                                                                                  \
-SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)                  \
+static SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)           \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a0, b0, sfemi_ma_##S(fused, a1, b1, a2 * b2));                      \
 }                                                                                                  \
-SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
+static SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                           \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a, b, -(c * d));                                                    \
 }
@@ -3201,8 +7737,8 @@ typedef struct sfemi_lanes_##S {                                                
 } sfemi_lanes_##S;                                                                                 \
                                                                                                    \
 /* G and det F */                                                                                  \
-SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
-                                         const int fused)                                          \
+static SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,      \
+                                                const int fused)                                   \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (i = 0; i < 3; ++i)                                                                        \
@@ -3228,7 +7764,7 @@ SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *
 }                                                                                                  \
                                                                                                    \
 /* F, cof F, |F|^2, the constant of p(t) and a first trace: (|F|^2 + 3)/2 >= sqrt(3 |F|^2) >= t */ \
-SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)                     \
+static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)              \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -3257,7 +7793,7 @@ SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)  
 }                                                                                                  \
                                                                                                    \
 /* one step of Halley's method for the trace */                                                    \
-SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)               \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -3272,7 +7808,7 @@ SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)   
 }                                                                                                  \
                                                                                                    \
 /* R = F (k0 I + k1 F^T F) + k2 cof F, row by row in place of F */                                 \
-SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)                    \
+static SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)             \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -3309,7 +7845,7 @@ SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused) 
                                                                                                    \
 /* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope  \
  * is below ROUND t^3 are done again the slow way */                                               \
-SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
+static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                \
 {                                                                                                  \
     sfem_real g[9], r[9];                                                                          \
     int l, i, k;                                                                                   \
@@ -3328,7 +7864,7 @@ SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)    
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)               \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -3347,7 +7883,7 @@ SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)   
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)                \
+static SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)         \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -3374,7 +7910,7 @@ SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fus
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                        \
+static SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                 \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -3405,7 +7941,7 @@ SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)     
 }                                                                                                  \
                                                                                                    \
 /* as sfemi_law_neohookean; k1 = 3/4 m, k2 = m i/(16 + 4 i) */                                     \
-SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)                  \
+static SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)           \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
@@ -3440,8 +7976,8 @@ SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused
 }                                                                                                  \
                                                                                                    \
 /* the forces p g_a on nodes 1, 2, 3 */                                                            \
-SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
-                                         const int fused)                                          \
+static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block,      \
+                                                const int fused)                                   \
 {                                                                                                  \
     int l, a;                                                                                      \
     for (a = 0; a < 9; a += 3)                                                                     \
@@ -3454,10 +7990,10 @@ SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,                 \
-                                         const sfem_real *u, sfem_real *out, sfem_real *rotation,  \
-                                         sfemi_totals *totals, const sfemi_gather gather,          \
-                                         const sfemi_scatter scatter, const int fused)             \
+static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
+                                                const sfem_real *u, sfem_real *out, sfem_real *rotation,\
+                                                sfemi_totals *totals, const sfemi_gather gather,   \
+                                                const sfemi_scatter scatter, const int fused)      \
 {                                                                                                  \
     sfemi_totals sum;                                                                              \
     sfemi_lanes_##S w;                                                                             \
@@ -3502,7 +8038,7 @@ TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_rea
 
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
-#ifdef SFEMI_X86_PATHS
+#if SFEMI_X86
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
@@ -3513,10 +8049,10 @@ SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
 static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
 {
     const int mixed = precision == SFEM_MIXED;
-#ifdef SFEMI_X86_PATHS
-    switch (sfem_vector_width()) {
-    case 8: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 4: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
     default: break;
     }
 #endif
@@ -3560,6 +8096,7 @@ struct sfem_model {
     sfem_mesh mesh;
     sfem_mass mass;
     sfem_matrix stiffness;
+    sfem_matrix_upper upper;   /* always there, so that no number of threads changes a sum */
     sfem_int *row, *col;       /* the pattern, [nodes+1], [blocks] */
     sfem_real *node_mass;      /* [nodes] row sums of M; 0 at a node that is in no tet */
     sfem_real *block_mass;     /* [blocks] consistent M, or NULL */
@@ -3569,6 +8106,7 @@ struct sfem_model {
     sfem_real *density;        /* [tets] kg/m^3 */
     sfem_real *volume;         /* [tets] */
     unsigned char *law;        /* [tets] sfem_law */
+    int turns, hardens;        /* some law is not linear; is neither linear nor corotational */
     sfemi_chunks chunks;
     sfem_real total_mass;
     int lock;                  /* guards what follows */
@@ -3922,6 +8460,8 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
     sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
     model->law[e] = (unsigned char)m->law;
+    model->turns |= m->law != SFEM_LINEAR;
+    model->hardens |= m->law == SFEM_STVK || m->law == SFEM_NEOHOOKEAN;
     model->density[e] = m->density;
     node = m->density * v / 20;
     for (a = 0; a < 4; ++a) {
@@ -3958,8 +8498,9 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
 {
     sfem_int i, k, j;
     if (d->n != model->mesh.nodes)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping matrix has %d block rows, the mesh %d nodes",
-                          (int)d->n, (int)model->mesh.nodes);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the damping matrix has %d block rows, the mesh %d nodes", (int)d->n,
+                          (int)model->mesh.nodes);
     for (i = 0; i < d->n; ++i) {
         for (k = d->row[i]; k < d->row[i + 1]; ++k) {
             const sfem_int at = sfemi_fem_find(model->row, model->col, i, d->col[k]);
@@ -3970,7 +8511,8 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
             if (!sfemi_all_finite(d->val + 9 * (size_t)k, 9))
                 return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "damping block (%d, %d) is not finite",
                                      (int)i, (int)d->col[k]);
-            for (j = 0; j < 9; ++j) model->damping[9 * (size_t)at + (size_t)j] += d->val[9 * (size_t)k + (size_t)j];
+            for (j = 0; j < 9; ++j)
+                model->damping[9 * (size_t)at + (size_t)j] += d->val[9 * (size_t)k + (size_t)j];
         }
     }
     return SFEM_OK;
@@ -3980,6 +8522,7 @@ static void sfemi_fem_destroy(sfem_model *model)
 {
     const sfem_allocator al = model->allocator;
     sfem_mesh_free(&model->mesh);
+    sfem_matrix_upper_free(&model->upper);
     sfemi_delete(&al, model->row);
     sfemi_delete(&al, model->col);
     sfemi_delete(&al, model->stiffness.val);
@@ -4001,7 +8544,13 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     const sfem_mesh *mesh = def->mesh;
     sfem_status status = SFEM_OK;
     size_t blocks;
-    SFEMI_TRY(sfem_mesh_copy(mesh->nodes, mesh->x, mesh->tets, mesh->tet, al, &model->mesh, err));
+    model->mesh.allocator = *al; /* a plain copy: sfemi_fem_check has seen it */
+    model->mesh.nodes = mesh->nodes;
+    model->mesh.tets = mesh->tets;
+    SFEMI_NEW(sfem_real, model->mesh.x, al, 3 * (size_t)mesh->nodes);
+    SFEMI_NEW(sfem_int, model->mesh.tet, al, 4 * (size_t)mesh->tets);
+    memcpy(model->mesh.x, mesh->x, 3 * (size_t)mesh->nodes * sizeof *mesh->x);
+    memcpy(model->mesh.tet, mesh->tet, 4 * (size_t)mesh->tets * sizeof *mesh->tet);
     if (mesh->region) {
         SFEMI_NEW(sfem_int, model->mesh.region, al, mesh->tets);
         memcpy(model->mesh.region, mesh->region, (size_t)mesh->tets * sizeof *mesh->region);
@@ -4021,17 +8570,20 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     model->stiffness.n = mesh->nodes;
     model->stiffness.row = model->row;
     model->stiffness.col = model->col;
+    SFEMI_TRY(sfem_matrix_upper_create(&model->stiffness, al, &model->upper, err));
+    model->stiffness.upper = &model->upper;
 done:
     return status;
 }
 
 SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err)
 {
-    const sfem_material *materials = def->materials ? def->materials : &def->material;
+    const sfem_material *materials;
     sfem_model *model = NULL;
     sfem_status status;
     sfem_int i;
     SFEM_ASSERT(def && out && def->mesh);
+    materials = def->materials ? def->materials : &def->material;
     SFEMI_TRY(sfemi_fem_check(def, err));
     SFEMI_NEW(sfem_model, model, &def->allocator, 1);
     model->allocator = def->allocator;
@@ -4090,20 +8642,44 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
 
+/* Arrays of a matrix of the given size; on failure those made so far are in *a, to be freed. */
+static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, const sfem_allocator *al,
+                                        sfem_int **row, sfem_int **col, sfem_matrix *a, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    memset(a, 0, sizeof *a);
+    a->n = n;
+    SFEMI_NEW(sfem_int, *row, al, (size_t)n + 1);
+    a->row = *row;
+    SFEMI_NEW(sfem_int, *col, al, blocks + 1);
+    a->col = *col;
+    SFEMI_NEW(sfem_real, a->val, al, 9 * blocks + 1);
+done:
+    return status;
+}
+
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err)
 {
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *al = allocator ? allocator : &standard;
+    const sfem_int n = model->mesh.nodes;
+    sfem_int *row = NULL, *col = NULL, i, at;
     sfem_matrix a;
-    sfem_int i, at;
-    sfem_status status = sfem_matrix_create(model->mesh.nodes, model->row, model->col, allocator, &a, err);
-    if (status != SFEM_OK) return status;
-    for (i = 0; i < a.n; ++i)
-        for (at = a.row[i]; at < a.row[i + 1]; ++at)
+    sfem_status status = SFEM_OK;
+    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], al, &row, &col, &a, err));
+    memcpy(row, model->row, ((size_t)n + 1) * sizeof *row);
+    memcpy(col, model->col, (size_t)model->row[n] * sizeof *col);
+    for (i = 0; i < n; ++i)
+        for (at = row[i]; at < row[i + 1]; ++at)
             sfemi_fem_block(model, at, i, k + d * model->beta, m + d * model->alpha, d,
                             a.val + 9 * (size_t)at);
     *out = a;
     return SFEM_OK;
+done:
+    sfem_matrix_free(&a, al);
+    return status;
 }
 
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
@@ -4493,44 +9069,45 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     return f;
 }
 
-/* The rows and columns of A that are free, with held axes of partly held nodes decoupled. */
+/* Block (i, j) of A at place `at` of the pattern, without what couples held axes. */
+static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, sfem_int at, sfem_int i,
+                               sfem_real b[9])
+{
+    const sfem_int j = model->col[at];
+    int r, c;
+    sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; r < 3; ++r)
+        for (c = 0; c < 3; ++c)
+            if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
+}
+
+/* The rows and columns of A that are free. */
 static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_factor *f, sfem_matrix *out,
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
-    sfem_int *number = NULL, *row = NULL, *col = NULL, i, k, at, blocks = 0;
+    sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_matrix a;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, number, al, model->mesh.nodes);
-    SFEMI_NEW(sfem_int, row, al, (size_t)f->free_nodes + 1);
-    SFEMI_NEW(sfem_int, col, al, model->row[model->mesh.nodes]);
-    for (i = 0; i < model->mesh.nodes; ++i) number[i] = -1;
-    for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k;
-    for (k = 0; k < f->free_nodes; ++k) {
-        i = f->node[k];
-        for (at = model->row[i]; at < model->row[i + 1]; ++at)
-            if (number[model->col[at]] >= 0) col[blocks++] = number[model->col[at]];
-        row[k + 1] = blocks;
-    }
-    SFEMI_TRY(sfem_matrix_create(f->free_nodes, row, col, al, out, err));
+    memset(&a, 0, sizeof a);
+    SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
+    for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
+    for (k = 0; k < f->free_nodes; ++k)
+        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
+            blocks += number[model->col[at]] > 0;
+    SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, al, &row, &col, &a, err));
     blocks = 0;
     for (k = 0; k < f->free_nodes; ++k) {
-        i = f->node[k];
-        for (at = model->row[i]; at < model->row[i + 1]; ++at) {
-            const sfem_int j = model->col[at];
-            sfem_real *b = out->val + 9 * (size_t)blocks;
-            int r, c;
-            if (number[j] < 0) continue;
-            sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
-            for (r = 0; r < 3; ++r)
-                for (c = 0; c < 3; ++c)
-                    if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c))
-                        b[3 * r + c] = 0;
-            ++blocks;
+        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
+            if (number[model->col[at]] == 0) continue;
+            col[blocks] = number[model->col[at]] - 1;
+            sfemi_factor_block(model, f, at, f->node[k], a.val + 9 * (size_t)blocks++);
         }
+        row[k + 1] = blocks;
     }
+    *out = a;
 done:
-    sfemi_delete(al, col);
-    sfemi_delete(al, row);
+    if (status != SFEM_OK) sfem_matrix_free(&a, al);
     sfemi_delete(al, number);
     return status;
 }
@@ -4570,7 +9147,7 @@ static sfem_status sfemi_factor_compute(sfem_model *model, sfem_factor *f, const
     status = like ? sfem_ldl_create_like(like->ldl, &a, &f->ldl, &place)
                   : sfemi_factor_analyse(model, f, &a, exec, &place);
     sfemi_factor_release(model, like);
-    sfem_matrix_free(&a);
+    sfem_matrix_free(&a, &model->allocator);
     if (status == SFEM_NOT_SPD && place.node >= 0)
         return sfemi_fail_at(err, status, f->node[place.node], -1, "node %d is held by nothing",
                              (int)f->node[place.node]);
@@ -4683,13 +9260,19 @@ typedef struct sfemi_state_head {
     uint32_t version, checksum;
     uint64_t size, key; /* key: what it belongs to */
     sfem_real time, h;  /* h: of the last step */
+    sfem_real gravity[3];
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
+    sfem_int current;   /* f, psi, frame and the ledger belong to u */
+    sfem_int rebase;    /* what counts as free has changed: a new ledger */
     sfem_int unused;
+    int64_t steps, redone;
+    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger */
 } sfemi_state_head;
 
-enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RUNNING };
+/* RESTARTED: as not started, but the loads have their history. */
+enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
  * the mean velocity over the last step for (p,q,r). */
@@ -4697,17 +9280,22 @@ typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
+    sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
+    sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
 } sfemi_state;
 
-static size_t sfemi_state_bytes(sfem_int nodes, sfem_int pins, sfem_int handles)
+/* reals a node: u, w, a and three loads; f, f_past and frame besides */
+static size_t sfemi_state_reals(sfem_int nodes, int turns) { return (turns ? 33 : 18) * (size_t)nodes; }
+
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles)
 {
-    return sizeof(sfemi_state_head) + 18 * (size_t)nodes * sizeof(sfem_real) +
+    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns) * sizeof(sfem_real) +
            (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
 }
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, sfem_int pins)
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -4717,7 +9305,10 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, sfe
     s->w = at + n;
     s->a = at + 2 * n;
     for (k = 0; k < 3; ++k) s->force[k] = at + (3 + (size_t)k) * n;
-    s->pin = (sfemi_hold *)(void *)(at + 6 * n);
+    s->f = turns ? at + 6 * n : NULL;
+    s->f_past = turns ? at + 7 * n : NULL;
+    s->frame = turns ? at + 8 * n : NULL;
+    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
 }
 
@@ -4752,7 +9343,9 @@ static uint32_t sfemi_state_checksum(const void *block, size_t bytes)
 typedef struct sfemi_grip {
     sfem_int count;   /* handles in use */
     sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body turns, so many
+                       * for each of the handle's nodes */
+    sfem_int *parts;  /* [max] for how many nodes there is room in y */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
     sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
     sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
@@ -4802,23 +9395,27 @@ static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real
     }
 }
 
-/* Y = A^-1 H^T of one handle. scratch [3][nodes][3] may be y itself. */
-static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, sfem_real *y,
-                               sfem_real *work, const sfem_exec *exec)
+/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
+static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
+                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
 {
     const size_t n = 3 * (size_t)nodes;
-    int k, c;
-    memset(y, 0, 3 * n * sizeof *y);
-    for (c = 0; c < 3; ++c)
-        for (k = 0; k < 4; ++k)
-            if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
-                y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += h->weight[k];
-    sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+    int first, k, c;
+    for (first = 0; first < (apart ? 4 : 1); ++first) {
+        if (h->weight[first] == 0 && apart) continue;
+        memset(y, 0, 3 * n * sizeof *y);
+        for (c = 0; c < 3; ++c)
+            for (k = first; k < (apart ? first + 1 : 4); ++k)
+                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
+                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
+        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+        y += 3 * n;
+    }
 }
 
-/* Factors S = H Y and W = H M^-1 H^T over the handles in g->slot. */
+/* Factors S = H Y, unless the body turns, and W = H M^-1 H^T over the handles in g->slot. */
 static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
-                              const unsigned char *mask)
+                              int turns, const unsigned char *mask)
 {
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_int k = g->count;
@@ -4830,8 +9427,8 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             const sfemi_handle *hj = handle + g->slot[j];
             for (b = 0; b < 3; ++b) {
                 sfem_real mean[3], w = 0;
-                sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+                if (!turns) sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3 && !turns; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
                 for (p = 0; p < 4; ++p)
                     for (q = 0; q < 4; ++q)
                         if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
@@ -4841,7 +9438,7 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             }
         }
     }
-    sfemi_grip_factor(g->s, 3 * k, 3 * k);
+    if (!turns) sfemi_grip_factor(g->s, 3 * k, 3 * k);
     for (b = 0; b < 3; ++b) sfemi_grip_factor(g->wm + b * k * k, k, k);
 }
 
@@ -4890,15 +9487,15 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
     }
 }
 
-/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target: second
- * order once three positions are known. */
-static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h, sfem_real v[3],
-                              sfem_real a[3])
+/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
+ * of h_before seconds: of second and first order once three positions are known. */
+static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h,
+                              sfem_real h_before, sfem_real v[3], sfem_real a[3])
 {
     int c;
     for (c = 0; c < 3; ++c) {
-        const sfem_real d = (hold->target[c] - x[c]) / h, before = (x[c] - hold->past[c]) / h;
-        a[c] = hold->age > 0 ? (d - before) / h : 0;
+        const sfem_real d = (hold->target[c] - x[c]) / h;
+        a[c] = hold->age > 0 ? 2 * (d - (x[c] - hold->past[c]) / h_before) / (h + h_before) : 0;
         v[c] = d + h / 2 * a[c];
     }
 }
@@ -4908,6 +9505,36 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
     memcpy(hold->past, x, sizeof hold->past);
     if (hold->age < 2) ++hold->age;
 }
+
+/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
+typedef struct sfemi_piece {
+    int held; /* by a pin or a handle: no projection */
+    sfem_real mass, centre[3], inertia_inverse[9];
+    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real sum[4][3];          /* scratch of the energies */
+} sfemi_piece;
+
+typedef struct sfemi_turn {
+    sfem_int pieces;
+    sfem_int *piece_of;  /* [nodes] -1: in no tet */
+    sfemi_piece *piece;  /* [pieces] */
+    sfem_real *rotation; /* [tets][3][3] */
+    sfem_real *work;     /* of sfem_model_forces */
+    sfem_real *v;        /* [nodes][3] scratch */
+    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
+} sfemi_turn;
+
+/* >>guard: scratch of a step, all [nodes][3] unless stated. */
+typedef struct sfemi_guard {
+    sfem_real *u, *w, *f;  /* the step's end */
+    sfem_real *external;   /* the loads as the corrections weigh them */
+    sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
+    sfem_factor *factor;   /* A with p = 1, for the redo; NULL until one is needed */
+    sfem_real h;           /* what it is for */
+    sfemi_grip grip;       /* the handles' columns for it */
+    sfem_real psi;         /* at u */
+    int redone;            /* u, w, f come from the redo */
+} sfemi_guard;
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
@@ -4919,8 +9546,11 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
+    int turns;             /* a nonlinear law: >>turn and >>guard apply */
     sfemi_state state;
     sfemi_grip grip;
+    sfemi_turn turn;
+    sfemi_guard guard;
     /* prepared */
     sfem_factor *factor;
     sfem_real h, p;      /* what the factor is for */
@@ -4952,69 +9582,92 @@ static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real 
     return k;
 }
 
+/* out = load[0] F+ + load[1] F + load[2] F- + their sum M g - rhs; out may be rhs. */
+static void sfemi_body_take_from_load(const sfem_body *b, const sfem_real load[3], const sfem_real *rhs,
+                                      sfem_real *out)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real all = load[0] + load[1] + load[2], *g = b->state.head->gravity;
+    const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
+    size_t i;
+    for (i = 0; i < n / 3; ++i) {
+        const sfem_real m = all * model->node_mass[i];
+        out[3 * i] = m * g[0] - rhs[3 * i];
+        out[3 * i + 1] = m * g[1] - rhs[3 * i + 1];
+        out[3 * i + 2] = m * g[2] - rhs[3 * i + 2];
+    }
+    if (b->state.head->loaded && b->state.head->load_age >= 2)
+        for (i = 0; i < n; ++i) out[i] += all * f0[i];
+    else if (b->state.head->loaded)
+        for (i = 0; i < n; ++i) out[i] += load[0] * f0[i] + load[1] * f1[i] + load[2] * f2[i];
+}
+
 /* rhs = load[0] F+ + load[1] F + load[2] F- + their sum M g - K zk - M zm - (rest of D) zd. */
 static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_mass)
 {
     const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real all = load[0] + load[1] + load[2];
-    const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
-    const sfem_real *g = b->def.gravity;
     size_t i;
     sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
-    for (i = 0; i < n / 3; ++i) {
-        const sfem_real m = all * model->node_mass[i];
-        b->rhs[3 * i] = m * g[0] - b->rhs[3 * i];
-        b->rhs[3 * i + 1] = m * g[1] - b->rhs[3 * i + 1];
-        b->rhs[3 * i + 2] = m * g[2] - b->rhs[3 * i + 2];
-    }
-    if (b->state.head->loaded && b->state.head->load_age >= 2)
-        for (i = 0; i < n; ++i) b->rhs[i] += all * f0[i];
-    else if (b->state.head->loaded)
-        for (i = 0; i < n; ++i) b->rhs[i] += load[0] * f0[i] + load[1] * f1[i] + load[2] * f2[i];
+    sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
     if (with_mass) sfemi_fem_add_mass(model, -1, b->zm, b->rhs);
     if (model->damping) {
-        for (i = 0; i < n; ++i) b->zd[i] = -b->zd[i];
+        for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) b->zd[i] = -b->zd[i];
         sfemi_fem_add_damping_rest(model, b->zd, b->rhs);
     }
 }
 
-/* Solves M a = rhs on the free axes; a consistent M by conjugate gradients to rounding, with its diagonal
- * as preconditioner (its condition is below 20, whatever the mesh). Uses rhs, zk, zm as scratch. */
+/* z = r over the lumped mass on the free axes, less what would move the handles' points. What pins and
+ * handles take up is dropped from r, too: it would never shrink. Returns r.z. */
+static sfem_real sfemi_body_lumped_solve(sfem_body *b, sfem_real *r, sfem_real *z)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    sfem_real rz = 0;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / model->node_mass[i / 3];
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_grip_project(&b->grip, b->state.handle, model, b->mask, z);
+    }
+    for (i = 0; i < n; ++i) {
+        r[i] = model->node_mass[i / 3] * z[i];
+        rz += r[i] * z[i];
+    }
+    return rz;
+}
+
+/* Solves M a = rhs on the free axes, the handles' points held; a consistent M by conjugate gradients to
+ * rounding, preconditioned by the lumped one (the condition is below 20, whatever the mesh), projected
+ * onto the handles' null space [Gould, Hribar, Nocedal 2001]. Uses rhs, acc, zk, zm as scratch. */
 static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
 {
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    sfem_real *r = b->rhs, *p = b->zk, *ap = b->zm, rz = 0, rz0;
+    sfem_real *r = b->rhs, *z = b->acc, *p = b->zk, *ap = b->zm, rz, rz0;
     size_t i;
     int k;
-    for (i = 0; i < n; ++i) {
-        const int held = b->mask[i / 3] >> (i % 3) & 1;
-        r[i] = held ? 0 : r[i];
-        p[i] = held ? 0 : r[i] / model->node_mass[i / 3];
-        a[i] = model->block_mass ? 0 : p[i];
-        rz += r[i] * p[i];
-    }
-    rz0 = rz;
-    for (k = 0; model->block_mass && k < 200 && rz > 1e-32 * rz0; ++k) {
-        sfem_real pap = 0, step, next = 0;
+    rz = rz0 = sfemi_body_lumped_solve(b, r, model->block_mass ? z : a);
+    if (!model->block_mass) return;
+    memcpy(p, z, n * sizeof *p);
+    memset(a, 0, n * sizeof *a);
+    for (k = 0; k < 200 && rz > 1e-32 * rz0; ++k) {
+        sfem_real pap = 0, length, next;
         sfem_model_multiply_mass(model, p, ap, &b->exec);
         for (i = 0; i < n; ++i) pap += p[i] * ap[i];
-        step = rz / pap;
+        length = rz / pap;
         for (i = 0; i < n; ++i) {
-            if (b->mask[i / 3] >> (i % 3) & 1) continue;
-            a[i] += step * p[i];
-            r[i] -= step * ap[i];
-            next += r[i] * r[i] / model->node_mass[i / 3];
+            a[i] += length * p[i];
+            r[i] -= length * ap[i];
         }
-        for (i = 0; i < n; ++i)
-            if (!(b->mask[i / 3] >> (i % 3) & 1))
-                p[i] = r[i] / model->node_mass[i / 3] + next / rz * p[i];
+        next = sfemi_body_lumped_solve(b, r, z);
+        for (i = 0; i < n; ++i) p[i] = z[i] + next / rz * p[i];
         rz = next;
     }
 }
 
-/* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start. */
+/* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start; zero where pins and handles hold. */
 static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -5031,19 +9684,19 @@ static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
     for (i = 0; i < n; ++i) b->state.a[i] /= scale;
 }
 
-/* c - (what the handles would do without force), in units of acceleration, to grip.lambda:
+/* c - (what the handles would do without force), in units of acceleration, to g->lambda:
  * (target - H X - H u)/scale with u the displacement that is predicted. */
-static void sfemi_body_handle_gap(sfem_body *b, const sfem_real *u, sfem_real scale)
+static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_real *u, sfem_real scale)
 {
     sfem_int i;
     int c;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfemi_handle *h = b->state.handle + b->grip.slot[i];
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *h = b->state.handle + g->slot[i];
         sfem_real rest[3], moved[3];
         sfemi_grip_mean(h, b->model->mesh.x, rest);
         sfemi_grip_mean(h, u, moved);
         for (c = 0; c < 3; ++c)
-            b->grip.lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
+            g->lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
     }
 }
 
@@ -5086,7 +9739,7 @@ static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c];
-        sfemi_hold_motion(b->state.pin + k, x, h, v, a);
+        sfemi_hold_motion(b->state.pin + k, x, h, b->state.head->h, v, a);
         for (c = 0; c < 3; ++c) {
             i = at + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
@@ -5108,7 +9761,7 @@ static void sfemi_newmark_solve(sfem_body *b)
     sfem_real v;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, h, &b->zk[i], &v);
-    sfemi_body_handle_gap(b, b->zk, b->def.beta * h * h);
+    sfemi_body_handle_gap(b, &b->grip, b->zk, b->def.beta * h * h);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
@@ -5132,7 +9785,7 @@ static void sfemi_newmark_finish(sfem_body *b)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
-        sfemi_hold_motion(s->pin + k, x, h, v, a);
+        sfemi_hold_motion(s->pin + k, x, h, s->head->h, v, a);
         for (c = 0; c < 3; ++c) {
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             s->u[at + (size_t)c] = s->pin[k].target[c] - b->model->mesh.x[at + (size_t)c];
@@ -5152,8 +9805,8 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
     for (pass = 0; pass < 2 && b->grip.count; ++pass) {
         for (i = 0; i < b->grip.count; ++i) {
             sfem_real motion[2][3];
-            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step, motion[0],
-                              motion[1]);
+            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step,
+                              b->state.head->h, motion[0], motion[1]);
             for (c = 0; c < 3; ++c) b->grip.lambda[3 * i + c] = motion[pass][c];
         }
         sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
@@ -5172,13 +9825,17 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
  *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
  * and a step of another length, h1 before and h2 now, follows from the same two half-steps:
  *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + (1/4-p)(h2^2-h1^2) D a + p h2 (F+ - F) + p h1 (F- - F).
- * All are put as an equation for a = (w' - w)/h2, whose right side is a force.
+ * Both are put as one equation for a = (w' - w)/d, d = (h1 + h2)/2 being the time between the centres of the
+ * two means and h1 = 0 the start: A a = b, where every force in b has weight one,
+ *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p (h1/d)(F- - F),
+ *   ck = 2 p (h1 - h2),  cd = (h1 - (q/2)(h1 - h2))/d,  ca = 2 (1/4 - p)(h2 - h1).
  * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
 
-/* b = F's - K (cf u - ck w) - D (cd w - ca a), see above. */
 typedef struct sfemi_pqr_terms {
-    sfem_real cf, ck, cd, ca, load[3];
+    sfem_real d;       /* s, see above */
+    sfem_real ck, cd, ca;
+    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
 } sfemi_pqr_terms;
 
 static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
@@ -5190,30 +9847,21 @@ static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
 static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
 {
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
-    const sfem_real h1 = b->state.head->h;
+    const int running = b->state.head->started == SFEMI_RUNNING;
+    const sfem_real h1 = running ? b->state.head->h : 0;
     sfemi_pqr_terms t;
-    if (b->state.head->started != SFEMI_RUNNING) {
-        const int fourth = sfemi_pqr_starts_at_fourth_order(b);
-        t.cf = 0.5;
-        t.ck = fourth ? -h2 / 6 : -k.p * h2;
-        t.cd = 0.5;
-        t.ca = (0.25 - k.p) * h2;
-        t.load[0] = fourth ? 1.0 / 6 : k.p;
-        t.load[1] = 0.5 - t.load[0];
-        t.load[2] = 0;
-    } else {
-        t.cf = (h1 + h2) / (2 * h2);
-        t.ck = k.p * (h1 - h2) * (h1 + h2) / h2;
-        t.cd = (h1 - k.q / 2 * (h1 - h2)) / h2;
-        t.ca = (0.25 - k.p) * (h2 - h1) * (h2 + h1) / h2;
-        t.load[0] = k.p;
-        t.load[2] = k.p * h1 / h2;
-        t.load[1] = t.cf - t.load[0] - t.load[2];
+    t.d = (h1 + h2) / 2;
+    t.ck = 2 * k.p * (h1 - h2);
+    t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
+    t.ca = 2 * (0.25 - k.p) * (h2 - h1);
+    t.load[0] = k.p * h2 / t.d;
+    t.load[2] = k.p * h1 / t.d;
+    if (!running && sfemi_pqr_starts_at_fourth_order(b)) {
+        t.ck = -h2 / 3;
+        t.load[0] = 1.0 / 3;
     }
-    if (b->def.plain_load) {
-        t.load[0] = t.load[2] = 0;
-        t.load[1] = t.cf;
-    }
+    if (b->def.plain_load) t.load[0] = t.load[2] = 0;
+    t.load[1] = 1 - t.load[0] - t.load[2];
     return t;
 }
 
@@ -5232,7 +9880,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
     t = sfemi_pqr_weigh(b, h);
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
-        b->zk[i] = t.cf * s->u[i] - t.ck * s->w[i] + b->beta * dv;
+        b->zk[i] = s->u[i] - t.ck * s->w[i] + b->beta * dv;
         b->zm[i] = b->alpha * dv;
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
@@ -5242,7 +9890,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
             sfem_real a;
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / h;
+            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
             b->acc[i] = a;
             b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * a;
             b->zm[i] += (k.r + k.q / 2 * h * b->alpha) * a;
@@ -5260,18 +9908,15 @@ static void sfemi_pqr_solve(sfem_body *b)
     size_t i;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, b->zk, h * h);
+    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
 static void sfemi_pqr_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfem_real h = b->step, d = sfemi_pqr_weigh(b, h).d;
     sfemi_state *s = &b->state;
-    /* w and w' are means over h1 and h: their centres lie (h1 + h)/2 apart, h/2 at the start */
-    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
-    const sfem_real full = 2 * h / (h1 + h);
     sfem_int k;
     size_t i;
     int c;
@@ -5284,9 +9929,9 @@ static void sfemi_pqr_finish(sfem_body *b)
         sfemi_hold_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
-        s->w[i] += h * b->acc[i];
+        s->w[i] += d * b->acc[i];
         s->u[i] += h * s->w[i];
-        s->a[i] = full * b->acc[i];
+        s->a[i] = b->acc[i];
     }
 }
 
@@ -5436,7 +10081,1031 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
 {
     if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
     if (b->def.integrator == SFEM_CENTRAL) return 1;
+    if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
+}
+
+/* ============================================================================================
+ * >>turn   the inverse of A in a body that turns: frames, rigid projection
+ *
+ * The factor is of the rest pose, A0. For a body that turns, A = Q A0 Q^T with one rotation a node,
+ * Q_i = polar(sum V_e R_e) over its tets, or one a piece; a lumped M commutes with Q. That does not keep
+ * rigid motions free of force, so on pieces that nothing holds
+ *   A^-1 b = N (N^T c M N)^-1 N^T b + P Q A0^-1 Q^T P^T b,   P = I - N (N^T M N)^-1 N^T M,
+ * N being the six rigid motions at the present positions, cm M the mass part of A0: linear and angular
+ * momentum are then exact, and the form is symmetric. Stiffness damping turns alike, D w = alpha M w +
+ * P^T Q (beta K + rest) Q^T P w, which A bounds. A piece that a handle holds counts as held.
+ * ============================================================================================ */
+
+/* Inverse of a symmetric positive semidefinite 3x3 matrix, kept finite where it is singular. */
+static void sfemi_turn_invert(const sfem_real m[9], sfem_real inverse[9])
+{
+    const sfem_real trace = m[0] + m[4] + m[8];
+    sfem_real a[9], c[9], det;
+    int i;
+    memcpy(a, m, sizeof a);
+    for (i = 0; i < 9; i += 4) a[i] += 1e-12 * trace;
+    sfemi_cofactor3(a, c);
+    det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 ? c[i] / det : 0;
+}
+
+/* Mass, centre and inertia of every piece at X + u. */
+static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
+{
+    const sfem_model *model = b->model;
+    const sfem_int nodes = model->mesh.nodes;
+    sfemi_turn *t = &b->turn;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < t->pieces; ++k) {
+        t->piece[k].mass = 0;
+        memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
+        memset(t->piece[k].inertia_inverse, 0, sizeof t->piece[k].inertia_inverse);
+    }
+    for (i = 0; i < nodes; ++i) {
+        sfemi_piece *p = t->piece + t->piece_of[i];
+        if (t->piece_of[i] < 0) continue;
+        p->mass += model->node_mass[i];
+        for (c = 0; c < 3; ++c)
+            p->centre[c] += model->node_mass[i] *
+                            (model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c]);
+    }
+    for (k = 0; k < t->pieces; ++k)
+        for (c = 0; c < 3; ++c) t->piece[k].centre[c] /= t->piece[k].mass;
+    for (i = 0; i < nodes; ++i) {
+        sfem_real r[3], m = model->node_mass[i], *in;
+        if (t->piece_of[i] < 0 || t->piece[t->piece_of[i]].held) continue;
+        in = t->piece[t->piece_of[i]].inertia_inverse;
+        for (c = 0; c < 3; ++c)
+            r[c] = model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c] -
+                   t->piece[t->piece_of[i]].centre[c];
+        for (c = 0; c < 9; ++c)
+            in[c] += m * ((c % 4 == 0 ? sfemi_dot3(r, r) : 0) - r[c / 3] * r[c % 3]);
+    }
+    for (k = 0; k < t->pieces; ++k)
+        if (!t->piece[k].held) {
+            sfem_real inertia[9];
+            memcpy(inertia, t->piece[k].inertia_inverse, sizeof inertia);
+            sfemi_turn_invert(inertia, t->piece[k].inertia_inverse);
+        }
+}
+
+/* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
+static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    const sfem_model *model = b->model;
+    sfemi_turn *t = &b->turn;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfemi_piece *p = t->piece + t->piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], force[3], torque[3];
+        if (t->piece_of[i] < 0 || p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+            force[c] = velocity ? model->node_mass[i] * x[at + (size_t)c] : x[at + (size_t)c];
+        }
+        sfemi_cross(r, force, torque);
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] += force[c];
+            p->motion[3 + c] += torque[c];
+        }
+    }
+}
+
+/* The motion that has this momentum: (N^T M N)^-1. */
+static void sfemi_turn_divide(sfem_body *b)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfemi_piece *p = b->turn.piece + k;
+        sfem_real omega[3];
+        if (p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] /= p->mass;
+            omega[c] = sfemi_dot3(p->inertia_inverse + 3 * c, p->motion + 3);
+        }
+        memcpy(p->motion + 3, omega, sizeof omega);
+    }
+}
+
+static void sfemi_turn_motion(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    sfemi_turn_momentum(b, u, x, velocity);
+    sfemi_turn_divide(b);
+}
+
+/* x += scale N motion on free pieces, times the nodes' masses where x is a force. */
+static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real scale, int force,
+                                  sfem_real *x)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    int c;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], v[3], s;
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        s = force ? scale * model->node_mass[i] : scale;
+        for (c = 0; c < 3; ++c)
+            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+        sfemi_cross(p->motion + 3, r, v);
+        for (c = 0; c < 3; ++c) x[at + (size_t)c] += s * (p->motion[c] + v[c]);
+    }
+}
+
+/* y = Q^T x or Q x, node by node; y may be x. */
+static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, const sfem_real *x,
+                              sfem_real *y)
+{
+    sfem_int i;
+    for (i = 0; i < nodes; ++i, x += 3, y += 3, frame += 9) {
+        const sfem_real a = x[0], b = x[1], c = x[2];
+        if (back) {
+            y[0] = frame[0] * a + frame[3] * b + frame[6] * c;
+            y[1] = frame[1] * a + frame[4] * b + frame[7] * c;
+            y[2] = frame[2] * a + frame[5] * b + frame[8] * c;
+        } else {
+            y[0] = frame[0] * a + frame[1] * b + frame[2] * c;
+            y[1] = frame[3] * a + frame[4] * b + frame[5] * c;
+            y[2] = frame[6] * a + frame[7] * b + frame[8] * c;
+        }
+    }
+}
+
+static int sfemi_turn_projects(const sfem_body *b)
+{
+    sfem_int k;
+    for (k = 0; b->def.frame != SFEM_FRAME_REST && k < b->turn.pieces; ++k)
+        if (!b->turn.piece[k].held) return 1;
+    return 0;
+}
+
+/* x = A^-1 x, see above, held axes becoming 0. */
+static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                             const sfem_real *frame, sfem_real *x)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const int projects = sfemi_turn_projects(b);
+    sfem_int i, k;
+    int c;
+    if (projects) {
+        sfemi_turn_motion(b, u, x, 0);
+        sfemi_turn_add_motion(b, u, -1, 1, x);
+    }
+    for (i = 0; i < nodes; ++i)
+        for (c = 0; c < 3; ++c)
+            if (b->mask[i] >> c & 1) x[3 * (size_t)i + (size_t)c] = 0;
+    sfemi_turn_rotate(frame, nodes, 1, x, x);
+    sfemi_factor_solve(f, nodes, 1, x, x, b->work, &b->exec);
+    sfemi_turn_rotate(frame, nodes, 0, x, x);
+    if (!projects) return;
+    for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    sfemi_turn_motion(b, u, x, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] / f->key.cm - b->turn.piece[k].motion[c];
+    sfemi_turn_add_motion(b, u, 1, 0, x);
+}
+
+/* y = P^T Q (K Q^T P z + rest of D Q^T P zd); zd may be NULL. z and zd are overwritten. */
+static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_real *frame, sfem_real *z,
+                                 sfem_real *zd, sfem_real *y)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const int projects = sfemi_turn_projects(b);
+    sfem_real *const both[2] = {z, zd};
+    int k;
+    for (k = 0; k < (zd ? 2 : 1); ++k) {
+        if (projects) {
+            sfemi_turn_motion(b, u, both[k], 1);
+            sfemi_turn_add_motion(b, u, -1, 0, both[k]);
+        }
+        sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
+    }
+    sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
+    sfemi_turn_rotate(frame, nodes, 0, y, y);
+    if (!projects) return;
+    sfemi_turn_motion(b, u, y, 0);
+    sfemi_turn_add_motion(b, u, -1, 1, y);
+}
+
+/* Is the rotation of s = sum V_e R_e well determined: are its two smaller singular values, one of them
+ * signed, together above a twentieth of V? They are at least trace S - V. */
+static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[9])
+{
+    sfem_real stretch[9], u[9], v[9], w[3], fresh[9];
+    sfem_polar(s, fresh, stretch);
+    if (!(stretch[0] + stretch[4] + stretch[8] > 1.05 * volume)) {
+        sfem_signed_svd(s, u, w, v);
+        if (!(w[1] + w[2] > 0.05 * volume)) return 0;
+    }
+    memcpy(r, fresh, sizeof fresh);
+    return 1;
+}
+
+/* Q from the tets' rotations; where it is not determined, and at nodes that are held on some axes only,
+ * it stays as it was. sum [nodes][9] is scratch. */
+static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real *frame)
+{
+    const sfem_model *model = b->model;
+    const int whole = b->def.frame == SFEM_FRAME_PIECE;
+    sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
+    sfem_int e, i;
+    int a, c;
+    if (b->def.frame == SFEM_FRAME_REST) return;
+    memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
+    for (e = 0; e < model->mesh.tets; ++e)
+        for (a = 0; a < 4; ++a) {
+            const sfem_int node = model->mesh.tet[4 * (size_t)e + (size_t)a];
+            const size_t to = (size_t)(whole ? b->turn.piece_of[node] : node);
+            for (c = 0; c < 9; ++c)
+                sum[9 * to + (size_t)c] += model->volume[e] * rotation[9 * (size_t)e + (size_t)c];
+            volume[to] += model->volume[e];
+        }
+    for (i = 0; whole && i < b->turn.pieces; ++i) /* -1 in place of a volume: leave all its frames */
+        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        if (b->turn.piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (!whole) sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], frame + 9 * (size_t)i);
+        else if (volume[b->turn.piece_of[i]] > 0)
+            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)b->turn.piece_of[i], 9 * sizeof *frame);
+    }
+}
+
+/* Room for the solves with f, `rhs` at a time. */
+static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
+                                           sfem_error *err)
+{
+    const size_t size = sfemi_factor_work_size(f, rhs);
+    sfem_real *work;
+    sfem_status status = SFEM_OK;
+    if (size <= b->work_size) return SFEM_OK;
+    SFEMI_NEW(sfem_real, work, &b->allocator, size);
+    sfemi_delete(&b->allocator, b->work);
+    b->work = work;
+    b->work_size = size;
+done:
+    return status;
+}
+
+/* Room for the columns of handle `slot`, where it is used or may not allocate later. */
+static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot, sfem_error *err)
+{
+    const sfemi_handle *h = b->state.handle + slot;
+    sfem_status status = SFEM_OK;
+    sfem_int parts = b->def.no_allocation ? (b->turns ? 4 : 1) : 0, k, used = 0;
+    sfem_real *y;
+    for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
+    if (used > 0 && !b->turns) used = 1;
+    if (used > parts) parts = used;
+    if (parts <= g->parts[slot]) return SFEM_OK;
+    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)parts * (size_t)b->model->mesh.nodes);
+    sfemi_delete(&b->allocator, g->y[slot]);
+    g->y[slot] = y;
+    g->parts[slot] = parts;
+    g->ready[slot] = 0;
+done:
+    return status;
+}
+
+/* ============================================================================================
+ * >>guard   (p,q,r) for bodies that turn: the guarded step
+ *
+ * Turning the factor is not enough in violent motion. Two energies are watched, with L the loads and v_r,
+ * L_r the parts of w' and L that do not move a free piece's centre of mass:
+ *   Eb = 1/2 v_r.r M v_r + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2 - L_r.(u + u')/2
+ *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
+ * Eb is conserved exactly where the body is linear and undamped, but blind to fast modes; Ec is not, and
+ * is tested loosely. They may not pass a ledger B (the least energy so far, forgotten over half a
+ * second, plus the work of handles, moved pins and changing loads) by more than .01 and .3 of a scale S,
+ * the energy in motion over the last second. A step that does is taken back and done again as a
+ * minimisation of
+ *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
+ * by descent with the factor of p = 1, from the better of u and y, until Ec is in order; Phi(z) <= Phi(u)
+ * alone implies Psi(z) - L.z <= Ec(u), so the last resort, less velocity, always ends it. Then the
+ * motion starts afresh from there. Energy and momentum are kept, angular momentum not wholly.
+ * ============================================================================================ */
+
+typedef struct sfemi_guard_energies {
+    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+} sfemi_guard_energies;
+
+/* Sums over a free piece, and the pieces' share in the energies of the whole. */
+static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
+                                                const sfem_real *f1, sfem_real psi1, sfem_real h)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
+    sfemi_guard_energies e;
+    sfem_real mid = 0, end = 0, stretch = 0;
+    sfem_int i, k;
+    int c;
+    memset(&e, 0, sizeof e);
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real m = model->node_mass[i];
+        sfem_real(*sum)[3];
+        if (b->turn.piece_of[i] < 0) continue;
+        sum = b->turn.piece[b->turn.piece_of[i]].sum;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real load = m * g[c] + s->force[1][at];
+            if (b->mask[i] >> c & 1) continue;
+            e.kinetic += m / 2 * w1[at] * w1[at];
+            e.floor += h * h / 2 * load * load / m;
+            mid -= load * (s->u[at] + u1[at]) / 2;
+            end -= load * u1[at];
+            stretch += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            sum[0][c] += m * w1[at];
+            sum[1][c] += load;
+            sum[2][c] += m * (s->u[at] + u1[at]) / 2;
+            sum[3][c] += m * u1[at];
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        const sfemi_piece *p = b->turn.piece + k;
+        for (c = 0; !p->held && c < 3; ++c) {
+            e.kinetic -= p->sum[0][c] * p->sum[0][c] / (2 * p->mass);
+            e.floor -= h * h / 2 * p->sum[1][c] * p->sum[1][c] / p->mass;
+            mid += p->sum[1][c] * p->sum[2][c] / p->mass;
+            end += p->sum[1][c] * p->sum[3][c] / p->mass;
+        }
+    }
+    e.kinetic *= r;
+    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (b->p - 0.5) / 2 * stretch + mid;
+    e.ec = e.kinetic + psi1 + end;
+    return e;
+}
+
+static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
+{
+    return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
+}
+
+/* Forces, frames and a new ledger where the state was set from outside. */
+static void sfemi_guard_refresh(sfem_body *b)
+{
+    sfemi_state_head *head = b->state.head;
+    sfemi_guard_energies e;
+    sfem_int i;
+    if (!head->current) {
+        for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
+        head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
+        sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+    }
+    sfemi_turn_locate(b, b->state.u);
+    if (head->current && !head->rebase) return;
+    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+    head->budget = head->last = e.ec;
+    if (!head->current) head->scale = 0;
+    if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
+    if (e.floor > head->scale) head->scale = e.floor;
+    head->current = 1;
+    head->rebase = 0;
+}
+
+static void sfemi_guard_predict(sfem_body *b, sfem_real h)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
+    int stiff, c;
+    sfemi_pqr_terms t;
+    sfem_int j;
+    size_t i;
+    b->step = h;
+    sfemi_guard_refresh(b);
+    t = sfemi_pqr_weigh(b, h);
+    t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
+    for (i = 0; i < n; ++i) {
+        const sfem_real dv = damped ? t.cd * s->w[i] : 0;
+        b->zk[i] = b->beta * dv - t.ck * s->w[i];
+        b->zm[i] = b->alpha * dv;
+        if (b->zd) b->zd[i] = dv;
+        b->acc[i] = 0;
+    }
+    for (j = 0; j < b->pin_count; ++j) {
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[j] + (size_t)c;
+            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
+            b->acc[i] = ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
+            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * b->acc[i];
+            if (b->zd) b->zd[i] += k.q / 2 * h * b->acc[i];
+            stiff |= b->acc[i] != 0;
+        }
+    }
+    if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+    else memset(b->rhs, 0, n * sizeof *b->rhs);
+    for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
+    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
+        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
+        sfem_real weight[3];
+        weight[0] = after - t.load[0];
+        weight[1] = t.load[0] + t.load[2] - after - before;
+        weight[2] = before - t.load[2];
+        memset(b->guard.external, 0, n * sizeof *b->guard.external);
+        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
+        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
+    }
+    sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
+}
+
+/* In a turned body every node has a frame of its own, so a handle has three columns for each of its nodes,
+ * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
+static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *frame)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_int size = 3 * g->count;
+    sfem_int i, j;
+    int k, l, part, r, c, m;
+    memset(g->s, 0, (size_t)size * (size_t)size * sizeof *g->s);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *hi = b->state.handle + g->slot[i];
+        for (j = 0; j <= i; ++j) {
+            const sfemi_handle *hj = b->state.handle + g->slot[j];
+            for (k = 0; k < 4; ++k)
+                for (l = 0, part = 0; l < 4; ++l) {
+                    const sfem_real *y, *qk, *ql;
+                    sfem_real block[9], turned[9], both[9];
+                    if (hj->weight[l] == 0) continue;
+                    y = g->y[g->slot[j]] + 3 * n * (size_t)part++;
+                    if (hi->weight[k] == 0) continue;
+                    for (r = 0; r < 3; ++r)
+                        for (c = 0; c < 3; ++c)
+                            block[3 * r + c] = y[(size_t)c * n + 3 * (size_t)hi->node[k] + (size_t)r];
+                    qk = frame + 9 * (size_t)hi->node[k];
+                    ql = frame + 9 * (size_t)hj->node[l];
+                    sfemi_mul3(qk, block, turned);
+                    sfemi_mul3_nt(turned, ql, both);
+                    for (m = 0; m < 9; ++m)
+                        g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += hi->weight[k] * hj->weight[l] * both[m];
+                }
+        }
+    }
+    sfemi_grip_factor(g->s, size, size);
+}
+
+/* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
+static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame, sfem_real *a)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *y = b->turn.v;
+    sfem_int i;
+    size_t k;
+    int c, l;
+    if (!g->count) return;
+    sfemi_guard_gather(b, g, frame);
+    for (i = 0; i < g->count; ++i) {
+        sfem_real mean[3];
+        sfemi_grip_mean(b->state.handle + g->slot[i], a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    memset(y, 0, n * sizeof *y);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *h = b->state.handle + g->slot[i];
+        const sfem_real *column = g->y[g->slot[i]];
+        for (l = 0; l < 4; ++l) {
+            const sfem_real *q = frame + 9 * (size_t)h->node[l], *lambda = g->lambda + 3 * i;
+            if (h->weight[l] == 0) continue;
+            for (c = 0; c < 3; ++c, column += n) {
+                const sfem_real f = h->weight[l] * (q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2]);
+                for (k = 0; k < n; ++k) y[k] += f * column[k];
+            }
+        }
+    }
+    sfemi_turn_rotate(frame, b->model->mesh.nodes, 0, y, y);
+    for (k = 0; k < n; ++k)
+        if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
+}
+
+static void sfemi_guard_solve(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step;
+    sfem_real *x = b->zm;
+    size_t i;
+    memcpy(x, b->rhs, n * sizeof *x);
+    for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
+    sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, x);
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
+    if (!b->grip.count) return;
+    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
+    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
+    sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+}
+
+/* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
+static sfem_real sfemi_guard_advance(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        g->w[i] = b->state.w[i] + d * b->acc[i];
+        g->u[i] = b->state.u[i] + b->step * g->w[i];
+    }
+    return sfemi_guard_forces(b, g->u, g->f);
+}
+
+/* Takes from a correction of a what would move the handles; their forces follow. */
+static void sfemi_guard_hold_correction(sfem_body *b, sfem_real *a)
+{
+    sfemi_grip *g = &b->grip;
+    const size_t bytes = 3 * (size_t)g->count * sizeof *g->lambda;
+    sfem_int k;
+    if (!g->count) return;
+    memcpy(g->place, g->lambda, bytes);
+    memset(g->lambda, 0, bytes);
+    sfemi_guard_hold(b, g, b->state.frame, a);
+    for (k = 0; k < 3 * g->count; ++k) g->lambda[k] = g->place[k] - g->lambda[k];
+}
+
+/* Newton-like corrections with the same factor toward Newmark(1/4, 1/2) itself:
+ *   r = M a + D (w + w')/2 + f'/4 + f/2 + f-/4 - L,  a -= A^-1 r,
+ * at the start M a + D w' + f'/2 + f/2 - L. Returns Psi'. */
+static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const int running = s->head->started == SFEMI_RUNNING;
+    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
+    const sfem_real h1 = running ? s->head->h : 0, d = (h1 + b->step) / 2, r0 = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real after = b->step / (4 * d), before = h1 / (4 * d);
+    size_t i;
+    int k;
+    for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
+        sfem_real size = 0, change = 0;
+        for (i = 0; i < n; ++i) {
+            const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+            b->zk[i] = b->beta * v;
+            if (b->zd) b->zd[i] = v;
+            b->zm[i] = r0 * b->acc[i] + b->alpha * v;
+        }
+        if (damped && (b->beta != 0 || b->zd))
+            sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, g->grad);
+        else memset(g->grad, 0, n * sizeof *g->grad);
+        for (i = 0; i < n; ++i)
+            g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
+                          (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
+        sfemi_turn_solve(b, b->factor, s->u, s->frame, g->grad);
+        sfemi_guard_hold_correction(b, g->grad);
+        for (i = 0; i < n; ++i) {
+            if (b->mask[i / 3] >> (i % 3) & 1) continue;
+            change += model->node_mass[i / 3] * g->grad[i] * g->grad[i];
+            size += model->node_mass[i / 3] * b->acc[i] * b->acc[i];
+            b->acc[i] -= g->grad[i];
+        }
+        psi = sfemi_guard_advance(b);
+        if (change <= b->def.correction_tolerance * b->def.correction_tolerance * size) break;
+    }
+    return psi;
+}
+
+/* Phi, its gradient on free axes in guard.grad, Psi and f at z. */
+static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_real *f, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real *mass = b->model->node_mass, h = b->step;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real phi = 0;
+    size_t i;
+    *psi = sfemi_guard_forces(b, z, f);
+    for (i = 0; i < n; ++i) {
+        const sfem_real inertia = r * mass[i / 3] * (z[i] - g->y[i]) / (h * h);
+        const int held = b->mask[i / 3] >> (i % 3) & 1;
+        if (!held) phi += inertia * (z[i] - g->y[i]) / 2;
+        g->grad[i] = held ? 0 : inertia + f[i];
+    }
+    return phi + *psi;
+}
+
+/* Puts held axes at their targets and, by the redo's factor, the handles' points: z satisfies the
+ * constraints, and what is added to it may not leave them. */
+static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
+        }
+    if (!b->guard.grip.count) return;
+    for (k = 0; k < b->guard.grip.count; ++k) { /* hold compares H z with the target's displacement */
+        const sfemi_handle *h = b->state.handle + b->guard.grip.slot[k];
+        sfem_real rest[3];
+        sfemi_grip_mean(h, b->model->mesh.x, rest);
+        for (c = 0; c < 3; ++c) b->guard.grip.lambda[3 * k + c] = h->hold.target[c] - rest[c];
+    }
+    sfemi_guard_hold(b, &b->guard.grip, b->state.frame, z);
+}
+
+static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    for (i = 0; i < n; ++i) g->w[i] = (g->u[i] - b->state.u[i]) / b->step;
+    return sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+}
+
+/* The better of u and y, by Phi, as z in guard.u, with f and grad. Returns Phi. */
+static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_real phi, phi_y;
+    memcpy(g->trial_u, g->y, bytes);
+    sfemi_guard_constrain(b, g->trial_u);
+    phi_y = sfemi_guard_potential(b, g->trial_u, g->f, psi);
+    memcpy(g->u, b->state.u, bytes);
+    sfemi_guard_constrain(b, g->u);
+    phi = sfemi_guard_potential(b, g->u, g->f, psi);
+    if (!(sfemi_finite(phi_y) && phi_y <= phi)) return phi;
+    memcpy(g->u, g->trial_u, bytes);
+    return sfemi_guard_potential(b, g->u, g->f, psi);
+}
+
+/* dir = -h^2 A1^-1 grad in the frames of z, leaving constraints alone. Returns grad.dir. */
+static sfem_real sfemi_guard_direction(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real slope = 0;
+    size_t i;
+    sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    memcpy(g->dir, g->grad, n * sizeof *g->dir);
+    sfemi_turn_solve(b, g->factor, b->state.u, g->frame, g->dir);
+    if (g->grip.count) {
+        memset(g->grip.lambda, 0, 3 * (size_t)g->grip.count * sizeof *g->grip.lambda);
+        sfemi_guard_hold(b, &g->grip, g->frame, g->dir);
+    }
+    for (i = 0; i < n; ++i) {
+        g->dir[i] *= -b->step * b->step;
+        slope += g->grad[i] * g->dir[i];
+    }
+    return slope;
+}
+
+/* One step of descent with Armijo's rule; 0 if there is none left to take. */
+static int sfemi_guard_descend(sfem_body *b, sfem_real *phi, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    const sfem_real slope = sfemi_guard_direction(b);
+    sfem_real length = 1;
+    size_t i;
+    int halvings;
+    for (halvings = 0; halvings < 20 && slope < 0; ++halvings, length /= 2) {
+        sfem_real value;
+        for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
+        value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
+        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
+        *phi = value;
+        memcpy(g->u, g->trial_u, bytes);
+        memcpy(g->f, g->trial_f, bytes);
+        return 1;
+    }
+    *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
+    return 0;
+}
+
+/* Gives free pieces the momentum that h L adds to M w, and as much of the angular momentum as the ledger
+ * allows. */
+static void sfemi_guard_restore_momentum(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real spin2 = 0, cross = 0, room, part = 1;
+    sfemi_guard_energies e;
+    size_t i;
+    sfem_int k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    for (i = 0; i < n; ++i)
+        b->zk[i] = b->model->node_mass[i / 3] * (b->state.w[i] + (g->y[i] - b->state.u[i] - b->step * b->state.w[i]) / b->step);
+    sfemi_turn_locate(b, b->state.u);
+    sfemi_turn_momentum(b, b->state.u, b->zk, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    sfemi_turn_locate(b, g->u);
+    sfemi_turn_momentum(b, g->u, g->w, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] - b->turn.piece[k].motion[c];
+    sfemi_turn_divide(b);
+    for (k = 0; k < b->turn.pieces; ++k) { /* the centre's velocity costs no energy that is watched */
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+        memset(b->turn.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
+    }
+    sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
+    for (k = 0; k < b->turn.pieces; ++k) {
+        memset(b->turn.piece[k].motion, 0, 3 * sizeof(sfem_real));
+        memcpy(b->turn.piece[k].motion + 3, b->turn.piece[k].kept + 3, 3 * sizeof(sfem_real));
+    }
+    memset(b->zk, 0, n * sizeof *b->zk);
+    sfemi_turn_add_motion(b, g->u, 1, 0, b->zk);
+    for (i = 0; i < n; ++i) {
+        spin2 += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        cross += b->model->node_mass[i / 3] * b->zk[i] * g->w[i];
+    }
+    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    room = b->state.head->budget - e.ec;
+    if (spin2 + cross > room && spin2 > 0) {
+        const sfem_real root = cross * cross + 4 * spin2 * (room > 0 ? room : 0);
+        part = (sqrt(root) - cross) / (2 * spin2);
+        part = part < 0 ? 0 : part > 1 ? 1 : part;
+    }
+    for (i = 0; i < n; ++i) g->w[i] += part * b->zk[i];
+}
+
+/* The last resort: scales what of w' is not rigid motion until Ec <= target, or to nothing. */
+static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_guard_energies e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    sfem_real inner = 0, scale;
+    size_t i;
+    if (e.ec <= target) return;
+    memcpy(b->zk, g->w, n * sizeof *b->zk);
+    sfemi_turn_locate(b, g->u);
+    if (sfemi_turn_projects(b)) {
+        sfemi_turn_motion(b, g->u, b->zk, 1);
+        sfemi_turn_add_motion(b, g->u, -1, 0, b->zk);
+    }
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) inner += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        else b->zk[i] = 0;
+    inner *= sfemi_body_coefficients(b, b->p).r;
+    scale = inner > e.ec - target ? 1 - sqrt(1 - (e.ec - target) / inner) : 1;
+    for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
+}
+
+/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
+static sfem_real sfemi_guard_work(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
+    sfem_real work = 0;
+    sfem_int k;
+    int l, c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+        }
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
+                work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+            }
+    }
+    return work;
+}
+
+/* Does the step again, by minimisation. Leaves z, w', f, rotations in guard; returns Psi. */
+static sfem_real sfemi_guard_redo(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real psi, phi, first = 0, target;
+    size_t i;
+    int k;
+    for (i = 0; i < n; ++i) {
+        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
+        g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
+    }
+    memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
+    sfemi_turn_locate(b, b->state.u);
+    phi = sfemi_guard_choose_start(b, &psi);
+    head->budget += sfemi_guard_work(b);
+    target = head->budget + .01 * head->scale;
+    if (head->last > target) target = head->last;
+    for (k = 0; k < 8; ++k) {
+        sfem_real norm = 0;
+        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
+        if (k == 0) first = norm;
+        else if (norm < 1e-6 * first || sfemi_guard_at(b, psi).ec <= target) break;
+        if (!sfemi_guard_descend(b, &phi, &psi)) break;
+    }
+    (void)sfemi_guard_at(b, psi);
+    sfemi_guard_restore_momentum(b, psi);
+    sfemi_guard_slow_down(b, psi, target);
+    return psi;
+}
+
+/* The factor of the redo, and the handles' columns for it. */
+static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_factor *f = NULL;
+    sfemi_factor_key key;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!g->factor || g->h != h) {
+        key = b->factor->key;
+        key.ck = h * h + h * b->beta;
+        key.cm = r + h * b->alpha;
+        key.cd = b->model->damping ? h : 0;
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        sfemi_factor_release(b->model, g->factor);
+        g->factor = f;
+        g->h = h;
+        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
+    }
+    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
+    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
+    g->grip.count = b->grip.count;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
+        if (!g->grip.ready[slot])
+            sfemi_grip_columns(g->factor, b->state.handle + slot, (sfem_int)(n / 3), 1, g->grip.y[slot], b->work,
+                               &b->exec);
+        g->grip.ready[slot] = 1;
+    }
+done:
+    return status;
+}
+
+/* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
+ * or -L.u after a redo. */
+static sfem_real sfemi_guard_load_change(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfem_real back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
+    sfem_real change = 0;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        if (b->turn.piece_of[i] < 0) continue;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real u = s->u[at] - back * s->w[at], d = s->force[0][at] - s->force[1][at];
+            change -= d * u;
+            p->sum[0][c] += d;
+            p->sum[1][c] += b->model->node_mass[i] * u;
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
+            change += b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
+    return change;
+}
+
+/* Work done in the step that is to be judged by handles, moved pins, and the part of the loads that is not
+ * in the energies: force . (u' - u-)/2, half of that after a start. */
+static sfem_real sfemi_guard_step_work(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real work = 0;
+    sfem_int k;
+    size_t i;
+    int l, c;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = s->handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)h->node[l] + (size_t)c;
+                work += b->grip.lambda[3 * k + c] * h->weight[l] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            }
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (b->model->node_mass[b->pin[k]] * b->acc[i] + s->f[i]) * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+        }
+    if (s->head->loaded && s->head->load_age < 2)
+        for (i = 0; i < n; ++i)
+            work += (t.load[0] * (s->force[0][i] - s->force[1][i]) + t.load[2] * (s->force[2][i] - s->force[1][i])) *
+                    (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+    return work;
+}
+
+/* The hand's force in a step that was done again: what is out of balance at the handle's nodes. */
+static void sfemi_guard_handle_forces(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfem_real h2 = b->step * b->step;
+    sfem_int k;
+    int l, c;
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        sfem_real sum = 0;
+        memset(h->force, 0, sizeof h->force);
+        for (l = 0; l < 4; ++l) {
+            sum += h->weight[l] * h->weight[l];
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
+                h->force[c] += h->weight[l] * (b->model->node_mass[h->node[l]] * (g->u[at] - g->y[at]) / h2 + g->f[at]);
+            }
+        }
+        for (c = 0; c < 3; ++c) h->force[c] /= sum;
+    }
+}
+
+/* Judges the step; where it fails, does it again. The state is not changed but for the ledger, which a
+ * failure puts back. */
+static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real budget = head->budget;
+    sfemi_guard_energies e;
+    sfem_status status = SFEM_OK;
+    g->psi = sfemi_guard_advance(b);
+    if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
+    g->redone = 0;
+    if (!b->def.no_guard && b->def.integrator == SFEM_PQR) {
+        head->budget += sfemi_guard_step_work(b);
+        e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
+                    e.ec <= head->budget + .3 * head->scale);
+    }
+    if (g->redone) {
+        head->budget = budget;
+        status = sfemi_guard_prepare_redo(b, err);
+        if (status != SFEM_OK) return status;
+        g->psi = sfemi_guard_redo(b);
+    }
+    if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
+    head->budget = budget;
+    return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to an energy that is not finite");
+}
+
+static void sfemi_guard_finish(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state *s = &b->state;
+    sfemi_state_head *head = s->head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real psi = g->psi;
+    const int redone = g->redone;
+    sfemi_guard_energies e;
+    sfem_real energy, moving;
+    sfem_int k;
+    size_t i;
+    int c;
+    if (redone) sfemi_guard_handle_forces(b);
+    else
+        for (k = 0; k < b->grip.count; ++k)
+            memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
+    sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
+    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    energy = redone ? e.ec : e.eb;
+    if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
+    moving = e.kinetic + (head->psi + psi) / 2;
+    head->scale *= exp(-b->step);
+    if (moving > head->scale) head->scale = moving;
+    if (e.floor > head->scale) head->scale = e.floor;
+    head->last = e.ec;
+    head->psi = psi;
+    head->redone += redone;
+    for (k = 0; k < b->pin_count; ++k) {
+        sfem_real x[3];
+        for (c = 0; c < 3; ++c)
+            x[c] = b->model->mesh.x[3 * (size_t)b->pin[k] + (size_t)c] + s->u[3 * (size_t)b->pin[k] + (size_t)c];
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) s->a[i] = redone ? 0 : b->acc[i];
+    memcpy(s->f_past, s->f, n * sizeof *s->f);
+    memcpy(s->f, g->f, n * sizeof *s->f);
+    memcpy(s->u, g->u, n * sizeof *s->u);
+    memcpy(s->w, g->w, n * sizeof *s->w);
+    sfemi_turn_frames(b, b->turn.rotation, s->frame);
+    head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
 /* ============================================================================================
@@ -5448,8 +11117,10 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     sfem_body_def d;
     memset(&d, 0, sizeof d);
     d.integrator = SFEM_PQR;
-    d.p = d.beta = 0.25;
+    d.p = SFEM_P_SAFE;
+    d.beta = 0.25;
     d.q = d.r = 1;
+    d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
     d.max_handles = 16;
     return d;
@@ -5459,19 +11130,31 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
     if ((unsigned)d->integrator > SFEM_CENTRAL)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
-    if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO)))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0 or SFEM_P_AUTO", d->p);
-    if (!(sfemi_finite(d->q) && d->q >= 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
-    if (!(sfemi_finite(d->r) && d->r > 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "r is %g, must be > 0", d->r);
+    if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
+    if ((unsigned)d->frame > SFEM_FRAME_REST)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
+    if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
+                          d->correction_tolerance);
+    if (!(sfemi_finite(d->q) && d->q >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
+    if (!(sfemi_finite(d->r) && d->r > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "r is %g, must be > 0", d->r);
     if (!(sfemi_finite(d->beta) && d->beta > 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's beta is %g, must be > 0 (central difference is an integrator of its own)", d->beta);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "Newmark's beta is %g, must be > 0 (central difference is an integrator of its own)",
+                          d->beta);
     if (!(sfemi_finite(d->gamma) && d->gamma >= 0.5))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
     if (!(sfemi_finite(d->alpha) && d->alpha >= 0 && sfemi_finite(d->beta_k) && d->beta_k >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha, d->beta_k);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha,
+                          d->beta_k);
     if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     if (d->max_handles < 0 || d->max_handles > 1024)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024", (int)d->max_handles);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
+                          (int)d->max_handles);
     return SFEM_OK;
 }
 
@@ -5505,7 +11188,7 @@ static sfem_status sfemi_body_collect_pins(const sfem_body *b, sfem_int count, c
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin_count is %d without pins", (int)count);
     for (i = 0; i < nodes; ++i) mask[i] = 0;
     for (i = 0; i < count; ++i) {
-        const int held = axes ? axes[i] : SFEM_AXIS_ALL;
+        const int held = axes ? (int)axes[i] : (int)SFEM_AXIS_ALL;
         if (pins[i] < 0 || pins[i] >= nodes)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin %d names node %d, the mesh has %d", (int)i,
                               (int)pins[i], (int)nodes);
@@ -5536,20 +11219,73 @@ static void sfemi_body_place_pins(sfem_body *b)
     }
 }
 
+static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
+{
+    const sfem_allocator *al = &b->allocator;
+    sfem_int i;
+    for (i = 0; g->y && i < b->def.max_handles; ++i) sfemi_delete(al, g->y[i]);
+    sfemi_delete(al, g->y);
+    sfemi_delete(al, g->slot);
+    sfemi_delete(al, g->parts);
+    sfemi_delete(al, g->ready);
+    sfemi_delete(al, g->s);
+    sfemi_delete(al, g->wm);
+    sfemi_delete(al, g->lambda);
+    sfemi_delete(al, g->place);
+}
+
+static sfem_status sfemi_body_allocate_grip(sfem_body *b, size_t k, sfemi_grip *g, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    sfem_status status = SFEM_OK;
+    if (k == 0) return SFEM_OK;
+    SFEMI_NEW(sfem_int, g->slot, al, k);
+    SFEMI_NEW(sfem_real *, g->y, al, k);
+    SFEMI_NEW(sfem_int, g->parts, al, k);
+    SFEMI_NEW(sfem_int, g->ready, al, k);
+    SFEMI_NEW(sfem_real, g->s, al, 9 * k * k);
+    SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
+    SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
+    SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+done:
+    return status;
+}
+
+/* What only a body that turns needs. */
+static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes, tets = (size_t)b->model->mesh.tets;
+    sfemi_guard *g = &b->guard;
+    sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->y, &g->grad, &g->dir,
+                                  &g->trial_u, &g->trial_f};
+    sfem_status status = SFEM_OK;
+    size_t i;
+    SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
+    SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
+    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
+    SFEMI_NEW(sfem_real, b->turn.rotation, al,
+              9 * tets + sfem_model_work_size(b->model) + (10 + 3) * n + n + n / 3 + 3 * n);
+    b->turn.work = b->turn.rotation + 9 * tets;
+    b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
+    g->frame = b->turn.sum + 3 * n + n / 3;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->frame + (3 + i) * n;
+    SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->grip, err));
+done:
+    return status;
+}
+
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
-    sfem_int i;
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    for (i = 0; b->grip.y && i < b->def.max_handles; ++i) sfemi_delete(&al, b->grip.y[i]);
-    sfemi_delete(&al, b->grip.y);
-    sfemi_delete(&al, b->grip.slot);
-    sfemi_delete(&al, b->grip.ready);
-    sfemi_delete(&al, b->grip.s);
-    sfemi_delete(&al, b->grip.wm);
-    sfemi_delete(&al, b->grip.lambda);
-    sfemi_delete(&al, b->grip.place);
+    sfemi_factor_release(b->model, b->guard.factor);
+    sfemi_body_free_grip(b, &b->grip);
+    sfemi_body_free_grip(b, &b->guard.grip);
+    sfemi_delete(&al, b->turn.piece_of);
+    sfemi_delete(&al, b->turn.piece);
+    sfemi_delete(&al, b->turn.rotation);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
@@ -5572,24 +11308,18 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
-    bytes = sfemi_state_bytes(nodes, b->pin_count, def->max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, b->pin_count, def->max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->pin_count);
+    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->pin_count);
     sfemi_body_reset_head(b, bytes);
+    memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
     b->acc = b->rhs + n;
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
-    if (k > 0) {
-        SFEMI_NEW(sfem_int, b->grip.slot, al, k);
-        SFEMI_NEW(sfem_real *, b->grip.y, al, k);
-        SFEMI_NEW(sfem_int, b->grip.ready, al, k);
-        SFEMI_NEW(sfem_real, b->grip.s, al, 9 * k * k);
-        SFEMI_NEW(sfem_real, b->grip.wm, al, 3 * k * k);
-        SFEMI_NEW(sfem_real, b->grip.lambda, al, 3 * k);
-        SFEMI_NEW(sfem_real, b->grip.place, al, 3 * k);
-    }
+    SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
+    if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
 done:
     return status;
 }
@@ -5610,9 +11340,15 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
+    b->turns = model->turns && def->integrator != SFEM_NEWMARK;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
+    if (b->turns && model->block_mass) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                            "a nonlinear body steps with lumped mass only: a consistent one does not turn");
+        goto done;
+    }
     SFEMI_TRY(sfemi_body_allocate(b, def, err));
     sfemi_body_place_pins(b);
     *out = b;
@@ -5627,64 +11363,74 @@ SFEM_DEF void sfem_body_free(sfem_body *body)
     if (body) sfemi_body_destroy(body);
 }
 
-/* Room for the solves with f, `rhs` at a time. */
-static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
-                                           sfem_error *err)
+/* Which pieces are held by pins or handles; where that changes, the energies count anew. */
+static void sfemi_body_find_held(sfem_body *b)
 {
-    const size_t size = sfemi_factor_work_size(f, rhs);
-    sfem_real *work;
-    sfem_status status = SFEM_OK;
-    if (size <= b->work_size) return SFEM_OK;
-    SFEMI_NEW(sfem_real, work, &b->allocator, size);
-    sfemi_delete(&b->allocator, b->work);
-    b->work = work;
-    b->work_size = size;
-done:
-    return status;
+    sfem_int i, k;
+    int l, changed = 0;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].sum[0][0] = 1;
+    for (i = 0; i < b->grip.count; ++i)
+        for (l = 0; l < 4; ++l)
+            if (b->state.handle[b->grip.slot[i]].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[b->grip.slot[i]].node[l]]].sum[0][0] = 1;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        const int held = b->turn.piece[k].sum[0][0] > 0;
+        changed |= held != b->turn.piece[k].held;
+        b->turn.piece[k].held = held;
+    }
+    if (changed) b->state.head->rebase = 1;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
 static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
 {
     sfemi_grip *g = &b->grip;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
     sfem_int i, count = 0;
     if (!g->dirty) return SFEM_OK;
     for (i = 0; i < b->def.max_handles; ++i) {
-        const int wanted = b->state.handle[i].used;
-        if ((wanted || b->def.no_allocation) && !g->y[i])
-            SFEMI_NEW(sfem_real, g->y[i], &b->allocator, 3 * n);
-        count += wanted;
+        SFEMI_TRY(sfemi_grip_reserve(b, g, i, err));
+        count += b->state.handle[i].used;
     }
     if (count || b->def.no_allocation) SFEMI_TRY(sfemi_body_reserve_work(b, b->factor, 3, err));
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i])
-            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, g->y[i], b->work,
-                               &b->exec);
+            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
+                               b->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
-    sfemi_grip_gather(g, b->state.handle, b->model, b->mask);
+    sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
+    if (b->turns) sfemi_body_find_held(b);
+    if (b->turns && b->def.no_allocation && !b->def.no_guard)
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, err));
     g->dirty = 0;
 done:
     return status;
 }
 
+static void sfemi_body_forget_columns(sfem_body *b)
+{
+    sfem_int i;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    for (i = 0; b->turns && i < b->def.max_handles; ++i) b->guard.grip.ready[i] = 0;
+    b->grip.dirty = 1;
+}
+
 /* Takes over a factor that the body owns a reference to. */
 static void sfemi_body_adopt(sfem_body *b, sfem_factor *f)
 {
-    sfem_int i;
     if (f == b->factor) {
         sfemi_factor_release(b->model, f); /* the body has one reference already */
         return;
     }
     sfemi_factor_release(b->model, b->factor);
     b->factor = f;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_body_forget_columns(b);
 }
 
 static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
@@ -5696,7 +11442,8 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
-    if (*p == SFEM_P_AUTO) *p = b->omega_max * h < 2 ? 1.0 / 12 : 0.25;
+    if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
+    if (*p < 0) *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
     limit = sfemi_pqr_stable_step(b, *p);
     if (limit > 0 && h > limit)
         return sfemi_fail(err, SFEM_UNSTABLE, "a step of %g s is beyond the stable one, %g s", h, limit);
@@ -5719,6 +11466,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!(sfemi_finite(h) && h > 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
+    b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
@@ -5748,13 +11496,14 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     SFEM_ASSERT(b);
     if (!sfemi_body_is_prepared(b, h)) {
         sfem_status status;
-        if (b->def.no_allocation)
+        if (b->def.no_allocation && !(b->factor && h == b->h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
     }
     b->step = h;
-    if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
+    if (b->turns) sfemi_guard_predict(b, h);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
@@ -5764,8 +11513,10 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
-    if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
+    if (!b->turns)
+        sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    if (b->turns) sfemi_guard_solve(b);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     b->phase = SFEMI_IDLE;
     if (!sfemi_all_finite(b->acc, n))
@@ -5779,40 +11530,55 @@ static void sfemi_body_age_load(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     if (!b->state.head->loaded || b->state.head->load_age >= 2) return;
+    if (b->turns) b->state.head->budget += sfemi_guard_load_change(b);
     memcpy(b->state.force[2], b->state.force[1], bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     ++b->state.head->load_age;
 }
 
-SFEM_DEF void sfem_body_finish(sfem_body *b)
+/* The handles' forces, and what the integrator does at the end of a step of a linear body. */
+static void sfemi_body_finish_linear(sfem_body *b)
 {
-    sfemi_grip *g = &b->grip;
+    const sfemi_grip *g = &b->grip;
     sfem_int i;
-    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
-    for (i = 0; i < g->count; ++i) {
+    for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
-        sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
-    }
     if (b->def.integrator == SFEM_NEWMARK) {
         sfemi_newmark_finish(b);
         sfemi_newmark_settle_handles(b, g->place);
     } else {
         sfemi_pqr_finish(b);
     }
+    b->state.head->started = SFEMI_RUNNING;
+}
+
+SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    sfem_int i;
+    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    b->phase = SFEMI_IDLE;
+    if (b->turns) {
+        const sfem_status status = sfemi_guard_judge_step(b, err);
+        if (status != SFEM_OK) return status;
+    }
+    for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    if (b->turns) sfemi_guard_finish(b);
+    else sfemi_body_finish_linear(b);
     for (i = 0; i < g->count; ++i)
         sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
-    sfemi_body_age_load(b);
-    b->state.head->started = SFEMI_RUNNING;
     b->state.head->time += b->step;
     b->state.head->h = b->step;
-    b->phase = SFEMI_IDLE;
+    ++b->state.head->steps;
+    sfemi_body_age_load(b);
+    return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status = sfem_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
-    if (status == SFEM_OK) sfem_body_finish(b);
+    if (status == SFEM_OK) status = sfem_body_finish(b, err);
     return status;
 }
 
@@ -5885,7 +11651,8 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], sfem_error *err)
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
-    memcpy(b->def.gravity, g, sizeof b->def.gravity);
+    memcpy(b->state.head->gravity, g, 3 * sizeof *g);
+    b->state.head->rebase = 1;
     return SFEM_OK;
 }
 
@@ -5918,6 +11685,8 @@ static void sfemi_body_restart(sfem_body *b)
     memcpy(b->state.force[2], b->state.force[0], bytes);
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
+    b->state.head->current = 0;
+    b->state.head->steps = b->state.head->redone = 0;
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -5955,20 +11724,21 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
                                           sfem_error *err)
 {
     sfemi_state_head head;
-    sfem_int i;
-    if (bytes < sizeof head) return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
+    if (bytes < sizeof head)
+        return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
     memcpy(&head, memory, sizeof head);
-    if (memcmp(head.magic, "sfemstat", 8) != 0) return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
+    if (memcmp(head.magic, "sfemstat", 8) != 0)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
     if (head.version != 1)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1", (unsigned)head.version);
+        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1",
+                          (unsigned)head.version);
     if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
     if (head.size != b->state.head->size || head.key != b->state.head->key)
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
 }
@@ -5982,17 +11752,17 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     const sfem_int nodes = b->model->mesh.nodes;
     sfemi_state fresh, old = b->state;
     unsigned char *mask = NULL;
-    sfem_int *list = NULL, listed, i;
+    sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    bytes = sfemi_state_bytes(nodes, listed, b->def.max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, listed, b->def.max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, listed);
-    memcpy(fresh.head, old.head, sizeof *old.head + 18 * (size_t)nodes * sizeof(sfem_real));
+    sfemi_state_lay_out(&fresh, block, nodes, b->turns, listed);
+    memcpy(fresh.head, old.head, sizeof *old.head + sfemi_state_reals(nodes, b->turns) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
@@ -6003,10 +11773,12 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->pin_count = listed;
     b->omega_max = 0;
     sfemi_body_reset_head(b, bytes);
+    b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_factor_release(b->model, b->guard.factor);
+    b->guard.factor = NULL;
+    sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
     return SFEM_OK;
 done:
@@ -6037,7 +11809,8 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     int c, loose = 0;
     for (c = 0; c < 4; ++c) loose |= weight[c] != 0 && b->mask[node[c]] != SFEM_AXIS_ALL;
     if (!loose)
-        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes", (int)node[0]);
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes",
+                             (int)node[0]);
     for (k = 0; k < b->def.max_handles && b->state.handle[k].used; ++k) continue;
     if (k == b->def.max_handles)
         return sfemi_fail(err, SFEM_FULL, "all %d handles are in use: pin the nodes instead", (int)k);
@@ -6091,6 +11864,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     memset(b->state.handle + handle, 0, sizeof *b->state.handle);
+    b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
     b->grip.dirty = 1;
 }
@@ -6125,11 +11899,26 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         if (b->zd) b->zd[i] = v[i];
     }
     b->phase = SFEMI_IDLE;
-    sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
+    if (b->turns) {
+        for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
+        sfemi_guard_refresh(b);
+        sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i)
+            b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
+        sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
+    } else {
+        sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
+    }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
 }
 
 /* ---- statics ---- */
+
+/* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
+static int sfemi_body_is_node_handle(const sfemi_handle *h)
+{
+    return h->used && h->weight[0] == 1 && h->weight[1] == 0 && h->weight[2] == 0 && h->weight[3] == 0;
+}
 
 /* The body's pins and its node handles: what a static solution has to hold. */
 static void sfemi_body_static_mask(const sfem_body *b, unsigned char *mask)
@@ -6137,21 +11926,21 @@ static void sfemi_body_static_mask(const sfem_body *b, unsigned char *mask)
     sfem_int k;
     memcpy(mask, b->mask, (size_t)b->model->mesh.nodes);
     for (k = 0; k < b->def.max_handles; ++k)
-        if (b->state.handle[k].used && b->state.handle[k].weight[0] == 1)
+        if (sfemi_body_is_node_handle(b->state.handle + k))
             mask[b->state.handle[k].node[0]] = SFEM_AXIS_ALL;
 }
 
-/* Known displacements to u, zero elsewhere. */
+/* Known displacements to u, zero elsewhere. Of two handles on one node the first counts, as in a step. */
 static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
 {
     const sfem_real *rest = b->model->mesh.x;
     sfem_int k;
     int c;
     memset(u, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *u);
-    for (k = 0; k < b->def.max_handles; ++k) {
+    for (k = b->def.max_handles - 1; k >= 0; --k) {
         const sfemi_handle *h = b->state.handle + k;
         const size_t at = 3 * (size_t)h->node[0];
-        for (c = 0; h->used && h->weight[0] == 1 && c < 3; ++c)
+        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c)
             u[at + (size_t)c] = h->hold.target[c] - rest[at + (size_t)c];
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -6173,13 +11962,13 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
     for (k = 0; k < b->def.max_handles; ++k) {
         const sfemi_handle *h = b->state.handle + k;
         g->ready[k] = 0;
-        if (!h->used || h->weight[0] == 1) continue;
+        if (!h->used || sfemi_body_is_node_handle(h)) continue;
         if (!g->y[k]) SFEMI_NEW(sfem_real, g->y[k], &b->allocator, 9 * (size_t)b->model->mesh.nodes);
-        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, g->y[k], b->work, &b->exec);
+        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
-        sfemi_grip_gather(g, b->state.handle, b->model, f->mask);
+        sfemi_grip_gather(g, b->state.handle, b->model, 0, f->mask);
         for (k = 0; k < g->count; ++k) {
             sfem_real rest[3];
             int c;
@@ -6197,7 +11986,7 @@ done:
     return status;
 }
 
-/* The forces of node handles: what is out of balance there. */
+/* The forces of node handles: what is out of balance there, to the first handle of each node. */
 static void sfemi_body_static_forces(sfem_body *b)
 {
     const sfem_real load[3] = {1, 0, 0};
@@ -6208,8 +11997,11 @@ static void sfemi_body_static_forces(sfem_body *b)
     sfemi_body_residual(b, load, 0);
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
-        for (c = 0; h->used && h->weight[0] == 1 && c < 3; ++c)
-            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[3 * (size_t)h->node[0] + (size_t)c];
+        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
+            const size_t i = 3 * (size_t)h->node[0] + (size_t)c;
+            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[i];
+            b->rhs[i] = 0; /* carried */
+        }
     }
 }
 
@@ -6280,13 +12072,17 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     sfem_body_velocities(b, b->acc);
     sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
-    sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
-    e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    if (b->turns) {
+        e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
+    } else {
+        sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
+        e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    }
     e.load = 0;
     for (i = 0; i < n; ++i)
-        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    if (!running) return e;
+    if (!running || b->turns) return e;
     if (b->def.integrator == SFEM_NEWMARK) {
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
         e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
@@ -6297,7 +12093,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
         sfem_model_multiply_stiffness(model, s->w, b->rhs, &b->exec);
         wkw = sfemi_body_dot(s->w, b->rhs, n);
         for (i = 0; i < n; ++i)
-            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
         /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
         e.conserved = k.r / 2 * sfemi_body_dot(s->w, b->zm, n) + k.p * h * h / 2 * wkw + e.elastic -
                       h / 2 * sfemi_body_dot(s->u, b->rhs, n) + e.load + h / 2 * load_w;
@@ -6317,6 +12113,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.p = b->factor ? b->p : 0;
     info.omega_max = b->omega_max;
     info.factors_made = b->factors_made;
+    info.steps = b->state.head->steps;
+    info.redone = b->state.head->redone;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
@@ -6341,6 +12139,655 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 }
 #endif
 #endif /* SOFTFEM_IMPLEMENTATION */
+
+/* ============================================================================================
+ * >>kernels   the inner loops, compiled once for each vector path and precision
+ *
+ * This part is not guarded: the implementation includes the file again with SFEMI_PATH and
+ * SFEMI_BITS defined, and nothing but this part is then read.
+ * ============================================================================================ */
+#ifdef SFEMI_PATH
+
+/* --- vectors ---------------------------------------------------------------------------------
+ * Doubles are 4 wide, on AVX-512 8; floats 8 wide on every path. */
+#if SFEMI_PATH == 2 && !defined(SFEMI_EMULATE_AVX512) /* a test's, for processors without it */
+#define SFEMI_TARGET __attribute__((target("avx512f,avx2,fma")))
+#elif SFEMI_PATH >= 1
+#define SFEMI_TARGET __attribute__((target("avx2,fma")))
+#else
+#define SFEMI_TARGET
+#endif
+
+#if SFEMI_BITS == 64
+#define SFEMI_R double
+#if SFEMI_PATH == 2
+#define SFEMI_W 8
+#else
+#define SFEMI_W 4
+#endif
+#else
+#define SFEMI_R float
+#define SFEMI_W 8
+#endif
+
+#define SFEMI_PASTE3(a, b, c) a##_##b##_##c
+#define SFEMI_PASTE(a, b, c) SFEMI_PASTE3(a, b, c)
+#define SFEMI_KERNEL(name) SFEMI_PASTE(name, SFEMI_BITS, SFEMI_PATH)
+
+#if SFEMI_PATH == 2 && SFEMI_BITS == 64 && !defined(SFEMI_EMULATE_AVX512)
+#define SFEMI_V __m512d
+#define SFEMI_LD(p) _mm512_loadu_pd(p)
+#define SFEMI_ST(p, v) _mm512_storeu_pd(p, v)
+#define SFEMI_DUP(s) _mm512_set1_pd(s)
+#define SFEMI_ADD(a, b) _mm512_add_pd(a, b)
+#define SFEMI_MUL(a, b) _mm512_mul_pd(a, b)
+#define SFEMI_FMA(a, b, c) _mm512_fmadd_pd(a, b, c)
+#define SFEMI_FNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
+#define SFEMI_HALF(p) _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 64 && SFEMI_W == 4
+#define SFEMI_V __m256d
+#define SFEMI_LD(p) _mm256_loadu_pd(p)
+#define SFEMI_ST(p, v) _mm256_storeu_pd(p, v)
+#define SFEMI_DUP(s) _mm256_set1_pd(s)
+#define SFEMI_ADD(a, b) _mm256_add_pd(a, b)
+#define SFEMI_MUL(a, b) _mm256_mul_pd(a, b)
+#define SFEMI_FMA(a, b, c) _mm256_fmadd_pd(a, b, c)
+#define SFEMI_FNMA(a, b, c) _mm256_fnmadd_pd(a, b, c)
+#define SFEMI_HALF(p) _mm256_loadu_pd(p)
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 32
+#define SFEMI_V __m256
+#define SFEMI_LD(p) _mm256_loadu_ps(p)
+#define SFEMI_ST(p, v) _mm256_storeu_ps(p, v)
+#define SFEMI_DUP(s) _mm256_set1_ps(s)
+#define SFEMI_ADD(a, b) _mm256_add_ps(a, b)
+#define SFEMI_MUL(a, b) _mm256_mul_ps(a, b)
+#define SFEMI_FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
+#define SFEMI_FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
+#define SFEMI_SUM4(z, out)                                                                           \
+    {                                                                                                \
+        const __m256 a_ = _mm256_hadd_ps(_mm256_loadu_ps(z), _mm256_loadu_ps((z) + 8));              \
+        const __m256 b_ = _mm256_hadd_ps(_mm256_loadu_ps((z) + 16), _mm256_loadu_ps((z) + 24));      \
+        const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                    \
+        _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));    \
+    }
+#elif defined(__GNUC__) && SFEMI_W * SFEMI_BITS == 256 /* two vectors of 16 bytes: SSE2, NEON */
+typedef SFEMI_R SFEMI_KERNEL(sfemi_h) __attribute__((vector_size(16)));
+typedef SFEMI_R SFEMI_KERNEL(sfemi_u) __attribute__((vector_size(16), aligned(4), may_alias));
+typedef struct SFEMI_KERNEL(sfemi_v) {
+    SFEMI_KERNEL(sfemi_h) a, b;
+} SFEMI_KERNEL(sfemi_v);
+#define SFEMI_V SFEMI_KERNEL(sfemi_v)
+#define SFEMI_H SFEMI_KERNEL(sfemi_h)
+/* a processor with multiply-add always uses it here, lest the compiler choose */
+#if defined(__FMA__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_pd(x, y, z)
+#elif defined(__FMA__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_ps(x, y, z)
+#elif defined(__aarch64__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f64(z, x, y)
+#elif defined(__aarch64__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f32(z, x, y)
+#else
+#define SFEMI_FMAH(x, y, z) ((x) * (y) + (z))
+#endif
+#define SFEMI_PAIR(name, arguments, first, second)                                                   \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                         \
+    {                                                                                                \
+        SFEMI_V r;                                                                                   \
+        r.a = first;                                                                                 \
+        r.b = second;                                                                                \
+        return r;                                                                                    \
+    }
+SFEMI_PAIR(sfemi_v_load, (const SFEMI_R *p), *(const SFEMI_KERNEL(sfemi_u) *)(const void *)p,
+           *(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p + SFEMI_W / 2))
+static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(sfemi_v_dup)(SFEMI_R s)
+{
+#if SFEMI_BITS == 64
+    const SFEMI_H h = {s, s};
+#else
+    const SFEMI_H h = {s, s, s, s};
+#endif
+    SFEMI_V r;
+    r.a = r.b = h;
+    return r;
+}
+SFEMI_PAIR(sfemi_v_add, (SFEMI_V x, SFEMI_V y), x.a + y.a, x.b + y.b)
+SFEMI_PAIR(sfemi_v_mul, (SFEMI_V x, SFEMI_V y), x.a *y.a, x.b *y.b)
+SFEMI_PAIR(sfemi_v_fma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(x.a, y.a, z.a),
+           SFEMI_FMAH(x.b, y.b, z.b))
+SFEMI_PAIR(sfemi_v_fnma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(-x.a, y.a, z.a),
+           SFEMI_FMAH(-x.b, y.b, z.b))
+static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
+{
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)p = v.a;
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)(p + SFEMI_W / 2) = v.b;
+}
+#undef SFEMI_PAIR
+#undef SFEMI_FMAH
+#undef SFEMI_H
+#else /* plain C; a processor with multiply-add always uses it, lest the compiler choose */
+typedef struct SFEMI_KERNEL(sfemi_v) {
+    SFEMI_R e[SFEMI_W];
+} SFEMI_KERNEL(sfemi_v);
+#define SFEMI_V SFEMI_KERNEL(sfemi_v)
+#ifdef FP_FAST_FMA
+#define SFEMI_FMA1(a, b, c) ((SFEMI_R)(sizeof(SFEMI_R) == 8 ? fma(a, b, c) : fmaf((float)(a), (float)(b), (float)(c))))
+#else
+#define SFEMI_FMA1(a, b, c) ((a) * (b) + (c))
+#endif
+#define SFEMI_LANES(name, arguments, expression)                                                     \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                         \
+    {                                                                                                \
+        SFEMI_V r;                                                                                   \
+        int i;                                                                                       \
+        for (i = 0; i < SFEMI_W; ++i) r.e[i] = (expression);                                         \
+        return r;                                                                                    \
+    }
+SFEMI_LANES(sfemi_v_load, (const SFEMI_R *p), p[i])
+SFEMI_LANES(sfemi_v_dup, (SFEMI_R s), s)
+SFEMI_LANES(sfemi_v_add, (SFEMI_V a, SFEMI_V b), a.e[i] + b.e[i])
+SFEMI_LANES(sfemi_v_mul, (SFEMI_V a, SFEMI_V b), a.e[i] * b.e[i])
+SFEMI_LANES(sfemi_v_fma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(a.e[i], b.e[i], c.e[i]))
+SFEMI_LANES(sfemi_v_fnma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(-a.e[i], b.e[i], c.e[i]))
+static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
+{
+    memcpy(p, v.e, sizeof v.e);
+}
+#endif
+#ifndef SFEMI_LD
+#define SFEMI_LD(p) SFEMI_KERNEL(sfemi_v_load)(p)
+#define SFEMI_ST(p, v) SFEMI_KERNEL(sfemi_v_store)(p, v)
+#define SFEMI_DUP(s) SFEMI_KERNEL(sfemi_v_dup)(s)
+#define SFEMI_ADD(a, b) SFEMI_KERNEL(sfemi_v_add)(a, b)
+#define SFEMI_MUL(a, b) SFEMI_KERNEL(sfemi_v_mul)(a, b)
+#define SFEMI_FMA(a, b, c) SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
+#define SFEMI_FNMA(a, b, c) SFEMI_KERNEL(sfemi_v_fnma)(a, b, c)
+#endif
+
+#ifdef SFEMI_HALF
+#define SFEMI_SUM4(z, out)                                                                           \
+    {                                                                                                \
+        const __m256d a_ = _mm256_hadd_pd(SFEMI_HALF(z), SFEMI_HALF((z) + SFEMI_W));                 \
+        const __m256d b_ = _mm256_hadd_pd(SFEMI_HALF((z) + 2 * SFEMI_W), SFEMI_HALF((z) + 3 * SFEMI_W)); \
+        _mm256_storeu_pd(out, _mm256_add_pd(_mm256_permute2f128_pd(a_, b_, 0x21),                    \
+                                            _mm256_blend_pd(a_, b_, 12)));                           \
+    }
+#endif
+
+/* --- the factor of one front -----------------------------------------------------------------
+ *
+ * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors, tile
+ * t holding rows [t T, t T + H), T = 3 W; within a tile, columns of H numbers stand one after another.
+ * Tiles of L have the columns below min(k, (t+1) T), tiles of the update matrix U those from c0, the
+ * start of the tile that holds row k. The last tile is only as high as it needs, in whole vectors. So
+ * every operand of every product is contiguous, for the factor as for the solve. */
+#if SFEMI_BITS == 64
+
+/* c(3W x 4) = (or +=) - a b^T over depth columns; then, if tri, the 4 x 4 triangle of the pivot rows
+ * behind b is solved for, column q scaled by r[q]. Only the first nq columns are read and written. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_block)(
+    int nv, size_t depth, const double *a, size_t ha, const double *b, size_t hb, double *c, int nq,
+    int load, int tri, const double *r)
+{
+    SFEMI_V c00 = SFEMI_DUP(0), c01 = SFEMI_DUP(0), c02 = SFEMI_DUP(0), c10 = SFEMI_DUP(0), c11 = SFEMI_DUP(0), c12 = SFEMI_DUP(0);
+    SFEMI_V c20 = SFEMI_DUP(0), c21 = SFEMI_DUP(0), c22 = SFEMI_DUP(0), c30 = SFEMI_DUP(0), c31 = SFEMI_DUP(0), c32 = SFEMI_DUP(0);
+    SFEMI_V a0 = SFEMI_DUP(0), a1 = SFEMI_DUP(0), a2 = SFEMI_DUP(0);
+    size_t p;
+    if (load) {
+#define SFEMI_C(q)                                                                                   \
+    c##q##0 = SFEMI_LD(c + q * ha);                                                                  \
+    if (nv > 1) c##q##1 = SFEMI_LD(c + q * ha + SFEMI_W);                                            \
+    if (nv > 2) c##q##2 = SFEMI_LD(c + q * ha + 2 * SFEMI_W);
+        SFEMI_C(0)
+        if (nq > 1) { SFEMI_C(1) }
+        if (nq > 2) { SFEMI_C(2) }
+        if (nq > 3) { SFEMI_C(3) }
+#undef SFEMI_C
+    }
+    for (p = 0; p < depth; ++p) {
+        a0 = SFEMI_LD(a);
+        if (nv > 1) a1 = SFEMI_LD(a + SFEMI_W);
+        if (nv > 2) a2 = SFEMI_LD(a + 2 * SFEMI_W);
+#define SFEMI_C(q)                                                                                   \
+    c##q##0 = SFEMI_FNMA(a0, SFEMI_DUP(b[q]), c##q##0);                                              \
+    if (nv > 1) c##q##1 = SFEMI_FNMA(a1, SFEMI_DUP(b[q]), c##q##1);                                  \
+    if (nv > 2) c##q##2 = SFEMI_FNMA(a2, SFEMI_DUP(b[q]), c##q##2);
+        SFEMI_C(0)
+        SFEMI_C(1)
+        SFEMI_C(2)
+        SFEMI_C(3)
+#undef SFEMI_C
+        a += ha;
+        b += hb;
+    }
+    if (tri) { /* b is now at the diagonal: b[q + j hb] = s_j L(q, j) */
+#define SFEMI_C(q, j)                                                                                \
+    c##q##0 = SFEMI_FNMA(c##j##0, SFEMI_DUP(b[q + j * hb]), c##q##0);                                \
+    if (nv > 1) c##q##1 = SFEMI_FNMA(c##j##1, SFEMI_DUP(b[q + j * hb]), c##q##1);                    \
+    if (nv > 2) c##q##2 = SFEMI_FNMA(c##j##2, SFEMI_DUP(b[q + j * hb]), c##q##2);
+#define SFEMI_D(q)                                                                                   \
+    c##q##0 = SFEMI_MUL(c##q##0, SFEMI_DUP(r[q]));                                                   \
+    if (nv > 1) c##q##1 = SFEMI_MUL(c##q##1, SFEMI_DUP(r[q]));                                       \
+    if (nv > 2) c##q##2 = SFEMI_MUL(c##q##2, SFEMI_DUP(r[q]));
+        SFEMI_D(0)
+        if (nq > 1) { SFEMI_C(1, 0) SFEMI_D(1) }
+        if (nq > 2) { SFEMI_C(2, 0) SFEMI_C(2, 1) SFEMI_D(2) }
+        if (nq > 3) { SFEMI_C(3, 0) SFEMI_C(3, 1) SFEMI_C(3, 2) SFEMI_D(3) }
+#undef SFEMI_C
+#undef SFEMI_D
+    }
+#define SFEMI_C(q)                                                                                   \
+    SFEMI_ST(c + q * ha, c##q##0);                                                                   \
+    if (nv > 1) SFEMI_ST(c + q * ha + SFEMI_W, c##q##1);                                             \
+    if (nv > 2) SFEMI_ST(c + q * ha + 2 * SFEMI_W, c##q##2);
+    SFEMI_C(0)
+    if (nq > 1) { SFEMI_C(1) }
+    if (nq > 2) { SFEMI_C(2) }
+    if (nq > 3) { SFEMI_C(3) }
+#undef SFEMI_C
+}
+
+/* The same for a tile of h rows. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_update)(size_t h, size_t depth, const double *a,
+                                                        const double *b, size_t hb, double *c, int nq,
+                                                        int load)
+{
+    if (h == 3 * SFEMI_W)
+        SFEMI_KERNEL(sfemi_ldl_block)(3, depth, a, 3 * SFEMI_W, b, hb, c, nq, load, 0, NULL);
+    else if (h == 2 * SFEMI_W)
+        SFEMI_KERNEL(sfemi_ldl_block)(2, depth, a, 2 * SFEMI_W, b, hb, c, nq, load, 0, NULL);
+    else SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, load, 0, NULL);
+}
+
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_eliminate)(size_t h, size_t depth, const double *a,
+                                                           const double *b, size_t hb, double *c,
+                                                           int nq, const double *r)
+{
+    if (h == 3 * SFEMI_W)
+        SFEMI_KERNEL(sfemi_ldl_block)(3, depth, a, 3 * SFEMI_W, b, hb, c, nq, 1, 1, r);
+    else if (h == 2 * SFEMI_W)
+        SFEMI_KERNEL(sfemi_ldl_block)(2, depth, a, 2 * SFEMI_W, b, hb, c, nq, 1, 1, r);
+    else SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, 1, 1, r);
+}
+
+/* Factorises nq <= 4 columns c of a diagonal tile, whose first pivot is row i of the tile and which
+ * are already updated. r[q] = s / sqrt|d| is the sign and scale of each; returns nq, or the number of
+ * the column whose pivot d is lost (not above floor[q] in absolute value, or negative though only
+ * positive ones are allowed); it is then in *bad. */
+static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, double *c, int nq,
+                                                       int positive, const double *floor, double *r,
+                                                       double *bad)
+{
+    int q, j;
+    size_t v;
+    for (q = 0; q < nq; ++q) {
+        double d = c[i + (size_t)q + (size_t)q * h], s = 1;
+        for (j = 0; j < q; ++j) { /* left-looking inside the four */
+            const double *l = c + (size_t)j * h;
+            const double w = r[j] < 0 ? -l[i + (size_t)q] : l[i + (size_t)q];
+            for (v = 0; v < h; v += SFEMI_W)
+                SFEMI_ST(c + (size_t)q * h + v,
+                         SFEMI_FNMA(SFEMI_LD(l + v), SFEMI_DUP(w), SFEMI_LD(c + (size_t)q * h + v)));
+        }
+        d = c[i + (size_t)q + (size_t)q * h];
+        if (d < 0 && !positive) s = -1;
+        if (!(s * d > floor[q]) || !sfemi_finite(d)) {
+            *bad = d;
+            return q;
+        }
+        r[q] = s / sqrt(s * d);
+        for (v = 0; v < h; v += SFEMI_W)
+            SFEMI_ST(c + (size_t)q * h + v, SFEMI_MUL(SFEMI_LD(c + (size_t)q * h + v), SFEMI_DUP(r[q])));
+    }
+    return nq;
+}
+
+/* Adds an update matrix to its parent: len rows of count block columns, column b of src to column
+ * place[b] of dst. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count,
+                                                                      const sfem_int *place,
+                                                                      const size_t len,
+                                                                      const double *src, size_t hs,
+                                                                      double *dst, size_t hd)
+{
+    sfem_int b;
+    for (b = 0; b < count; ++b) {
+        double *d = dst + 3 * (size_t)place[b] * hd;
+        int c;
+        for (c = 0; c < 3; ++c, d += hd, src += hs) {
+            size_t i = 0;
+            for (; i + SFEMI_W <= len; i += SFEMI_W)
+                SFEMI_ST(d + i, SFEMI_ADD(SFEMI_LD(d + i), SFEMI_LD(src + i)));
+            for (; i < len; ++i) d[i] += src[i];
+        }
+    }
+}
+
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_int *place, size_t len,
+                                                     const double *src, size_t hs, double *dst,
+                                                     size_t hd)
+{
+    if (len == 3) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 3, src, hs, dst, hd);
+    else if (len == 6) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 6, src, hs, dst, hd);
+    else if (len == 9) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 9, src, hs, dst, hd);
+    else if (len == 12) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
+    else SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
+}
+#endif
+
+/* Replaces the n columns of a finished diagonal tile [L11; L21] by [X; -L21 X], X = L11^-1, from the
+ * last column back: X(i,j) = -r_j (sum over p > j of X(i,p) L(p,j)), X(j,j) = r_j = 1 / L(j,j). */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEMI_R *c,
+                                                        const double *r)
+{
+    SFEMI_R l[3 * SFEMI_W], x[3 * SFEMI_W];
+    size_t j, p, v;
+    for (j = n; j-- > 0;) {
+        const SFEMI_R rj = (SFEMI_R)fabs((double)r[j]);
+        memcpy(l, c + j * h, h * sizeof *l);
+        memcpy(x, l, h * sizeof *x);
+        memset(x, 0, n * sizeof *x);
+        for (p = j + 1; p < n; ++p)
+            for (v = 0; v < h; v += SFEMI_W)
+                SFEMI_ST(x + v, SFEMI_FMA(SFEMI_LD(c + p * h + v), SFEMI_DUP(l[p]), SFEMI_LD(x + v)));
+        for (v = 0; v < h; v += SFEMI_W)
+            SFEMI_ST(c + j * h + v, SFEMI_MUL(SFEMI_LD(x + v), SFEMI_DUP(-rj)));
+        c[j * h + j] = rj;
+    }
+}
+
+/* --- the solve with one front ----------------------------------------------------------------
+ * k pivots, f rows, in tiles as above; on the diagonal stand [X; -L21 X] as sfemi_ldl_invert left them,
+ * so that a tile's pivots are one product too. */
+
+/* c = init - a y over depth columns of a tile of nv vectors; the caller stores it. */
+#define SFEMI_ACCUMULATE(OP, depth, a, y)                                                            \
+    {                                                                                                \
+        size_t p_ = 0;                                                                               \
+        SFEMI_V d0 = SFEMI_DUP(0), d1 = SFEMI_DUP(0), d2 = SFEMI_DUP(0);                                                        \
+        for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                           \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
+            d0 = OP(SFEMI_LD((a) + h), SFEMI_DUP((y)[p_ + 1]), d0);                                  \
+            if (nv > 1) d1 = OP(SFEMI_LD((a) + h + SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d1);            \
+            if (nv > 2) d2 = OP(SFEMI_LD((a) + h + 2 * SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d2);        \
+        }                                                                                            \
+        if (p_ < (depth)) {                                                                          \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
+            (a) += h;                                                                                \
+        }                                                                                            \
+        c0 = SFEMI_ADD(c0, d0);                                                                      \
+        if (nv > 1) c1 = SFEMI_ADD(c1, d1);                                                          \
+        if (nv > 2) c2 = SFEMI_ADD(c2, d2);                                                          \
+    }
+
+/* One tile of the forward sweep: out = [0; first j rows solved] with b = out on entry. Only for pivots
+ * (j > 0) is out read. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j,
+                                                                          const SFEMI_R *a,
+                                                                          const SFEMI_R *y, SFEMI_R *out)
+{
+    static const SFEMI_R step[6 * SFEMI_W] = {
+        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+#if SFEMI_W == 8
+        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1,
+#endif
+        1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+    const size_t h = (size_t)nv * SFEMI_W;
+    SFEMI_V c0 = SFEMI_DUP(0), c1 = SFEMI_DUP(0), c2 = SFEMI_DUP(0);
+    if (j) {
+        c0 = SFEMI_LD(out);
+        if (nv > 1) c1 = SFEMI_LD(out + SFEMI_W);
+        if (nv > 2) c2 = SFEMI_LD(out + 2 * SFEMI_W);
+    }
+    SFEMI_ACCUMULATE(SFEMI_FNMA, depth, a, y)
+    if (j) { /* rows from j on go on as they are, the first j get X times themselves */
+        const SFEMI_R *mask = step + 3 * SFEMI_W - j;
+        SFEMI_R b[3 * SFEMI_W];
+        SFEMI_ST(b, c0);
+        c0 = SFEMI_MUL(c0, SFEMI_LD(mask));
+        if (nv > 1) {
+            SFEMI_ST(b + SFEMI_W, c1);
+            c1 = SFEMI_MUL(c1, SFEMI_LD(mask + SFEMI_W));
+        }
+        if (nv > 2) {
+            SFEMI_ST(b + 2 * SFEMI_W, c2);
+            c2 = SFEMI_MUL(c2, SFEMI_LD(mask + 2 * SFEMI_W));
+        }
+        SFEMI_ACCUMULATE(SFEMI_FMA, j, a, b)
+    }
+    SFEMI_ST(out, c0);
+    if (nv > 1) SFEMI_ST(out + SFEMI_W, c1);
+    if (nv > 2) SFEMI_ST(out + 2 * SFEMI_W, c2);
+}
+#undef SFEMI_ACCUMULATE
+
+/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
+                                                         const sfem_int *target, SFEMI_R *w)
+{
+    const size_t t = 3 * SFEMI_W;
+    size_t begin, i;
+    for (begin = 0; begin < f; begin += t) {
+        const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
+        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t rows = f - begin < t ? f - begin : t;
+        SFEMI_R out[3 * SFEMI_W];
+        if (j) {
+            if (j < t) memset(out, 0, sizeof out);
+            memcpy(out, x + begin, j * sizeof *x);
+        }
+        if (h == t) SFEMI_KERNEL(sfemi_ldl_forward_tile)(3, depth, j, l, x, out);
+        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_forward_tile)(2, depth, j, l, x, out);
+        else SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
+        l += h * (depth + j);
+        if (j) memcpy(x + begin, out, j * sizeof *x);
+        for (i = j; i < rows; i += 3) {
+            SFEMI_R *y = w + 3 * (size_t)*target++;
+            y[0] += out[i];
+            y[1] += out[i + 1];
+            y[2] += out[i + 2];
+        }
+    }
+}
+
+/* z(W) of each column p = or += the parts of a(:, p) . x, to be added up later. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, size_t depth, int first,
+                                                                       const SFEMI_R *a,
+                                                                       const SFEMI_R *x, SFEMI_R *z)
+{
+    const size_t h = (size_t)nv * SFEMI_W;
+    SFEMI_V x0 = SFEMI_LD(x), x1 = x0, x2 = x0, s;
+    size_t p;
+    if (nv > 1) x1 = SFEMI_LD(x + SFEMI_W);
+    if (nv > 2) x2 = SFEMI_LD(x + 2 * SFEMI_W);
+    for (p = 0; p < depth; ++p, a += h, z += SFEMI_W) {
+        if (first) s = SFEMI_MUL(SFEMI_LD(a), x0);
+        else s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
+        if (nv > 1) s = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), x1, s);
+        if (nv > 2) s = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), x2, s);
+        SFEMI_ST(z, s);
+    }
+}
+
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, int first, const SFEMI_R *a,
+                                                      const SFEMI_R *x, SFEMI_R *z)
+{
+    if (first) {
+        if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 1, a, x, z);
+        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(2, depth, 1, a, x, z);
+        else SFEMI_KERNEL(sfemi_ldl_dots_tile)(1, depth, 1, a, x, z);
+    } else SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 0, a, x, z); /* only the last tile is lower */
+}
+
+/* out[p] = the sum of the W parts z of column p. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_sums)(size_t n, const SFEMI_R *z,
+                                                                  SFEMI_R *out)
+{
+    size_t p = 0;
+#ifdef SFEMI_SUM4
+    for (; p + 4 <= n; p += 4, z += 4 * SFEMI_W) SFEMI_SUM4(z, out + p);
+#endif
+    for (; p < n; ++p, z += SFEMI_W)
+        out[p] = SFEMI_W == 8 ? ((z[0] + z[1]) + (z[2] + z[3])) +
+                                    ((z[SFEMI_W - 4] + z[SFEMI_W - 3]) + (z[SFEMI_W - 2] + z[SFEMI_W - 1]))
+                              : (z[0] + z[1]) + (z[2] + z[3]);
+}
+
+/* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size, const SFEMI_R *l,
+                                                          SFEMI_R *x, const sfem_int *target,
+                                                          const SFEMI_R *w, SFEMI_R *v)
+{
+    const size_t t = 3 * SFEMI_W, tiles = (f + t - 1) / t;
+    SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + tiles * t;
+    size_t begin = (tiles - 1) * t, i, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
+    int first = 1;
+    for (i = k; i < f; i += 3) {
+        const SFEMI_R *y = w + 3 * (size_t)*target++;
+        v[i] = y[0];
+        v[i + 1] = y[1];
+        v[i + 2] = y[2];
+    }
+    for (; i < begin + h; ++i) v[i] = 0;
+    for (l += size;; begin -= t, h = t, first = 0) {
+        const size_t depth = begin < k ? begin : k;
+        SFEMI_R *vt = v + begin;
+        if (begin < k) {
+            const size_t j = k - begin < t ? k - begin : t;
+            l -= h * j;
+            if (first) memset(sum, 0, sizeof sum);
+            else SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
+            for (i = 0; i < j; ++i) vt[i] = x[begin + i] - sum[i];
+            SFEMI_KERNEL(sfemi_ldl_dots)(h, j, 1, l, vt, part);
+            SFEMI_KERNEL(sfemi_ldl_sums)(j, part, vt);
+            memcpy(x + begin, vt, j * sizeof *x);
+        }
+        l -= h * depth;
+        SFEMI_KERNEL(sfemi_ldl_dots)(h, depth, first, l, vt, z);
+        if (!begin) break;
+    }
+}
+
+/* --- the same for 8 right sides, which stand side by side ------------------------------------ */
+
+#if SFEMI_W == 8
+#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 1, 0) X(2, 2, 0) X(3, 3, 0) X(4, 4, 0) X(5, 5, 0)             \
+    X(6, 6, 0) X(7, 7, 0) X(8, 8, 0) X(9, 9, 0) X(10, 10, 0) X(11, 11, 0)
+#else
+#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 0, 1) X(2, 1, 0) X(3, 1, 1) X(4, 2, 0) X(5, 2, 1)             \
+    X(6, 3, 0) X(7, 3, 1) X(8, 4, 0) X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
+#endif
+
+/* out(g x 8) += the sum over i of a[i across + r down] y(i, :), r < g = 3/2 W: half a tile's height. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(size_t depth, const SFEMI_R *a,
+                                                                   size_t across, size_t down,
+                                                                   const SFEMI_R *y, SFEMI_R *out)
+{
+#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+    SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    size_t i;
+    for (i = 0; i < depth; ++i, a += across, y += 8) {
+        const SFEMI_V y0 = SFEMI_LD(y);
+#if SFEMI_W == 4
+        const SFEMI_V y1 = SFEMI_LD(y + SFEMI_W);
+#endif
+#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+        SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    }
+#define SFEMI_X(q, r, u) SFEMI_ST(out + 8 * r + SFEMI_W * u, c##q);
+    SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+}
+
+/* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
+                                                          const sfem_int *target, SFEMI_R *w, SFEMI_R *v)
+{
+    const size_t t = 3 * SFEMI_W, g = t / 2;
+    size_t begin, i, r;
+    SFEMI_R *y = v; /* -y, the solution with its sign turned: the product is only ever added */
+    for (begin = 0; begin < f; begin += t) {
+        const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
+        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t rows = f - begin < t ? f - begin : t;
+        SFEMI_R out[3 * SFEMI_W * 8], b[3 * SFEMI_W * 8];
+        memset(out, 0, sizeof out);
+        memcpy(out, x + 8 * begin, 8 * j * sizeof *x);
+        for (r = 0; r < h; r += g)
+            SFEMI_KERNEL(sfemi_ldl_outer)(depth, l + r, h, 1, y, out + 8 * r);
+        l += h * depth;
+        if (j) {
+            memcpy(b, out, 8 * j * sizeof *b);
+            memset(out, 0, 8 * j * sizeof *out);
+            for (r = 0; r < h; r += g) SFEMI_KERNEL(sfemi_ldl_outer)(j, l + r, h, 1, b, out + 8 * r);
+            l += h * j;
+            for (i = 0; i < 8 * j; ++i) {
+                x[8 * begin + i] = out[i];
+                y[8 * begin + i] = -out[i];
+            }
+        }
+        for (i = j; i < rows; i += 3) {
+            SFEMI_R *to = w + 24 * (size_t)*target++;
+            for (r = 0; r < 24; r += SFEMI_W)
+                SFEMI_ST(to + r, SFEMI_ADD(SFEMI_LD(to + r), SFEMI_LD(out + 8 * i + r)));
+        }
+    }
+}
+
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size, const SFEMI_R *l,
+                                                           SFEMI_R *x, const sfem_int *target,
+                                                           const SFEMI_R *w, SFEMI_R *v)
+{
+    const size_t t = 3 * SFEMI_W, g = t / 2, tiles = (f + t - 1) / t;
+    SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
+    size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
+    for (i = k; i < f; i += 3) memcpy(v + 8 * i, w + 24 * (size_t)*target++, 24 * sizeof *v);
+    memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
+    memset(z, 0, 8 * (k + g) * sizeof *z);
+    for (l += size;; begin -= t, h = t) {
+        const size_t depth = begin < k ? begin : k;
+        SFEMI_R *vt = v + 8 * begin;
+        if (begin < k) {
+            const size_t j = k - begin < t ? k - begin : t;
+            l -= h * j;
+            for (i = 0; i < 8 * j; ++i) vt[i] = x[8 * begin + i] - z[8 * begin + i];
+            memset(part, 0, sizeof part);
+            for (p = 0; p < j; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, part + 8 * p);
+            memcpy(vt, part, 8 * j * sizeof *vt);
+            memcpy(x + 8 * begin, part, 8 * j * sizeof *x);
+        }
+        l -= h * depth;
+        for (p = 0; p < depth; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, z + 8 * p);
+        if (!begin) break;
+    }
+}
+#undef SFEMI_OUTER
+
+#undef SFEMI_TARGET
+#undef SFEMI_R
+#undef SFEMI_W
+#undef SFEMI_V
+#undef SFEMI_LD
+#undef SFEMI_ST
+#undef SFEMI_DUP
+#undef SFEMI_ADD
+#undef SFEMI_MUL
+#undef SFEMI_FMA
+#undef SFEMI_FNMA
+#undef SFEMI_HALF
+#undef SFEMI_SUM4
+#undef SFEMI_KERNEL
+#undef SFEMI_PASTE
+#undef SFEMI_PASTE3
+#undef SFEMI_BITS
+#undef SFEMI_PATH
+#endif /* SFEMI_PATH */
 
 /* ============================================================================================
  * CHANGES

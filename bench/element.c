@@ -218,7 +218,7 @@ static void tangents(int quick)
         printf("  %-18s %10.0f", law_name[law], time_tangent(&b, SFEM_TANGENT_EXACT, &k));
         printf(" %8.0f", time_tangent(&b, SFEM_TANGENT_PSD, &k));
         printf(" %8.0f\n", time_tangent(&b, SFEM_TANGENT_FROZEN, &k));
-        sfem_matrix_free(&k);
+        sfem_matrix_free(&k, NULL);
         free_scene(&b);
     }
 }

@@ -1,9 +1,9 @@
 #!/bin/sh
-# The header without a single warning: gcc and clang, C99 to C++20, every switch; and no symbol in
+# The header without a single warning: gcc and clang, C99 to C++20, every switch in C99 and C++11; and no symbol in
 # the object but sfem_*. `make strict` calls this; COMPILERS="gcc" limits it.
 #
-# Each of compilers x standards x switches builds two files that share the header: impl.c defines the
-# implementation twice, user.c includes the header twice and calls it. Both are linked and run.
+# Each of compilers x standards x switches builds two files that share the header: impl.c defines
+# the implementation twice, user.c includes the header twice and calls it. Both are linked and run.
 set -u
 cd "$(dirname "$0")/.." || exit 1
 BUILD=${BUILD:-build/strict}
@@ -31,9 +31,10 @@ switch_flags() {
     esac
 }
 
-# symbols OBJECT SWITCH: complains about what the object shows or keeps; DW.ref.* are the compiler's
+# symbols OBJECT SWITCH: complains about what the object shows or keeps; DW.ref.* and
+# __clang_call_terminate are the compilers' own
 symbols() {
-    shown=$(nm -g --defined-only "$1" | awk '{ print $NF }' | grep -v '^DW[.]ref[.]')
+    shown=$(nm -g --defined-only "$1" | awk '{ print $NF }' | grep -v -e '^DW[.]ref[.]' -e '^__clang')
     [ "$2" = SFEM_STATIC ] || shown=$(echo "$shown" | grep -v '^sfem_[a-z0-9_]*$')
     [ -z "$shown" ] || { echo "symbols that are not sfem_*:" $shown; return 1; }
     kept=$(nm "$1" | awk '$(NF-1) ~ /^[bBcC]$/ { print $NF }')
@@ -77,6 +78,10 @@ for compiler in $COMPILERS; do
         command=$(command_for "$compiler" "$standard") || {
             echo "left out: $compiler $standard is not installed"; continue; }
         for switch in $SWITCHES; do
+            case $switch-$standard in # the switches matter less between standards than to each
+            plain-* | O2-* | *-c99 | *-c++11) ;;
+            *) continue ;;
+            esac
             if [ "$switch" = openmp ] && ! printf '#include <omp.h>\nint main(void){return 0;}\n' |
                 $command -fopenmp -o /dev/null - >/dev/null 2>&1; then
                 echo "left out: $compiler $standard with OpenMP, whose omp.h is missing"; continue
@@ -96,7 +101,8 @@ for compiler in $COMPILERS; do
     for file in examples/*.c tests/test_*.c bench/*.c; do
         [ -f "$file" ] || continue
         case $file in tests/*) [ -f /usr/include/cmocka.h ] || continue ;; esac
-        $command -fsyntax-only -I. '-DSFEM_BENCH_FLAGS=""' "$file" || { echo "FAILED: $compiler $file"; exit 1; }
+        $command -fsyntax-only -I. '-DSFEM_BENCH_FLAGS=""' "$file" ||
+            { echo "FAILED: $compiler $file"; exit 1; }
     done
 done
 echo "no warning in $(wc -l <"$jobs") builds"

@@ -34,7 +34,7 @@ static oscillator make_oscillator(sfem_mass mass)
     assert_ok(sfem_model_combine(o.model, 0, 1, 0, NULL, &m, &err), err);
     o.k = sfem_model_stiffness(o.model)->val[9 * 2]; /* block (1,1), row-wise the third */
     o.m = m.val[9 * 2];
-    sfem_matrix_free(&m);
+    sfem_matrix_free(&m, NULL);
     return o;
 }
 
@@ -227,7 +227,7 @@ static void pqr_is_newmark_with_any_damping_matrix_too(void **state)
     damped = make_block(3, 1, 1, SFEM_MASS_LUMPED, 0.2, 0.001, &d);
     assert_true(newmark_against_pqr(&damped, 0.25, 0.01, 1000, 0, 0) < 1e-12);
     assert_true(newmark_against_pqr(&damped, 0.3, 0.01, 1000, 0.1, 0.001) < 1e-12);
-    sfem_matrix_free(&d);
+    sfem_matrix_free(&d, NULL);
     sfem_model_free(plain.model);
     sfem_model_free(damped.model);
 }
@@ -294,7 +294,7 @@ static void a_step_equals_the_dense_solution_of_its_equation(void **state)
     solve_dense(dense, rhs, m);
     for (i = 0; i < m; ++i) rhs[i] = u[held + i] + h * (v[held + i] + h * rhs[i]);
     assert_all_near(rhs, sfem_body_displacement(body) + held, m, 1e-11, 0);
-    sfem_matrix_free(&a);
+    sfem_matrix_free(&a, NULL);
     sfem_body_free(body);
     sfem_model_free(b.model);
     free(dense);
@@ -705,7 +705,7 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
         assert_ok(sfem_body_predict(parts, 0.01, &err), err);
         assert_ok(sfem_body_predict(parts, 0.01, &err), err); /* giving a step up costs nothing */
         assert_ok(sfem_body_solve(parts, &err), err);
-        sfem_body_finish(parts);
+        assert_ok(sfem_body_finish(parts, &err), err);
     }
     assert_int_equal(hash_reals(sfem_body_displacement(whole), 3 * (size_t)b.nodes),
                      hash_reals(sfem_body_displacement(parts), 3 * (size_t)b.nodes));
@@ -718,7 +718,7 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
         assert_ok(sfem_body_predict(parts, 0.01, &err), err);
         sfem_body_rhs(parts)[3 * (b.nodes - 1) + 1] += 5;
         assert_ok(sfem_body_solve(parts, &err), err);
-        sfem_body_finish(parts);
+        assert_ok(sfem_body_finish(parts, &err), err);
     }
     assert_all_near(sfem_body_displacement(whole), sfem_body_displacement(parts), 3 * b.nodes, 1e-12, 0);
     sfem_body_free(whole);

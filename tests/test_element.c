@@ -965,7 +965,7 @@ static void model_tangent_is_the_derivative_of_forces(void **state)
             assert_all_near(tangent.val, stiffness->val, 9 * stiffness->row[stiffness->n], 1e-13,
                             0);
         }
-        sfem_matrix_free(&tangent);
+        sfem_matrix_free(&tangent, NULL);
         free(du), free(want), free(got), free(u);
         free_body(&b);
     }
@@ -985,7 +985,7 @@ static void model_tangents_at_rest_are_the_stiffness(void **state)
         sfem_model_tangent(b.model, b.u, (sfem_tangent)kind, &tangent, NULL);
         assert_all_near(tangent.val, stiffness->val, 9 * stiffness->row[stiffness->n], 1e-12, 0);
     }
-    sfem_matrix_free(&tangent);
+    sfem_matrix_free(&tangent, NULL);
     free_body(&b);
 }
 
@@ -1069,7 +1069,7 @@ static void forces_and_tangents_have_the_same_bits_for_any_threads(void **state)
         if (threads == 1) want_tangent = hash;
         assert_true(hash == want_tangent);
     }
-    sfem_matrix_free(&tangent);
+    sfem_matrix_free(&tangent, NULL);
     free_body(&b);
 }
 

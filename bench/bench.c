@@ -1,0 +1,229 @@
+/* bench - what a body costs: set-up, factor, solve, step and memory by size.
+ *
+ * Block meshes of five-tet cells, one face clamped, E = 1e6 Pa, nu = 0.45, h = 1/60 s, (p,q,r) with
+ * p = 1/4, one thread. Each figure is the median of repeated runs in one process; the first of each is not
+ * counted. The ceiling beside them is this machine's, measured in the same run: adding two arrays that
+ * fit no cache, and a chain of multiply-adds. Writes build/bench/bench.csv.
+ *
+ *     bench [--quick] [LARGEST]     sizes up to LARGEST tets, 54880 by default
+ */
+#include "../examples/support.h"
+#include "softfem.h"
+
+#ifndef SFEM_BENCH_FLAGS
+#define SFEM_BENCH_FLAGS "not stated"
+#endif
+
+enum { REPEATS = 31 };
+
+typedef struct result {
+    sfem_int tets, dofs;
+    double mesh, model, first, again, predict, solve, finish, step, mixed; /* seconds, medians */
+    double nnz, model_mb, factor_mb, body_mb;
+} result;
+
+static int compare(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double median(double *t, int count)
+{
+    qsort(t, (size_t)count, sizeof *t, compare);
+    return count % 2 ? t[count / 2] : 0.5 * (t[count / 2 - 1] + t[count / 2]);
+}
+
+static void must(sfem_status status, const sfem_error *err)
+{
+    if (status != SFEM_OK) ex_fail("%s", err->text);
+}
+
+static void *counted(size_t bytes, void *user)
+{
+    *(size_t *)user += bytes;
+    return malloc(bytes);
+}
+
+static void uncounted(void *memory, void *user)
+{
+    (void)user;
+    free(memory);
+}
+
+static sfem_body *make_body(sfem_model *model, sfem_int pin_count, sfem_precision precision, double h)
+{
+    sfem_int *pins = (sfem_int *)ex_new((size_t)pin_count, sizeof *pins), i;
+    sfem_body_def def = sfem_default_body_def();
+    sfem_body *body;
+    sfem_error err;
+    for (i = 0; i < pin_count; ++i) pins[i] = i;
+    def.pins = pins;
+    def.pin_count = pin_count;
+    def.gravity[2] = -9.81;
+    def.precision = precision;
+    must(sfem_body_create(model, &def, &body, &err), &err);
+    must(sfem_body_prepare(body, h, &err), &err);
+    free(pins);
+    return body;
+}
+
+static double time_steps(sfem_body *body, double h, int count, double part[3])
+{
+    double t[4][REPEATS * 10];
+    sfem_error err;
+    int i;
+    for (i = -2; i < count; ++i) {
+        const double a = ex_seconds();
+        double b, c, d;
+        must(sfem_body_predict(body, h, &err), &err);
+        b = ex_seconds();
+        must(sfem_body_solve(body, &err), &err);
+        c = ex_seconds();
+        must(sfem_body_finish(body, &err), &err);
+        d = ex_seconds();
+        if (i < 0) continue;
+        t[0][i] = b - a;
+        t[1][i] = c - b;
+        t[2][i] = d - c;
+        t[3][i] = d - a;
+    }
+    for (i = 0; part && i < 3; ++i) part[i] = median(t[i], count);
+    return median(t[3], count);
+}
+
+static result measure(const sfem_int cells[3], int repeats)
+{
+    const sfem_real size[3] = {cells[0] * 0.05, cells[1] * 0.05, cells[2] * 0.05};
+    const sfem_int pins = (cells[1] + 1) * (cells[2] + 1);
+    const double h = 1 / 60.0;
+    double t[4][REPEATS], part[3];
+    size_t model_bytes = 0;
+    sfem_model_def def = sfem_default_model_def();
+    sfem_body_info info;
+    sfem_body *body = NULL, *other;
+    sfem_model *model = NULL;
+    sfem_mesh mesh;
+    sfem_error err;
+    result r;
+    int i;
+    memset(&r, 0, sizeof r);
+    def.material.poisson = 0.45;
+    def.allocator.allocate = counted;
+    def.allocator.release = uncounted;
+    def.allocator.user = &model_bytes;
+    for (i = 0; i <= repeats; ++i) {
+        double a = ex_seconds();
+        must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+        if (i) t[0][i - 1] = ex_seconds() - a;
+        def.mesh = &mesh;
+        model_bytes = 0;
+        a = ex_seconds();
+        must(sfem_model_create(&def, &model, &err), &err);
+        if (i) t[1][i - 1] = ex_seconds() - a;
+        r.model_mb = (double)model_bytes / 1e6;
+        a = ex_seconds();
+        body = make_body(model, pins, SFEM_DOUBLE, h);
+        if (i) t[2][i - 1] = ex_seconds() - a;
+        a = ex_seconds(); /* another step, so another matrix, on the same analysis */
+        other = make_body(model, pins, SFEM_DOUBLE, 0.9 * h);
+        if (i) t[3][i - 1] = ex_seconds() - a;
+        sfem_body_free(other);
+        r.tets = mesh.tets;
+        sfem_mesh_free(&mesh);
+        sfem_model_free(model); /* the body holds it */
+        if (i < repeats) sfem_body_free(body);
+    }
+    r.mesh = median(t[0], repeats);
+    r.model = median(t[1], repeats);
+    r.first = median(t[2], repeats);
+    r.again = median(t[3], repeats);
+    r.step = time_steps(body, h, 10 * repeats, part);
+    r.predict = part[0];
+    r.solve = part[1];
+    r.finish = part[2];
+    info = sfem_body_get_info(body);
+    r.dofs = 3 * info.free_nodes;
+    r.nnz = (double)info.factor_nnz;
+    r.factor_mb = (double)info.factor_bytes / 1e6;
+    r.body_mb = (double)info.body_bytes / 1e6;
+    other = make_body(model, pins, SFEM_MIXED, h);
+    r.mixed = time_steps(other, h, 10 * repeats, NULL);
+    sfem_body_free(other);
+    sfem_body_free(body);
+    return r;
+}
+
+/* What this machine can do at most, now: bytes and multiply-adds a second. */
+static void print_ceiling(void)
+{
+    const size_t n = 8u << 20;
+    double *a = (double *)ex_new(n, sizeof *a), *b = (double *)ex_new(n, sizeof *b), t[2][5], x[16], sum = 0;
+    size_t i;
+    int k, j;
+    for (k = 0; k < 5; ++k) {
+        double start = ex_seconds();
+        for (i = 0; i < n; ++i) a[i] += 0.5 * b[i];
+        t[0][k] = ex_seconds() - start;
+        for (j = 0; j < 16; ++j) x[j] = 1 + 1e-9 * j + a[(size_t)j];
+        start = ex_seconds();
+        for (i = 0; i < 20000000; ++i)
+            for (j = 0; j < 16; ++j) x[j] = x[j] * 0.999999 + 1e-7;
+        t[1][k] = ex_seconds() - start;
+        for (j = 0; j < 16; ++j) sum += x[j];
+    }
+    printf("ceiling: memory %.1f GB/s, multiply-add as compiled here %.1f GFLOP/s%s\n",
+           24e-9 * (double)n / median(t[0], 5), 32e-9 * 20000000 / median(t[1], 5), sum > 1e300 ? " " : "");
+    free(a);
+    free(b);
+}
+
+static void print_machine(void)
+{
+    char line[256];
+    FILE *f = fopen("/proc/cpuinfo", "r");
+    while (f && fgets(line, sizeof line, f))
+        if (!strncmp(line, "model name", 10)) {
+            printf("machine:%s", strchr(line, ':') + 1);
+            break;
+        }
+    if (f) fclose(f);
+    printf("flags: %s, compiler %s\n", SFEM_BENCH_FLAGS, __VERSION__);
+    print_ceiling();
+}
+
+int main(int argc, char **argv)
+{
+    static const sfem_int cells[][3] = {{12, 3, 3},    {20, 5, 5},    {28, 7, 7},
+                                        {40, 10, 10}, {56, 14, 14}, {80, 20, 20}};
+    const int quick = argc > 1 && !strcmp(argv[1], "--quick");
+    const long largest = argc > 1 && !quick ? atol(argv[1]) : quick ? 2500 : 54880;
+    FILE *csv;
+    size_t i;
+    ex_make_directory("build/bench");
+    csv = ex_open("build/bench/bench.csv");
+    print_machine();
+    printf("\n%7s %7s | %8s %8s %8s %8s | %8s %8s %8s %8s %8s | %8s %7s %7s %7s\n", "tets", "dofs", "mesh ms",
+           "model ms", "first ms", "again ms", "predict", "solve us", "finish", "step us", "mixed us", "nnz(L)",
+           "model", "factor", "body MB");
+    fprintf(csv, "tets,dofs,mesh_ms,model_ms,first_ms,again_ms,predict_us,solve_us,finish_us,step_us,mixed_us,"
+                 "nnz,model_mb,factor_mb,body_mb\n");
+    for (i = 0; i < sizeof cells / sizeof *cells; ++i) {
+        const long tets = 5L * cells[i][0] * cells[i][1] * cells[i][2];
+        result r;
+        if (tets > largest) break;
+        r = measure(cells[i], tets > 100000 ? 3 : tets > 10000 ? 7 : REPEATS);
+        printf("%7d %7d | %8.3f %8.3f %8.3f %8.3f | %8.1f %8.1f %8.1f %8.1f %8.1f | %8.3g %7.2f %7.2f %7.2f\n",
+               (int)r.tets, (int)r.dofs, 1e3 * r.mesh, 1e3 * r.model, 1e3 * r.first, 1e3 * r.again,
+               1e6 * r.predict, 1e6 * r.solve, 1e6 * r.finish, 1e6 * r.step, 1e6 * r.mixed, r.nnz, r.model_mb,
+               r.factor_mb, r.body_mb);
+        fflush(stdout);
+        fprintf(csv, "%d,%d,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g\n", (int)r.tets, (int)r.dofs, 1e3 * r.mesh,
+                1e3 * r.model, 1e3 * r.first, 1e3 * r.again, 1e6 * r.predict, 1e6 * r.solve, 1e6 * r.finish,
+                1e6 * r.step, 1e6 * r.mixed, r.nnz, r.model_mb, r.factor_mb, r.body_mb);
+    }
+    ex_close(csv, "build/bench/bench.csv");
+    printf("\nfirst: the first body's ordering, analysis and factor; again: a factor on the same analysis.\n"
+           "model memory is all that its creation asked for, scratch included. wrote build/bench/bench.csv\n");
+    return 0;
+}

@@ -1,0 +1,396 @@
+/* simulate - an elastic body on the command line:  M u'' + D u' + K u = F
+ *
+ *        fixed                                         simulate                      a clamped bar swings
+ *     //|=======================  <- load              simulate body.msh --fix 'x<0.01' --static
+ *     //|=======================                       simulate --help
+ *          | gravity
+ *
+ * Reads or makes a mesh, fixes and loads nodes, solves for rest or steps through time, and leaves
+ * pictures, a plot and tables in the --out directory. The last lines on stdout are `key value`.
+ */
+#include "support.h"
+#include "softfem.h"
+
+enum { FRAMES = 6, MAX_LOADS = 16 };
+
+static const ex_option table[] = {
+    {"MESH", "FILE", NULL, "Gmsh 4.1 ASCII or VTK legacy ASCII; without it a bar of 1 x 0.2 x 0.2 m"},
+    {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
+    {"--material", "linear", "linear", "the law of the material"},
+    {"--young", "E", "2e6", "Young's modulus, Pa"},
+    {"--poisson", "NU", "0.3", "Poisson's ratio"},
+    {"--density", "RHO", "1000", "kg/m^3"},
+    {"--mass", "lumped|consistent", "lumped", "the mass matrix"},
+    {"--rayleigh", "A0,A1", "0,0.002", "damping A0 M + A1 K: 1/s, s"},
+    {"--integrator", "pqr|newmark|central", "pqr", "how to step through time"},
+    {"--p", "P", "0.25", "of pqr; -1 lets the library choose; beta of newmark"},
+    {"--q", "Q", "1", "of pqr"},
+    {"--r", "R", "1", "of pqr"},
+    {"--precision", "double|mixed", "double", "mixed keeps the factor in float"},
+    {"--dt", "H", "0.016666666666666666", "time step, s"},
+    {"--steps", "N", "120", "time steps"},
+    {"--static", NULL, NULL, "solve for rest instead"},
+    {"--gravity", "X,Y,Z", "0,0,-9.81", "m/s^2"},
+    {"--fix", "WHERE", NULL, "nodes held, as 'x<0.01'; for the bar that is the default; repeatable"},
+    {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes; repeatable"},
+    {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
+    {"--threads", "N", "1", "threads"},
+    {"--out", "DIR", "build/simulate", "where files go"},
+    {"--csv", "FILE", NULL, "the final node,ux,uy,uz"},
+    {"--vtu", "N", "0", "write every Nth step for ParaView; 0: none"},
+    {"--quick", NULL, NULL, "a small run: fewer steps"},
+    {NULL, NULL, NULL, NULL}};
+
+typedef struct run {
+    ex_options o;
+    sfem_mesh mesh;
+    sfem_surface surface;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_int probe, steps;
+    double h, setup, stepping;      /* seconds */
+    double *time, *tip, *energy[3]; /* [steps + 1] */
+    double *frame[FRAMES];          /* positions to draw */
+    double frame_time[FRAMES];
+    int frames;
+} run;
+
+static void must(sfem_status status, const sfem_error *err)
+{
+    if (status != SFEM_OK) ex_fail("%s", err->text);
+}
+
+/* 1. The mesh, and what is to be known about it. */
+static void read_mesh(run *r)
+{
+    const char *path = ex_text(&r->o, "MESH");
+    sfem_mesh_report report;
+    sfem_error err;
+    if (path) {
+        must(sfem_mesh_read(path, NULL, &r->mesh, &err), &err);
+    } else {
+        const sfem_real size[3] = {1, 0.2, 0.2};
+        double cells[3];
+        sfem_int n[3];
+        int k;
+        ex_reals(&r->o, "--cells", 3, cells);
+        for (k = 0; k < 3; ++k) n[k] = (sfem_int)cells[k];
+        must(sfem_mesh_block(n, size, SFEM_CELL_5_TETS, NULL, &r->mesh, &err), &err);
+    }
+    must(sfem_mesh_check(&r->mesh, &report, &err), &err);
+    must(sfem_mesh_surface(&r->mesh, NULL, &r->surface, &err), &err);
+    printf("mesh: %d nodes, %d tets, volume %.4g m^3, worst quality %.2f, %d piece%s\n", (int)r->mesh.nodes,
+           (int)r->mesh.tets, report.volume, report.min_quality, (int)report.components,
+           report.components == 1 ? "" : "s");
+    if (report.unused > 0) printf("      %d nodes in no tet stay where they are\n", (int)report.unused);
+}
+
+/* 2. Material and mass: K, M, D. */
+static void make_model(run *r)
+{
+    sfem_model_def def = sfem_default_model_def();
+    double rayleigh[2];
+    sfem_error err;
+    ex_reals(&r->o, "--rayleigh", 2, rayleigh);
+    def.mesh = &r->mesh;
+    def.material.young = ex_real(&r->o, "--young");
+    def.material.poisson = ex_real(&r->o, "--poisson");
+    def.material.density = ex_real(&r->o, "--density");
+    def.material.alpha = rayleigh[0];
+    def.material.beta = rayleigh[1];
+    def.mass = ex_choice(&r->o, "--mass") ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED;
+    must(sfem_model_create(&def, &r->model, &err), &err);
+}
+
+static sfem_int select_nodes(const run *r, const ex_selection *where, sfem_int *list)
+{
+    sfem_int i, count = 0;
+    for (i = 0; i < r->mesh.nodes; ++i)
+        if (ex_selected(where, i, r->mesh.x + 3 * (size_t)i)) list[count++] = i;
+    return count;
+}
+
+/* 3. What holds the body. */
+static void make_body(run *r)
+{
+    static const sfem_integrator integrator[3] = {SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL};
+    sfem_body_def def = sfem_default_body_def();
+    sfem_int *pins = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *pins);
+    const int given = ex_given(&r->o, "--fix");
+    unsigned char *held = (unsigned char *)ex_new((size_t)r->mesh.nodes, 1);
+    sfem_int i, k, count;
+    sfem_error err;
+    for (k = 0; k < (given || ex_text(&r->o, "MESH") ? given : 1); ++k) {
+        const ex_selection where = ex_selection_of(given ? ex_nth(&r->o, "--fix", k) : "x<0.01");
+        count = select_nodes(r, &where, pins);
+        if (count == 0) ex_fail("--fix %s selects no node", ex_nth(&r->o, "--fix", k));
+        for (i = 0; i < count; ++i) held[pins[i]] = 1;
+    }
+    for (i = count = 0; i < r->mesh.nodes; ++i)
+        if (held[i]) pins[count++] = i;
+    def.integrator = integrator[ex_choice(&r->o, "--integrator")];
+    def.p = ex_real(&r->o, "--p");
+    if (def.integrator == SFEM_NEWMARK) def.beta = def.p;
+    def.q = ex_real(&r->o, "--q");
+    def.r = ex_real(&r->o, "--r");
+    def.precision = ex_choice(&r->o, "--precision") ? SFEM_MIXED : SFEM_DOUBLE;
+    ex_reals(&r->o, "--gravity", 3, def.gravity);
+    def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.pins = pins;
+    def.pin_count = count;
+    must(sfem_body_create(r->model, &def, &r->body, &err), &err);
+    printf("body: %d nodes held\n", (int)count);
+    free(held);
+    free(pins);
+}
+
+/* 4. What pulls at it: each load's newtons are shared by its nodes. */
+static void add_loads(run *r)
+{
+    sfem_int *nodes = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *nodes);
+    sfem_int i, k, c, count;
+    sfem_error err;
+    for (k = 0; k < ex_given(&r->o, "--load"); ++k) {
+        const ex_load load = ex_load_of(ex_nth(&r->o, "--load", k));
+        sfem_real f[3];
+        count = select_nodes(r, &load.where, nodes);
+        if (count == 0) ex_fail("--load %s selects no node", ex_nth(&r->o, "--load", k));
+        for (c = 0; c < 3; ++c) f[c] = load.force[c] / count;
+        for (i = 0; i < count; ++i) must(sfem_body_add_node_force(r->body, nodes[i], f, &err), &err);
+    }
+    free(nodes);
+}
+
+static double length3(const double *a) { return sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
+
+static double largest_displacement(const run *r)
+{
+    const sfem_real *u = sfem_body_displacement(r->body);
+    double most = 0;
+    sfem_int i;
+    for (i = 0; i < r->mesh.nodes; ++i) most = fmax(most, length3(u + 3 * (size_t)i));
+    return most;
+}
+
+/* The node that is plotted: the one asked for, else the one farthest from the middle of what is held. */
+static void choose_probe(run *r)
+{
+    double lower[3], upper[3], most = -1;
+    sfem_int i;
+    int c;
+    r->probe = (sfem_int)ex_integer(&r->o, "--probe");
+    if (r->probe >= r->mesh.nodes) ex_fail("--probe %d: the mesh has %d nodes", (int)r->probe, (int)r->mesh.nodes);
+    if (r->probe >= 0) return;
+    ex_bounds(r->mesh.x, r->mesh.nodes, 1, lower, upper);
+    for (i = 0; i < r->mesh.nodes; ++i) {
+        double d[3];
+        for (c = 0; c < 3; ++c) d[c] = r->mesh.x[3 * (size_t)i + (size_t)c] - lower[c];
+        if (length3(d) <= most) continue;
+        most = length3(d);
+        r->probe = i;
+    }
+}
+
+static void record(run *r, sfem_int step)
+{
+    const sfem_energy e = sfem_body_energy(r->body);
+    r->time[step] = sfem_body_time(r->body);
+    r->tip[step] = sfem_body_displacement(r->body)[3 * (size_t)r->probe + 2];
+    r->energy[0][step] = e.kinetic;
+    r->energy[1][step] = e.elastic;
+    r->energy[2][step] = e.total;
+    if (r->frames < FRAMES && step >= r->steps * r->frames / (FRAMES - 1)) {
+        r->frame[r->frames] = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof(double));
+        r->frame_time[r->frames] = r->time[step];
+        sfem_body_positions(r->body, r->frame[r->frames++]);
+    }
+}
+
+static void write_step(run *r, const char *path)
+{
+    double *x = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *x);
+    double *stress = (double *)ex_new((size_t)r->mesh.tets, sizeof *stress);
+    sfem_field field[2];
+    sfem_error err;
+    memset(field, 0, sizeof field);
+    field[0].name = "displacement";
+    field[0].values = sfem_body_displacement(r->body);
+    field[0].components = 3;
+    field[1].name = "von_mises";
+    field[1].values = stress;
+    field[1].components = 1;
+    field[1].per_tet = 1;
+    sfem_body_positions(r->body, x);
+    sfem_model_stress(r->model, sfem_body_displacement(r->body), NULL, stress);
+    must(sfem_write_vtu(path, &r->mesh, x, field, 2, &err), &err);
+    free(stress);
+    free(x);
+}
+
+/* 5. Rest, or steps through time. */
+static void simulate(run *r)
+{
+    const sfem_int every = (sfem_int)ex_integer(&r->o, "--vtu");
+    char (*name)[32] = (char(*)[32])ex_new((size_t)r->steps + 1, sizeof *name);
+    const char **file = (const char **)ex_new((size_t)r->steps + 1, sizeof *file);
+    double *when = (double *)ex_new((size_t)r->steps + 1, sizeof *when), start;
+    sfem_int i, files = 0;
+    sfem_error err;
+    start = ex_seconds();
+    if (r->steps == 0) must(sfem_body_solve_static(r->body, &err), &err);
+    else must(sfem_body_prepare(r->body, r->h, &err), &err);
+    r->setup += ex_seconds() - start;
+    record(r, 0);
+    for (i = 0; i <= r->steps; ++i) {
+        if (i > 0) {
+            start = ex_seconds();
+            must(sfem_body_step(r->body, r->h, &err), &err);
+            r->stepping += ex_seconds() - start;
+            record(r, i);
+        }
+        if (every > 0 && i % every == 0) {
+            snprintf(name[files], sizeof *name, "step%06d.vtu", (int)i);
+            write_step(r, ex_path(ex_text(&r->o, "--out"), name[files]));
+            file[files] = name[files];
+            when[files++] = sfem_body_time(r->body);
+        }
+        ex_progress("simulate", i, r->steps);
+    }
+    if (files) must(sfem_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err), &err);
+    free(when);
+    free(file);
+    free(name);
+}
+
+/* Von Mises stress at the nodes: the mean over their tets by volume. */
+static double *nodal_stress(const run *r, const double *x)
+{
+    const size_t n = (size_t)r->mesh.nodes;
+    double *node = (double *)ex_new(n, sizeof *node), *weight = (double *)ex_new(n, sizeof *weight);
+    double *stress = (double *)ex_new((size_t)r->mesh.tets, sizeof *stress);
+    double *u = (double *)ex_new(3 * n, sizeof *u);
+    const sfem_real *volume = sfem_model_tet_volume(r->model);
+    size_t i;
+    int a;
+    for (i = 0; i < 3 * n; ++i) u[i] = x[i] - r->mesh.x[i];
+    sfem_model_stress(r->model, u, NULL, stress);
+    for (i = 0; i < (size_t)r->mesh.tets; ++i)
+        for (a = 0; a < 4; ++a) {
+            node[r->mesh.tet[4 * i + (size_t)a]] += volume[i] * stress[i];
+            weight[r->mesh.tet[4 * i + (size_t)a]] += volume[i];
+        }
+    for (i = 0; i < n; ++i) node[i] = weight[i] > 0 ? node[i] / weight[i] : 0;
+    free(u);
+    free(stress);
+    free(weight);
+    return node;
+}
+
+static void draw(const run *r)
+{
+    const double direction[3] = {0.35, -1, 0.3};
+    const int across = r->frames > 1 ? 3 : 1, down = (r->frames + across - 1) / across;
+    ex_picture *p = ex_picture_new(across > 1 ? 1500 : 1000, across > 1 ? 420 * down : 700);
+    ex_style style = ex_default_style();
+    double lower[3], upper[3], low, high;
+    double *value[FRAMES];
+    int k;
+    p->bar = 1;
+    for (k = 0; k < r->frames; ++k) {
+        ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
+        value[k] = nodal_stress(r, r->frame[k]);
+        ex_range(value[k], r->mesh.nodes, &low, &high);
+        style.high = fmax(style.high * (k > 0), high);
+    }
+    style.low = 0;
+    for (k = 0; k < r->frames; ++k) {
+        char caption[64];
+        ex_view_begin(p, k, across, down, lower, upper, direction);
+        ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri, value[k], &style);
+        snprintf(caption, sizeof caption, r->frames > 1 ? "t = %.3g s" : "at rest", r->frame_time[k]);
+        ex_view_end(p, caption);
+        free(value[k]);
+    }
+    ex_colorbar(p, "stress, Pa", 0, style.high);
+    ex_picture_write(p, ex_path(ex_text(&r->o, "--out"), "body.png"));
+    ex_picture_free(p);
+}
+
+static void plot(const run *r)
+{
+    ex_plot motion = ex_plot_new("Displacement", "time, s", "displacement along z, m", 0);
+    ex_plot energy = ex_plot_new("Energy", "time, s", "energy, J", 0);
+    char name[32];
+    snprintf(name, sizeof name, "node %d", (int)r->probe);
+    ex_plot_add(&motion, name, r->time, r->tip, r->steps + 1, EX_LINE);
+    ex_plot_write(&motion, ex_path(ex_text(&r->o, "--out"), "motion.svg"));
+    ex_plot_add(&energy, "kinetic", r->time, r->energy[0], r->steps + 1, EX_LINE);
+    ex_plot_add(&energy, "elastic", r->time, r->energy[1], r->steps + 1, EX_LINE);
+    ex_plot_add(&energy, "total, with the loads'", r->time, r->energy[2], r->steps + 1, EX_LINE);
+    ex_plot_write(&energy, ex_path(ex_text(&r->o, "--out"), "energy.svg"));
+}
+
+static void write_csv(const run *r, const char *path)
+{
+    const sfem_real *u = sfem_body_displacement(r->body);
+    FILE *f = ex_open(path);
+    sfem_int i;
+    fprintf(f, "node,ux,uy,uz\n");
+    for (i = 0; i < r->mesh.nodes; ++i, u += 3) fprintf(f, "%d,%.17g,%.17g,%.17g\n", (int)i, u[0], u[1], u[2]);
+    ex_close(f, path);
+}
+
+/* 6. Figures, files. */
+static void report(run *r)
+{
+    const sfem_body_info info = sfem_body_get_info(r->body);
+    const char *out = ex_text(&r->o, "--out");
+    if (r->steps > 0) plot(r);
+    draw(r);
+    if (ex_text(&r->o, "--csv")) write_csv(r, ex_text(&r->o, "--csv"));
+    printf("wrote %s/body.png%s\n", out, r->steps > 0 ? ", motion.svg, energy.svg" : "");
+    if (ex_integer(&r->o, "--probe") >= 0) {
+        const sfem_real *u = sfem_body_displacement(r->body) + 3 * (size_t)r->probe;
+        printf("probe %d %.17g %.17g %.17g\n", (int)r->probe, u[0], u[1], u[2]);
+    }
+    printf("nodes %d\ntets %d\ndofs %d\n", (int)info.nodes, (int)info.tets, 3 * (int)info.free_nodes);
+    printf("nnz_factor %lu\n", (unsigned long)info.factor_nnz);
+    printf("setup_ms %.3f\n", 1e3 * r->setup);
+    printf("step_us %.3f\n", r->steps > 0 ? 1e6 * r->stepping / r->steps : 0);
+    printf("energy %.17g\n", sfem_body_energy(r->body).total);
+    printf("max_displacement %.17g\n", largest_displacement(r));
+}
+
+int main(int argc, char **argv)
+{
+    run r;
+    double start;
+    int k;
+    memset(&r, 0, sizeof r);
+    r.o = ex_parse(argc, argv, "Simulates an elastic body and draws it.", table);
+    r.h = ex_real(&r.o, "--dt");
+    r.steps = (sfem_int)ex_integer(&r.o, "--steps");
+    if (r.steps < 1) ex_fail("--steps must be at least 1");
+    if (ex_given(&r.o, "--quick") && r.steps > 12) r.steps = 12;
+    if (ex_given(&r.o, "--static")) r.steps = 0;
+    ex_make_directory(ex_text(&r.o, "--out"));
+    read_mesh(&r);
+    start = ex_seconds();
+    make_model(&r);
+    make_body(&r);
+    r.setup = ex_seconds() - start;
+    add_loads(&r);
+    choose_probe(&r);
+    r.time = (double *)ex_new(5 * ((size_t)r.steps + 1), sizeof *r.time);
+    r.tip = r.time + r.steps + 1;
+    for (k = 0; k < 3; ++k) r.energy[k] = r.tip + (k + 1) * (r.steps + 1);
+    simulate(&r);
+    report(&r);
+    for (k = 0; k < r.frames; ++k) free(r.frame[k]);
+    free(r.time);
+    sfem_body_free(r.body);
+    sfem_model_free(r.model);
+    sfem_surface_free(&r.surface);
+    sfem_mesh_free(&r.mesh);
+    return 0;
+}
