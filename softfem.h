@@ -7159,9 +7159,9 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
     if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
     for (i = 0; i < 3; ++i) {
         if (kind != SFEM_TANGENT_EXACT) {
-            flip[i] = fmax(flip[i], 0);
+            flip[i] = fmax(flip[i], 0.0);
             twist[i] =
-                law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
+                law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0.0);
         }
         m->both[i] = (flip[i] + twist[i]) / 2;
         m->swap[i] = (flip[i] - twist[i]) / 2;
@@ -7492,7 +7492,7 @@ static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu,
     third = i + (cof[0] + cof[4] + cof[8]) + sfemi_dot3(c, cof); /* III_C - 1 */
     for (k = 0; k < 9; ++k) full[k] = c[k] + (k % 4 ? 0 : 1);
     sfemi_cofactor3(full, cof);
-    det = sqrt(fmax(1 + third, 0));
+    det = sqrt(fmax(1 + third, 0.0));
     volume = third > -1 ? third / (1 + det) : -1; /* J - 1 */
     a = (l * volume - .75 * m) / (2 * fmax(det, 1e-8));
     for (k = 0; k < 9; ++k) s[k] = a * cof[k] + (k % 4 ? 0 : m / 2 * (3 + i) / (4 + i));
