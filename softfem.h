@@ -22,14 +22,15 @@
  * CONTENTS (search for the marker)
  *
  *     API    >>api-base     status, errors, memory, threads       >>api-mesh    >>api-meshio
- *            >>api-matrix   sparse and dense matrices, solvers    >>api-model   >>api-body
+ *            >>api-matrix   sparse and dense matrices, solvers    >>api-element >>api-model
+ *            >>api-body
  *     IMPL   >>base         status, allocation, threads, vector paths
- *            >>math         3-vectors, 3x3 matrices, small dense systems
+ *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
- *            >>meshio       readers and writers (left out by SFEM_NO_STDIO)
+ *            >>meshio       readers and writers
  *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
- *            >>element      linear tetrahedron
- *            >>fem          assembly, mass, damping, loads, stress
+ *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
+ *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
@@ -44,7 +45,7 @@
  *
  *     SFEM_STATIC        every function static: the whole library inside one source file
  *     SFEM_ASSERT(x)     what to do about misuse of the interface; default assert(x)
- *     SFEM_NO_STDIO      leave the readers and writers out
+ *     SFEM_NO_STDIO      leave out what takes a file path; sfem_mesh_parse stays
  *     SFEM_NO_DISPATCH   portable kernels only, whatever the processor offers
  *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
@@ -296,10 +297,9 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * ============================================================================================ */
 
 /* READING. Which format it is shows in the data itself:
- *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region =
- *        the
- *                            volume's first physical group (0 without one) if any volume has one,
- *                            else the number of its entity
+ *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region is
+ *                            the volume's first physical group (0 without one) if any volume has
+ *                            one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
  * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
  * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
@@ -442,7 +442,7 @@ typedef struct sfem_ldl_info {
     sfem_int n, supernodes;
     sfem_ordering ordering; /* the one that was taken */
     size_t nnz;             /* scalars in L with its diagonal, zeros of merged columns included */
-    double flops;           /* additions and multiplications of a factorisation, as ordered */
+    double flops;           /* operations that the ordering needs, without those on such zeros */
     size_t bytes;           /* all of it: factor_bytes + analysis_bytes + work_bytes */
     size_t factor_bytes;    /* L, and its float copy */
     size_t analysis_bytes;  /* shared with those made by sfem_ldl_create_like */
@@ -473,7 +473,7 @@ SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matri
  * room for two) and may only be refactored again or freed. */
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err);
 
-/* The same where only blocks (i, j) have changed of which i or j is among the given nodes: renews the path from them to the root of the elimination tree, with the very bits of a
+/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the path from them to the root of the elimination tree, with the very bits of a
  * full refactorisation. Needs def.keep, else does a full one. */
 SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
                                              const sfem_int *node, sfem_error *err);
@@ -530,6 +530,116 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
                                    sfem_error *err);
 
 /* ============================================================================================
+ * >>api-element   materials: energy, stress, tangent; energies in edge lengths
+ * ============================================================================================ */
+
+/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda and mu
+ * are Lame's parameters; all agree for small strains and are zero, and least, at rest.
+ *   SFEM_LINEAR         lambda/2 tr(e)^2 + mu e:e, e = (F + F^T)/2 - I. Small rotations only.
+ *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper rotation
+ *                       [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small strains; any
+ *                       rotation; inverted tets recover.
+ *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff. Weak in
+ *                       compression: below .58 of its length the force on a bar falls (at nu = 0)
+ *                       and is zero at length 0; it does not feel a mirror image, so inverted tets
+ *                       stay inverted. For large rotations and stretches, not for crushing.
+ *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1),
+ *                       m = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
+ *                       neo-Hookean of Smith, de Goes, Kim 2018. Any strain, defined through
+ *                       inversion; keeps volume best as nu nears 0.5. */
+typedef enum sfem_law { SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN } sfem_law;
+
+/* Derivatives of the stress.
+ *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles. SFEM_COROTATIONAL has a
+ *                        pole where the two smallest signed singular values of F sum to 0: there the
+ *                        sum is kept above 1e-8.
+ *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite one, from
+ *                        closed forms in singular values [Smith, de Goes, Kim 2019]
+ *   SFEM_TANGENT_FROZEN  SFEM_COROTATIONAL without the change of R: R k R^T, always positive
+ *                        semidefinite; the other laws as with SFEM_TANGENT_PSD */
+typedef enum sfem_tangent {
+    SFEM_TANGENT_EXACT,
+    SFEM_TANGENT_PSD,
+    SFEM_TANGENT_FROZEN
+} sfem_tangent;
+
+/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in float and
+ * everything else in double: half the memory traffic, a residual of a solve of about 4e-7 on good
+ * meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a strain of 1e-3. */
+typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
+
+/* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
+SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
+
+/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat, inverted
+ * or zero; a number that is not finite gives numbers that are not finite. About 0.4 us at most. */
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9]);
+
+/* P = dPsi/dF, the first Piola-Kirchhoff stress, Pa; returns Psi. */
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                   sfem_real p[9]);
+
+/* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
+SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                               sfem_tangent kind, sfem_real tangent[81]);
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9]);
+
+/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its energy, J,
+ * the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m. force and k may be
+ * NULL. */
+SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
+                                const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
+                                sfem_real k[144]);
+
+/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or 1, which
+ * stands for whatever the compiler makes of the portable ones. */
+SFEM_DEF int sfem_vector_width(void);
+
+/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative det F the
+ * smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a double smallest
+ * singular value of an inverted F) one of the nearest is given, I for F = 0. Never fails on finite F;
+ * R is orthogonal and S symmetric to a few rounding errors (of |F|). */
+SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9]);
+
+/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of det F:
+ * one-sided Jacobi, small singular values to their own rounding error. Entries below 1e-150 of the
+ * largest count as 0. */
+SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9]);
+
+/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared lengths
+ * alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest direction n_k, and with
+ * it all invariants and every isotropic energy [Mandal, Chaudhuri, Chaudhuri 2023, supplement, Theorem
+ * 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12 13 23; dim = 2: triangles in their plane,
+ * three edges 01 02 12, in plane strain. Flat tets and triangles have the C of least norm that fits
+ * best. */
+typedef struct sfem_edge_shape {
+    int dim, nodes, edges;
+    int rank;          /* edges, or less where flat */
+    sfem_real volume;  /* m^3, or m^2 for a triangle; 0 where flat */
+    sfem_real c[6][9]; /* dC/d(d_k^2), 1/m^2: dim x dim, row-major */
+} sfem_edge_shape;
+
+/* x [nodes][dim]: rest positions, m, of any sense. */
+SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *out);
+/* d2 [edges]: squared lengths, m^2, of positions x [nodes][dim]. */
+SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2);
+/* C [dim][dim] of squared lengths. */
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c);
+/* I_C = tr C, II_C = tr C^2, III_C = det C, and with a fibre a [dim] (NULL: 0) IV_C = a.C a,
+ * V_C = a.C^2 a. */
+SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
+                                   const sfem_real *fibre, sfem_real invariants[5]);
+/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL. Lengths
+ * do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above 1e-8. */
+SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, sfem_real lambda,
+                                    sfem_real mu, const sfem_real *d2, sfem_real *slope);
+/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i - x_j), N.
+ * The force on node i is its negative. */
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
+                               sfem_real *force);
+
+/* ============================================================================================
  * >>api-model   finite elements: K, M, D, loads, stress
  * ============================================================================================ */
 
@@ -542,9 +652,10 @@ typedef struct sfem_material {
     sfem_real density; /* kg/m^3, > 0 */
     sfem_real alpha;   /* mass damping, 1/s, >= 0 */
     sfem_real beta;    /* stiffness damping, s, >= 0 */
+    sfem_law law;      /* >>api-element; K, M, D are the same for all */
 } sfem_material;
 
-SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped */
+SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped, linear */
 
 /* What never changes while bodies move: mesh, materials, K, M, D. Shared by any number of bodies and
  * threads; reference-counted, each body holds one. */
@@ -557,7 +668,7 @@ typedef struct sfem_model_def {
     sfem_int material_count;
     const sfem_int *tet_material; /* [tets] index into materials; NULL: mesh->region is the index */
     sfem_mass mass;               /* lumped: rho V/4 a node; consistent: rho V/20 (1 + delta_ab) */
-    const sfem_matrix *damping;   /* added to D, N s/m: any symmetric matrix within K's pattern, or NULL */
+    const sfem_matrix *damping;   /* added to D, N s/m: any matrix within K's pattern, or NULL */
     sfem_allocator allocator;
 } sfem_model_def;
 
@@ -591,6 +702,25 @@ SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real 
                                        const sfem_exec *exec);
 SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                           const sfem_exec *exec);
+
+/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient, the
+ * internal force [nodes][3], N (what the body pushes back with is its negative). A translation changes
+ * nothing but rounding of u; forces sum to zero in every tet.
+ *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
+ *   inverted  how many tets have det F <= 0; or NULL
+ *   work      [sfem_model_work_size] reals
+ *   cost      about 10 to 20 ns a tet (corotational, AVX2), half a microsecond for a tet where R is all
+ *             but undetermined; O(tets) at any u. Not finite u give an energy that is not finite.
+ * Allocates nothing; same bits for any number of threads, but not from one vector path to another. */
+SFEM_DEF size_t sfem_model_work_size(const sfem_model *model);
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
+                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
+                                     sfem_real *work, const sfem_exec *exec);
+
+/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern, such as
+ * sfem_model_combine makes. About 1 us a tet; allocates nothing; same bits for any number of threads. */
+SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
+                                 sfem_matrix *tangent, const sfem_exec *exec);
 
 /* Cauchy stress of the displacement u [nodes][3] under small strain, constant in a tet:
  * stress [tets][6] in the order xx yy zz xy xz yz, von_mises [tets], Pa; either may be NULL. */
@@ -639,10 +769,6 @@ typedef enum sfem_integrator {
     SFEM_BATHE
 } sfem_integrator;
 
-/* SFEM_MIXED keeps the factor in float: half the memory traffic, a residual of about 4e-7 on good
- * meshes. Everything else stays double. */
-typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
-
 /* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
  * damping a start of fourth order. */
 typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_start;
@@ -653,9 +779,6 @@ enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
 typedef struct sfem_body sfem_body;
 
-/* TEMPORARY */
-typedef enum sfem_tangent { SFEM_TANGENT_EXACT, SFEM_TANGENT_PSD, SFEM_TANGENT_FROZEN } sfem_tangent;
-
 /* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
  * allocated), a solve, and a force for each length that the line search tries. It minimises the
  * incremental potential (Armijo), or where damping has none, brings the work of the residual down; an
@@ -663,7 +786,7 @@ typedef enum sfem_tangent { SFEM_TANGENT_EXACT, SFEM_TANGENT_PSD, SFEM_TANGENT_F
 typedef struct sfem_newton_def {
     sfem_int iterations; /* at most, >= 1; 20. With 1 the step is semi-implicit: one solve with the tangent
                           * at its start, never refused, no residual known afterwards */
-    sfem_real tolerance; /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a + D(v)|, or
+    sfem_real tolerance; /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a|, |D(v)|, or
                           * where the correction drowns in the rounding of positions; >= 0, 1e-8 */
     sfem_tangent tangent; /* SFEM_TANGENT_EXACT; SFEM_TANGENT_PSD: always the projected one, in D too */
     int no_line_search;
@@ -731,8 +854,9 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
 SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
- * has one with the same matrix and pins; the handles' columns (three solves a handle). The only
- * function after creation that allocates. sfem_body_step calls it where it has to.
+ * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
+ * a loop, the only function that allocates; set_pins and solve_static do, too. sfem_body_step calls it
+ * where it has to.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
@@ -744,8 +868,8 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
  * them. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
- * during this step. solve leaves the step's acceleration where sfem_body_acceleration points. finish
- * takes the step. predict may be called again to give a step up. */
+ * during this step, as F at its start does. solve leaves the step's acceleration where
+ * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF void sfem_body_finish(sfem_body *body);
@@ -1032,8 +1156,24 @@ static int sfemi_path(void)
 #define SFEMI_INLINE inline
 #endif
 
+/* Instruction sets that hot kernels are compiled for on top of what the compiler was told to use. */
+#if SFEMI_X86
+#define SFEMI_X86_PATHS
+#endif
+
+SFEM_DEF int sfem_vector_width(void)
+{
+#ifdef SFEMI_X86_PATHS
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+        __builtin_cpu_supports("avx512vl"))
+        return 8;
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 4;
+#endif
+    return 1;
+}
+
 /* ============================================================================================
- * >>math   3-vectors, 3x3 matrices (row-major), small dense systems
+ * >>math   3-vectors, 3x3 matrices (row-major), polar and singular value decomposition
  * ============================================================================================ */
 
 static SFEMI_UNUSED sfem_real sfemi_dot3(const sfem_real *a, const sfem_real *b)
@@ -1065,6 +1205,238 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
     sfemi_sub3(d, a, w);
     sfemi_cross(u, v, n);
     return sfemi_dot3(n, w);
+}
+
+/* c = a b, a^T b, a b^T. c must be neither. */
+static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+}
+
+static void sfemi_mul3_tn(const sfem_real *a, const sfem_real *b, sfem_real *c)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) c[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j];
+}
+
+static void sfemi_mul3_nt(const sfem_real *a, const sfem_real *b, sfem_real *c)
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) c[3 * i + j] = sfemi_dot3(a + 3 * i, b + 3 * j);
+}
+
+/* d(det f)/df; f:c = 3 det f. */
+static void sfemi_cofactor3(const sfem_real *f, sfem_real *c)
+{
+    sfemi_cross(f + 3, f + 6, c);
+    sfemi_cross(f + 6, f, c + 3);
+    sfemi_cross(f, f + 3, c + 6);
+}
+
+/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle that zeroes the
+ * off-diagonal entry pq of a symmetric matrix. */
+static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
+{
+    const sfem_real theta = (qq - pp) / (2 * pq);
+    const sfem_real t = 1 / (fabs(theta) + sqrt(theta * theta + 1));
+    return theta < 0 ? -t : t;
+}
+
+/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric matrix
+ * a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
+static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
+{
+    sfem_real norm = 0;
+    int sweep, turned = 1, p, q, i;
+    for (i = 0; i < n * n; ++i) {
+        norm += a[i] * a[i];
+        v[i] = i % (n + 1) ? 0 : 1;
+    }
+    norm = 1e-17 * sqrt(norm);
+    for (sweep = 0; sweep < 30 && turned; ++sweep) {
+        turned = 0;
+        for (p = 0; p < n - 1; ++p) {
+            for (q = p + 1; q < n; ++q) {
+                sfem_real t, c, s;
+                if (!(fabs(a[n * p + q]) > norm)) continue;
+                t = sfemi_jacobi_tangent(a[n * p + p], a[n * q + q], a[n * p + q]);
+                c = 1 / sqrt(1 + t * t);
+                s = t * c;
+                turned = 1;
+                a[n * p + p] -= t * a[n * p + q];
+                a[n * q + q] += t * a[n * p + q];
+                a[n * p + q] = a[n * q + p] = 0;
+                for (i = 0; i < n; ++i) {
+                    const sfem_real vp = v[n * i + p], vq = v[n * i + q];
+                    v[n * i + p] = c * vp - s * vq;
+                    v[n * i + q] = s * vp + c * vq;
+                    if (i != p && i != q) {
+                        const sfem_real ap = a[n * p + i], aq = a[n * q + i];
+                        a[n * p + i] = a[n * i + p] = c * ap - s * aq;
+                        a[n * q + i] = a[n * i + q] = s * ap + c * aq;
+                    }
+                }
+            }
+        }
+    }
+    for (i = 0; i < n; ++i) w[i] = a[(n + 1) * i];
+    for (p = 0; p < n - 1; ++p) { /* selection sort; a turn by 90 degrees keeps det v */
+        for (q = p, i = p + 1; i < n; ++i)
+            if (w[i] > w[q]) q = i;
+        if (q == p) continue;
+        norm = w[p], w[p] = w[q], w[q] = norm;
+        for (i = 0; i < n; ++i) {
+            norm = v[n * i + p];
+            v[n * i + p] = v[n * i + q];
+            v[n * i + q] = -norm;
+        }
+    }
+}
+
+/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were. Sweeps of
+ * it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the start: the singular
+ * value decomposition, its small values to their own rounding error [Hestenes 1958]. */
+static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
+{
+    sfem_real pp = 0, qq = 0, pq = 0, t, c, s;
+    int i;
+    for (i = 0; i < n * n; i += n) {
+        pp += b[i + p] * b[i + p];
+        qq += b[i + q] * b[i + q];
+        pq += b[i + p] * b[i + q];
+    }
+    if (!(pq * pq > 1e-31 * pp * qq)) return 0;
+    t = sfemi_jacobi_tangent(pp, qq, pq);
+    c = 1 / sqrt(1 + t * t);
+    s = t * c;
+    for (i = 0; i < n * n; i += n) {
+        const sfem_real bp = b[i + p], bq = b[i + q], vp = v[i + p], vq = v[i + q];
+        b[i + p] = c * bp - s * bq;
+        b[i + q] = s * bp + c * bq;
+        v[i + p] = c * vp - s * vq;
+        v[i + q] = s * vp + c * vq;
+    }
+    return 1;
+}
+
+/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none); where
+ * nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves enough. */
+static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9], int k,
+                           sfem_real axis[3])
+{
+    sfem_real length = 0, size, along;
+    int tries, pass, i;
+    memcpy(axis, b, 3 * sizeof *axis);
+    for (tries = 0;; ++tries, ++k) {
+        size = sqrt(sfemi_dot3(axis, axis));
+        for (pass = 0; before && pass < 2; ++pass) {
+            along = sfemi_dot3(axis, before);
+            for (i = 0; i < 3; ++i) axis[i] -= along * before[i];
+        }
+        length = sqrt(sfemi_dot3(axis, axis));
+        if ((length > .5 * size && length > 1e-150) || tries == 3) break;
+        for (i = 0; i < 3; ++i) axis[i] = v[3 * i + k % 3];
+    }
+    for (i = 0; i < 3; ++i) axis[i] /= length;
+}
+
+/* Columns p and q of a 3x3 matrix change places; one changes its sign: a turn by 90 degrees. */
+static void sfemi_swap3(sfem_real *a, int p, int q)
+{
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        const sfem_real t = a[i + p];
+        a[i + p] = a[i + q];
+        a[i + q] = -t;
+    }
+}
+
+SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9])
+{
+    sfem_real b[9], column[3][3], axis[3][3], size[3], scale = 0, t;
+    int sweep, turned = 1, i, j, k;
+    SFEM_ASSERT(f && u && s && v);
+    for (i = 0; i < 9; ++i) {
+        if (!(fabs(f[i]) <= scale)) scale = fabs(f[i]);
+        v[i] = i % 4 ? 0 : 1;
+    }
+    if (!(scale > 0)) scale = 1;
+    for (i = 0; i < 9; ++i) b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
+    for (sweep = 0; sweep < 20 && turned; ++sweep) { /* b = f v / scale */
+        turned = sfemi_svd_turn(3, b, v, 0, 1);
+        turned |= sfemi_svd_turn(3, b, v, 0, 2);
+        turned |= sfemi_svd_turn(3, b, v, 1, 2);
+    }
+    for (j = 0; j < 3; ++j) size[j] = b[j] * b[j] + b[3 + j] * b[3 + j] + b[6 + j] * b[6 + j];
+    for (j = 0; j < 2; ++j) { /* descending */
+        for (k = j, i = j + 1; i < 3; ++i)
+            if (size[i] > size[k]) k = i;
+        if (k == j) continue;
+        t = size[j], size[j] = size[k], size[k] = t;
+        sfemi_swap3(b, j, k);
+        sfemi_swap3(v, j, k);
+    }
+    for (i = 0; i < 9; ++i) column[i % 3][i / 3] = b[i];
+    sfemi_svd_axis(column[0], NULL, v, 0, axis[0]);
+    sfemi_svd_axis(column[1], axis[0], v, 1, axis[1]);
+    sfemi_cross(axis[0], axis[1], axis[2]);
+    for (j = 0; j < 3; ++j) s[j] = scale * sfemi_dot3(axis[j], column[j]);
+    for (i = 0; i < 9; ++i) u[i] = axis[i % 3][i / 3];
+}
+
+/* The nearest rotation R of an ordinary F, or 0. The trace t of S is the largest root of
+ *     p(t) = t^4 - 2 |F|^2 t^2 - 8 det F t + |F|^4 - 4 |cof F|^2,
+ * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura 2022]. That
+ * loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F flat or a little
+ * inverted is ordinary, F of rank 1 is not. The root is approached from above by Halley's method, which cannot overshoot. */
+static int sfemi_polar_fast(const sfem_real f[9], sfem_real r[9])
+{
+    sfem_real c[9], ftf[9], norm2 = 0, cof2 = 0, det, t, step, slope;
+    int k, i, j;
+    sfemi_cofactor3(f, c);
+    det = sfemi_dot3(f, c);
+    for (i = 0; i < 9; ++i) {
+        norm2 += f[i] * f[i];
+        cof2 += c[i] * c[i];
+    }
+    t = sqrt(3 * norm2);
+    for (k = 0, step = t; k < 8 && step > 1e-6 * t; ++k) { /* cubic: all is gained */
+        const sfem_real p = ((t * t - 2 * norm2) * t - 8 * det) * t + norm2 * norm2 - 4 * cof2;
+        slope = (t * t - norm2) * t - 2 * det;
+        step = p * slope / (4 * slope * slope - p * (1.5 * t * t - .5 * norm2));
+        t -= step;
+    }
+    slope = (t * t - norm2) * t - 2 * det;
+    if (!(step <= 1e-6 * t && slope > .1 * t * t * t && norm2 > 1e-60 && norm2 < 1e60)) return 0;
+    sfemi_mul3_tn(f, f, ftf);
+    for (i = 0; i < 9; i += 3)
+        for (j = 0; j < 3; ++j)
+            r[i + j] = ((t * t + norm2) * f[i + j] + 2 * t * c[i + j] -
+                        2 * (f[i] * ftf[j] + f[i + 1] * ftf[3 + j] + f[i + 2] * ftf[6 + j])) /
+                       slope;
+    return 1;
+}
+
+SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9])
+{
+    sfem_real u[9], v[9], w[3], rotation[9];
+    int i, j;
+    SFEM_ASSERT(f && r);
+    if (!sfemi_polar_fast(f, rotation)) {
+        sfem_signed_svd(f, u, w, v);
+        sfemi_mul3_nt(u, v, rotation);
+    }
+    if (s) {
+        sfemi_mul3_tn(rotation, f, u);
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) s[3 * i + j] = u[3 * i + j] / 2 + u[3 * j + i] / 2;
+    }
+    memcpy(r, rotation, sizeof rotation);
 }
 
 /* ============================================================================================
@@ -1106,8 +1478,8 @@ static sfem_status sfemi_mesh_new(double nodes, double tets, const sfem_allocato
     if (nodes > (double)INT32_MAX || tets > (double)INT32_MAX)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%.0f nodes and %.0f tets: at most 2^31 - 1 of each",
                           nodes, tets);
-    m.nodes = (sfem_int)nodes;
-    m.tets = (sfem_int)tets;
+    m.nodes = (sfem_int)(nodes + 0.5); /* -ffast-math divides inexactly */
+    m.tets = (sfem_int)(tets + 0.5);
     SFEMI_NEW(sfem_real, m.x, &m.allocator, 3 * (size_t)m.nodes);
     SFEMI_NEW(sfem_int, m.tet, &m.allocator, 4 * (size_t)m.tets);
     *out = m;
@@ -2191,6 +2563,7 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     int i;
     SFEM_ASSERT(mesh && point);
     if (!x) x = mesh->x;
+    if (!sfemi_all_finite(point, 3)) return 0;
     for (t = 0; t < mesh->tets; ++t) {
         const sfem_int *v = mesh->tet + 4 * (size_t)t;
         if (!sfemi_mesh_near(x, v, point) || !sfemi_mesh_gradients(x, v, g)) continue;
@@ -2264,7 +2637,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
     if (!x) x = mesh->x;
     for (i = 0; i < 3; ++i)
         if (fabs(direction[i]) > length) length = fabs(direction[i]);
-    if (!(length > 0) || !sfemi_finite(length)) return 0;
+    if (!(length > 0) || !sfemi_all_finite(direction, 3) || !sfemi_all_finite(origin, 3)) return 0;
     for (i = 0; i < 3; ++i) unit[i] = direction[i] / length; /* no under- or overflow in the norm */
     length = sqrt(sfemi_dot3(unit, unit));
     for (i = 0; i < 3; ++i) unit[i] /= length;
@@ -2352,6 +2725,7 @@ static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
 {
     int i, k, length = 32 * b->n, drop;
     uint64_t q = 0;
+    sfem_real x;
     for (i = 31; !(b->limb[b->n - 1] >> i & 1); --i) --length;
     drop = length - 53;
     if (drop < -1074 - exponent) drop = -1074 - exponent; /* subnormal: fewer bits */
@@ -2366,7 +2740,12 @@ static sfem_real sfemi_big_round(const sfemi_big *b, int sticky, int exponent)
         for (i = 0; i < (drop - 1) / 32; ++i) sticky |= b->limb[i] != 0;
         q += (uint64_t)(half && (sticky || (q & 1)));
     }
-    return ldexp((double)q, exponent + drop);
+    exponent += drop;
+    for (; q < (uint64_t)1 << 52 && exponent > -1074; --exponent) q <<= 1;
+    q += (uint64_t)(exponent + 1074) << 52; /* q's own top bit counts the exponent on by one */
+    if (q > 0x7ff0000000000000u) q = 0x7ff0000000000000u;
+    memcpy(&x, &q, sizeof x); /* arithmetic may flush subnormals, as -ffast-math has it */
+    return x;
 }
 
 /* digits 10^exponent */
@@ -2510,19 +2889,24 @@ static int sfemi_word_is(sfemi_word w, const char *text)
     return text[w.n] == 0;
 }
 
-/* "expected a node tag, found 'x'": the word shortened, with nothing in it that is not
- * printable. */
+/* A word for a sentence: shortened, with nothing in it that is not printable. */
+static const char *sfemi_word_text(sfemi_word w, char text[25])
+{
+    size_t i;
+    for (i = 0; i < w.n && i < 24; ++i) text[i] = w.p[i] >= 32 && w.p[i] < 127 ? w.p[i] : '?';
+    text[i] = 0;
+    return text;
+}
+
+/* "expected a node tag, found 'x'" */
 static sfem_status sfemi_scan_expected(sfemi_scan *s, const char *what, sfemi_word found)
 {
     char text[25];
-    size_t i;
     if (!found.n)
         return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, but the %s ends", what,
                                s->in_row && s->p < s->end ? "line" : "data");
-    for (i = 0; i < found.n && i < sizeof text - 1; ++i)
-        text[i] = found.p[i] >= 32 && found.p[i] < 127 ? found.p[i] : '?';
-    text[i] = 0;
-    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what, text);
+    return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, found '%s'", what,
+                           sfemi_word_text(found, text));
 }
 
 static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, const char *what,
@@ -2652,10 +3036,12 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g)
     sfem_status status;
     sfem_real version;
     int64_t binary, size;
+    char text[25];
     if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
     if (!sfemi_word_is(w, "4.1"))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %.1f: only 4.1 ASCII is read", version);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 4.1 ASCII is read",
+                               sfemi_word_text(w, text));
     s->p += w.n;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "the file type (0 ASCII, 1 binary)", &binary));
     if (binary) return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 4.1 binary: only 4.1 ASCII is read");
@@ -2728,7 +3114,7 @@ static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g, sfem_int first, sfem_int
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int i, count;
+    sfem_int i, count = 0;
     int64_t dimension, v, parametric;
     int k;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
@@ -2772,7 +3158,7 @@ static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
     sfemi_scan *s = &g->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int nodes, n = 0, filled = 0;
+    sfem_int nodes = 0, n = 0, filled = 0;
     int64_t blocks, v;
     if (g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Nodes section");
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of node blocks", &blocks));
@@ -2954,6 +3340,7 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfemi_word w;
     sfem_real version;
+    char text[25];
     int k;
     for (k = 0; k < 4; ++k) sfemi_scan_word(s); /* "# vtk DataFile Version" is what led here */
     s->in_row = 1;
@@ -2962,8 +3349,8 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     if (!w.n || sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a VTK version", w);
     if (version < 1 || version >= 6)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %.1f: only 1.0 to 5.1 are read",
-                               version);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %s: only 1.0 to 5.1 are read",
+                               sfemi_word_text(w, text));
     sfemi_scan_skip_line(s);
     sfemi_scan_skip_line(s); /* the title, which may be empty */
     w = sfemi_scan_peek(s);
@@ -2988,7 +3375,7 @@ static sfem_status sfemi_vtk_points(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n;
+    sfem_int n = 0;
     size_t i;
     if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
@@ -3009,7 +3396,7 @@ static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n, i;
+    sfem_int n = 0, i;
     int64_t v, before = 0;
     if (r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
@@ -3047,7 +3434,7 @@ static sfem_status sfemi_vtk_types(sfemi_vtk *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int n, i;
+    sfem_int n = 0, i;
     int64_t v;
     if (r->has_types) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES a second time");
     if (!r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES come before CELLS");
@@ -3242,6 +3629,7 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      sfem_error *err)
 {
     sfem_status status;
+    char begin[25];
     sfem_allocator a;
     sfem_mesh m;
     sfemi_scan s;
@@ -3263,9 +3651,10 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
     else
-        status = sfemi_scan_expected(
-            &s, "Gmsh 4.1 ASCII or VTK legacy ASCII, which are all that is read",
-            sfemi_scan_peek(&s));
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "only Gmsh 4.1 ASCII and VTK legacy ASCII are read, this begins "
+                                 "with '%s'",
+                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
     if (status == SFEM_OK && m.tets < 1)
         status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
                             (long)m.nodes);
@@ -3383,7 +3772,8 @@ static void sfemi_file_real(FILE *f, sfem_real x, const char *after)
             *p++ = '.';
             memmove(p, q, (size_t)(text + n + 1 - q));
         }
-        if (sfemi_text_real(text, text + strlen(text), &back) && back == x) break;
+        if (sfemi_text_real(text, text + strlen(text), &back) && !memcmp(&back, &x, sizeof x))
+            break;
     }
     fputs(text, f);
     fputs(after, f);
@@ -4238,102 +4628,141 @@ done:
  * setting]: a set of nodes is cut by the best of planes in 13 directions, the fewest nodes that cover
  * the cut edges are the separator [Koenig 1931], which is then refined by moving single nodes
  * [Fiduccia, Mattheyses 1982; Ashcraft, Liu 1997 for separators]. */
-#define SFEMI_DISSECT_LEAF 90      /* sets this small are left to minimum degree */
+#define SFEMI_DISSECT_LEAF 200 /* sets this small are left to minimum degree */
 #define SFEMI_DISSECT_DIRECTIONS 13
-#define SFEMI_DISSECT_TRIALS 3     /* of which so many, the cheapest by count, are tried in full */
+#define SFEMI_DISSECT_WAYS 14 /* and by distance along edges */
+#define SFEMI_DISSECT_TRIALS 3 /* of which so many, the cheapest by count, are tried in full */
+#define SFEMI_DISSECT_BINS 241
 
 typedef struct sfemi_dissect {
     const sfemi_graph *g;
     const sfem_real *x;
     sfem_int *set;         /* [n] all nodes; a set is a range of it */
     sfem_int *inside;      /* [n] stamp of the set that a node is in, while it is cut */
-    sfem_int *mate, *from;  /* [n] matching; search tree */
-    sfem_int *queue;        /* [3n] of the search; also the log of moves, at most three for a node */
+    sfem_int *mate, *from; /* [n] matching; search tree */
+    sfem_int *queue;       /* [3n] of the search; also the log of moves, at most three for a node */
     sfem_int *near[2];     /* [n] of separator nodes: neighbours on either side */
-    float *key, *sorted;   /* [n] */
-    signed char *side, *best; /* [n] by node: 0, 1, or 2 for the separator; 3 locked while refining */
+    sfem_int *band;        /* [n] nodes so close to the plane that an edge may be cut */
+    float *key;            /* [n] by position in the set */
+    signed char *side, *best; /* [n] by node: 0, 1, or 2 for the separator; 3 for a while */
+    float reach[SFEMI_DISSECT_WAYS]; /* longest edge along each direction */
     sfem_int stamp;
 } sfemi_dissect;
 
-/* The k-th smallest of v[0..n), which is partly sorted by it [Hoare 1961]. */
-static float sfemi_select(float *v, sfem_int n, sfem_int k)
-{
-    sfem_int low = 0, high = n - 1;
-    while (low < high) {
-        const float pivot = v[low + (high - low) / 2];
-        sfem_int i = low, j = high;
-        while (i <= j) {
-            while (v[i] < pivot) ++i;
-            while (v[j] > pivot) --j;
-            if (i <= j) {
-                const float t = v[i];
-                v[i++] = v[j];
-                v[j--] = t;
-            }
-        }
-        if (k <= j) high = j;
-        else if (k >= i) low = i;
-        else break;
-    }
-    return v[k];
-}
-
-static void sfemi_dissect_keys(sfemi_dissect *d, const sfem_int *set, sfem_int m, int direction)
+static const signed char *sfemi_dissect_axis(int direction)
 {
     static const signed char axis[SFEMI_DISSECT_DIRECTIONS][3] = {
         {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 1, 0}, {1, -1, 0}, {1, 0, 1}, {1, 0, -1},
         {0, 1, 1}, {0, 1, -1}, {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
-    const signed char *a = axis[direction];
-    sfem_int k;
-    for (k = 0; k < m; ++k) {
-        const sfem_real *x = d->x + 3 * (size_t)set[k];
-        d->key[k] = (float)(a[0] * x[0] + a[1] * x[1] + a[2] * x[2]);
+    return axis[direction];
+}
+
+static float sfemi_dissect_key(const signed char *axis, const sfem_real *x)
+{
+    return (float)(axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2]);
+}
+
+static void sfemi_dissect_reach(sfemi_dissect *d)
+{
+    sfem_int i, e;
+    int k;
+    for (i = 0; i < d->g->n; ++i)
+        for (e = d->g->start[i]; e < d->g->start[i + 1] && d->g->adj[e] < i; ++e) {
+            sfem_real u[3];
+            sfemi_sub3(d->x + 3 * (size_t)i, d->x + 3 * (size_t)d->g->adj[e], u);
+            for (k = 0; k < SFEMI_DISSECT_DIRECTIONS; ++k) {
+                const float r = (float)fabs((double)sfemi_dissect_key(sfemi_dissect_axis(k), u));
+                if (r > d->reach[k]) d->reach[k] = r;
+            }
+        }
+}
+
+/* mate[] = edges from a node that is far from others, found by two searches; a curled or perforated body
+ * is cut better across its length than by a plane. */
+static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_int m)
+{
+    sfem_int k, e, start = set[0], pass, head, tail, next;
+    for (pass = 0; pass < 2; ++pass) {
+        for (k = 0; k < m; ++k) d->mate[set[k]] = -1;
+        for (head = tail = 0, next = 0; tail < m;) {
+            if (head == tail) { /* another piece goes on where this one ended */
+                while (tail > 0 && d->mate[set[next]] >= 0) ++next;
+                d->mate[tail > 0 ? set[next] : start] = tail > 0 ? d->mate[d->queue[tail - 1]] + 2 : 0;
+                d->queue[tail] = tail > 0 ? set[next] : start;
+                ++tail;
+            }
+            for (; head < tail; ++head) {
+                const sfem_int v = d->queue[head];
+                for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
+                    const sfem_int w = d->g->adj[e];
+                    if (d->inside[w] != d->stamp || d->mate[w] >= 0) continue;
+                    d->mate[w] = d->mate[v] + 1;
+                    d->queue[tail++] = w;
+                }
+            }
+        }
+        start = d->queue[m - 1];
     }
 }
 
-/* The plane that halves the keys, or just misses: keys < cut are side 0. Equal keys stay together. */
-static float sfemi_dissect_plane(sfemi_dissect *d, sfem_int m)
+/* Keys of the set, and the plane that about halves them: keys < cut are side 0. Found from counts in
+ * bins, which keep the layers of a lattice together. */
+static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int m, int direction)
 {
-    float low = d->key[0], high = low, middle, slack;
-    sfem_int k, under = 0, upto = 0;
+    const signed char *axis = sfemi_dissect_axis(direction % SFEMI_DISSECT_DIRECTIONS);
+    sfem_int count[SFEMI_DISSECT_BINS], k, under = 0, b;
+    float low = 0, high = 0, scale;
+    if (direction == SFEMI_DISSECT_DIRECTIONS) sfemi_dissect_distance(d, set, m);
     for (k = 0; k < m; ++k) {
-        if (d->key[k] < low) low = d->key[k];
-        if (d->key[k] > high) high = d->key[k];
+        const float key = direction == SFEMI_DISSECT_DIRECTIONS
+                              ? (float)d->mate[set[k]]
+                              : sfemi_dissect_key(axis, d->x + 3 * (size_t)set[k]);
+        d->key[k] = key;
+        if (k == 0 || key < low) low = key;
+        if (k == 0 || key > high) high = key;
     }
-    memcpy(d->sorted, d->key, (size_t)m * sizeof *d->sorted);
-    middle = sfemi_select(d->sorted, m, m / 2);
-    slack = (high - low) * 1e-5f; /* coordinates of a lattice are equal only nearly */
-    for (k = 0; k < m; ++k) {
-        under += d->key[k] < middle - slack;
-        upto += d->key[k] <= middle + slack;
-    }
-    return under > m - upto ? middle - slack : middle + slack;
+    if (!(high > low)) return low;
+    low -= (high - low) * 0.00137f; /* no lattice plane at the edge of a bin */
+    scale = (SFEMI_DISSECT_BINS - 1) / (high - low);
+    memset(count, 0, sizeof count);
+    for (k = 0; k < m; ++k) ++count[(int)((d->key[k] - low) * scale)];
+    for (b = 0; b < SFEMI_DISSECT_BINS && 2 * (under + count[b]) <= m; ++b) under += count[b];
+    /* the median is in bin b: before it or after it, whichever is closer to half */
+    if (b < SFEMI_DISSECT_BINS && m - 2 * under > 2 * (under + count[b]) - m) ++b;
+    return low + (float)b / scale;
 }
 
-/* Sides by the plane; returns the smaller number of nodes that touch the other side, which covers all
- * cut edges, with a penalty for imbalance; -1 if a side is empty. */
-static double sfemi_dissect_count(sfemi_dissect *d, const sfem_int *set, sfem_int m, float cut)
+/* The band around the plane, with sides; returns the smaller number of nodes that touch the other side,
+ * which covers all cut edges, with a penalty for imbalance; -1 if a side is empty. */
+static double sfemi_dissect_count(sfemi_dissect *d, const sfem_int *set, sfem_int m, float cut,
+                                  float reach, sfem_int *banded)
 {
-    sfem_int k, e, size[2] = {0, 0}, touch[2] = {0, 0};
+    sfem_int k, e, left = 0, bands = 0, touch[2] = {0, 0};
+    const float width = reach * 1.0001f;
     double off;
     for (k = 0; k < m; ++k) {
-        const signed char s = d->key[k] >= cut;
-        d->side[set[k]] = s;
-        ++size[s];
+        const float key = d->key[k] - cut;
+        left += key < 0;
+        if (key >= width || key < -width) continue;
+        d->side[set[k]] = key >= 0;
+        d->inside[set[k]] = d->stamp + 1; /* in the set, and in the band */
+        d->band[bands++] = set[k];
     }
-    if (!size[0] || !size[1]) return -1;
-    for (k = 0; k < m; ++k) {
-        const sfem_int v = set[k];
+    *banded = bands;
+    for (k = 0; k < bands; ++k) {
+        const sfem_int v = d->band[k];
         const signed char s = d->side[v];
         for (e = d->g->start[v]; e < d->g->start[v + 1]; ++e) {
             const sfem_int w = d->g->adj[e];
-            if (d->inside[w] == d->stamp && d->side[w] != s) {
+            if (d->inside[w] == d->stamp + 1 && d->side[w] != s) {
                 ++touch[s];
                 break;
             }
         }
     }
-    off = (double)(size[0] - size[1]) / m;
+    for (k = 0; k < bands; ++k) d->inside[d->band[k]] = d->stamp;
+    if (!left || left == m) return -1;
+    off = (double)(2 * left - m) / m;
     return (touch[0] < touch[1] ? touch[0] : touch[1]) * (1 + 2 * off * off);
 }
 
@@ -4500,31 +4929,31 @@ static int sfemi_dissect_pass(sfemi_dissect *d, const sfem_int *set, sfem_int m,
     return best < first;
 }
 
-/* Cuts set[0..m) in place into side 0, side 1 and separator; returns 0 if it cannot be cut. */
+/* Cuts set[0..m) in place into side 0, side 1 and separator, of out[] nodes; returns 0 if it cannot. */
 static int sfemi_dissect_cut(sfemi_dissect *d, sfem_int *set, sfem_int m, sfem_int *out)
 {
-    double cost[SFEMI_DISSECT_DIRECTIONS], best = -1;
-    float cut[SFEMI_DISSECT_DIRECTIONS];
-    sfem_int k, at[3];
+    double cost[SFEMI_DISSECT_WAYS], best = -1;
+    float cut[SFEMI_DISSECT_WAYS];
+    sfem_int k, bands, at[3];
     int i, trial;
-    ++d->stamp;
+    d->stamp += 2;
     for (k = 0; k < m; ++k) d->inside[set[k]] = d->stamp;
-    for (i = 0; i < SFEMI_DISSECT_DIRECTIONS; ++i) {
-        sfemi_dissect_keys(d, set, m, i);
-        cut[i] = sfemi_dissect_plane(d, m);
-        cost[i] = sfemi_dissect_count(d, set, m, cut[i]);
+    for (i = 0; i < SFEMI_DISSECT_WAYS; ++i) {
+        cut[i] = sfemi_dissect_plane(d, set, m, i);
+        cost[i] = sfemi_dissect_count(d, set, m, cut[i], d->reach[i], &bands);
     }
     for (trial = 0; trial < SFEMI_DISSECT_TRIALS; ++trial) {
         int pick = -1, pass;
         sfem_int size[3] = {0, 0, 0};
         double off, score;
-        for (i = 0; i < SFEMI_DISSECT_DIRECTIONS; ++i)
+        for (i = 0; i < SFEMI_DISSECT_WAYS; ++i)
             if (cost[i] >= 0 && (pick < 0 || cost[i] < cost[pick])) pick = i;
-        if (pick < 0) break;
+        if (pick < 0 || (best >= 0 && cost[pick] > 1.5 * best)) break;
         cost[pick] = -1;
-        sfemi_dissect_keys(d, set, m, pick);
-        (void)sfemi_dissect_count(d, set, m, cut[pick]);
-        sfemi_dissect_cover(d, set, m);
+        (void)sfemi_dissect_plane(d, set, m, pick);
+        (void)sfemi_dissect_count(d, set, m, cut[pick], d->reach[pick], &bands);
+        for (k = 0; k < m; ++k) d->side[set[k]] = d->key[k] >= cut[pick];
+        sfemi_dissect_cover(d, d->band, bands);
         for (k = 0; k < m; ++k) ++size[(int)d->side[set[k]]];
         for (pass = 0; pass < 3 && sfemi_dissect_pass(d, set, m, size); ++pass) continue;
         size[2] = m - size[0] - size[1];
@@ -4552,13 +4981,12 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     sfem_status status = SFEM_OK;
     sfemi_dissect d;
     sfem_int *pool = NULL, *leaf_at = NULL, *leaf = NULL, *amd = NULL;
-    float *keys = NULL;
     signed char *sides = NULL;
     unsigned char *held = NULL;
     sfem_int stack[3 * 64], depth = 0, k, n = g->n, leaves = 0, count = 0;
     memset(&d, 0, sizeof d);
-    SFEMI_NEW(sfem_int, pool, m, 11 * (size_t)n + 1);
-    SFEMI_NEW(float, keys, m, 2 * (size_t)n + 1);
+    SFEMI_NEW(sfem_int, pool, m, 12 * (size_t)n + 1);
+    SFEMI_NEW(float, d.key, m, (size_t)n + 1);
     SFEMI_NEW(signed char, sides, m, 2 * (size_t)n + 1);
     SFEMI_NEW(unsigned char, held, m, (size_t)n + 1);
     d.g = g;
@@ -4570,13 +4998,14 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     d.queue = d.from + n;
     d.near[0] = d.queue + 3 * n;
     d.near[1] = d.near[0] + n;
-    leaf_at = d.near[1] + n;
+    d.band = d.near[1] + n;
+    leaf_at = d.band + n;
     leaf = leaf_at + n;
     amd = leaf + n;
-    d.key = keys;
-    d.sorted = keys + n;
     d.side = sides;
     d.best = sides + n;
+    sfemi_dissect_reach(&d);
+    d.reach[SFEMI_DISSECT_DIRECTIONS] = 1;
     for (k = 0; k < n; ++k) order[k] = k;
     stack[depth++] = 0;
     stack[depth++] = n;
@@ -4600,7 +5029,7 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     for (k = 0; k < count; ++k) order[leaf_at[leaf[amd[k]]]++] = amd[k];
 done:
     sfemi_delete(m, pool);
-    sfemi_delete(m, keys);
+    sfemi_delete(m, d.key);
     sfemi_delete(m, sides);
     sfemi_delete(m, held);
     return status;
@@ -4702,9 +5131,9 @@ static void sfemi_tree_counts(const sfemi_graph *g, sfemi_tree *t, sfem_int *wor
     }
     t->flops = 0;
     for (j = 0; j < n; ++j) {
-        const double c = t->count[j];
+        const double c = 3.0 * t->count[j]; /* three columns of c, c - 1, c - 2 */
         if (t->parent[j] >= 0) t->count[t->parent[j]] += t->count[j];
-        t->flops += 27 * c * c;
+        t->flops += c * c + (c - 1) * (c - 1) + (c - 2) * (c - 2);
     }
 }
 
@@ -4831,13 +5260,19 @@ typedef struct sfemi_ldl_kernels {
     int (*pivots)(size_t, size_t, double *, int, int, const double *, double *, double *);
     void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
     void (*invert)(size_t, size_t, double *, const double *);
-    void (*forward)(const sfemi_shape *, const double *, double *, const sfem_int *, double *, double *);
-    void (*backward)(const sfemi_shape *, const double *, double *, const sfem_int *, const double *,
+    void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
                      double *);
+    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *, double *);
+    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
+                      double *);
     void (*invert32)(size_t, size_t, float *, const double *);
-    void (*forward32)(const sfemi_shape *, const float *, float *, const sfem_int *, float *, float *);
-    void (*backward32)(const sfemi_shape *, const float *, float *, const sfem_int *, const float *,
+    void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
                        float *);
+    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *, float *);
+    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
+                         float *);
 } sfemi_ldl_kernels;
 
 static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
@@ -4845,8 +5280,9 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 #define SFEMI_TABLE(name, width, p)                                                                  \
     {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,      \
      sfemi_ldl_add_64_##p, sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p,                        \
-     sfemi_ldl_backward_64_##p, sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p,                   \
-     sfemi_ldl_backward_32_##p}
+     sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p,               \
+     sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p,                   \
+     sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
     static const sfemi_ldl_kernels table[] = {
         SFEMI_TABLE("portable", 4, 0),
 #if SFEMI_X86
@@ -5072,10 +5508,37 @@ done:
     return status;
 }
 
-static int sfemi_compare_int(const void *a, const void *b)
+/* Sorts few integers: quicksort down to runs of 16, then insertion. */
+static void sfemi_sort_int(sfem_int *v, size_t n)
 {
-    const sfem_int x = *(const sfem_int *)a, z = *(const sfem_int *)b;
-    return (x > z) - (x < z);
+    size_t i, j;
+    while (n > 16) {
+        const sfem_int a = v[0], b = v[n / 2], c = v[n - 1];
+        const sfem_int pivot = a < b ? (b < c ? b : a < c ? c : a) : a < c ? a : b < c ? c : b;
+        size_t low = 0, high = n - 1;
+        for (;; ++low, --high) {
+            sfem_int t;
+            while (v[low] < pivot) ++low;
+            while (v[high] > pivot) --high;
+            if (low >= high) break;
+            t = v[low];
+            v[low] = v[high];
+            v[high] = t;
+        }
+        if (low < n - low) { /* the shorter part by recursion: depth at most log n */
+            sfemi_sort_int(v, low);
+            v += low;
+            n -= low;
+        } else {
+            sfemi_sort_int(v + low, n - low);
+            n = low;
+        }
+    }
+    for (i = 1; i < n; ++i) {
+        const sfem_int x = v[i];
+        for (j = i; j > 0 && v[j - 1] > x; --j) v[j] = v[j - 1];
+        v[j] = x;
+    }
 }
 
 /* The rows below each supernode: those of A and of its children. */
@@ -5117,7 +5580,7 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
                 mark[k] = s;
                 y->rows[total++] = k;
             }
-        qsort(y->rows + begin, total - begin, sizeof *y->rows, sfemi_compare_int);
+        sfemi_sort_int(y->rows + begin, total - begin);
         y->start[s + 1] = total;
     }
     SFEMI_NEW(sfem_int, y->place, m, total + 1);
@@ -5233,7 +5696,6 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
         const double own = sfemi_front_flops(y, s);
         weight[s] += own + 2000; /* the work around a front */
         total += own + 2000;
-        y->flops += own;
         if (y->parent[s] >= 0) weight[y->parent[s]] += weight[s];
     }
     if (total < SFEMI_TASK_LEAST) total *= 2 * SFEMI_TASK_SHARE;
@@ -5349,7 +5811,11 @@ done:
     return status;
 }
 
-/* The better of two orderings, or the one asked for. */
+/* The better of two orderings, or the one asked for. Minimum degree always wins on small meshes, and
+ * dissection on large ones unless they are thin, so that one of the two can then be saved (measured). */
+#define SFEMI_DISSECT_FROM 1500
+#define SFEMI_DISSECT_SURE 8000
+
 static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_graph *g,
                                         sfem_ordering *taken, sfemi_tree *out, sfem_error *err)
 {
@@ -5365,17 +5831,18 @@ static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_gra
         for (i = 0; i < g->n; ++i) order[i] = i;
         SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
     }
-    if (def->ordering == SFEM_ORDER_AMD || def->ordering == SFEM_ORDER_BEST) {
-        *taken = SFEM_ORDER_AMD;
-        SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
+    if (def->ordering == SFEM_ORDER_DISSECTION ||
+        (def->ordering == SFEM_ORDER_BEST && def->x && g->n >= SFEMI_DISSECT_FROM)) {
+        *taken = SFEM_ORDER_DISSECTION;
+        SFEMI_TRY(sfemi_order_dissect(g, def->x, m, order, err));
         SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
     }
-    if (def->ordering == SFEM_ORDER_DISSECTION ||
-        (def->ordering == SFEM_ORDER_BEST && def->x && g->n > 3 * SFEMI_DISSECT_LEAF)) {
-        SFEMI_TRY(sfemi_order_dissect(g, def->x, m, order, err));
+    if (def->ordering == SFEM_ORDER_AMD ||
+        (def->ordering == SFEM_ORDER_BEST && (g->n < SFEMI_DISSECT_SURE || best.flops < 20. * g->n * g->n))) {
+        SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
         SFEMI_TRY(sfemi_tree_create(g, &other, order, m, err));
         if (!best.pool || other.flops < best.flops) {
-            *taken = SFEM_ORDER_DISSECTION;
+            *taken = SFEM_ORDER_AMD;
             sfemi_delete(m, best.pool);
             best = other;
             other.pool = NULL;
@@ -5411,6 +5878,7 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     y->blocks = a->n ? a->row[a->n] : 0;
     SFEMI_TRY(sfemi_graph_create(a, m, &g, err));
     SFEMI_TRY(sfemi_symbolic_order(def, &g, &y->ordering, &tree, err));
+    y->flops = tree.flops;
     SFEMI_TRY(sfemi_symbolic_supernodes(y, &tree, err));
     SFEMI_TRY(sfemi_symbolic_rows(y, &g, err));
     SFEMI_TRY(sfemi_symbolic_blocks(y, a, err));
@@ -5807,6 +6275,8 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return SFEM_OK;
 }
 
+#define SFEMI_PANEL_SLACK 512 /* numbers after L that the block solve may read: half a tile square */
+
 /* The options of like's or def's; takes over one reference to the analysis, also when it fails. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
                                   sfem_ldl **out, sfem_error *err)
@@ -5824,8 +6294,8 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     ldl->mixed = like->mixed;
     ldl->keep = like->keep;
     y = ldl->symbolic;
-    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + 1);
-    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + 1);
+    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + SFEMI_PANEL_SLACK);
+    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
     SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
     if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
     SFEMI_NEW(double, ldl->scale, m, n + 1);
@@ -5970,10 +6440,15 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 
 /* --- solve ----------------------------------------------------------------------------------- */
 
+#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
+#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
+#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
+
 /* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
- * and scratch for each task */
+ * and scratch for each task; each row of `block` numbers side by side */
 typedef struct sfemi_solve {
     const sfem_ldl *ldl;
+    size_t block;
     double *w, *scratch;
     float *w32, *scratch32;
     const sfem_int *tasks;
@@ -5987,42 +6462,50 @@ static size_t sfemi_solve_rows(const sfemi_symbolic *y)
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    (void)rhs;
-    return sfemi_solve_rows(y) + y->scratch[y->tasks] * 9 + 64;
+    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
 }
 
-#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, width, forward_,  \
-                          backward_)                                                                 \
+/* The tasks of both sweeps, for double and float. */
+#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
+                          backward_, forward8_, backward8_)                                          \
     static void forward_task(void *data, sfem_int index)                                             \
     {                                                                                                \
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
         const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
-        R *const w = q->w_, *const buffer = w + 3 * ((size_t)y->n + (size_t)y->buffer[t]);           \
-        R *const scratch = q->scratch_ + y->scratch[t] * 9;                                          \
-        sfem_int s, c, i;                                                                            \
-        memset(buffer, 0, 3 * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
+        const size_t n = 3 * q->block; /* numbers to a node */                                       \
+        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
+        sfem_int s, c;                                                                               \
+        size_t i;                                                                                    \
+        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
         for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
-            const R *from = w + 3 * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
+            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
             size_t a = y->start[c];                                                                  \
             if (y->of[c] == t) continue;                                                             \
-            for (; a < y->start[c + 1]; ++a, from += 3) {                                            \
-                const sfem_int width_ = y->first[root + 1] - y->first[root];                         \
-                R *to = y->place[a] < width_ ? w + 3 * (size_t)(y->first[root] + y->place[a])        \
-                                             : buffer + 3 * (size_t)(y->place[a] - width_);          \
-                for (i = 0; i < 3; ++i) to[i] += from[i];                                            \
+            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
+                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
+                                           : buffer + n * (size_t)(y->place[a] - wide);              \
+                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
             }                                                                                        \
         }                                                                                            \
         for (s = y->task[t]; s <= root; ++s) {                                                       \
-            const sfemi_shape h = sfemi_symbolic_shape(y, s, width);                                 \
-            R *x = w + 3 * (size_t)y->first[s];                                                      \
-            y->kernels->forward_(&h, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w,       \
-                                 scratch);                                                           \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            R *x = w + n * (size_t)y->first[s];                                                      \
+            if (q->block == 1)                                                                       \
+                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
+            else                                                                                     \
+                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
+                                      scratch);                                                      \
             if (q->ldl->negative[s]) {                                                               \
                 const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
                 size_t p;                                                                            \
-                for (p = 0; p < h.k; ++p)                                                            \
-                    if (scale[p] < 0) x[p] = -x[p];                                                  \
+                for (p = 0; p < k; ++p)                                                              \
+                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
+                        x[p * q->block + i] = -x[p * q->block + i];                                  \
             }                                                                                        \
         }                                                                                            \
     }                                                                                                \
@@ -6031,29 +6514,31 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
         const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
-        R *const w = q->w_, *buffer = w + 3 * ((size_t)y->n + (size_t)y->buffer[t]);                 \
-        R *const scratch = q->scratch_ + y->scratch[t] * 9;                                          \
+        const size_t n = 3 * q->block;                                                               \
+        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
         size_t a;                                                                                    \
-        sfem_int s, i;                                                                               \
-        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += 3) {                         \
-            const sfem_int width_ = y->first[p + 1] - y->first[p];                                   \
-            const R *from = y->place[a] < width_                                                     \
-                                ? w + 3 * (size_t)(y->first[p] + y->place[a])                        \
-                                : w + 3 * ((size_t)y->n + (size_t)y->buffer[y->of[p]] +              \
-                                           (size_t)(y->place[a] - width_));                          \
-            for (i = 0; i < 3; ++i) buffer[i] = from[i];                                             \
+        sfem_int s;                                                                                  \
+        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
+            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
+            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
+                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
+            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
         }                                                                                            \
         for (s = root; s >= y->task[t]; --s) {                                                       \
-            const sfemi_shape h = sfemi_symbolic_shape(y, s, width);                                 \
-            y->kernels->backward_(&h, q->ldl->l_ + y->panel_[s], w + 3 * (size_t)y->first[s],        \
-                                  y->target + y->start[s], w, scratch);                              \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
+                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
+                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
         }                                                                                            \
     }
 
-SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel,
-                  y->kernels->width, forward, backward)
-SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32, 8,
-                  forward32, backward32)
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8)
+SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
+                  forward32, backward32, forward8_32, backward8_32)
+#undef SFEMI_SOLVE_TASKS
 
 /* Up the tree and down again, level by level. */
 static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
@@ -6071,48 +6556,71 @@ static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task 
     }
 }
 
-static void sfemi_solve_one(const sfem_ldl *ldl, double *x, double *work, const sfem_exec *exec)
+/* count <= block right sides; those that are missing are 0 */
+static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
 {
-    const sfemi_symbolic *y = ldl->symbolic;
-    sfemi_solve q;
-    sfem_int i;
-    memset(&q, 0, sizeof q);
-    q.ldl = ldl;
-    if (ldl->mixed) { /* scaled, lest floats overflow */
-        double most = 0, unit;
-        size_t k;
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    size_t i, r, c;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+}
+
+/* The same in float, each right side scaled to 1 lest floats overflow. */
+static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    double unit[SFEMI_SOLVE_BLOCK];
+    size_t i, r, c;
+    for (r = 0; r < count; ++r) {
+        double most = 0;
         int e = 0;
-        q.w32 = (float *)(void *)work;
-        q.scratch32 = q.w32 + sfemi_solve_rows(y);
-        for (k = 0; k < 3 * (size_t)y->n; ++k)
-            if (fabs(x[k]) > most) most = fabs(x[k]);
-        if (!(most > 0)) return;
-        (void)frexp(most, &e);
-        unit = ldexp(1.0, -e);
-        for (i = 0; i < y->n; ++i)
-            for (k = 0; k < 3; ++k)
-                q.w32[3 * (size_t)i + k] = (float)(unit * x[3 * (size_t)y->order[i] + k]);
-        sfemi_solve_sweeps(&q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
-        unit = 1 / unit / ldl->unit / ldl->unit;
-        for (i = 0; i < y->n; ++i)
-            for (k = 0; k < 3; ++k)
-                x[3 * (size_t)y->order[i] + k] = unit * (double)q.w32[3 * (size_t)i + k];
-        return;
+        for (i = 0; i < n; ++i)
+            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
+        if (most > 0) (void)frexp(most, &e);
+        unit[r] = ldexp(1.0, -e);
     }
-    q.w = work;
-    q.scratch = work + sfemi_solve_rows(y);
-    for (i = 0; i < y->n; ++i) memcpy(work + 3 * (size_t)i, x + 3 * (size_t)y->order[i], 3 * sizeof *x);
-    sfemi_solve_sweeps(&q, exec, sfemi_solve_forward, sfemi_solve_backward);
-    for (i = 0; i < y->n; ++i) memcpy(x + 3 * (size_t)y->order[i], work + 3 * (size_t)i, 3 * sizeof *x);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w32[(3 * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
+    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
 }
 
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
                              const sfem_exec *exec)
 {
-    sfem_int r;
-    SFEM_ASSERT(ldl && ldl->valid && rhs >= 0);
-    for (r = 0; r < rhs; ++r)
-        sfemi_solve_one(ldl, x + 3 * (size_t)r * (size_t)ldl->symbolic->n, work, exec);
+    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    sfemi_solve q;
+    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.w = work;
+    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
+    q.w32 = (float *)(void *)q.w;
+    q.scratch32 = (float *)(void *)q.scratch;
+    while (rhs > 0 && n > 0) {
+        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
+        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
+        else sfemi_solve_some(&q, count, x, exec);
+        x += count * n;
+        rhs -= (sfem_int)count;
+    }
 }
 
 /* --- dense ----------------------------------------------------------------------------------- */
@@ -6347,20 +6855,21 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
 }
 
 /* ============================================================================================
- * >>element   linear tetrahedron
+ * >>element   linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
  *
  * A tet with edge matrix Dm = [X1-X0, X2-X0, X3-X0] has the shape-function gradients g_1..g_3 = rows
  * of Dm^-1 and g_0 = -(g_1+g_2+g_3); a displacement's gradient is G = sum u_a g_a^T.
  * ============================================================================================ */
 
 /* Rows 0..3 of g: the gradients of the four shape functions. Returns the volume. */
-static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sfem_real g[4][3])
+static sfem_real sfemi_element_gradients_of(const sfem_real *x0, const sfem_real *x1,
+                                            const sfem_real *x2, const sfem_real *x3, sfem_real g[4][3])
 {
-    const sfem_int *t = mesh->tet + 4 * (size_t)tet;
-    const sfem_real *x0 = mesh->x + 3 * (size_t)t[0];
     sfem_real e[3][3], volume6;
     int a, i;
-    for (a = 0; a < 3; ++a) sfemi_sub3(mesh->x + 3 * (size_t)t[a + 1], x0, e[a]);
+    sfemi_sub3(x1, x0, e[0]);
+    sfemi_sub3(x2, x0, e[1]);
+    sfemi_sub3(x3, x0, e[2]);
     sfemi_cross(e[1], e[2], g[1]);
     sfemi_cross(e[2], e[0], g[2]);
     sfemi_cross(e[0], e[1], g[3]);
@@ -6370,6 +6879,14 @@ static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sf
         g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
     }
     return volume6 / 6;
+}
+
+static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sfem_real g[4][3])
+{
+    const sfem_int *t = mesh->tet + 4 * (size_t)tet;
+    const sfem_real *x = mesh->x;
+    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1], x + 3 * (size_t)t[2],
+                                      x + 3 * (size_t)t[3], g);
 }
 
 /* k = V (lambda ga gb^T + mu gb ga^T + mu (ga.gb) I): the block of nodes a, b of K_e. */
@@ -6413,12 +6930,1037 @@ static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real 
     for (i = 3; i < 6; ++i) stress[i] = mu * strain[i];
 }
 
+/* ---- materials, one at a time: F = I + G, so that small G keep their digits ---- */
+
+SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu)
+{
+    SFEM_ASSERT(lambda && mu);
+    *lambda = young * poisson / ((1 + poisson) * (1 - 2 * poisson));
+    *mu = young / (2 * (1 + poisson));
+}
+
+/* p = lambda tr(e) I + 2 mu e; returns lambda/2 tr(e)^2 + mu e:e. */
+static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9], sfem_real p[9])
+{
+    const sfem_real trace = e[0] + e[4] + e[8];
+    sfem_real square = 0;
+    int i;
+    for (i = 0; i < 9; ++i) {
+        square += e[i] * e[i];
+        p[i] = 2 * mu * e[i] + (i % 4 ? 0 : lambda * trace);
+    }
+    return lambda / 2 * trace * trace + mu * square;
+}
+
+static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                        sfem_real p[9])
+{
+    sfem_real r[9], trace = 0, square = 0;
+    int i;
+    sfem_polar(f, r, NULL);
+    for (i = 0; i < 9; ++i) {
+        const sfem_real d = f[i] - r[i];
+        square += d * d;
+        trace += r[i] * d; /* tr S - 3 */
+    }
+    for (i = 0; i < 9; ++i) p[i] = 2 * mu * (f[i] - r[i]) + lambda * trace * r[i];
+    return lambda / 2 * trace * trace + mu * square;
+}
+
+static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9], sfem_real p[9])
+{
+    sfem_real e[9], s[9], gs[9], energy;
+    int i, j;
+    sfemi_mul3_tn(g, g, e);
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) e[3 * i + j] = (e[3 * i + j] + g[3 * i + j] + g[3 * j + i]) / 2;
+    energy = sfemi_law_hooke(lambda, mu, e, s);
+    sfemi_mul3(g, s, gs);
+    for (i = 0; i < 9; ++i) p[i] = s[i] + gs[i];
+    return energy;
+}
+
+/* With i = I_C - 3, j = J - 1, the terms that cancel at rest taken together:
+ *     Psi = m/2 (i - 3/2 j - log(1 + i/4)) + l/2 j^2,
+ *     P = 3/4 m (F - cof F) + m i/(16 + 4 i) F + l j cof F.  */
+static sfem_real sfemi_law_neohookean(sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                                      sfem_real p[9])
+{
+    const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, trace = g[0] + g[4] + g[8];
+    sfem_real c[9], i = 2 * trace, j, a;
+    int k;
+    sfemi_cofactor3(g, c);
+    j = trace + (c[0] + c[4] + c[8]) + sfemi_dot3(g, c);
+    for (k = 0; k < 9; ++k) i += g[k] * g[k];
+    a = m * i / (16 + 4 * i);
+    for (k = 0; k < 9; ++k) {
+        const sfem_real one = k % 4 ? 0 : 1, gt = g[3 * (k % 3) + k / 3];
+        const sfem_real cof1 = c[k] + one * trace - gt; /* cof F - I */
+        p[k] = .75 * m * (g[k] - cof1) + a * (g[k] + one) + l * j * (cof1 + one);
+    }
+    return m / 2 * (i - 1.5 * j - log1p(i / 4)) + l / 2 * j * j;
+}
+
+static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                                  sfem_real p[9])
+{
+    sfem_real e[9];
+    int i, j;
+    switch (law) {
+    case SFEM_COROTATIONAL:
+        for (i = 0; i < 9; ++i) e[i] = g[i] + (i % 4 ? 0 : 1);
+        return sfemi_law_corotational(lambda, mu, e, p);
+    case SFEM_STVK: return sfemi_law_stvk(lambda, mu, g, p);
+    case SFEM_NEOHOOKEAN: return sfemi_law_neohookean(lambda, mu, g, p);
+    default:
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) e[3 * i + j] = (g[3 * i + j] + g[3 * j + i]) / 2;
+        return sfemi_law_hooke(lambda, mu, e, p);
+    }
+}
+
+/* G = F - I. */
+static void sfemi_law_less_one(const sfem_real f[9], sfem_real g[9])
+{
+    int i;
+    for (i = 0; i < 9; ++i) g[i] = f[i] - (i % 4 ? 0 : 1);
+}
+
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                   sfem_real p[9])
+{
+    sfem_real g[9];
+    SFEM_ASSERT(f && p && (unsigned)law <= SFEM_NEOHOOKEAN);
+    sfemi_law_less_one(f, g);
+    return sfemi_law_stress(law, lambda, mu, g, p);
+}
+
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9])
+{
+    sfem_real p[9];
+    return sfem_law_stress(law, lambda, mu, f, p);
+}
+
+/* ---- tangents ----
+ *
+ * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T alone, and
+ * their dP/dF is simple in that frame: with dF~ = U^T dF V,
+ *     dP~_ii = sum_j d2Psi/(ds_i ds_j) dF~_jj,    dP~_ij = both dF~_ij + swap dF~_ji,
+ * both +- swap the eigenvalues of the symmetric (flip) and skew (twist) change of the pair ij,
+ * (Psi_i - Psi_j)/(s_i - s_j) and (Psi_i + Psi_j)/(s_i + s_j), the quotients done by hand
+ * [Smith, de Goes, Kim 2019; Zhu 2021]. The linear law is the same with F = I throughout. */
+typedef struct sfemi_modes {
+    sfem_real u[9], v[9];
+    sfem_real a[9];             /* d2Psi/(ds_i ds_j) */
+    sfem_real both[3], swap[3]; /* of the pair without k */
+} sfemi_modes;
+
+static const int sfemi_law_pair[3][2] = {{1, 2}, {0, 2}, {0, 1}};
+
+/* The law's derivatives at s: a, and flip and twist by pair. */
+static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real s[3],
+                                  sfem_real a[9], sfem_real flip[3], sfem_real twist[3])
+{
+    const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, det = s[0] * s[1] * s[2];
+    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2, trace = s[0] + s[1] + s[2] - 3;
+    const sfem_real b = l * (det - 1) - .75 * m, c = m * (1 - 1 / (norm2 + 1));
+    const sfem_real d = 2 * m / ((norm2 + 1) * (norm2 + 1));
+    int k, i, j;
+    for (k = 0; k < 3; ++k) {
+        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
+        switch (law) {
+        case SFEM_STVK:
+            a[4 * k] = lambda * (green + s[k] * s[k]) + mu * (3 * s[k] * s[k] - 1);
+            a[3 * i + j] = a[3 * j + i] = lambda * s[i] * s[j];
+            flip[k] = lambda * green + mu * (s[i] * s[i] + s[i] * s[j] + s[j] * s[j] - 1);
+            twist[k] = lambda * green + mu * (s[i] * s[i] - s[i] * s[j] + s[j] * s[j] - 1);
+            break;
+        case SFEM_NEOHOOKEAN:
+            a[4 * k] = c + d * s[k] * s[k] + l * s[i] * s[j] * s[i] * s[j];
+            a[3 * i + j] = a[3 * j + i] = d * s[i] * s[j] + (l * det + b) * s[k];
+            flip[k] = c - b * s[k];
+            twist[k] = c + b * s[k];
+            break;
+        default: /* linear: s = 1; the pole of the twist at s_i + s_j = 0 is kept off */
+            a[4 * k] = lambda + 2 * mu;
+            a[3 * i + j] = a[3 * j + i] = lambda;
+            flip[k] = 2 * mu;
+            twist[k] = 2 * mu + 2 * (lambda * trace - 2 * mu) / fmax(s[i] + s[j], 1e-8);
+        }
+    }
+}
+
+/* a = the nearest positive semidefinite matrix. */
+static void sfemi_law_project(sfem_real a[9])
+{
+    sfem_real w[3], v[9], copy[9];
+    int i, j, k;
+    memcpy(copy, a, sizeof copy);
+    sfemi_sym_eigen(3, copy, w, v);
+    if (w[2] >= 0) return;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            for (k = 0, a[3 * i + j] = 0; k < 3; ++k)
+                if (w[k] > 0) a[3 * i + j] += w[k] * v[3 * i + k] * v[3 * j + k];
+}
+
+static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                            sfem_tangent kind, sfemi_modes *m)
+{
+    sfem_real f[9], s[3] = {1, 1, 1}, flip[3], twist[3];
+    int i;
+    for (i = 0; i < 9; ++i) {
+        m->u[i] = m->v[i] = i % 4 ? 0 : 1;
+        f[i] = g[i] + m->u[i];
+    }
+    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN) sfem_polar(f, m->u, NULL);
+    else if (law != SFEM_LINEAR) sfem_signed_svd(f, m->u, s, m->v);
+    sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
+    if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
+    for (i = 0; i < 3; ++i) {
+        if (kind != SFEM_TANGENT_EXACT) {
+            flip[i] = fmax(flip[i], 0);
+            twist[i] = law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
+        }
+        m->both[i] = (flip[i] + twist[i]) / 2;
+        m->swap[i] = (flip[i] - twist[i]) / 2;
+    }
+}
+
+static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_real dp[9])
+{
+    sfem_real t[9], x[9], y[9];
+    int k, i, j;
+    sfemi_mul3_tn(m->u, df, t);
+    sfemi_mul3(t, m->v, x);
+    for (k = 0; k < 3; ++k) {
+        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
+        y[4 * k] = m->a[3 * k] * x[0] + m->a[3 * k + 1] * x[4] + m->a[3 * k + 2] * x[8];
+        y[3 * i + j] = m->both[k] * x[3 * i + j] + m->swap[k] * x[3 * j + i];
+        y[3 * j + i] = m->both[k] * x[3 * j + i] + m->swap[k] * x[3 * i + j];
+    }
+    sfemi_mul3(m->u, y, t);
+    sfemi_mul3_nt(t, m->v, dp);
+}
+
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9])
+{
+    sfem_real g[9];
+    sfemi_modes modes;
+    SFEM_ASSERT(f && df && dp && (unsigned)law <= SFEM_NEOHOOKEAN);
+    sfemi_law_less_one(f, g);
+    sfemi_law_modes(law, lambda, mu, g, kind, &modes);
+    sfemi_modes_apply(&modes, df, dp);
+}
+
+SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
+                               sfem_tangent kind, sfem_real tangent[81])
+{
+    sfem_real g[9], df[9] = {0};
+    sfemi_modes modes;
+    int a;
+    SFEM_ASSERT(f && tangent && (unsigned)law <= SFEM_NEOHOOKEAN);
+    sfemi_law_less_one(f, g);
+    sfemi_law_modes(law, lambda, mu, g, kind, &modes);
+    for (a = 0; a < 9; ++a) {
+        df[a] = 1;
+        sfemi_modes_apply(&modes, df, tangent + 9 * a);
+        df[a] = 0;
+    }
+}
+
+/* block = volume ga.(dP/dF).gb, the 3x3 block of two nodes whose shape gradients are, in the frame V,
+ * ga and gb. */
+static void sfemi_modes_block(const sfemi_modes *m, sfem_real volume, const sfem_real ga[3],
+                              const sfem_real gb[3], sfem_real block[9])
+{
+    sfem_real x[9], t[9];
+    int k, i, j;
+    for (k = 0; k < 3; ++k) {
+        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
+        x[4 * k] = volume * (m->a[4 * k] * ga[k] * gb[k] + m->both[j] * ga[i] * gb[i] +
+                             m->both[i] * ga[j] * gb[j]);
+        x[3 * i + j] = volume * (m->a[3 * i + j] * ga[i] * gb[j] + m->swap[k] * ga[j] * gb[i]);
+        x[3 * j + i] = volume * (m->a[3 * i + j] * ga[j] * gb[i] + m->swap[k] * ga[i] * gb[j]);
+    }
+    sfemi_mul3(m->u, x, t);
+    sfemi_mul3_nt(t, m->u, block);
+}
+
+/* The shape gradients in the frame V. */
+static void sfemi_modes_turn(const sfemi_modes *m, sfem_real g[4][3], sfem_real in_v[4][3])
+{
+    int a, i;
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i)
+            in_v[a][i] = g[a][0] * m->v[i] + g[a][1] * m->v[3 + i] + g[a][2] * m->v[6 + i];
+}
+
+/* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
+static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const sfem_real *u2,
+                                 const sfem_real *u3, sfem_real g[4][3], sfem_real grad[9])
+{
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j)
+            grad[3 * i + j] = (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] +
+                              (u3[i] - u0[i]) * g[3][j];
+}
+
+SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
+                                const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
+                                sfem_real k[144])
+{
+    sfem_real g[4][3], in_v[4][3], grad[9], p[9], block[9], volume, energy;
+    sfemi_modes modes;
+    int a, b, i;
+    SFEM_ASSERT(x && u && (unsigned)law <= SFEM_NEOHOOKEAN);
+    volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, g);
+    sfemi_element_deform(u, u + 3, u + 6, u + 9, g, grad);
+    energy = volume * sfemi_law_stress(law, lambda, mu, grad, p);
+    for (a = 0; force && a < 4; ++a)
+        for (i = 0; i < 3; ++i) force[3 * a + i] = volume * sfemi_dot3(p + 3 * i, g[a]);
+    if (!k) return energy;
+    sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
+    sfemi_modes_turn(&modes, g, in_v);
+    for (a = 0; a < 4; ++a)
+        for (b = 0; b < 4; ++b) {
+            sfemi_modes_block(&modes, volume, in_v[a], in_v[b], block);
+            for (i = 0; i < 9; ++i) k[12 * (3 * a + i / 3) + 3 * b + i % 3] = block[i];
+        }
+    return energy;
+}
+
+/* ---- energies in edge lengths ---- */
+
+static const int sfemi_edge_node[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
+static const int sfemi_edge_node2[3][2] = {{0, 1}, {0, 2}, {1, 2}};
+
+static const int *sfemi_edge_ends(int dim, int k)
+{
+    return dim == 3 ? sfemi_edge_node[k] : sfemi_edge_node2[k];
+}
+
+SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2)
+{
+    int k, i;
+    SFEM_ASSERT((dim == 2 || dim == 3) && x && d2);
+    for (k = 0; k < (dim == 3 ? 6 : 3); ++k) {
+        const int *end = sfemi_edge_ends(dim, k);
+        for (i = 0, d2[k] = 0; i < dim; ++i) {
+            const sfem_real d = x[dim * end[0] + i] - x[dim * end[1] + i];
+            d2[k] += d * d;
+        }
+    }
+}
+
+/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the product
+ * with a symmetric tensor written the same way is n.C n. Zero for an edge without length. */
+static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length2, sfem_real *q)
+{
+    const int edges = dim == 3 ? 6 : 3;
+    int k, i, j, at;
+    for (k = 0; k < edges; ++k) {
+        const int *end = sfemi_edge_ends(dim, k);
+        sfem_real n[3];
+        for (i = 0; i < dim; ++i)
+            n[i] = length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
+        for (i = 0, at = 0; i < dim; ++i) q[edges * k + at++] = n[i] * n[i];
+        for (i = 0; i < dim; ++i)
+            for (j = i + 1; j < dim; ++j) q[edges * k + at++] = sqrt(2.0) * n[i] * n[j];
+    }
+}
+
+/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the sum of
+ * v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
+static int sfemi_edge_pseudo_inverse(int m, sfem_real *q, sfem_real *w)
+{
+    sfem_real v[36], square[6], largest = 0;
+    int sweep, turned = 1, e, i, k, rank = 0;
+    for (i = 0; i < m * m; ++i) v[i] = i % (m + 1) ? 0 : 1;
+    for (sweep = 0; sweep < 30 && turned; ++sweep)
+        for (turned = 0, e = 1; e < m; ++e)
+            for (i = 0; i < e; ++i) turned |= sfemi_svd_turn(m, q, v, i, e);
+    for (e = 0; e < m; ++e) {
+        for (k = 0, square[e] = 0; k < m; ++k) square[e] += q[m * k + e] * q[m * k + e];
+        largest = fmax(largest, square[e]);
+    }
+    memset(w, 0, (size_t)(m * m) * sizeof *w);
+    for (e = 0; e < m; ++e) {
+        if (!(square[e] > 1e-24 * largest)) continue;
+        ++rank;
+        for (i = 0; i < m; ++i)
+            for (k = 0; k < m; ++k) w[m * i + k] += v[m * i + e] * q[m * k + e] / square[e];
+    }
+    return rank;
+}
+
+SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *out)
+{
+    sfem_real q[36], w[36], length2[6];
+    int k, i, j, at;
+    SFEM_ASSERT((dim == 2 || dim == 3) && x && out);
+    memset(out, 0, sizeof *out);
+    out->dim = dim;
+    out->nodes = dim + 1;
+    out->edges = dim == 3 ? 6 : 3;
+    out->volume = dim == 3 ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
+                           : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
+    sfem_edge_lengths2(dim, x, length2);
+    sfemi_edge_rows(dim, x, length2, q);
+    out->rank = sfemi_edge_pseudo_inverse(out->edges, q, w);
+    for (k = 0; k < out->edges; ++k) {
+        const sfem_real scale = length2[k] > 0 ? 1 / length2[k] : 0;
+        for (i = 0; i < dim; ++i) out->c[k][(dim + 1) * i] = scale * w[out->edges * i + k];
+        for (i = 0, at = dim; i < dim; ++i)
+            for (j = i + 1; j < dim; ++j, ++at)
+                out->c[k][dim * i + j] = out->c[k][dim * j + i] =
+                    scale * w[out->edges * at + k] / sqrt(2.0);
+    }
+}
+
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c)
+{
+    int i, k;
+    SFEM_ASSERT(shape && d2 && c);
+    for (i = 0; i < shape->dim * shape->dim; ++i)
+        for (k = 0, c[i] = 0; k < shape->edges; ++k) c[i] += shape->c[k][i] * d2[k];
+}
+
+/* C as a 3x3 matrix: a triangle's in plane strain. */
+static void sfemi_edge_tensor(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real c[9])
+{
+    sfem_real plane[4];
+    if (shape->dim == 3) {
+        sfem_edge_cauchy_green(shape, d2, c);
+        return;
+    }
+    sfem_edge_cauchy_green(shape, d2, plane);
+    memset(c, 0, 9 * sizeof *c);
+    c[0] = plane[0], c[1] = c[3] = plane[1], c[4] = plane[3], c[8] = 1;
+}
+
+SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
+                                   const sfem_real *fibre, sfem_real invariants[5])
+{
+    const int dim = shape->dim;
+    sfem_real c[9], cof[9], ca;
+    int i, j;
+    SFEM_ASSERT(d2 && invariants);
+    sfem_edge_cauchy_green(shape, d2, c);
+    memset(invariants, 0, 5 * sizeof *invariants);
+    for (i = 0; i < dim; ++i) {
+        invariants[0] += c[(dim + 1) * i];
+        for (j = 0, ca = 0; j < dim; ++j) {
+            invariants[1] += c[dim * i + j] * c[dim * i + j];
+            if (fibre) ca += c[dim * i + j] * fibre[j];
+        }
+        if (!fibre) continue;
+        invariants[3] += fibre[i] * ca;
+        invariants[4] += ca * ca;
+    }
+    if (dim == 2) {
+        invariants[2] = c[0] * c[3] - c[1] * c[2];
+        return;
+    }
+    sfemi_cofactor3(c, cof);
+    invariants[2] = sfemi_dot3(c, cof);
+}
+
+/* dPsi/dC, with C = I + c. */
+static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real c[9],
+                                   sfem_real s[9])
+{
+    const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, i = c[0] + c[4] + c[8];
+    sfem_real full[9], e[9], cof[9], third, det, volume, a;
+    int k;
+    if (law == SFEM_STVK) {
+        for (k = 0; k < 9; ++k) e[k] = c[k] / 2;
+        a = sfemi_law_hooke(lambda, mu, e, s);
+        for (k = 0; k < 9; ++k) s[k] /= 2;
+        return a;
+    }
+    sfemi_cofactor3(c, cof);
+    third = i + (cof[0] + cof[4] + cof[8]) + sfemi_dot3(c, cof); /* III_C - 1 */
+    for (k = 0; k < 9; ++k) full[k] = c[k] + (k % 4 ? 0 : 1);
+    sfemi_cofactor3(full, cof);
+    det = sqrt(fmax(1 + third, 0));
+    volume = third > -1 ? third / (1 + det) : -1; /* J - 1 */
+    a = (l * volume - .75 * m) / (2 * fmax(det, 1e-8));
+    for (k = 0; k < 9; ++k) s[k] = a * cof[k] + (k % 4 ? 0 : m / 2 * (3 + i) / (4 + i));
+    return m / 2 * (i - 1.5 * volume - log1p(i / 4)) + l / 2 * volume * volume;
+}
+
+SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, sfem_real lambda,
+                                    sfem_real mu, const sfem_real *d2, sfem_real *slope)
+{
+    sfem_real c[9], s[9], energy;
+    int k, i, j;
+    SFEM_ASSERT(shape && d2 && (law == SFEM_STVK || law == SFEM_NEOHOOKEAN));
+    sfemi_edge_tensor(shape, d2, c);
+    for (i = 0; i < 9; i += 4) c[i] -= 1;
+    energy = sfemi_edge_stress(law, lambda, mu, c, s);
+    for (k = 0; slope && k < shape->edges; ++k)
+        for (i = 0, slope[k] = 0; i < shape->dim; ++i)
+            for (j = 0; j < shape->dim; ++j) slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
+    return energy;
+}
+
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
+                               sfem_real *force)
+{
+    const int dim = shape->dim;
+    int k, i;
+    SFEM_ASSERT(x && slope && force);
+    for (i = 0; i < dim * shape->nodes; ++i) force[i] = 0;
+    for (k = 0; k < shape->edges; ++k) {
+        const int *end = sfemi_edge_ends(dim, k);
+        for (i = 0; i < dim; ++i) {
+            const sfem_real d =
+                2 * shape->volume * slope[k] * (x[dim * end[0] + i] - x[dim * end[1] + i]);
+            force[dim * end[0] + i] += d;
+            force[dim * end[1] + i] -= d;
+        }
+    }
+}
+
+/* ---- the same for many tets at once ----
+ *
+ * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each loop over
+ * lanes below is straight-line arithmetic that a compiler turns into vector instructions (gcc from 12 on
+ * and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double and float; the paths below it compile
+ * that for several instruction sets. `fused` is a constant there: fused multiply-adds are asked for by
+ * name, so that the bits of a result depend on the path and on nothing else. */
+#define SFEMI_LANES 16
+
+typedef struct sfemi_block {
+    sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
+    sfem_real lambda[SFEMI_LANES], mu[SFEMI_LANES]; /* times the volume, J; 0 in lanes that fill up */
+    sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
+    sfem_int tet[SFEMI_LANES];
+    sfem_int law, count;              /* count of the lanes are tets, the others copies of the last */
+    sfem_int pad[14];                 /* to whole cache lines */
+} sfemi_block;
+
+/* What a run over blocks adds up, by lanes. */
+typedef struct sfemi_totals {
+    sfem_real energy[SFEMI_LANES], inverted[SFEMI_LANES]; /* inverted: tets with det F <= 0 */
+} sfemi_totals;
+
+/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4]; the
+ * nearest rotations go to rotation [tets][9], if not NULL. */
+typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
+                                    sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
+
+#if defined(__GNUC__)
+#define SFEMI_FMA_d(a, b, c) __builtin_fma(a, b, c)
+#define SFEMI_FMA_f(a, b, c) __builtin_fmaf(a, b, c)
+#else
+#define SFEMI_FMA_d(a, b, c) ((a) * (b) + (c))
+#define SFEMI_FMA_f(a, b, c) ((a) * (b) + (c))
+#endif
+
+/* d = u_a - u_0 by lanes, a = 1, 2, 3; and out_a += d, out_0 -= the sum of d. */
+typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u, sfem_real d[9][SFEMI_LANES]);
+typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+                              sfem_real *out);
+
+static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
+                                  sfem_real d[9][SFEMI_LANES])
+{
+    int l, i;
+    for (l = 0; l < SFEMI_LANES; ++l) {
+        const sfem_real *u0 = u + block->node[0][l], *u1 = u + block->node[1][l];
+        const sfem_real *u2 = u + block->node[2][l], *u3 = u + block->node[3][l];
+        for (i = 0; i < 3; ++i) {
+            d[i][l] = u1[i] - u0[i];
+            d[3 + i][l] = u2[i] - u0[i];
+            d[6 + i][l] = u3[i] - u0[i];
+        }
+    }
+}
+
+static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+                                   sfem_real *out)
+{
+    int l, i;
+    for (l = 0; l < block->count; ++l) {
+        sfem_real *f0 = out + block->node[0][l], *f1 = out + block->node[1][l];
+        sfem_real *f2 = out + block->node[2][l], *f3 = out + block->node[3][l];
+        for (i = 0; i < 3; ++i) {
+            f0[i] -= d[i][l] + d[3 + i][l] + d[6 + i][l];
+            f1[i] += d[i][l];
+            f2[i] += d[3 + i][l];
+            f3[i] += d[6 + i][l];
+        }
+    }
+}
+
+#ifdef SFEMI_X86_PATHS
+#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
+#define SFEMI_AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
+
+/* Rows <-> columns of four vectors of four. */
+SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
+{
+    const __m256d a = _mm256_unpacklo_pd(v[0], v[1]), b = _mm256_unpackhi_pd(v[0], v[1]);
+    const __m256d c = _mm256_unpacklo_pd(v[2], v[3]), d = _mm256_unpackhi_pd(v[2], v[3]);
+    v[0] = _mm256_permute2f128_pd(a, c, 0x20);
+    v[1] = _mm256_permute2f128_pd(b, d, 0x20);
+    v[2] = _mm256_permute2f128_pd(a, c, 0x31);
+    v[3] = _mm256_permute2f128_pd(b, d, 0x31);
+}
+
+SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_real *u,
+                                         sfem_real d[9][SFEMI_LANES])
+{
+    int l, a;
+    for (l = 0; l < SFEMI_LANES; l += 4) {
+        const __m256d a0 = _mm256_loadu_pd(u + block->node[0][l]);
+        const __m256d a1 = _mm256_loadu_pd(u + block->node[0][l + 1]);
+        const __m256d a2 = _mm256_loadu_pd(u + block->node[0][l + 2]);
+        const __m256d a3 = _mm256_loadu_pd(u + block->node[0][l + 3]);
+        for (a = 0; a < 3; ++a) {
+            const sfem_int *node = block->node[a + 1] + l;
+            __m256d v[4];
+            v[0] = _mm256_sub_pd(_mm256_loadu_pd(u + node[0]), a0);
+            v[1] = _mm256_sub_pd(_mm256_loadu_pd(u + node[1]), a1);
+            v[2] = _mm256_sub_pd(_mm256_loadu_pd(u + node[2]), a2);
+            v[3] = _mm256_sub_pd(_mm256_loadu_pd(u + node[3]), a3);
+            sfemi_transpose_avx2(v);
+            _mm256_storeu_pd(d[3 * a] + l, v[0]);
+            _mm256_storeu_pd(d[3 * a + 1] + l, v[1]);
+            _mm256_storeu_pd(d[3 * a + 2] + l, v[2]);
+        }
+    }
+}
+
+SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
+{
+    _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
+}
+
+SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+                                          sfem_real *out)
+{
+    int l, a;
+    for (l = 0; l < SFEMI_LANES; l += 4) { /* lanes that fill up add zero */
+        __m256d s0 = _mm256_setzero_pd(), s1 = s0, s2 = s0, s3 = s0;
+        for (a = 0; a < 3; ++a) {
+            const sfem_int *node = block->node[a + 1] + l;
+            __m256d v[4];
+            v[0] = _mm256_loadu_pd(d[3 * a] + l);
+            v[1] = _mm256_loadu_pd(d[3 * a + 1] + l);
+            v[2] = _mm256_loadu_pd(d[3 * a + 2] + l);
+            v[3] = _mm256_setzero_pd();
+            sfemi_transpose_avx2(v);
+            sfemi_add_avx2(out + node[0], v[0]);
+            sfemi_add_avx2(out + node[1], v[1]);
+            sfemi_add_avx2(out + node[2], v[2]);
+            sfemi_add_avx2(out + node[3], v[3]);
+            s0 = _mm256_sub_pd(s0, v[0]);
+            s1 = _mm256_sub_pd(s1, v[1]);
+            s2 = _mm256_sub_pd(s2, v[2]);
+            s3 = _mm256_sub_pd(s3, v[3]);
+        }
+        sfemi_add_avx2(out + block->node[0][l], s0);
+        sfemi_add_avx2(out + block->node[0][l + 1], s1);
+        sfemi_add_avx2(out + block->node[0][l + 2], s2);
+        sfemi_add_avx2(out + block->node[0][l + 3], s3);
+    }
+}
+#endif
+
+/* R of a lane that the fast way has given up. */
+static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
+{
+    sfem_real f[9];
+    int i;
+    for (i = 0; i < 9; ++i) f[i] = g[i] + (i % 4 ? 0 : 1);
+    sfem_polar(f, r, NULL);
+}
+
+/* Is any of the flags, 0 or 1, not 0? */
+static SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
+{
+    uint64_t word[SFEMI_LANES], any = 0;
+    size_t i;
+    memcpy(word, flags, bytes);
+    for (i = 0; i < bytes / sizeof *word; ++i) any |= word[i];
+    return any != 0;
+}
+
+#define SFEMI_LANE_KERNELS(T, S, STEP, ROUND)                                                      \
+/* a b + c; and with it a0 b0 + a1 b1 + a2 b2 (+ c), a b - c d */                                  \
+static SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
+{                                                                                                  \
+    return fused ? SFEMI_FMA_##S(a, b, c) : a * b + c;                                             \
+}                                                                                                  \
+static SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)                  \
+{                                                                                                  \
+    return sfemi_ma_##S(fused, a0, b0, sfemi_ma_##S(fused, a1, b1, a2 * b2));                      \
+}                                                                                                  \
+static SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
+{                                                                                                  \
+    return sfemi_ma_##S(fused, a, b, -(c * d));                                                    \
+}                                                                                                  \
+                                                                                                   \
+typedef struct sfemi_lanes_##S {                                                                   \
+    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
+    T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
+    T r[9][SFEMI_LANES];      /* F, later the rotation nearest to it */                            \
+    T c[9][SFEMI_LANES];      /* cof F */                                                          \
+    T k[3][SFEMI_LANES];      /* t^2 + |F|^2, -2, 2 t, each over the slope */                      \
+    T s[6][SFEMI_LANES];      /* k0 I + k1 F^T F */                                                \
+    T p[9][SFEMI_LANES];      /* stress times volume */                                            \
+    T lambda[SFEMI_LANES], mu[SFEMI_LANES], energy[SFEMI_LANES];                                   \
+    T det[SFEMI_LANES], norm2[SFEMI_LANES], constant[SFEMI_LANES]; /* of p(t), sfemi_polar_fast */ \
+    T trace[SFEMI_LANES], bad[SFEMI_LANES];                                                        \
+} sfemi_lanes_##S;                                                                                 \
+                                                                                                   \
+/* G and det F */                                                                                  \
+static SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
+                                         const int fused)                                          \
+{                                                                                                  \
+    int l, i;                                                                                      \
+    for (i = 0; i < 3; ++i)                                                                        \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T a = (T)w->d[i][l], b = (T)w->d[3 + i][l], c = (T)w->d[6 + i][l];               \
+            w->g[3 * i][l] = sfemi_dot_##S(fused, a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]);\
+            w->g[3 * i + 1][l] = sfemi_dot_##S(fused, a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]);\
+            w->g[3 * i + 2][l] = sfemi_dot_##S(fused, a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]);\
+        }                                                                                          \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
+        const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
+        const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
+        w->det[l] = sfemi_dot_##S(fused, f0, sfemi_det_##S(fused, f4, f8, f5, f7),                 \
+                                  f1, sfemi_det_##S(fused, f5, f6, f3, f8),                        \
+                                  f2, sfemi_det_##S(fused, f3, f7, f4, f6));                       \
+        w->lambda[l] = (T)block->lambda[l];                                                        \
+        w->mu[l] = (T)block->mu[l];                                                                \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* F, cof F, |F|^2, the constant of p(t) and a first trace: (|F|^2 + 3)/2 >= sqrt(3 |F|^2) >= t */ \
+static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)                     \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
+        const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
+        const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
+        const T c0 = sfemi_det_##S(fused, f4, f8, f5, f7), c1 = sfemi_det_##S(fused, f5, f6, f3, f8);\
+        const T c2 = sfemi_det_##S(fused, f3, f7, f4, f6), c3 = sfemi_det_##S(fused, f2, f7, f1, f8);\
+        const T c4 = sfemi_det_##S(fused, f0, f8, f2, f6), c5 = sfemi_det_##S(fused, f1, f6, f0, f7);\
+        const T c6 = sfemi_det_##S(fused, f1, f5, f2, f4), c7 = sfemi_det_##S(fused, f2, f3, f0, f5);\
+        const T c8 = sfemi_det_##S(fused, f0, f4, f1, f3);                                         \
+        const T n = sfemi_dot_##S(fused, f0, f0, f1, f1, f2, f2) + sfemi_dot_##S(fused, f3, f3, f4, f4, f5, f5) +\
+                    sfemi_dot_##S(fused, f6, f6, f7, f7, f8, f8);                                  \
+        const T m = sfemi_dot_##S(fused, c0, c0, c1, c1, c2, c2) + sfemi_dot_##S(fused, c3, c3, c4, c4, c5, c5) +\
+                    sfemi_dot_##S(fused, c6, c6, c7, c7, c8, c8);                                  \
+        w->c[0][l] = c0, w->c[1][l] = c1, w->c[2][l] = c2;                                         \
+        w->c[3][l] = c3, w->c[4][l] = c4, w->c[5][l] = c5;                                         \
+        w->c[6][l] = c6, w->c[7][l] = c7, w->c[8][l] = c8;                                         \
+        w->r[0][l] = f0, w->r[1][l] = f1, w->r[2][l] = f2;                                         \
+        w->r[3][l] = f3, w->r[4][l] = f4, w->r[5][l] = f5;                                         \
+        w->r[6][l] = f6, w->r[7][l] = f7, w->r[8][l] = f8;                                         \
+        w->norm2[l] = n;                                                                           \
+        w->constant[l] = sfemi_ma_##S(fused, n, n, -4 * m);                                        \
+        w->trace[l] = (n + 3) / 2;                                                                 \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* one step of Halley's method for the trace */                                                    \
+static SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)                      \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T t = w->trace[l], n = w->norm2[l], d = w->det[l], t2 = t * t;                       \
+        const T p = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t2 - 2 * n, t, -8 * d), t, w->constant[l]);\
+        const T slope = sfemi_ma_##S(fused, t2 - n, t, -2 * d);                                    \
+        const T half = (3 * t2 - n) / 2;                                                           \
+        const T step = p * slope / sfemi_det_##S(fused, 4 * slope, slope, p, half);                \
+                w->trace[l] = t - step;                                                            \
+        w->bad[l] = step <= (T)STEP * (t - step) ? 0 : 1; /* also where step is not a number */    \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* R = F (k0 I + k1 F^T F) + k2 cof F, row by row in place of F */                                 \
+static SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)                    \
+{                                                                                                  \
+    int l, i;                                                                                      \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T t = w->trace[l], n = w->norm2[l];                                                  \
+        const T slope = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t, t, -n), t, -2 * w->det[l]);     \
+        const T over = 1 / slope;                                                                  \
+        w->bad[l] = slope > (T)ROUND * t * t * t ? w->bad[l] : 1;                                  \
+        w->k[0][l] = sfemi_ma_##S(fused, t, t, n) * over;                                          \
+        w->k[1][l] = -2 * over;                                                                    \
+        w->k[2][l] = 2 * t * over;                                                                 \
+    }                                                                                              \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l], f3 = w->r[3][l], f4 = w->r[4][l];\
+        const T f5 = w->r[5][l], f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                \
+        const T a = w->k[0][l], b = w->k[1][l];                                                    \
+        w->s[0][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f0, f0, f3, f3, f6, f6), a);      \
+        w->s[1][l] = b * sfemi_dot_##S(fused, f0, f1, f3, f4, f6, f7);                             \
+        w->s[2][l] = b * sfemi_dot_##S(fused, f0, f2, f3, f5, f6, f8);                             \
+        w->s[3][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f1, f1, f4, f4, f7, f7), a);      \
+        w->s[4][l] = b * sfemi_dot_##S(fused, f1, f2, f4, f5, f7, f8);                             \
+        w->s[5][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f2, f2, f5, f5, f8, f8), a);      \
+    }                                                                                              \
+    for (i = 0; i < 9; i += 3)                                                                     \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T x = w->r[i][l], y = w->r[i + 1][l], z = w->r[i + 2][l], b = w->k[2][l];        \
+            const T s0 = w->s[0][l], s1 = w->s[1][l], s2 = w->s[2][l];                             \
+            const T s3 = w->s[3][l], s4 = w->s[4][l], s5 = w->s[5][l];                             \
+            w->r[i][l] = sfemi_ma_##S(fused, b, w->c[i][l], sfemi_dot_##S(fused, x, s0, y, s1, z, s2));\
+            w->r[i + 1][l] = sfemi_ma_##S(fused, b, w->c[i + 1][l], sfemi_dot_##S(fused, x, s1, y, s3, z, s4));\
+            w->r[i + 2][l] = sfemi_ma_##S(fused, b, w->c[i + 2][l], sfemi_dot_##S(fused, x, s2, y, s4, z, s5));\
+        }                                                                                          \
+}                                                                                                  \
+                                                                                                   \
+/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope is\
+ * below ROUND t^3 are done again the slow way */                                                  \
+static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
+{                                                                                                  \
+    sfem_real g[9], r[9];                                                                          \
+    int l, i, k;                                                                                   \
+    sfemi_lanes_quartic_##S(w, fused);                                                             \
+    sfemi_lanes_halley_##S(w, fused);                                                              \
+    for (k = 0; k < 5; ++k) {                                                                      \
+        sfemi_lanes_halley_##S(w, fused);                                                          \
+        if (!sfemi_lanes_any(w->bad, sizeof w->bad)) break;                                        \
+    }                                                                                              \
+    sfemi_lanes_rotation_##S(w, fused);                                                            \
+    if (!sfemi_lanes_any(w->bad, sizeof w->bad)) return;                                           \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        if (w->bad[l] == 0) continue;                                                              \
+        for (i = 0; i < 9; ++i) g[i] = w->g[i][l];                                                 \
+        sfemi_lanes_repair(g, r);                                                                  \
+        for (i = 0; i < 9; ++i) w->r[i][l] = (T)r[i];                                              \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+static SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)                      \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T e0 = w->g[0][l], e4 = w->g[4][l], e8 = w->g[8][l], trace = e0 + e4 + e8;           \
+        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l], e5 = w->g[5][l] + w->g[7][l];\
+        const T mu = w->mu[l], lt = w->lambda[l] * trace;                                          \
+        w->p[0][l] = sfemi_ma_##S(fused, 2 * mu, e0, lt);                                          \
+        w->p[4][l] = sfemi_ma_##S(fused, 2 * mu, e4, lt);                                          \
+        w->p[8][l] = sfemi_ma_##S(fused, 2 * mu, e8, lt);                                          \
+        w->p[1][l] = w->p[3][l] = mu * e1;                                                         \
+        w->p[2][l] = w->p[6][l] = mu * e2;                                                         \
+        w->p[5][l] = w->p[7][l] = mu * e5;                                                         \
+        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
+                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+static SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)                \
+{                                                                                                  \
+    int l, i;                                                                                      \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l], r3 = w->r[3][l], r4 = w->r[4][l];\
+        const T r5 = w->r[5][l], r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                \
+        const T d0 = w->g[0][l] + (1 - r0), d1 = w->g[1][l] - r1, d2 = w->g[2][l] - r2;            \
+        const T d3 = w->g[3][l] - r3, d4 = w->g[4][l] + (1 - r4), d5 = w->g[5][l] - r5;            \
+        const T d6 = w->g[6][l] - r6, d7 = w->g[7][l] - r7, d8 = w->g[8][l] + (1 - r8);            \
+        const T trace = sfemi_dot_##S(fused, r0, d0, r1, d1, r2, d2) + sfemi_dot_##S(fused, r3, d3, r4, d4, r5, d5) +\
+                        sfemi_dot_##S(fused, r6, d6, r7, d7, r8, d8);                              \
+        const T square = sfemi_dot_##S(fused, d0, d0, d1, d1, d2, d2) + sfemi_dot_##S(fused, d3, d3, d4, d4, d5, d5) +\
+                         sfemi_dot_##S(fused, d6, d6, d7, d7, d8, d8);                             \
+        const T lt = w->lambda[l] * trace;                                                         \
+        w->trace[l] = lt;                                                                          \
+        w->energy[l] = sfemi_ma_##S(fused, w->mu[l], square, lt / 2 * trace);                      \
+    }                                                                                              \
+    for (i = 0; i < 9; ++i) {                                                                      \
+        const T one = i % 4 ? 0 : 1;                                                               \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T r = w->r[i][l], d = w->g[i][l] + (one - r);                                    \
+            w->p[i][l] = sfemi_ma_##S(fused, 2 * w->mu[l], d, w->trace[l] * r);                    \
+        }                                                                                          \
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+static SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                        \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
+        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
+        const T e0 = g0 + sfemi_dot_##S(fused, g0, g0, g3, g3, g6, g6) / 2;                        \
+        const T e4 = g4 + sfemi_dot_##S(fused, g1, g1, g4, g4, g7, g7) / 2;                        \
+        const T e8 = g8 + sfemi_dot_##S(fused, g2, g2, g5, g5, g8, g8) / 2;                        \
+        const T e1 = g1 + g3 + sfemi_dot_##S(fused, g0, g1, g3, g4, g6, g7);                       \
+        const T e2 = g2 + g6 + sfemi_dot_##S(fused, g0, g2, g3, g5, g6, g8);                       \
+        const T e5 = g5 + g7 + sfemi_dot_##S(fused, g1, g2, g4, g5, g7, g8);                       \
+        const T mu = w->mu[l], trace = e0 + e4 + e8, lt = w->lambda[l] * trace;                    \
+        const T s0 = sfemi_ma_##S(fused, 2 * mu, e0, lt), s4 = sfemi_ma_##S(fused, 2 * mu, e4, lt);\
+        const T s8 = sfemi_ma_##S(fused, 2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;\
+        w->p[0][l] = s0 + sfemi_dot_##S(fused, g0, s0, g1, s1, g2, s2);                            \
+        w->p[1][l] = s1 + sfemi_dot_##S(fused, g0, s1, g1, s4, g2, s5);                            \
+        w->p[2][l] = s2 + sfemi_dot_##S(fused, g0, s2, g1, s5, g2, s8);                            \
+        w->p[3][l] = s1 + sfemi_dot_##S(fused, g3, s0, g4, s1, g5, s2);                            \
+        w->p[4][l] = s4 + sfemi_dot_##S(fused, g3, s1, g4, s4, g5, s5);                            \
+        w->p[5][l] = s5 + sfemi_dot_##S(fused, g3, s2, g4, s5, g5, s8);                            \
+        w->p[6][l] = s2 + sfemi_dot_##S(fused, g6, s0, g7, s1, g8, s2);                            \
+        w->p[7][l] = s5 + sfemi_dot_##S(fused, g6, s1, g7, s4, g8, s5);                            \
+        w->p[8][l] = s8 + sfemi_dot_##S(fused, g6, s2, g7, s5, g8, s8);                            \
+        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
+                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+    }                                                                                              \
+}                                                                                                  \
+                                                                                                   \
+/* as sfemi_law_neohookean; k1 = 3/4 m, k2 = m i/(16 + 4 i) */                                     \
+static SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)                  \
+{                                                                                                  \
+    int l;                                                                                         \
+    for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
+        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
+        const T c0 = sfemi_det_##S(fused, g4, g8, g5, g7), c1 = sfemi_det_##S(fused, g5, g6, g3, g8);\
+        const T c2 = sfemi_det_##S(fused, g3, g7, g4, g6), c3 = sfemi_det_##S(fused, g2, g7, g1, g8);\
+        const T c4 = sfemi_det_##S(fused, g0, g8, g2, g6), c5 = sfemi_det_##S(fused, g1, g6, g0, g7);\
+        const T c6 = sfemi_det_##S(fused, g1, g5, g2, g4), c7 = sfemi_det_##S(fused, g2, g3, g0, g5);\
+        const T c8 = sfemi_det_##S(fused, g0, g4, g1, g3);                                         \
+        const T trace = g0 + g4 + g8;                                                              \
+        const T i = 2 * trace + sfemi_dot_##S(fused, g0, g0, g1, g1, g2, g2) +                     \
+                    sfemi_dot_##S(fused, g3, g3, g4, g4, g5, g5) + sfemi_dot_##S(fused, g6, g6, g7, g7, g8, g8);\
+        const T j = trace + (c0 + c4 + c8) + sfemi_dot_##S(fused, g0, c0, g1, c1, g2, c2);         \
+        const T k1 = w->mu[l], lambda = w->lambda[l] + 5 * k1 / 6, k2 = k1 * i / (12 + 3 * i);     \
+        const T a = k1 + k2, b = sfemi_ma_##S(fused, lambda, j, -k1), lj = lambda * j;             \
+        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + sfemi_ma_##S(fused, k2, g0 + 1, lj * (1 + c0 + trace - g0));\
+        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + sfemi_ma_##S(fused, k2, g4 + 1, lj * (1 + c4 + trace - g4));\
+        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + sfemi_ma_##S(fused, k2, g8 + 1, lj * (1 + c8 + trace - g8));\
+        w->p[1][l] = sfemi_ma_##S(fused, a, g1, b * (c1 - g3));                                    \
+        w->p[2][l] = sfemi_ma_##S(fused, a, g2, b * (c2 - g6));                                    \
+        w->p[3][l] = sfemi_ma_##S(fused, a, g3, b * (c3 - g1));                                    \
+        w->p[5][l] = sfemi_ma_##S(fused, a, g5, b * (c5 - g7));                                    \
+        w->p[6][l] = sfemi_ma_##S(fused, a, g6, b * (c6 - g2));                                    \
+        w->p[7][l] = sfemi_ma_##S(fused, a, g7, b * (c7 - g5));                                    \
+        w->trace[l] = i / 4;                                                                       \
+        w->energy[l] = sfemi_ma_##S(fused, lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));              \
+    }                                                                                              \
+    for (l = 0; l < SFEMI_LANES; ++l) w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);\
+}                                                                                                  \
+                                                                                                   \
+/* the forces p g_a on nodes 1, 2, 3 */                                                            \
+static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block, const int fused)\
+{                                                                                                  \
+    int l, a;                                                                                      \
+    for (a = 0; a < 9; a += 3)                                                                     \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l], z = (T)block->shape[a + 2][l];\
+            w->d[a][l] = sfemi_dot_##S(fused, w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);        \
+            w->d[a + 1][l] = sfemi_dot_##S(fused, w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);    \
+            w->d[a + 2][l] = sfemi_dot_##S(fused, w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);    \
+        }                                                                                          \
+}                                                                                                  \
+                                                                                                   \
+static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count, const sfem_real *u,\
+                                         sfem_real *out, sfem_real *rotation, sfemi_totals *totals,\
+                                         const sfemi_gather gather, const sfemi_scatter scatter,   \
+                                         const int fused)                                          \
+{                                                                                                  \
+    sfemi_totals sum;                                                                              \
+    sfemi_lanes_##S w;                                                                             \
+    int l, i;                                                                                      \
+    memset(&sum, 0, sizeof sum);                                                                   \
+    for (; count > 0; --count, ++block) {                                                          \
+        gather(block, u, w.d);                                                                     \
+        sfemi_lanes_deform_##S(&w, block, fused);                                                  \
+        if (block->law == SFEM_COROTATIONAL || (rotation && block->law != SFEM_LINEAR))            \
+            sfemi_lanes_polar_##S(&w, fused);                                                      \
+        switch (block->law) {                                                                      \
+        case SFEM_COROTATIONAL: sfemi_lanes_corotational_##S(&w, fused); break;                    \
+        case SFEM_STVK: sfemi_lanes_stvk_##S(&w, fused); break;                                    \
+        case SFEM_NEOHOOKEAN: sfemi_lanes_neohookean_##S(&w, fused); break;                        \
+        default: sfemi_lanes_linear_##S(&w, fused);                                                \
+        }                                                                                          \
+        sfemi_lanes_forces_##S(&w, block, fused);                                                  \
+        scatter(block, (const sfem_real(*)[SFEMI_LANES])w.d, out);                                 \
+        for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
+            sum.energy[l] += w.energy[l];                                                          \
+            sum.inverted[l] += w.mu[l] > 0 && w.det[l] <= 0 ? 1 : 0;                               \
+        }                                                                                          \
+        for (l = 0; rotation && l < block->count; ++l) {                                           \
+            for (i = 0; i < 9; ++i)                                                                \
+                rotation[9 * (size_t)block->tet[l] + (size_t)i] =                                  \
+                    block->law == SFEM_LINEAR ? (sfem_real)(i % 4 == 0) : w.r[i][l];               \
+        }                                                                                          \
+    }                                                                                              \
+    *totals = sum;                                                                                 \
+}
+
+SFEMI_LANE_KERNELS(double, d, 2e-6, 3e-2)
+SFEMI_LANE_KERNELS(float, f, 2e-3, 6e-2)
+
+#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,\
+                        sfem_real *rotation, sfemi_totals *totals)                                 \
+{                                                                                                  \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
+                           sfemi_scatter_##PATH, FUSED);                                           \
+}
+
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+#ifdef SFEMI_X86_PATHS
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+#endif
+
+/* The widest path that this processor has. */
+static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
+{
+    const int mixed = precision == SFEM_MIXED;
+#ifdef SFEMI_X86_PATHS
+    switch (sfem_vector_width()) {
+    case 8: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 4: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+    default: break;
+    }
+#endif
+    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
 /* ============================================================================================
- * >>fem   assembly, mass, damping, loads, stress
+ * >>fem   assembly, mass, damping, forces, tangents, loads, stress
  *
  * K, D and a consistent M live on one pattern: the node graph, lower half by rows. M is a scalar a
  * block (M_ij I), or a scalar a node when lumped.  D = alpha M + beta K + damping.
  * ============================================================================================ */
+
+/* ---- chunks: how forces and tangents are computed on any number of threads ----
+ *
+ * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and adds
+ * into copies of their forces, which are then added up node by node. What a chunk does and the order of
+ * every sum are fixed by the mesh. For tangents, chunks without a common node have one colour and add
+ * into the matrix at the same time. */
+#define SFEMI_CHUNK_TETS 256
+#define SFEMI_CHUNK_TASK 4     /* chunks a task */
+#define SFEMI_NODE_TASK  2048  /* nodes a task */
+
+typedef struct sfemi_chunks {
+    sfem_int count, copies, colors;
+    sfemi_block *block;
+    sfem_int *block_start;  /* [count+1] blocks of a chunk */
+    sfem_int *copy_start;   /* [count+1] copies of a chunk */
+    sfem_int *copy_node;    /* [copies] */
+    sfem_int *node_start;   /* [nodes+1] copies of a node, */
+    sfem_int *node_copy;    /* [copies] in ascending order */
+    sfem_int *color_start;  /* [colors+1] chunks of a colour, */
+    sfem_int *color_chunk;  /* [count] */
+    sfem_int *place;        /* [tets][10] where in K's pattern the blocks of nodes a >= b go */
+} sfemi_chunks;
 
 typedef struct sfem_factor sfem_factor;
 
@@ -6436,6 +7978,9 @@ struct sfem_model {
     sfem_real *lambda, *mu;    /* [tets] Lame's parameters, Pa */
     sfem_real *density;        /* [tets] kg/m^3 */
     sfem_real *volume;         /* [tets] */
+    unsigned char *law;        /* [tets] sfem_law */
+    int nonlinear;             /* some of them are not SFEM_LINEAR */
+    sfemi_chunks chunks;
     sfem_real total_mass;
     int lock;                  /* guards what follows */
     sfem_int references;
@@ -6472,6 +8017,7 @@ SFEM_DEF sfem_material sfem_default_material(void)
     m.poisson = 0.3;
     m.density = 1000;
     m.alpha = m.beta = 0;
+    m.law = SFEM_LINEAR;
     return m;
 }
 
@@ -6499,6 +8045,9 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
     if (!(sfemi_finite(m->alpha) && m->alpha >= 0 && sfemi_finite(m->beta) && m->beta >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: damping (%g, %g) must be >= 0",
                           (int)index, m->alpha, m->beta);
+    if ((unsigned)m->law > SFEM_NEOHOOKEAN)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no law %d", (int)index,
+                          (int)m->law);
     return SFEM_OK;
 }
 
@@ -6596,6 +8145,181 @@ static sfem_int sfemi_fem_find(const sfem_int *row, const sfem_int *col, sfem_in
     return col[low] == j ? low : -1;
 }
 
+static void sfemi_chunks_free(sfemi_chunks *c, const sfem_allocator *al)
+{
+    sfemi_delete(al, c->block);
+    sfemi_delete(al, c->block_start);
+    sfemi_delete(al, c->copy_start);
+    sfemi_delete(al, c->copy_node);
+    sfemi_delete(al, c->node_start);
+    sfemi_delete(al, c->node_copy);
+    sfemi_delete(al, c->color_start);
+    sfemi_delete(al, c->color_chunk);
+    sfemi_delete(al, c->place);
+}
+
+/* Counts blocks and copies by chunk. mark [nodes] is -1. */
+static void sfemi_chunks_count(const sfem_model *model, sfemi_chunks *c, sfem_int *mark)
+{
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int k, e, a, law, laws[SFEM_NEOHOOKEAN + 1];
+    for (k = 0; k < c->count; ++k) {
+        const sfem_int end = k + 1 < c->count ? (k + 1) * SFEMI_CHUNK_TETS : mesh->tets;
+        memset(laws, 0, sizeof laws);
+        c->copy_start[k + 1] = c->copy_start[k];
+        c->block_start[k + 1] = c->block_start[k];
+        for (e = k * SFEMI_CHUNK_TETS; e < end; ++e) {
+            ++laws[model->law[e]];
+            for (a = 0; a < 4; ++a) {
+                const sfem_int node = mesh->tet[4 * (size_t)e + (size_t)a];
+                c->copy_start[k + 1] += mark[node] != k;
+                mark[node] = k;
+            }
+        }
+        for (law = 0; law <= SFEM_NEOHOOKEAN; ++law)
+            c->block_start[k + 1] += (laws[law] + SFEMI_LANES - 1) / SFEMI_LANES;
+    }
+    c->copies = c->copy_start[c->count];
+}
+
+/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the chunk. */
+static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, const sfem_int *local,
+                              sfemi_block *block, sfem_int lane)
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_real g[4][3];
+    int i;
+    sfemi_element_gradients(&model->mesh, e, g);
+    for (i = 0; i < 9; ++i) block->shape[i][lane] = g[1 + i / 3][i % 3];
+    for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
+    block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
+    block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
+    block->tet[lane] = e;
+    if (!filler) block->count = lane + 1;
+}
+
+/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane after
+ * lane then adds to different nodes, and need not wait for the last sum. */
+static void sfemi_chunks_fill_blocks(const sfem_model *model, sfemi_chunks *c, sfem_int k,
+                                     const sfem_int *local)
+{
+    const sfem_int first = k * SFEMI_CHUNK_TETS;
+    const sfem_int end = k + 1 < c->count ? first + SFEMI_CHUNK_TETS : model->mesh.tets;
+    sfemi_block *block = c->block + c->block_start[k];
+    sfem_int law, e, i, blocks, tets, last = first;
+    for (law = 0; law <= SFEM_NEOHOOKEAN; ++law) {
+        for (e = first, tets = 0; e < end; ++e) tets += model->law[e] == law;
+        blocks = (tets + SFEMI_LANES - 1) / SFEMI_LANES;
+        for (e = first, i = 0; e < end; ++e) {
+            if (model->law[e] != law) continue;
+            sfemi_chunks_fill(model, e, 0, local, block + i % blocks, i / blocks);
+            last = e;
+            ++i;
+        }
+        for (; i < blocks * SFEMI_LANES; ++i)
+            sfemi_chunks_fill(model, last, 1, local, block + i % blocks, i / blocks);
+        for (i = 0; i < blocks; ++i) block++->law = law;
+    }
+}
+
+/* Copies and blocks, and the copies of each node. mark and local [nodes]; mark is -1. */
+static void sfemi_chunks_number(const sfem_model *model, sfemi_chunks *c, sfem_int *mark,
+                                sfem_int *local)
+{
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int k, i, copy = 0;
+    for (k = 0; k < c->count; ++k) {
+        const size_t end = 4 * (size_t)(k + 1 < c->count ? (k + 1) * SFEMI_CHUNK_TETS : mesh->tets);
+        size_t at;
+        for (at = 4 * (size_t)k * SFEMI_CHUNK_TETS; at < end; ++at) {
+            const sfem_int node = mesh->tet[at];
+            if (mark[node] == k) continue;
+            mark[node] = k;
+            local[node] = copy - c->copy_start[k];
+            c->copy_node[copy++] = node;
+        }
+        sfemi_chunks_fill_blocks(model, c, k, local);
+    }
+    for (i = 0; i < c->copies; ++i) ++c->node_start[c->copy_node[i] + 1];
+    for (i = 0; i < mesh->nodes; ++i) {
+        c->node_start[i + 1] += c->node_start[i];
+        local[i] = c->node_start[i];
+    }
+    for (i = 0; i < c->copies; ++i) c->node_copy[local[c->copy_node[i]]++] = i;
+}
+
+/* The chunk that a copy belongs to. */
+static sfem_int sfemi_chunks_of(const sfemi_chunks *c, sfem_int copy)
+{
+    sfem_int low = 0, high = c->count;
+    while (high - low > 1) {
+        const sfem_int mid = low + (high - low) / 2;
+        if (c->copy_start[mid] <= copy) low = mid;
+        else high = mid;
+    }
+    return low;
+}
+
+/* Greedy colours, and the chunks by colour. color, mark [chunks+1]. */
+static void sfemi_chunks_color(sfemi_chunks *c, sfem_int *color, sfem_int *mark)
+{
+    sfem_int k, i, j, n;
+    for (k = 0; k < c->count; ++k) mark[k] = color[k] = -1;
+    for (k = 0; k < c->count; ++k) {
+        for (i = c->copy_start[k]; i < c->copy_start[k + 1]; ++i)
+            for (j = c->node_start[c->copy_node[i]]; j < c->node_start[c->copy_node[i] + 1]; ++j) {
+                const sfem_int other = sfemi_chunks_of(c, c->node_copy[j]);
+                if (other >= k) break;
+                mark[color[other]] = k;
+            }
+        for (n = 0; n < k && mark[n] == k; ++n) continue;
+        color[k] = n;
+        if (n >= c->colors) c->colors = n + 1;
+        ++c->color_start[n + 1];
+    }
+    for (n = 0; n < c->colors; ++n) {
+        c->color_start[n + 1] += c->color_start[n];
+        for (k = 0, i = c->color_start[n]; k < c->count; ++k)
+            if (color[k] == n) c->color_chunk[i++] = k;
+    }
+}
+
+static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
+{
+    const sfem_allocator *al = &model->allocator;
+    const sfem_mesh *mesh = &model->mesh;
+    sfemi_chunks *c = &model->chunks;
+    sfem_int *mark = NULL, *local = NULL, i, a, b, *place;
+    sfem_status status = SFEM_OK;
+    c->count = (mesh->tets + SFEMI_CHUNK_TETS - 1) / SFEMI_CHUNK_TETS;
+    SFEMI_NEW(sfem_int, mark, al, (size_t)mesh->nodes + (size_t)c->count);
+    SFEMI_NEW(sfem_int, local, al, (size_t)mesh->nodes + (size_t)c->count);
+    SFEMI_NEW(sfem_int, c->block_start, al, (size_t)c->count + 1);
+    SFEMI_NEW(sfem_int, c->copy_start, al, (size_t)c->count + 1);
+    SFEMI_NEW(sfem_int, c->color_start, al, (size_t)c->count + 1);
+    SFEMI_NEW(sfem_int, c->color_chunk, al, c->count);
+    SFEMI_NEW(sfem_int, c->node_start, al, (size_t)mesh->nodes + 1);
+    SFEMI_NEW(sfem_int, c->place, al, 10 * (size_t)mesh->tets);
+    memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
+    sfemi_chunks_count(model, c, mark);
+    SFEMI_NEW(sfemi_block, c->block, al, c->block_start[c->count]);
+    SFEMI_NEW(sfem_int, c->copy_node, al, c->copies);
+    SFEMI_NEW(sfem_int, c->node_copy, al, c->copies);
+    memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
+    sfemi_chunks_number(model, c, mark, local);
+    sfemi_chunks_color(c, local, mark);
+    for (i = 0, place = c->place; i < mesh->tets; ++i)
+        for (a = 0; a < 4; ++a)
+            for (b = 0; b <= a; ++b) {
+                const sfem_int n = mesh->tet[4 * i + a], m = mesh->tet[4 * i + b];
+                *place++ = sfemi_fem_find(model->row, model->col, n > m ? n : m, n > m ? m : n);
+            }
+done:
+    sfemi_delete(al, mark);
+    sfemi_delete(al, local);
+    return status;
+}
+
 /* Adds tet e to K, M and the part of D that is its own: alpha_e - alpha, beta_e - beta. */
 static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material *m)
 {
@@ -6604,8 +8328,8 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     sfem_real g[4][3], k[9], node;
     int a, b, i;
     const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
-    model->lambda[e] = m->young * m->poisson / ((1 + m->poisson) * (1 - 2 * m->poisson));
-    model->mu[e] = m->young / (2 * (1 + m->poisson));
+    sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
+    model->law[e] = (unsigned char)m->law;
     model->density[e] = m->density;
     node = m->density * v / 20;
     for (a = 0; a < 4; ++a) {
@@ -6642,8 +8366,9 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
 {
     sfem_int i, k, j;
     if (d->n != model->mesh.nodes)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping matrix has %d block rows, the mesh %d nodes",
-                          (int)d->n, (int)model->mesh.nodes);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the damping matrix has %d block rows, the mesh %d nodes", (int)d->n,
+                          (int)model->mesh.nodes);
     for (i = 0; i < d->n; ++i) {
         for (k = d->row[i]; k < d->row[i + 1]; ++k) {
             const sfem_int at = sfemi_fem_find(model->row, model->col, i, d->col[k]);
@@ -6654,7 +8379,8 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
             if (!sfemi_all_finite(d->val + 9 * (size_t)k, 9))
                 return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "damping block (%d, %d) is not finite",
                                      (int)i, (int)d->col[k]);
-            for (j = 0; j < 9; ++j) model->damping[9 * (size_t)at + (size_t)j] += d->val[9 * (size_t)k + (size_t)j];
+            for (j = 0; j < 9; ++j)
+                model->damping[9 * (size_t)at + (size_t)j] += d->val[9 * (size_t)k + (size_t)j];
         }
     }
     return SFEM_OK;
@@ -6675,6 +8401,8 @@ static void sfemi_fem_destroy(sfem_model *model)
     sfemi_delete(&al, model->mu);
     sfemi_delete(&al, model->density);
     sfemi_delete(&al, model->volume);
+    sfemi_delete(&al, model->law);
+    sfemi_chunks_free(&model->chunks, &al);
     sfemi_delete(&al, model);
 }
 
@@ -6703,6 +8431,7 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     SFEMI_NEW(sfem_real, model->mu, al, mesh->tets);
     SFEMI_NEW(sfem_real, model->density, al, mesh->tets);
     SFEMI_NEW(sfem_real, model->volume, al, mesh->tets);
+    SFEMI_NEW(unsigned char, model->law, al, mesh->tets);
     if (def->mass == SFEM_MASS_CONSISTENT) SFEMI_NEW(sfem_real, model->block_mass, al, blocks);
     if (def->damping || sfemi_fem_damping_varies(def))
         SFEMI_NEW(sfem_real, model->damping, al, 9 * blocks);
@@ -6735,7 +8464,9 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     }
     for (i = 0; i < model->mesh.tets; ++i)
         sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
+    SFEMI_TRY(sfemi_chunks_build(model, err));
     for (i = 0; i < model->mesh.nodes; ++i) model->total_mass += model->node_mass[i];
+    for (i = 0; i < model->mesh.tets; ++i) model->nonlinear |= model->law[i] != SFEM_LINEAR;
     if (def->damping) SFEMI_TRY(sfemi_fem_add_damping(model, def->damping, err));
     if (!sfemi_all_finite(model->stiffness.val, 9 * (size_t)model->row[model->mesh.nodes])) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "the stiffness matrix overflows: check the units");
@@ -6803,7 +8534,7 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
     static const sfem_allocator standard = {0, 0, 0};
     const sfem_allocator *al = allocator ? allocator : &standard;
     const sfem_int n = model->mesh.nodes;
-    sfem_int *row, *col, i, at;
+    sfem_int *row = NULL, *col = NULL, i, at;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], al, &row, &col, &a, err));
@@ -6887,6 +8618,153 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
     for (i = 0; i < n; ++i) y[i] *= model->beta;
     sfemi_fem_add_mass(model, model->alpha, x, y);
     sfemi_fem_add_damping_rest(model, x, y);
+}
+
+/* ---- forces and tangents ---- */
+
+typedef struct sfemi_forces {
+    const sfem_model *model;
+    const sfem_real *u;
+    sfem_real *force, *rotation, *copies, *energy, *inverted; /* the last two by chunk */
+    sfemi_blocks_kernel kernel;
+} sfemi_forces;
+
+static void sfemi_forces_chunks(void *data, sfem_int index)
+{
+    const sfemi_forces *job = (const sfemi_forces *)data;
+    const sfemi_chunks *c = &job->model->chunks;
+    sfem_int k, i, end = (index + 1) * SFEMI_CHUNK_TASK;
+    sfem_real u[16 * SFEMI_CHUNK_TETS];
+    if (end > c->count) end = c->count;
+    for (k = index * SFEMI_CHUNK_TASK; k < end; ++k) {
+        const sfem_int first = c->copy_start[k], count = c->copy_start[k + 1] - first;
+        sfem_real *out = job->copies + 4 * (size_t)first;
+        sfemi_totals totals;
+        for (i = 0; i < count; ++i) {
+            const sfem_real *from = job->u + 3 * (size_t)c->copy_node[first + i];
+            u[4 * i] = from[0], u[4 * i + 1] = from[1], u[4 * i + 2] = from[2], u[4 * i + 3] = 0;
+        }
+        memset(out, 0, 4 * (size_t)count * sizeof *out);
+        job->kernel(c->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
+                    job->rotation, &totals);
+        job->energy[k] = job->inverted[k] = 0;
+        for (i = 0; i < SFEMI_LANES; ++i) {
+            job->energy[k] += totals.energy[i];
+            job->inverted[k] += totals.inverted[i];
+        }
+    }
+}
+
+static void sfemi_forces_nodes(void *data, sfem_int index)
+{
+    const sfemi_forces *job = (const sfemi_forces *)data;
+    const sfemi_chunks *c = &job->model->chunks;
+    sfem_int i, j, end = job->model->mesh.nodes;
+    if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
+    for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
+        sfem_real x = 0, y = 0, z = 0;
+        for (j = c->node_start[i]; j < c->node_start[i + 1]; ++j) {
+            const sfem_real *f = job->copies + 4 * (size_t)c->node_copy[j];
+            x += f[0], y += f[1], z += f[2];
+        }
+        job->force[3 * (size_t)i] = x;
+        job->force[3 * (size_t)i + 1] = y;
+        job->force[3 * (size_t)i + 2] = z;
+    }
+}
+
+SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
+{
+    return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
+}
+
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
+                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
+                                     sfem_real *work, const sfem_exec *exec)
+{
+    const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
+    sfem_real energy = 0, turned = 0;
+    sfemi_forces job;
+    sfem_int k;
+    SFEM_ASSERT(u && force && work);
+    job.model = model;
+    job.u = u;
+    job.force = force;
+    job.rotation = rotation;
+    job.copies = work;
+    job.energy = work + 4 * (size_t)model->chunks.copies;
+    job.inverted = job.energy + chunks;
+    job.kernel = sfemi_blocks_pick(precision);
+    sfemi_run(exec, (chunks + SFEMI_CHUNK_TASK - 1) / SFEMI_CHUNK_TASK, sfemi_forces_chunks, &job);
+    sfemi_run(exec, (nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_forces_nodes, &job);
+    for (k = 0; k < chunks; ++k) {
+        energy += job.energy[k];
+        turned += job.inverted[k];
+    }
+    if (inverted) *inverted = (sfem_int)turned;
+    return energy;
+}
+
+typedef struct sfemi_tangents {
+    const sfem_model *model;
+    const sfem_real *u;
+    sfem_tangent kind;
+    sfem_real *val;
+    const sfem_int *chunk; /* of one colour */
+} sfemi_tangents;
+
+/* Adds the tangent of a lane's tet. */
+static void sfemi_tangents_tet(const sfemi_tangents *job, const sfemi_block *block, sfem_int lane)
+{
+    const sfem_int e = block->tet[lane], *t = job->model->mesh.tet + 4 * (size_t)e;
+    const sfem_int *place = job->model->chunks.place + 10 * (size_t)e;
+    sfem_real g[4][3], in_v[4][3], grad[9], k[9];
+    sfemi_modes modes;
+    int a, b, i;
+    for (i = 0; i < 3; ++i) {
+        for (a = 1; a < 4; ++a) g[a][i] = block->shape[3 * a - 3 + i][lane];
+        g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
+    }
+    sfemi_element_deform(job->u + 3 * (size_t)t[0], job->u + 3 * (size_t)t[1],
+                         job->u + 3 * (size_t)t[2], job->u + 3 * (size_t)t[3], g, grad);
+    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind, &modes);
+    sfemi_modes_turn(&modes, g, in_v);
+    for (a = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b) {
+            sfem_real *to = job->val + 9 * (size_t)*place++;
+            const int down = t[a] >= t[b];
+            sfemi_modes_block(&modes, 1, in_v[down ? a : b], in_v[down ? b : a], k);
+            for (i = 0; i < 9; ++i) to[i] += k[i];
+        }
+}
+
+static void sfemi_tangents_chunk(void *data, sfem_int index)
+{
+    const sfemi_tangents *job = (const sfemi_tangents *)data;
+    const sfemi_chunks *c = &job->model->chunks;
+    const sfem_int k = job->chunk[index];
+    sfem_int b, lane;
+    for (b = c->block_start[k]; b < c->block_start[k + 1]; ++b)
+        for (lane = 0; lane < c->block[b].count; ++lane) sfemi_tangents_tet(job, c->block + b, lane);
+}
+
+SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
+                                 sfem_matrix *tangent, const sfem_exec *exec)
+{
+    const sfemi_chunks *c = &model->chunks;
+    sfemi_tangents job;
+    sfem_int n;
+    SFEM_ASSERT(u && tangent && tangent->n == model->mesh.nodes);
+    SFEM_ASSERT(tangent->row[tangent->n] == model->row[tangent->n]);
+    job.model = model;
+    job.u = u;
+    job.kind = kind;
+    job.val = tangent->val;
+    memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
+    for (n = 0; n < c->colors; ++n) {
+        job.chunk = c->color_chunk + c->color_start[n];
+        sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
+    }
 }
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
@@ -7070,7 +8948,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
-    sfem_int *number = NULL, *row, *col, k, at, blocks = 0;
+    sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
@@ -7244,6 +9122,7 @@ typedef struct sfemi_state_head {
     uint32_t version, checksum;
     uint64_t size, key; /* key: what it belongs to */
     sfem_real time, h;  /* h: of the last step */
+    sfem_real gravity[3];
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
@@ -7552,7 +9431,7 @@ static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_real all = load[0] + load[1] + load[2];
     const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
-    const sfem_real *g = b->def.gravity;
+    const sfem_real *g = b->state.head->gravity;
     size_t i;
     sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
     for (i = 0; i < n / 3; ++i) {
@@ -7788,11 +9667,7 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
  * ============================================================================================ */
 
 /* Do all tets follow Hooke's law in small rotations? */
-static int sfemi_implicit_linear(const sfem_model *model)
-{
-    (void)model;
-    return 1;
-}
+static int sfemi_implicit_linear(const sfem_model *model) { return !model->nonlinear; }
 
 static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
 {
@@ -7836,16 +9711,18 @@ static sfem_real sfemi_implicit_forces(sfem_body *b, const sfem_real *u, sfem_re
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real energy = 0;
     size_t i;
+    if (!sfemi_implicit_linear(b->model))
+        return sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->implicit.work, &b->exec);
     sfem_matrix_multiply(&b->model->stiffness, u, f, &b->exec);
     for (i = 0; i < n; ++i) energy += u[i] * f[i];
     return energy / 2;
 }
 
+/* K(u), to tangent. */
 static void sfemi_implicit_tangent(sfem_body *b, const sfem_real *u, sfem_tangent kind)
 {
-    (void)b;
-    (void)u;
-    (void)kind;
+    if (!sfemi_implicit_linear(b->model))
+        sfem_model_tangent(b->model, u, kind, &b->implicit.tangent, &b->exec);
 }
 
 static int sfemi_implicit_damped(const sfem_body *b)
@@ -7864,16 +9741,14 @@ static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
     sfem_status status = SFEM_OK;
     if (m->memory) return SFEM_OK;
     SFEMI_NEW(sfem_real, memory, &b->allocator, SFEMI_IMPLICIT_VECTORS * n);
-    m->tangent = m->drag = model->stiffness;
-    m->drag.val = NULL;
     if (!sfemi_implicit_linear(model)) {
         SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
-        m->tangent.val = tangent;
+        SFEMI_NEW(sfem_real, work, &b->allocator, sfem_model_work_size(model));
     }
-    if (b->def.damping_force.tangent) {
-        SFEMI_NEW(sfem_real, drag, &b->allocator, values);
-        m->drag.val = drag;
-    }
+    if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
+    m->tangent = m->drag = model->stiffness;
+    if (tangent) m->tangent.val = tangent;
+    m->drag.val = drag;
     at = m->memory = memory;
     m->work = work;
     m->d = at, at += n;
@@ -7893,6 +9768,7 @@ static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
     m->mid_a = at;
     return SFEM_OK;
 done:
+    sfemi_delete(&b->allocator, work);
     sfemi_delete(&b->allocator, tangent);
     sfemi_delete(&b->allocator, memory);
     return status;
@@ -8138,7 +10014,7 @@ static void sfemi_implicit_load(const sfem_body *b, sfem_real share, sfem_real *
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_state *s = &b->state;
     size_t i;
-    for (i = 0; i < n; ++i) load[i] = b->model->node_mass[i / 3] * b->def.gravity[i % 3];
+    for (i = 0; i < n; ++i) load[i] = b->model->node_mass[i / 3] * s->head->gravity[i % 3];
     if (!s->head->loaded) return;
     for (i = 0; i < n; ++i) load[i] += s->force[0][i];
     if (s->head->load_age >= 2 || share == 0) return;
@@ -8216,7 +10092,7 @@ static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
     const sfemi_stage *s = &m->stage;
     const unsigned char *mask = t->system->factor->mask;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real *a = b->zm, ff = 0, qq = 0, ll = 0;
+    sfem_real *a = b->zm, most[4] = {0, 0, 0, 0};
     size_t i;
     for (i = 0; i < n; ++i) {
         m->x[i] = b->state.u[i] + s->w1 * m->d[i];
@@ -8224,21 +10100,24 @@ static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
         m->v[i] = s->w1 * (s->c1 * m->d[i] + m->vmap[i]) + s->w0 * b->state.w[i];
         a[i] = s->m1 * (s->c2 * m->d[i] + m->amap[i]) + s->m0 * m->a0[i];
     }
-    m->energy = sfemi_implicit_terms(b, m->x, m->still || !sfemi_implicit_damped(b) ? NULL : m->v,
-                                     m->still ? NULL : a, m->f, m->q);
+    m->energy = sfemi_implicit_terms(b, m->x, m->still || !sfemi_implicit_damped(b) ? NULL : m->v, NULL,
+                                     m->f, m->q);
+    memset(b->zk, 0, n * sizeof *b->zk);
+    if (!m->still) sfemi_fem_add_mass(b->model, 1, a, b->zk);
     for (i = 0; i < n; ++i) {
         if (mask[i / 3] >> (i % 3) & 1) {
             m->f[i] = m->q[i] = 0;
             continue;
         }
-        ff += m->f[i] * m->f[i];
-        qq += m->q[i] * m->q[i];
-        ll += m->load[i] * m->load[i];
-        m->q[i] -= m->load[i];
+        most[0] += m->f[i] * m->f[i];
+        most[1] += m->q[i] * m->q[i];
+        most[2] += b->zk[i] * b->zk[i];
+        most[3] += m->load[i] * m->load[i];
+        m->q[i] += b->zk[i] - m->load[i];
     }
-    if (qq > ff || !sfemi_finite(qq)) ff = qq;
-    if (ll > ff) ff = ll;
-    t->scale = sqrt(ff);
+    for (i = 1; i < 4; ++i)
+        if (most[i] > most[0] || !sfemi_finite(most[i])) most[0] = most[i];
+    t->scale = sqrt(most[0]);
     ++m->info.evaluations;
 }
 
@@ -8721,13 +10600,17 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
  *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
  * and a step of another length, h1 before and h2 now, follows from the same two half-steps:
  *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + (1/4-p)(h2^2-h1^2) D a + p h2 (F+ - F) + p h1 (F- - F).
- * All are put as an equation for a = (w' - w)/h2, whose right side is a force.
+ * Both are put as one equation for a = (w' - w)/d, d = (h1 + h2)/2 being the time between the centres of the
+ * two means and h1 = 0 the start: A a = b, where every force in b has weight one,
+ *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p (h1/d)(F- - F),
+ *   ck = 2 p (h1 - h2),  cd = (h1 - (q/2)(h1 - h2))/d,  ca = 2 (1/4 - p)(h2 - h1).
  * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
 
-/* b = F's - K (cf u - ck w) - D (cd w - ca a), see above. */
 typedef struct sfemi_pqr_terms {
-    sfem_real cf, ck, cd, ca, load[3];
+    sfem_real d;       /* s, see above */
+    sfem_real ck, cd, ca;
+    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
 } sfemi_pqr_terms;
 
 static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
@@ -8739,30 +10622,21 @@ static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
 static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
 {
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
-    const sfem_real h1 = b->state.head->h;
+    const int running = b->state.head->started == SFEMI_RUNNING;
+    const sfem_real h1 = running ? b->state.head->h : 0;
     sfemi_pqr_terms t;
-    if (b->state.head->started != SFEMI_RUNNING) {
-        const int fourth = sfemi_pqr_starts_at_fourth_order(b);
-        t.cf = 0.5;
-        t.ck = fourth ? -h2 / 6 : -k.p * h2;
-        t.cd = 0.5;
-        t.ca = (0.25 - k.p) * h2;
-        t.load[0] = fourth ? 1.0 / 6 : k.p;
-        t.load[1] = 0.5 - t.load[0];
-        t.load[2] = 0;
-    } else {
-        t.cf = (h1 + h2) / (2 * h2);
-        t.ck = k.p * (h1 - h2) * (h1 + h2) / h2;
-        t.cd = (h1 - k.q / 2 * (h1 - h2)) / h2;
-        t.ca = (0.25 - k.p) * (h2 - h1) * (h2 + h1) / h2;
-        t.load[0] = k.p;
-        t.load[2] = k.p * h1 / h2;
-        t.load[1] = t.cf - t.load[0] - t.load[2];
+    t.d = (h1 + h2) / 2;
+    t.ck = 2 * k.p * (h1 - h2);
+    t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
+    t.ca = 2 * (0.25 - k.p) * (h2 - h1);
+    t.load[0] = k.p * h2 / t.d;
+    t.load[2] = k.p * h1 / t.d;
+    if (!running && sfemi_pqr_starts_at_fourth_order(b)) {
+        t.ck = -h2 / 3;
+        t.load[0] = 1.0 / 3;
     }
-    if (b->def.plain_load) {
-        t.load[0] = t.load[2] = 0;
-        t.load[1] = t.cf;
-    }
+    if (b->def.plain_load) t.load[0] = t.load[2] = 0;
+    t.load[1] = 1 - t.load[0] - t.load[2];
     return t;
 }
 
@@ -8781,7 +10655,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
     t = sfemi_pqr_weigh(b, h);
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
-        b->zk[i] = t.cf * s->u[i] - t.ck * s->w[i] + b->beta * dv;
+        b->zk[i] = s->u[i] - t.ck * s->w[i] + b->beta * dv;
         b->zm[i] = b->alpha * dv;
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
@@ -8791,7 +10665,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
             sfem_real a;
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / h;
+            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
             b->acc[i] = a;
             b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * a;
             b->zm[i] += (k.r + k.q / 2 * h * b->alpha) * a;
@@ -8809,18 +10683,15 @@ static void sfemi_pqr_solve(sfem_body *b)
     size_t i;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, b->zk, h * h);
+    sfemi_body_handle_gap(b, b->zk, h * sfemi_pqr_weigh(b, h).d);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
 static void sfemi_pqr_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfem_real h = b->step, d = sfemi_pqr_weigh(b, h).d;
     sfemi_state *s = &b->state;
-    /* w and w' are means over h1 and h: their centres lie (h1 + h)/2 apart, h/2 at the start */
-    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
-    const sfem_real full = 2 * h / (h1 + h);
     sfem_int k;
     size_t i;
     int c;
@@ -8833,9 +10704,9 @@ static void sfemi_pqr_finish(sfem_body *b)
         sfemi_hold_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
-        s->w[i] += h * b->acc[i];
+        s->w[i] += d * b->acc[i];
         s->u[i] += h * s->w[i];
-        s->a[i] = full * b->acc[i];
+        s->a[i] = b->acc[i];
     }
 }
 
@@ -9016,17 +10887,24 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0 or SFEM_P_AUTO", d->p);
-    if (!(sfemi_finite(d->q) && d->q >= 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
-    if (!(sfemi_finite(d->r) && d->r > 0)) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "r is %g, must be > 0", d->r);
+    if (!(sfemi_finite(d->q) && d->q >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
+    if (!(sfemi_finite(d->r) && d->r > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "r is %g, must be > 0", d->r);
     if (!(sfemi_finite(d->beta) && d->beta > 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's beta is %g, must be > 0 (central difference is an integrator of its own)", d->beta);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "Newmark's beta is %g, must be > 0 (central difference is an integrator of its own)",
+                          d->beta);
     if (!(sfemi_finite(d->gamma) && d->gamma >= 0.5))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
     if (!(sfemi_finite(d->alpha) && d->alpha >= 0 && sfemi_finite(d->beta_k) && d->beta_k >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha, d->beta_k);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha,
+                          d->beta_k);
     if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     if (d->max_handles < 0 || d->max_handles > 1024)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024", (int)d->max_handles);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
+                          (int)d->max_handles);
     return sfemi_implicit_check(d, err);
 }
 
@@ -9138,6 +11016,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_NEW(char, block, al, bytes);
     sfemi_state_lay_out(&b->state, block, nodes, b->pin_count);
     sfemi_body_reset_head(b, bytes);
+    memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
     b->acc = b->rhs + n;
     b->zk = b->rhs + 2 * n;
@@ -9331,7 +11210,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     SFEM_ASSERT(b);
     if (!sfemi_body_is_prepared(b, h)) {
         sfem_status status;
-        if (b->def.no_allocation)
+        if (b->def.no_allocation && !(b->factor && h == b->h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
@@ -9376,14 +11255,10 @@ static void sfemi_body_age_load(sfem_body *b)
 SFEM_DEF void sfem_body_finish(sfem_body *b)
 {
     sfemi_grip *g = &b->grip;
-    sfem_real weight; /* of a force in the equation that was solved */
     sfem_int i;
-    int c;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
-    weight = sfemi_body_keeps_mean(b) ? sfemi_pqr_weigh(b, b->step).cf : 1;
     for (i = 0; i < g->count; ++i) {
-        for (c = 0; c < 3; ++c)
-            b->state.handle[g->slot[i]].force[c] = g->lambda[3 * i + c] / weight;
+        memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
         sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     }
     if (sfemi_implicit_serves(b)) sfemi_implicit_finish(b);
@@ -9476,7 +11351,7 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], sfem_error *err)
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
-    memcpy(b->def.gravity, g, sizeof b->def.gravity);
+    memcpy(b->state.head->gravity, g, 3 * sizeof *g);
     return SFEM_OK;
 }
 
@@ -9547,11 +11422,14 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
 {
     sfemi_state_head head;
     sfem_int i;
-    if (bytes < sizeof head) return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
+    if (bytes < sizeof head)
+        return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
     memcpy(&head, memory, sizeof head);
-    if (memcmp(head.magic, "sfemstat", 8) != 0) return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
+    if (memcmp(head.magic, "sfemstat", 8) != 0)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
     if (head.version != 1)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1", (unsigned)head.version);
+        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1",
+                          (unsigned)head.version);
     if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
     if (head.size != b->state.head->size || head.key != b->state.head->key)
@@ -9629,7 +11507,8 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     int c, loose = 0;
     for (c = 0; c < 4; ++c) loose |= weight[c] != 0 && b->mask[node[c]] != SFEM_AXIS_ALL;
     if (!loose)
-        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes", (int)node[0]);
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes",
+                             (int)node[0]);
     for (k = 0; k < b->def.max_handles && b->state.handle[k].used; ++k) continue;
     if (k == b->def.max_handles)
         return sfemi_fail(err, SFEM_FULL, "all %d handles are in use: pin the nodes instead", (int)k);
@@ -9928,7 +11807,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     }
     e.load = 0;
     for (i = 0; i < n; ++i)
-        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
     if (!running) return e;
     if (!sfemi_body_keeps_mean(b)) {
@@ -9942,7 +11821,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
         sfem_model_multiply_stiffness(model, s->w, b->rhs, &b->exec);
         wkw = sfemi_body_dot(s->w, b->rhs, n);
         for (i = 0; i < n; ++i)
-            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->def.gravity[i % 3]);
+            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
         /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
         e.conserved = k.r / 2 * sfemi_body_dot(s->w, b->zm, n) + k.p * h * h / 2 * wkw + e.elastic -
                       h / 2 * sfemi_body_dot(s->u, b->rhs, n) + e.load + h / 2 * load_w;
@@ -10032,6 +11911,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_MUL(a, b) _mm512_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm512_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
+#define SFEMI_HALF(p) _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
 #elif SFEMI_PATH >= 1 && SFEMI_BITS == 64
 #define SFEMI_V __m256d
 #define SFEMI_LD(p) _mm256_loadu_pd(p)
@@ -10042,6 +11922,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_MUL(a, b) _mm256_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_pd(a, b, c)
+#define SFEMI_HALF(p) _mm256_loadu_pd(p)
 #elif SFEMI_PATH >= 1
 #define SFEMI_V __m256
 #define SFEMI_LD(p) _mm256_loadu_ps(p)
@@ -10052,6 +11933,13 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_MUL(a, b) _mm256_mul_ps(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
+#define SFEMI_SUM4(z, out)                                                                           \
+    {                                                                                                \
+        const __m256 a_ = _mm256_hadd_ps(_mm256_loadu_ps(z), _mm256_loadu_ps((z) + 8));              \
+        const __m256 b_ = _mm256_hadd_ps(_mm256_loadu_ps((z) + 16), _mm256_loadu_ps((z) + 24));      \
+        const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                    \
+        _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));    \
+    }
 #elif defined(__GNUC__) && !defined(FP_FAST_FMA) /* two or more registers to a vector */
 typedef SFEMI_R SFEMI_KERNEL(sfemi_v) __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R))));
 typedef SFEMI_R SFEMI_KERNEL(sfemi_u)
@@ -10102,6 +11990,16 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
 #define SFEMI_MUL(a, b) SFEMI_KERNEL(sfemi_v_mul)(a, b)
 #define SFEMI_FMA(a, b, c) SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
 #define SFEMI_FNMA(a, b, c) SFEMI_KERNEL(sfemi_v_fnma)(a, b, c)
+#endif
+
+#ifdef SFEMI_HALF
+#define SFEMI_SUM4(z, out)                                                                           \
+    {                                                                                                \
+        const __m256d a_ = _mm256_hadd_pd(SFEMI_HALF(z), SFEMI_HALF((z) + SFEMI_W));                 \
+        const __m256d b_ = _mm256_hadd_pd(SFEMI_HALF((z) + 2 * SFEMI_W), SFEMI_HALF((z) + 3 * SFEMI_W)); \
+        _mm256_storeu_pd(out, _mm256_add_pd(_mm256_permute2f128_pd(a_, b_, 0x21),                    \
+                                            _mm256_blend_pd(a_, b_, 12)));                           \
+    }
 #endif
 
 /* --- the factor of one front -----------------------------------------------------------------
@@ -10273,7 +12171,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
     SFEMI_R l[3 * SFEMI_W], x[3 * SFEMI_W];
     size_t j, p, v;
     for (j = n; j-- > 0;) {
-        const SFEMI_R rj = (SFEMI_R)fabs(r[j]);
+        const SFEMI_R rj = (SFEMI_R)fabs((double)r[j]);
         memcpy(l, c + j * h, h * sizeof *l);
         memcpy(x, l, h * sizeof *x);
         memset(x, 0, n * sizeof *x);
@@ -10286,149 +12184,278 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
     }
 }
 
-/* --- the solve with one front ---------------------------------------------------------------- */
+/* --- the solve with one front ----------------------------------------------------------------
+ * k pivots, f rows, in tiles as above; on the diagonal stand [X; -L21 X] as sfemi_ldl_invert left them,
+ * so that a tile's pivots are one product too. */
 
-/* out(h) = sum over p of a(:, p) y[p]. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_gemv)(int nv, size_t depth,
-                                                                  const SFEMI_R *a, const SFEMI_R *y,
-                                                                  SFEMI_R *out)
+/* c = init - a y over depth columns of a tile of nv vectors; the caller stores it. */
+#define SFEMI_ACCUMULATE(OP, depth, a, y)                                                            \
+    {                                                                                                \
+        size_t p_ = 0;                                                                               \
+        SFEMI_V d0 = {0}, d1 = {0}, d2 = {0};                                                        \
+        for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                           \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
+            d0 = OP(SFEMI_LD((a) + h), SFEMI_DUP((y)[p_ + 1]), d0);                                  \
+            if (nv > 1) d1 = OP(SFEMI_LD((a) + h + SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d1);            \
+            if (nv > 2) d2 = OP(SFEMI_LD((a) + h + 2 * SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d2);        \
+        }                                                                                            \
+        if (p_ < (depth)) {                                                                          \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
+            (a) += h;                                                                                \
+        }                                                                                            \
+        c0 = SFEMI_ADD(c0, d0);                                                                      \
+        if (nv > 1) c1 = SFEMI_ADD(c1, d1);                                                          \
+        if (nv > 2) c2 = SFEMI_ADD(c2, d2);                                                          \
+    }
+
+/* One tile of the forward sweep: out = [0; first j rows solved] with b = out on entry. Only for pivots
+ * (j > 0) is out read. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j,
+                                                                          const SFEMI_R *a,
+                                                                          const SFEMI_R *y, SFEMI_R *out)
 {
+    static const SFEMI_R step[6 * SFEMI_W] = {
+        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+#if SFEMI_W == 8
+        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1,
+#endif
+        1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
     const size_t h = (size_t)nv * SFEMI_W;
-    SFEMI_V c0 = {0}, c1 = {0}, c2 = {0}, d0 = {0}, d1 = {0}, d2 = {0};
-    size_t p;
-    for (p = 0; p + 2 <= depth; p += 2, a += 2 * h) {
-        c0 = SFEMI_FMA(SFEMI_LD(a), SFEMI_DUP(y[p]), c0);
-        if (nv > 1) c1 = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), SFEMI_DUP(y[p]), c1);
-        if (nv > 2) c2 = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), SFEMI_DUP(y[p]), c2);
-        d0 = SFEMI_FMA(SFEMI_LD(a + h), SFEMI_DUP(y[p + 1]), d0);
-        if (nv > 1) d1 = SFEMI_FMA(SFEMI_LD(a + h + SFEMI_W), SFEMI_DUP(y[p + 1]), d1);
-        if (nv > 2) d2 = SFEMI_FMA(SFEMI_LD(a + h + 2 * SFEMI_W), SFEMI_DUP(y[p + 1]), d2);
+    SFEMI_V c0 = {0}, c1 = {0}, c2 = {0};
+    if (j) {
+        c0 = SFEMI_LD(out);
+        if (nv > 1) c1 = SFEMI_LD(out + SFEMI_W);
+        if (nv > 2) c2 = SFEMI_LD(out + 2 * SFEMI_W);
     }
-    if (p < depth) {
-        c0 = SFEMI_FMA(SFEMI_LD(a), SFEMI_DUP(y[p]), c0);
-        if (nv > 1) c1 = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), SFEMI_DUP(y[p]), c1);
-        if (nv > 2) c2 = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), SFEMI_DUP(y[p]), c2);
+    SFEMI_ACCUMULATE(SFEMI_FNMA, depth, a, y)
+    if (j) { /* rows from j on go on as they are, the first j get X times themselves */
+        const SFEMI_R *mask = step + 3 * SFEMI_W - j;
+        SFEMI_R b[3 * SFEMI_W];
+        SFEMI_ST(b, c0);
+        c0 = SFEMI_MUL(c0, SFEMI_LD(mask));
+        if (nv > 1) {
+            SFEMI_ST(b + SFEMI_W, c1);
+            c1 = SFEMI_MUL(c1, SFEMI_LD(mask + SFEMI_W));
+        }
+        if (nv > 2) {
+            SFEMI_ST(b + 2 * SFEMI_W, c2);
+            c2 = SFEMI_MUL(c2, SFEMI_LD(mask + 2 * SFEMI_W));
+        }
+        SFEMI_ACCUMULATE(SFEMI_FMA, j, a, b)
     }
-    SFEMI_ST(out, SFEMI_ADD(c0, d0));
-    if (nv > 1) SFEMI_ST(out + SFEMI_W, SFEMI_ADD(c1, d1));
-    if (nv > 2) SFEMI_ST(out + 2 * SFEMI_W, SFEMI_ADD(c2, d2));
+    SFEMI_ST(out, c0);
+    if (nv > 1) SFEMI_ST(out + SFEMI_W, c1);
+    if (nv > 2) SFEMI_ST(out + 2 * SFEMI_W, c2);
+}
+#undef SFEMI_ACCUMULATE
+
+/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
+                                                         const sfem_int *target, SFEMI_R *w)
+{
+    const size_t t = 3 * SFEMI_W;
+    size_t begin, i;
+    for (begin = 0; begin < f; begin += t) {
+        const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
+        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t rows = f - begin < t ? f - begin : t;
+        SFEMI_R out[3 * SFEMI_W];
+        if (j) {
+            if (j < t) memset(out, 0, sizeof out);
+            memcpy(out, x + begin, j * sizeof *x);
+        }
+        if (h == t) SFEMI_KERNEL(sfemi_ldl_forward_tile)(3, depth, j, l, x, out);
+        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_forward_tile)(2, depth, j, l, x, out);
+        else SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
+        l += h * (depth + j);
+        if (j) memcpy(x + begin, out, j * sizeof *x);
+        for (i = j; i < rows; i += 3) {
+            SFEMI_R *y = w + 3 * (size_t)*target++;
+            y[0] += out[i];
+            y[1] += out[i + 1];
+            y[2] += out[i + 2];
+        }
+    }
 }
 
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_times)(size_t h, size_t depth, const SFEMI_R *a,
-                                                       const SFEMI_R *y, SFEMI_R *out)
-{
-    if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gemv)(3, depth, a, y, out);
-    else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gemv)(2, depth, a, y, out);
-    else SFEMI_KERNEL(sfemi_ldl_gemv)(1, depth, a, y, out);
-}
-
-/* z(W) of each column p += the parts of a(:, p) . x, to be added up later. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_gevm)(int nv, size_t depth,
-                                                                  const SFEMI_R *a, const SFEMI_R *x,
-                                                                  SFEMI_R *z)
+/* z(W) of each column p = or += the parts of a(:, p) . x, to be added up later. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, size_t depth, int first,
+                                                                       const SFEMI_R *a,
+                                                                       const SFEMI_R *x, SFEMI_R *z)
 {
     const size_t h = (size_t)nv * SFEMI_W;
-    SFEMI_V x0 = SFEMI_LD(x), x1 = x0, x2 = x0;
+    SFEMI_V x0 = SFEMI_LD(x), x1 = x0, x2 = x0, s;
     size_t p;
     if (nv > 1) x1 = SFEMI_LD(x + SFEMI_W);
     if (nv > 2) x2 = SFEMI_LD(x + 2 * SFEMI_W);
     for (p = 0; p < depth; ++p, a += h, z += SFEMI_W) {
-        SFEMI_V s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
+        if (first) s = SFEMI_MUL(SFEMI_LD(a), x0);
+        else s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
         if (nv > 1) s = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), x1, s);
         if (nv > 2) s = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), x2, s);
         SFEMI_ST(z, s);
     }
 }
 
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, const SFEMI_R *a,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, int first, const SFEMI_R *a,
                                                       const SFEMI_R *x, SFEMI_R *z)
 {
-    if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gevm)(3, depth, a, x, z);
-    else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_gevm)(2, depth, a, x, z);
-    else SFEMI_KERNEL(sfemi_ldl_gevm)(1, depth, a, x, z);
+    if (first) {
+        if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 1, a, x, z);
+        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(2, depth, 1, a, x, z);
+        else SFEMI_KERNEL(sfemi_ldl_dots_tile)(1, depth, 1, a, x, z);
+    } else SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 0, a, x, z); /* only the last tile is lower */
 }
 
 /* out[p] = the sum of the W parts z of column p. */
 static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_sums)(size_t n, const SFEMI_R *z,
                                                                   SFEMI_R *out)
 {
-    size_t p;
-    for (p = 0; p < n; ++p, z += SFEMI_W)
+    size_t p = 0;
+#ifdef SFEMI_SUM4
+    for (; p + 4 <= n; p += 4, z += 4 * SFEMI_W) SFEMI_SUM4(z, out + p);
+#endif
+    for (; p < n; ++p, z += SFEMI_W)
         out[p] = SFEMI_W == 8 ? ((z[0] + z[1]) + (z[2] + z[3])) +
                                     ((z[SFEMI_W - 4] + z[SFEMI_W - 3]) + (z[SFEMI_W - 2] + z[SFEMI_W - 1]))
                               : (z[0] + z[1]) + (z[2] + z[3]);
 }
 
-/* L y = b for the columns x of one front, whose rows below are target[], in nodes, of w: those get -L y
- * added. v is scratch of as many rows as the tiles have. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(const sfemi_shape *s, const SFEMI_R *l,
-                                                         SFEMI_R *x, const sfem_int *target,
-                                                         SFEMI_R *w, SFEMI_R *v)
-{
-    const size_t t = 3 * SFEMI_W, k = s->k;
-    SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W];
-    size_t tile, i, j, r;
-    memcpy(v, x, k * sizeof *v);
-    memset(v + k, 0, (s->tiles * t - k) * sizeof *v);
-    for (tile = 0; tile < s->tiles; ++tile) {
-        const size_t h = tile + 1 < s->tiles ? t : s->last, begin = tile * t;
-        const size_t depth = begin < k ? begin : k;
-        SFEMI_R *vt = v + begin;
-        SFEMI_KERNEL(sfemi_ldl_times)(h, depth, l, v, sum);
-        l += h * depth;
-        for (i = 0; i < h; ++i) vt[i] -= sum[i];
-        if (begin >= k) continue;
-        j = k - begin < t ? k - begin : t; /* pivots in this tile */
-        SFEMI_KERNEL(sfemi_ldl_times)(h, j, l, vt, part);
-        l += h * j;
-        for (i = 0; i < j; ++i) vt[i] = part[i];
-        for (; i < h; ++i) vt[i] += part[i];
-    }
-    memcpy(x, v, k * sizeof *v);
-    for (i = k, r = 0; i < s->f; i += 3, ++r) {
-        SFEMI_R *y = w + 3 * (size_t)target[r];
-        y[0] += v[i];
-        y[1] += v[i + 1];
-        y[2] += v[i + 2];
-    }
-}
-
-/* L^T x = y for the columns x, the rows below being known. v as before; z is scratch of W k. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(const sfemi_shape *s, const SFEMI_R *l,
+/* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size, const SFEMI_R *l,
                                                           SFEMI_R *x, const sfem_int *target,
                                                           const SFEMI_R *w, SFEMI_R *v)
 {
-    const size_t t = 3 * SFEMI_W, k = s->k;
-    SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + s->tiles * t;
-    size_t tile, i, j, r;
-    memcpy(v, x, k * sizeof *v);
-    for (i = k, r = 0; i < s->f; i += 3, ++r) {
-        const SFEMI_R *y = w + 3 * (size_t)target[r];
+    const size_t t = 3 * SFEMI_W, tiles = (f + t - 1) / t;
+    SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + tiles * t;
+    size_t begin = (tiles - 1) * t, i, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
+    int first = 1;
+    for (i = k; i < f; i += 3) {
+        const SFEMI_R *y = w + 3 * (size_t)*target++;
         v[i] = y[0];
         v[i + 1] = y[1];
         v[i + 2] = y[2];
     }
-    for (; i < s->tiles * t; ++i) v[i] = 0;
-    memset(z, 0, k * SFEMI_W * sizeof *z);
-    l += sfemi_shape_panel_size(s);
-    for (tile = s->tiles; tile-- > 0;) {
-        const size_t h = tile + 1 < s->tiles ? t : s->last, begin = tile * t;
+    for (; i < begin + h; ++i) v[i] = 0;
+    for (l += size;; begin -= t, h = t, first = 0) {
         const size_t depth = begin < k ? begin : k;
         SFEMI_R *vt = v + begin;
         if (begin < k) {
-            j = k - begin < t ? k - begin : t;
+            const size_t j = k - begin < t ? k - begin : t;
             l -= h * j;
-            SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
-            for (i = 0; i < j; ++i) vt[i] -= sum[i];
-            memset(part, 0, j * SFEMI_W * sizeof *part);
-            SFEMI_KERNEL(sfemi_ldl_dots)(h, j, l, vt, part);
+            if (first) memset(sum, 0, sizeof sum);
+            else SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
+            for (i = 0; i < j; ++i) vt[i] = x[begin + i] - sum[i];
+            SFEMI_KERNEL(sfemi_ldl_dots)(h, j, 1, l, vt, part);
             SFEMI_KERNEL(sfemi_ldl_sums)(j, part, vt);
+            memcpy(x + begin, vt, j * sizeof *x);
         }
         l -= h * depth;
-        SFEMI_KERNEL(sfemi_ldl_dots)(h, depth, l, vt, z);
+        SFEMI_KERNEL(sfemi_ldl_dots)(h, depth, first, l, vt, z);
+        if (!begin) break;
     }
-    memcpy(x, v, k * sizeof *v);
 }
+
+/* --- the same for 8 right sides, which stand side by side ------------------------------------ */
+
+#if SFEMI_W == 8
+#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 1, 0) X(2, 2, 0) X(3, 3, 0) X(4, 4, 0) X(5, 5, 0)             \
+    X(6, 6, 0) X(7, 7, 0) X(8, 8, 0) X(9, 9, 0) X(10, 10, 0) X(11, 11, 0)
+#else
+#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 0, 1) X(2, 1, 0) X(3, 1, 1) X(4, 2, 0) X(5, 2, 1)             \
+    X(6, 3, 0) X(7, 3, 1) X(8, 4, 0) X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
+#endif
+
+/* out(g x 8) += the sum over i of a[i across + r down] y(i, :), r < g = 3/2 W: half a tile's height. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(size_t depth, const SFEMI_R *a,
+                                                                   size_t across, size_t down,
+                                                                   const SFEMI_R *y, SFEMI_R *out)
+{
+#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+    SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    size_t i;
+    for (i = 0; i < depth; ++i, a += across, y += 8) {
+        const SFEMI_V y0 = SFEMI_LD(y);
+#if SFEMI_W == 4
+        const SFEMI_V y1 = SFEMI_LD(y + SFEMI_W);
+#endif
+#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+        SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    }
+#define SFEMI_X(q, r, u) SFEMI_ST(out + 8 * r + SFEMI_W * u, c##q);
+    SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+}
+
+/* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
+                                                          const sfem_int *target, SFEMI_R *w, SFEMI_R *v)
+{
+    const size_t t = 3 * SFEMI_W, g = t / 2;
+    size_t begin, i, r;
+    SFEMI_R *y = v; /* -y, the solution with its sign turned: the product is only ever added */
+    for (begin = 0; begin < f; begin += t) {
+        const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
+        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t rows = f - begin < t ? f - begin : t;
+        SFEMI_R out[3 * SFEMI_W * 8], b[3 * SFEMI_W * 8];
+        memset(out, 0, sizeof out);
+        memcpy(out, x + 8 * begin, 8 * j * sizeof *x);
+        for (r = 0; r < h; r += g)
+            SFEMI_KERNEL(sfemi_ldl_outer)(depth, l + r, h, 1, y, out + 8 * r);
+        l += h * depth;
+        if (j) {
+            memcpy(b, out, 8 * j * sizeof *b);
+            memset(out, 0, 8 * j * sizeof *out);
+            for (r = 0; r < h; r += g) SFEMI_KERNEL(sfemi_ldl_outer)(j, l + r, h, 1, b, out + 8 * r);
+            l += h * j;
+            for (i = 0; i < 8 * j; ++i) {
+                x[8 * begin + i] = out[i];
+                y[8 * begin + i] = -out[i];
+            }
+        }
+        for (i = j; i < rows; i += 3) {
+            SFEMI_R *to = w + 24 * (size_t)*target++;
+            for (r = 0; r < 24; r += SFEMI_W)
+                SFEMI_ST(to + r, SFEMI_ADD(SFEMI_LD(to + r), SFEMI_LD(out + 8 * i + r)));
+        }
+    }
+}
+
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size, const SFEMI_R *l,
+                                                           SFEMI_R *x, const sfem_int *target,
+                                                           const SFEMI_R *w, SFEMI_R *v)
+{
+    const size_t t = 3 * SFEMI_W, g = t / 2, tiles = (f + t - 1) / t;
+    SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
+    size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
+    for (i = k; i < f; i += 3) memcpy(v + 8 * i, w + 24 * (size_t)*target++, 24 * sizeof *v);
+    memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
+    memset(z, 0, 8 * (k + g) * sizeof *z);
+    for (l += size;; begin -= t, h = t) {
+        const size_t depth = begin < k ? begin : k;
+        SFEMI_R *vt = v + 8 * begin;
+        if (begin < k) {
+            const size_t j = k - begin < t ? k - begin : t;
+            l -= h * j;
+            for (i = 0; i < 8 * j; ++i) vt[i] = x[8 * begin + i] - z[8 * begin + i];
+            memset(part, 0, sizeof part);
+            for (p = 0; p < j; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, part + 8 * p);
+            memcpy(vt, part, 8 * j * sizeof *vt);
+            memcpy(x + 8 * begin, part, 8 * j * sizeof *x);
+        }
+        l -= h * depth;
+        for (p = 0; p < depth; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, z + 8 * p);
+        if (!begin) break;
+    }
+}
+#undef SFEMI_OUTER
 
 #undef SFEMI_TARGET
 #undef SFEMI_R
@@ -10442,6 +12469,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(const sfemi_shape *s, 
 #undef SFEMI_MUL
 #undef SFEMI_FMA
 #undef SFEMI_FNMA
+#undef SFEMI_HALF
+#undef SFEMI_SUM4
 #undef SFEMI_KERNEL
 #undef SFEMI_PASTE
 #undef SFEMI_PASTE3

@@ -1,0 +1,965 @@
+/* Mesh files: what is read, what is refused and where, what is written. */
+#include "support.h"
+#include <locale.h>
+
+/* ---- texts ---- */
+
+/* node tags with gaps and in disorder, one of them unused; a triangle; two tets, one left-handed */
+static const char *const gmsh_lines[] = {
+    "$MeshFormat",      /* 1 */
+    "4.1 0 8",          /* 2 */
+    "$EndMeshFormat",   /* 3 */
+    "$Nodes",           /* 4 */
+    "2 6 1 90000000",   /* 5 */
+    "2 1 0 2",          /* 6 */
+    "90000000",         /* 7 */
+    "7",                /* 8 */
+    "0 0 0",            /* 9 */
+    "1 0 0",            /* 10 */
+    "3 1 0 4",          /* 11 */
+    "3",                /* 12 */
+    "2",                /* 13 */
+    "1",                /* 14 */
+    "8",                /* 15 */
+    "0 1 0",            /* 16 */
+    "0 0 1",            /* 17 */
+    "5e0 5. +.5E+1",    /* 18 */
+    "0 0 -1",           /* 19 */
+    "$EndNodes",        /* 20 */
+    "$Elements",        /* 21 */
+    "2 3 1 3",          /* 22 */
+    "2 1 2 1",          /* 23 */
+    "1 90000000 7 3",   /* 24 */
+    "3 4 4 2",          /* 25 */
+    "2 90000000 7 3 2", /* 26 */
+    "3 90000000 7 3 8", /* 27 */
+    "$EndElements",     /* 28 */
+    NULL,
+};
+
+static const char *const vtk_lines[] = {
+    "# vtk DataFile Version 3.0", /* 1 */
+    "a title",                    /* 2 */
+    "ASCII",                      /* 3 */
+    "DATASET UNSTRUCTURED_GRID",  /* 4 */
+    "POINTS 6 double",            /* 5 */
+    "0 0 0 1 0 0 0 1",            /* 6 */
+    "0 0 0 1",                    /* 7 */
+    "5 5 5",                      /* 8 */
+    "0 0 -1",                     /* 9 */
+    "CELLS 3 14",                 /* 10 */
+    "4 0 1 2 3",                  /* 11 */
+    "3 0 1 2",                    /* 12 */
+    "4 0 1 2 5",                  /* 13 */
+    "CELL_TYPES 3",               /* 14 */
+    "10",                         /* 15 */
+    "5",                          /* 16 */
+    "10",                         /* 17 */
+    NULL,
+};
+
+static const char *const vtk5_lines[] = {
+    "# vtk DataFile Version 5.1", /* 1 */
+    "vtk output",                 /* 2 */
+    "ASCII",                      /* 3 */
+    "DATASET UNSTRUCTURED_GRID",  /* 4 */
+    "POINTS 6 float",             /* 5 */
+    "0 0 0 1 0 0 0 1 0",          /* 6 */
+    "0 0 1 5 5 5 0 0 -1",         /* 7 */
+    "METADATA",                   /* 8 */
+    "INFORMATION 0",              /* 9 */
+    "",                           /* 10 */
+    "CELLS 4 11",                 /* 11 */
+    "OFFSETS vtktypeint64",       /* 12 */
+    "0 4 7",                      /* 13 */
+    "11",                         /* 14 */
+    "CONNECTIVITY vtktypeint64",  /* 15 */
+    "0 1 2 3 0 1 2",              /* 16 */
+    "0 1 2 5",                    /* 17 */
+    "CELL_TYPES 3",               /* 18 */
+    "10",                         /* 19 */
+    "5",                          /* 20 */
+    "10",                         /* 21 */
+    NULL,
+};
+
+static const char *const *const all_lines[] = {gmsh_lines, vtk_lines, vtk5_lines};
+
+/* The lines joined, line number `line` replaced; with NULL the text ends before it. Free it. */
+static char *join(const char *const *lines, int line, const char *replacement, const char *newline)
+{
+    size_t bytes = 1;
+    char *text;
+    int i;
+    for (i = 0; lines[i]; ++i) bytes += strlen(lines[i]) + strlen(newline);
+    text = (char *)malloc(bytes + (replacement ? strlen(replacement) : 0) + strlen(newline));
+    *text = 0;
+    for (i = 0; lines[i]; ++i) {
+        if (i == line - 1 && !replacement) break;
+        strcat(text, i == line - 1 ? replacement : lines[i]);
+        strcat(text, newline);
+    }
+    return text;
+}
+
+static const sfem_real wanted_x[18] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 5, 5, 5, 0, 0, -1};
+static const sfem_int wanted_tets[8] = {0, 1, 2, 3, 0, 1, 5, 2}; /* the second one was turned */
+
+static sfem_mesh parse(const char *text)
+{
+    sfem_error err;
+    sfem_mesh m;
+    assert_ok(sfem_mesh_parse(text, strlen(text), NULL, &m, &err), err);
+    return m;
+}
+
+static void assert_wanted(const sfem_mesh *m)
+{
+    sfem_mesh_report r;
+    sfem_error err;
+    assert_int_equal(m->nodes, 6);
+    assert_int_equal(m->tets, 2);
+    assert_memory_equal(m->x, wanted_x, sizeof wanted_x);
+    assert_memory_equal(m->tet, wanted_tets, sizeof wanted_tets);
+    assert_ok(sfem_mesh_check(m, &r, &err), err);
+    assert_int_equal(r.unused, 1);
+}
+
+/* ---- reading ---- */
+
+static void the_same_mesh_comes_from_each_format(void **state)
+{
+    static const char *const newlines[] = {"\n", "\r\n", " \t\n", "\n\n"};
+    size_t i, k;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(all_lines); ++i)
+        for (k = 0; k < TEST_COUNT(newlines); ++k) {
+            char *text;
+            sfem_mesh m;
+            if (i > 0 && k == 3) continue; /* an empty line has a meaning in VTK's head */
+            text = join(all_lines[i], -1, NULL, newlines[k]);
+            m = parse(text);
+            assert_wanted(&m);
+            if (i == 0)
+                assert_int_equal(m.region[0], 4); /* the entity's number */
+            else
+                assert_null(m.region);
+            sfem_mesh_free(&m);
+            free(text);
+        }
+}
+
+static void text_need_not_end_in_a_newline_or_a_zero(void **state)
+{
+    size_t i;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(all_lines); ++i) {
+        char *text = join(all_lines[i], -1, NULL, "\n");
+        size_t n = strlen(text) - 1;
+        char *exact = (char *)malloc(n); /* the sanitizer sees a read beyond */
+        sfem_error err;
+        sfem_mesh m;
+        memcpy(exact, text, n);
+        assert_ok(sfem_mesh_parse(exact, n, NULL, &m, &err), err);
+        assert_wanted(&m);
+        sfem_mesh_free(&m);
+        free(exact);
+        free(text);
+    }
+}
+
+static void physical_groups_become_regions(void **state)
+{
+    static const char head[] = "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n"
+                               "$Comments\nanything, $Nodes even\n$EndComments\n"
+                               "$PhysicalNames\n1\n3 17 \"soft $tuff\"\n$EndPhysicalNames\n";
+    static const char entities[] = "$Entities\n1 1 0 3\n1 0 0 0 0\n1 0 0 0 1 1 1 0 1 1\n"
+                                   "4 0 0 0 1 1 1 1 -17 0\n5 0 0 0 1 1 1 2 18 19 1 1\n"
+                                   "6 0 0 0 1 1 1 0 0\n$EndEntities\n";
+    static const char nodes[] = "$Nodes\n1 4 1 4\n2 3 1 4\n1\n2\n3\n4\n0 0 0 .1 .2\n1 0 0 0 0\n"
+                                "0 1 0 0 0\n0 0 1 0 0\n$EndNodes\n";
+    static const char tets[] =
+        "$Elements\n4 4 1 4\n3 5 4 1\n1 1 2 3 4\n3 4 4 1\n2 1 2 3 4\n"
+        "3 6 4 1\n3 1 2 3 4\n3 99 4 1\n4 1 2 3 4\n$EndElements\n$Later\n1 2\n$EndLater\n";
+    char text[1024];
+    sfem_mesh m;
+    (void)state;
+    snprintf(text, sizeof text, "\xef\xbb\xbf%s%s%s%s", head, entities, nodes, tets);
+    m = parse(text);
+    assert_int_equal(m.region[0], 18); /* the first of two groups */
+    assert_int_equal(m.region[1], 17); /* the sign only tells the orientation */
+    assert_int_equal(m.region[2], 0);  /* in no group */
+    assert_int_equal(m.region[3], 0);  /* not among the entities */
+    sfem_mesh_free(&m);
+    snprintf(text, sizeof text, "%s%s%s", head, nodes, tets); /* no $Entities: their numbers */
+    m = parse(text);
+    assert_int_equal(m.region[0], 5);
+    assert_int_equal(m.region[1], 4);
+    sfem_mesh_free(&m);
+}
+
+static void vtk_fields_and_data_are_passed_over(void **state)
+{
+    sfem_mesh m;
+    (void)state;
+    m = parse("# vtk DataFile Version 2.0\n\nascii\nFIELD FieldData 1\nTIME 1 1 double\n0.5\n"
+              "DATASET UNSTRUCTURED_GRID\npoints 4 float\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+              "FIELD more 2\na 3 2 int\n1 2 3\n4 5 6\nb 1 1 int 4\n"
+              "METADATA\nINFORMATION 1\nNAME x LOCATION y\n\n"
+              "CELLS 2 7\n4 0 1 2 3\n1 2\nCELL_TYPES 2\n10 1\n"
+              "POINT_DATA 4\nSCALARS s float\nnan nan");
+    assert_int_equal(m.nodes, 4);
+    assert_int_equal(m.tets, 1);
+    sfem_mesh_free(&m);
+}
+
+/* A mesh with the given text as the x of its second node. */
+static sfem_status parse_number(const char *number, sfem_real *x, sfem_error *err)
+{
+    char *text = (char *)malloc(strlen(number) + 400);
+    sfem_status status;
+    sfem_mesh m;
+    sprintf(
+        text,
+        "# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 double\n0 0 0 "
+        "%s 0 0 0 1 0 0 0 1\nCELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n",
+        number);
+    status = sfem_mesh_parse(text, strlen(text), NULL, &m, err);
+    if (status == SFEM_OK) {
+        *x = m.x[3];
+        sfem_mesh_free(&m);
+    }
+    free(text);
+    return status;
+}
+
+static void numbers_are_read_to_the_nearest_double(void **state)
+{
+    static const struct {
+        const char *text;
+        sfem_real value;
+    } number[] = {
+        {"1", 1},
+        {"-1.5e3", -1500},
+        {"+.25", 0.25},
+        {"7.", 7},
+        {"1E-2", 0x1.47ae147ae147bp-7},
+        {"0.1", 0x1.999999999999ap-4},
+        {"0.3333333333333333148296162562473909929394721984863281250", 0x1.5555555555555p-2},
+        {"9007199254740993", 9007199254740992.0}, /* a tie, to even */
+        {"9007199254740993.00000000000000000000000001", 9007199254740994.0},
+        {"9007199254740995", 9007199254740996.0},
+        {"1.7976931348623157e308", 0x1.fffffffffffffp1023},
+        {"1.797693134862315807e308", 0x1.fffffffffffffp1023},
+        {"2.2250738585072011e-308", 0x0.fffffffffffffp-1022}, /* made some parsers loop */
+        {"2.2250738585072014e-308", 0x1p-1022},
+        {"4.9406564584124654e-324", 0x1p-1074},
+        {"2.4703282292062328e-324", 0x1p-1074},
+        {"2.4703282292062327e-324", 0}, /* below half of the smallest */
+        {"1e-999999999999999999999999", 0},
+        {"0e999999999999999999999999", 0},
+        {"0.000000000000000000000000000000000000000000000000001e51", 1},
+        {"123456789012345678901234567890e-29", 0x1.3c0ca428c59fbp0},
+    };
+    size_t i;
+    sfem_error err;
+    sfem_real x = 0;
+    char longer[2000];
+    (void)state;
+    for (i = 0; i < TEST_COUNT(number); ++i) {
+        assert_ok(parse_number(number[i].text, &x, &err), err);
+        if (memcmp(&x, &number[i].value, sizeof x))
+            fail_msg("%s gives %a, not %a", number[i].text, x, number[i].value);
+    }
+    /* 1 + 2^-53, a tie, then a digit far behind it */
+    memset(longer, '0', sizeof longer);
+    memcpy(longer, "1.00000000000000011102230246251565404236316680908203125", 55);
+    strcpy(longer + 1500, "e0");
+    assert_ok(parse_number(longer, &x, &err), err);
+    assert_true(x == 1);
+    longer[1499] = '1';
+    assert_ok(parse_number(longer, &x, &err), err);
+    assert_true(x == 0x1.0000000000001p0);
+}
+
+static void numbers_agree_with_the_c_library(void **state)
+{
+    test_random random = {99};
+    int i;
+    (void)state;
+    for (i = 0; i < 20000; ++i) {
+        uint64_t bits = random_bits(&random);
+        sfem_real value, x = 0;
+        char text[64];
+        sfem_error err;
+        memcpy(&value, &bits, sizeof value);
+        if ((bits >> 52 & 0x7ff) == 0x7ff) continue;
+        snprintf(text, sizeof text, "%.*e", (int)(random_bits(&random) % 25), value);
+        value = strtod(text, NULL);
+        if (fabs(value) > 1.7e308) continue;
+        assert_ok(parse_number(text, &x, &err), err);
+        if (memcmp(&x, &value, sizeof x)) fail_msg("%s gives %a, not %a", text, x, value);
+    }
+}
+
+static void numbers_that_are_none_are_refused(void **state)
+{
+    static const char *const bad[] = {"abc", "1,5",  "1.2.3", "--1",   "e5", ".",       "1e",
+                                      "1e+", "0x10", "1d5",   "1e5.0", "-",  "\x01\xff"};
+    static const char *const infinite[] = {"nan",       "-NaN",  "inf",
+                                           "+Infinity", "1e309", "-1e999999999999"};
+    size_t i;
+    sfem_error err;
+    sfem_real x;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(bad); ++i) {
+        assert_status(parse_number(bad[i], &x, &err), SFEM_FORMAT);
+        assert_int_equal(err.line, 6);
+    }
+    for (i = 0; i < TEST_COUNT(infinite); ++i) {
+        assert_status(parse_number(infinite[i], &x, &err), SFEM_NOT_FINITE);
+        assert_int_equal(err.line, 6);
+    }
+}
+
+/* ---- refusing ---- */
+
+typedef struct malformed {
+    int line;         /* that is replaced .. */
+    const char *text; /* .. by this, or NULL: the text ends before it */
+    sfem_status status;
+    sfem_int err_line;
+    const char *words;
+} malformed;
+
+static void assert_refused(const char *const *lines, const malformed *table, size_t count)
+{
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        const malformed *row = table + i;
+        char *text = join(lines, row->line, row->text, "\n");
+        test_memory memory = {0};
+        sfem_allocator a = test_allocator(&memory);
+        sfem_error err = {SFEM_OK, -1, -1, -1, ""};
+        sfem_mesh m, before;
+        sfem_status status;
+        memset(&m, 0x5a, sizeof m);
+        before = m;
+        status = sfem_mesh_parse(text, strlen(text), &a, &m, &err);
+        if (status != row->status || err.line != row->err_line || !strstr(err.text, row->words))
+            fail_msg("line %d = '%s': status %d, line %d, \"%s\"; wanted %d, %d, \"%s\"", row->line,
+                     row->text ? row->text : "(end)", status, err.line, err.text, row->status,
+                     row->err_line, row->words);
+        assert_memory_equal(&m, &before, sizeof m);
+        assert_no_leak(memory);
+        assert_true(memory.peak < 100000);
+        free(text);
+    }
+}
+
+static void malformed_gmsh_is_refused_with_its_line(void **state)
+{
+    static const malformed table[] = {
+        {1, "$Meshformat2", SFEM_FORMAT, 1, "$MeshFormat"},
+        {1, "", SFEM_FORMAT, 2, "only Gmsh 4.1 ASCII and VTK legacy ASCII are read"},
+        {2, "2.2 0 8", SFEM_FORMAT, 2, "Gmsh 2.2: only 4.1 ASCII"},
+        {2, "4 0 8", SFEM_FORMAT, 2, "Gmsh 4: only 4.1 ASCII"},
+        {2, "4.1 1 8", SFEM_FORMAT, 2, "Gmsh 4.1 binary"},
+        {2, "four", SFEM_FORMAT, 2, "expected a Gmsh version, found 'four'"},
+        {2, "4.1 0", SFEM_FORMAT, 3, "data size"},
+        {3, "$EndMesh", SFEM_FORMAT, 3, "expected $EndMeshFormat, found '$EndMesh'"},
+        {3, NULL, SFEM_FORMAT, 3, "but the data ends"},
+        {4, "Nodes", SFEM_FORMAT, 4, "expected a section"},
+        {4, "$Node", SFEM_FORMAT, 29, "the end of the section"},
+        {4, NULL, SFEM_FORMAT, 4, "ends before $Nodes"},
+        {5, "2 99999999999 1 9", SFEM_FORMAT, 5, "more than the rest of the data can hold"},
+        {5, "2 2000000000 1 9", SFEM_FORMAT, 5, "more than the rest of the data can hold"},
+        {5, "2 -6 1 9", SFEM_FORMAT, 5, "the count of nodes is -6"},
+        {5, "2 99999999999999999999 1 9", SFEM_FORMAT, 5, "too large a number"},
+        {5, "2 5 1 9", SFEM_FORMAT, 11, "more than the 5 nodes announced"},
+        {5, "2 7 1 9", SFEM_FORMAT, 20, "7 nodes announced, 6 found"},
+        {5, "1 6 1 9", SFEM_FORMAT, 11, "expected $EndNodes"},
+        {5, "3 6 1 9", SFEM_FORMAT, 20, "expected the dimension of an entity, found '$EndNodes'"},
+        {6, "4 1 0 2", SFEM_FORMAT, 6, "the dimension of an entity is 4"},
+        {6, "2 1 2 2", SFEM_FORMAT, 6, "parametric"},
+        {6, "2 1 1 2", SFEM_FORMAT, 9, "expected a parametric coordinate, but the line ends"},
+        {8, "90000000", SFEM_FORMAT, 8, "node tag 90000000 a second time"},
+        {8, "0", SFEM_FORMAT, 8, "a node tag is 0"},
+        {8, "7.5", SFEM_FORMAT, 8, "expected a node tag, found '7.5'"},
+        {9, "0 0", SFEM_FORMAT, 9, "expected a coordinate, but the line ends"},
+        {9, "0 0 0 0", SFEM_FORMAT, 9, "expected the end of the line, found '0'"},
+        {10, "1 nan 0", SFEM_NOT_FINITE, 10, "a coordinate is not finite"},
+        {17, "0 0 1e400", SFEM_NOT_FINITE, 17, "too large for a double"},
+        {17, "0 zero 1", SFEM_FORMAT, 17, "found 'zero'"},
+        {19, NULL, SFEM_FORMAT, 19, "but the data ends"},
+        {20, "$EndElements", SFEM_FORMAT, 20, "expected $EndNodes"},
+        {21, "$Nodes", SFEM_FORMAT, 21, "a second $Nodes"},
+        {22, "2 4 1 3", SFEM_FORMAT, 28, "4 elements announced, 3 found"},
+        {22, "2 18446744073709551616 1 3", SFEM_FORMAT, 22, "too large a number"},
+        {25, "3 4 4 3", SFEM_FORMAT, 28, "expected another element, found '$EndElements'"},
+        {25, "3 4 4 9000000000000000000", SFEM_FORMAT, 28, "expected another element"},
+        {25, "3 4 11 2", SFEM_BAD_MESH, -1, "no 4-node tets"},
+        {26, "2 90000000 7 3", SFEM_FORMAT, 26, "expected a node tag of a tet, but the line ends"},
+        {26, "2 90000000 7 3 2 1", SFEM_FORMAT, 26, "expected the end of the tet's line"},
+        {27, "3 90000000 7 3 4", SFEM_BAD_MESH, 27, "tet 1 names node tag 4, which is not there"},
+        {27, "3 90000000 7 3 -8", SFEM_BAD_MESH, 27, "tet 1 names node tag -8"},
+        {27, NULL, SFEM_FORMAT, 27, "expected another element, but the data ends"},
+        {28, NULL, SFEM_FORMAT, 28, "expected $EndElements, but the data ends"},
+        {28, "$EndElements\n$Elements\n0 0 0 0\n$EndElements", SFEM_FORMAT, 29,
+         "a second $Elements"},
+        {28, "$EndElements\nrubbish", SFEM_FORMAT, 29, "expected a section like $Nodes"},
+        {4, "$Elements\n0 0 0 0\n$EndElements\n$Nodes", SFEM_FORMAT, 4, "come before $Nodes"},
+        {4, "$Entities\n0 0 0 1\n1 0 0 0 1 1\n$EndEntities", SFEM_FORMAT, 6,
+         "a bound of the volume"},
+        {4, "$Entities\n0 0 0 99\n", SFEM_FORMAT, 5, "can hold"},
+        {4, "$Entities\n2 0 0 0\n1 0 0 0 0\n$EndEntities", SFEM_FORMAT, 7, "another entity"},
+        {4, "$Entities\n0 0 0 2\n1 0 0 0 1 1 1 0 0\n1 0 0 0 1 1 1 0 0\n$EndEntities", SFEM_FORMAT,
+         7, "volume 1 a second time"},
+    };
+    (void)state;
+    assert_refused(gmsh_lines, table, TEST_COUNT(table));
+}
+
+static void malformed_vtk_is_refused_with_its_line(void **state)
+{
+    static const malformed table[] = {
+        {1, "# vtk DataFile Version", SFEM_FORMAT, 1, "expected a VTK version"},
+        {1, "# vtk DataFile Version 6.0", SFEM_FORMAT, 1, "VTK legacy 6.0: only 1.0 to 5.1"},
+        {1, "# vtk DataFile", SFEM_FORMAT, 1, "this begins with '#'"},
+        {1, "<VTKFile type=\"UnstructuredGrid\">", SFEM_FORMAT, 1, "begins with '<VTKFile'"},
+        {3, "BINARY", SFEM_FORMAT, 3, "VTK legacy binary"},
+        {3, "asci", SFEM_FORMAT, 3, "expected ASCII, found 'asci'"},
+        {4, "DATASET POLYDATA", SFEM_FORMAT, 4, "expected UNSTRUCTURED_GRID, found 'POLYDATA'"},
+        {4, "", SFEM_FORMAT, 5, "expected DATASET, found 'POINTS'"},
+        {5, "POINTS 600000000 double", SFEM_FORMAT, 5, "more than the rest of the data can hold"},
+        {5, "POINTS -1 double", SFEM_FORMAT, 5, "the count of points is -1"},
+        {5, "POINTS 7 double", SFEM_FORMAT, 10, "expected a coordinate, found 'CELLS'"},
+        {5, "POINTS 5 double", SFEM_FORMAT, 9, "expected POINTS, CELLS or CELL_TYPES, found '0'"},
+        {5, "POINTS 6", SFEM_FORMAT, 9 + 1, "a coordinate"},
+        {8, "5 inf 5", SFEM_NOT_FINITE, 8, "not finite"},
+        {8, "5 5,0 5", SFEM_FORMAT, 8, "found '5,0'"},
+        {9, "0 0 -1\nPOINTS 0 double", SFEM_FORMAT, 10, "POINTS a second time"},
+        {10, "CELLS 3 1000", SFEM_FORMAT, 10, "can hold"},
+        {10, "CELLS 2147483647 14", SFEM_FORMAT, 10, "can hold"},
+        {10, "CELLS 2 14", SFEM_FORMAT, 14, "3 cell types for 2 cells"},
+        {10, "CELLS 3 13", SFEM_FORMAT, 13, "found '5'"},
+        {10, "CELLS 3 13 14", SFEM_FORMAT, 13, "expected POINTS"},
+        {11, "4 0 1 2 6", SFEM_BAD_MESH, 11, "tet 0 names node 6, the mesh has 6"},
+        {11, "4 0 1 2 -3", SFEM_BAD_MESH, 11, "tet 0 names node -3"},
+        {11, "4 0 1 2 x", SFEM_FORMAT, 11, "expected a node of a tet, found 'x'"},
+        {11, "3 0 1 2 3", SFEM_FORMAT, 11, "cell 0 of type 10 has 3 nodes, not 4"},
+        {12, "-3 0 1 2", SFEM_FORMAT, 12, "the count of nodes of a cell is -3"},
+        {12, "99999 0 1 2", SFEM_FORMAT, 12, "the count of nodes of a cell is 99999"},
+        {14, "CELL_TYPES 2", SFEM_FORMAT, 14, "2 cell types for 3 cells"},
+        {14, NULL, SFEM_FORMAT, 14, "there are no CELL_TYPES"},
+        {10, NULL, SFEM_FORMAT, 10, "there are no CELLS"},
+        {5, NULL, SFEM_FORMAT, 5, "there are no POINTS"},
+        {13, NULL, SFEM_FORMAT, 10, "the count of numbers in CELLS is 14, more than the rest"},
+        {13, "4 0 1 2", SFEM_FORMAT, 14, "expected POINTS, CELLS or CELL_TYPES, found '3'"},
+        {15, "ten", SFEM_FORMAT, 15, "expected a cell type, found 'ten'"},
+        {15, "12", SFEM_FORMAT, 11, "cell 0 of type 12 has 4 nodes, not 8"},
+        {17, NULL, SFEM_FORMAT, 17, "expected a cell type, but the data ends"},
+        {17, "1", SFEM_FORMAT, 13, "cell 2 of type 1 has 4 nodes, not 1"},
+        {10, "CELLS 3 15\n4 0 1 2 3\n3 0 1 2\n4 0 1 2 5 9\nCELL_TYPES 3\n10 5 10\nPOINT_DATA 6",
+         SFEM_FORMAT, 13, "CELLS have 1 numbers too many"},
+        {10, "CELL_TYPES 0\nCELLS 3 14", SFEM_FORMAT, 10, "CELL_TYPES come before CELLS"},
+        {10, "FIELD f 1\na 1000000 1000000 int 1\nCELLS 3 14", SFEM_FORMAT, 20, "another value"},
+        {15, "4000000000", SFEM_FORMAT, 15, "a cell type is 4000000000"},
+    };
+    static const malformed table5[] = {
+        {13, "1 4 7", SFEM_FORMAT, 13, "an offset is 1, not in 0 .. 0"},
+        {13, "0 4 3", SFEM_FORMAT, 13, "an offset is 3, not in 4 .. 11"},
+        {13, "0 4 12", SFEM_FORMAT, 13, "an offset is 12"},
+        {14, "10", SFEM_FORMAT, 14, "the last offset is 10, not 11"},
+        {14, "", SFEM_FORMAT, 15, "expected an offset, found 'CONNECTIVITY'"},
+        {15, "CONNECTED vtktypeint64", SFEM_FORMAT, 15, "expected CONNECTIVITY"},
+        {17, "0 1 2 9", SFEM_BAD_MESH, 17, "tet 1 names node 9, the mesh has 6"},
+        {13, "0 3 7", SFEM_FORMAT, 16, "cell 0 of type 10 has 3 nodes, not 4"},
+        {11, "CELLS 0 0", SFEM_FORMAT, 13, "expected CONNECTIVITY"},
+    };
+    (void)state;
+    assert_refused(vtk_lines, table, TEST_COUNT(table));
+    assert_refused(vtk5_lines, table5, TEST_COUNT(table5));
+}
+
+static void other_data_is_refused(void **state)
+{
+    static const char vega[] = "*VERTICES\n4 3 0 0\n";
+    unsigned char noise[256];
+    sfem_error err;
+    sfem_mesh m;
+    int i;
+    (void)state;
+    for (i = 0; i < 256; ++i) noise[i] = (unsigned char)(255 - i);
+    assert_status(sfem_mesh_parse(NULL, 0, NULL, &m, &err), SFEM_FORMAT);
+    assert_names(err, "there is no data");
+    assert_status(sfem_mesh_parse(" \n ", 3, NULL, &m, &err), SFEM_FORMAT);
+    assert_status(sfem_mesh_parse(vega, sizeof vega - 1, NULL, &m, &err), SFEM_FORMAT);
+    assert_names(err, "only");
+    assert_status(sfem_mesh_parse(noise, sizeof noise, NULL, &m, &err), SFEM_FORMAT);
+    for (i = 0; err.text[i]; ++i) assert_in_range(err.text[i], 32, 126);
+    assert_status(sfem_mesh_parse("$", 1, NULL, &m, NULL), SFEM_FORMAT);
+    assert_status(sfem_mesh_parse("\xef\xbb\xbf", 3, NULL, &m, NULL), SFEM_FORMAT);
+}
+
+static void a_text_cut_anywhere_is_refused(void **state)
+{
+    size_t i, n;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(all_lines); ++i) {
+        char *text = join(all_lines[i], -1, NULL, "\n");
+        size_t bytes = strlen(text) - 1; /* without the last newline it is whole */
+        for (n = 0; n < bytes; ++n) {
+            char *cut = (char *)malloc(n ? n : 1);
+            test_memory memory = {0};
+            sfem_allocator a = test_allocator(&memory);
+            sfem_error err = {SFEM_OK, -1, -1, -1, ""};
+            sfem_mesh m;
+            memcpy(cut, text, n);
+            if (sfem_mesh_parse(cut, n, &a, &m, &err) == SFEM_OK)
+                fail_msg("format %d cut after %d bytes is read", (int)i, (int)n);
+            assert_true(err.text[0] && err.line >= 1);
+            assert_no_leak(memory);
+            free(cut);
+        }
+        free(text);
+    }
+}
+
+/* Bytes changed, lines doubled, lost and swapped: what comes through is a mesh with its nodes in
+ * range, and no count in the text makes the memory large. */
+static void damaged_texts_do_no_harm(void **state)
+{
+    static const char alphabet[] = "0123456789-+.eE \n$#nCELSx\xff";
+    test_random random = {2024};
+    int i, k, read = 0;
+    (void)state;
+    for (i = 0; i < 30000; ++i) {
+        char *text = join(all_lines[i % 3], -1, NULL, "\n"), *copy;
+        size_t n = strlen(text);
+        int changes = 1 + random_below(&random, 4);
+        test_memory memory = {0};
+        sfem_allocator a = test_allocator(&memory);
+        sfem_error err = {SFEM_OK, -1, -1, -1, ""};
+        sfem_mesh m;
+        for (k = 0; k < changes; ++k) {
+            size_t at = random_bits(&random) % n, length = 1 + random_bits(&random) % 12;
+            if (length > n - at) length = n - at;
+            switch (random_below(&random, 4)) {
+            case 0:
+                text[at] = alphabet[random_bits(&random) % (sizeof alphabet - 1)];
+                break;
+            case 1: /* bytes lost */
+                if (n < 40) break;
+                memmove(text + at, text + at + length, n - at - length);
+                n -= length;
+                break;
+            case 2: /* bytes from elsewhere */
+                memmove(text + at, text + random_bits(&random) % (n - length + 1), length);
+                break;
+            default:
+                text[at] = (char)random_bits(&random);
+                break;
+            }
+        }
+        copy = (char *)malloc(n);
+        memcpy(copy, text, n);
+        if (sfem_mesh_parse(copy, n, &a, &m, &err) == SFEM_OK) {
+            for (k = 0; k < 4 * m.tets; ++k) assert_in_range(m.tet[k], 0, m.nodes - 1);
+            for (k = 0; k < 3 * m.nodes; ++k) assert_true(isfinite(m.x[k]));
+            sfem_mesh_free(&m);
+            ++read;
+        } else
+            assert_true(err.text[0] != 0);
+        assert_no_leak(memory);
+        assert_true(memory.peak < 64 * n + 8192);
+        free(copy);
+        free(text);
+    }
+    assert_true(read > 300); /* some damage changes a coordinate only */
+}
+
+/* ---- writing ---- */
+
+static sfem_mesh test_ball(void)
+{
+    sfem_error err;
+    sfem_mesh m;
+    sfem_int t;
+    assert_ok(sfem_mesh_ball(0.1, 3, NULL, &m, &err), err);
+    m.region = (sfem_int *)malloc((size_t)m.tets * sizeof *m.region);
+    for (t = 0; t < m.tets; ++t) m.region[t] = t / 7 % 5 - 1;
+    return m;
+}
+
+static void free_ball(sfem_mesh *m)
+{
+    free(m->region);
+    m->region = NULL;
+    sfem_mesh_free(m);
+}
+
+static char *contents(const char *path, size_t *bytes)
+{
+    FILE *f = fopen(path, "rb");
+    char *text = (char *)malloc(1 << 20);
+    assert_non_null(f);
+    *bytes = fread(text, 1, (1 << 20) - 1, f);
+    text[*bytes] = 0;
+    fclose(f);
+    return text;
+}
+
+static void assert_round_trip(void)
+{
+    const char *path = scratch_path("test_meshio.msh");
+    sfem_mesh m = test_ball(), back;
+    sfem_error err;
+    m.x[0] = -0.0;
+    m.x[1] = 1e-310;
+    m.x[2] = -1.2345678901234567e-7;
+    assert_ok(sfem_write_msh(path, &m, &err), err);
+    assert_ok(sfem_mesh_read(path, NULL, &back, &err), err);
+    assert_int_equal(back.nodes, m.nodes);
+    assert_int_equal(back.tets, m.tets);
+    assert_memory_equal(back.x, m.x, 3 * (size_t)m.nodes * sizeof *m.x);
+    assert_memory_equal(back.tet, m.tet, 4 * (size_t)m.tets * sizeof *m.tet);
+    assert_memory_equal(back.region, m.region, (size_t)m.tets * sizeof *m.region);
+    sfem_mesh_free(&back);
+    free_ball(&m);
+    remove(path);
+}
+
+static void a_mesh_comes_back_as_it_was_written(void **state)
+{
+    (void)state;
+    assert_round_trip();
+}
+
+static void the_locale_changes_nothing(void **state)
+{
+    static const char *const names[] = {"de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "fr_FR.utf8",
+                                        "de_DE",       "fr_FR",      "ps_AF.UTF-8"};
+    const char *path = scratch_path("test_meshio.obj");
+    char *text;
+    size_t i, bytes;
+    sfem_mesh m;
+    for (i = 0; i < TEST_COUNT(names); ++i)
+        if (setlocale(LC_ALL, names[i])) break;
+    if (i == TEST_COUNT(names)) skip(); /* no locale with a decimal comma is installed */
+    assert_true(localeconv()->decimal_point[0] != '.');
+    assert_round_trip();
+    the_same_mesh_comes_from_each_format(state);
+    m = test_ball();
+    assert_status(sfem_write_obj(path, &m, NULL, NULL, NULL), SFEM_OK);
+    text = contents(path, &bytes);
+    assert_null(strchr(text, ','));
+    free(text);
+    free_ball(&m);
+    remove(path);
+    setlocale(LC_ALL, "C");
+}
+
+/* The appended array of a name, found as a reader of the format does. */
+static const char *vtu_array(const char *text, const char *name, const char *type, int components,
+                             uint64_t *bytes)
+{
+    char wanted[128];
+    const char *at, *data = strstr(text, "<AppendedData encoding=\"raw\">\n_");
+    unsigned long offset;
+    snprintf(wanted, sizeof wanted,
+             "<DataArray type=\"%s\" Name=\"%s\" NumberOfComponents=\"%d\" format=\"appended\" "
+             "offset=\"",
+             type, name, components);
+    at = strstr(text, wanted);
+    if (!at || !data) fail_msg("no array %s", name);
+    offset = strtoul(at + strlen(wanted), NULL, 10);
+    data = strchr(data, '_') + 1 + offset;
+    memcpy(bytes, data, 8);
+    return data + 8;
+}
+
+static void vtu_holds_positions_cells_and_fields(void **state)
+{
+    const char *path = scratch_path("test_meshio.vtu");
+    sfem_mesh m = test_ball();
+    sfem_real *x = (sfem_real *)malloc(3 * (size_t)m.nodes * sizeof *x);
+    sfem_real *heat = (sfem_real *)malloc((size_t)m.tets * sizeof *heat);
+    sfem_field field[2];
+    sfem_error err;
+    uint64_t n;
+    size_t bytes;
+    char *text, wanted[80];
+    const char *data;
+    sfem_int i;
+    (void)state;
+    for (i = 0; i < 3 * m.nodes; ++i) x[i] = 2 * m.x[i];
+    for (i = 0; i < m.tets; ++i) heat[i] = sqrt(i);
+    memset(field, 0, sizeof field);
+    field[0].name = "a<b&\"c\"", field[0].values = heat;
+    field[0].components = 1, field[0].per_tet = 1;
+    field[1].name = "u", field[1].values = m.x, field[1].components = 3;
+    assert_ok(sfem_write_vtu(path, &m, x, field, 2, &err), err);
+    text = contents(path, &bytes);
+    snprintf(wanted, sizeof wanted, "<Piece NumberOfPoints=\"%d\" NumberOfCells=\"%d\">", m.nodes,
+             m.tets);
+    assert_non_null(strstr(text, wanted));
+    data = vtu_array(text, "Points", "Float64", 3, &n);
+    assert_int_equal(n, 24 * m.nodes);
+    assert_memory_equal(data, x, n);
+    data = vtu_array(text, "connectivity", "Int32", 1, &n);
+    assert_int_equal(n, 16 * m.tets);
+    assert_memory_equal(data, m.tet, n);
+    data = vtu_array(text, "offsets", "Int64", 1, &n);
+    assert_int_equal(n, 8 * m.tets);
+    for (i = 0; i < m.tets; ++i) {
+        int64_t end;
+        memcpy(&end, data + 8 * i, 8);
+        assert_int_equal(end, 4 * (i + 1));
+    }
+    data = vtu_array(text, "types", "UInt8", 1, &n);
+    assert_int_equal(n, m.tets);
+    for (i = 0; i < m.tets; ++i) assert_int_equal(data[i], 10);
+    data = vtu_array(text, "u", "Float64", 3, &n);
+    assert_int_equal(n, 24 * m.nodes);
+    assert_memory_equal(data, m.x, n);
+    data = vtu_array(text, "a&lt;b&amp;&quot;c&quot;", "Float64", 1, &n);
+    assert_int_equal(n, 8 * m.tets);
+    assert_memory_equal(data, heat, n);
+    data = vtu_array(text, "region", "Int32", 1, &n);
+    assert_int_equal(n, 4 * m.tets);
+    assert_memory_equal(data, m.region, n);
+    assert_string_equal(data + n, "\n</AppendedData>\n</VTKFile>\n"); /* the last array */
+    field[1].components = 0;
+    assert_status(sfem_write_vtu(path, &m, x, field, 2, &err), SFEM_BAD_ARGUMENT);
+    assert_names(err, "field 1");
+    assert_ok(sfem_write_vtu(path, &m, NULL, NULL, 0, &err), err);
+    free(text);
+    free(x);
+    free(heat);
+    free_ball(&m);
+    remove(path);
+}
+
+static void pvd_lists_files_and_times(void **state)
+{
+    const char *path = scratch_path("test_meshio.pvd");
+    const char *const files[2] = {"a_0.vtu", "a&b.vtu"};
+    const sfem_real times[2] = {0, 0.1}, never[2] = {0, NAN};
+    sfem_error err;
+    size_t bytes;
+    char *text;
+    (void)state;
+    assert_ok(sfem_write_pvd(path, files, times, 2, &err), err);
+    text = contents(path, &bytes);
+    assert_string_equal(text,
+                        "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\">\n"
+                        "<Collection>\n<DataSet timestep=\"0\" part=\"0\" file=\"a_0.vtu\"/>\n"
+                        "<DataSet timestep=\"0.1\" part=\"0\" file=\"a&amp;b.vtu\"/>\n"
+                        "</Collection>\n</VTKFile>\n");
+    free(text);
+    assert_status(sfem_write_pvd(path, files, never, 2, &err), SFEM_BAD_ARGUMENT);
+    remove(path);
+}
+
+static void obj_holds_the_surface_at_the_given_positions(void **state)
+{
+    const char *path = scratch_path("test_meshio.obj");
+    /* a tet on nodes 1 2 4 5; 0 and 3 are not on the surface and not in the file */
+    sfem_real x[18] = {9, 9, 9, 0, 0, 0, 1, 0, 0, 9, 9, 9, 0, 1, 0, 0, 0, 1}, moved[18];
+    sfem_int tet[4] = {1, 2, 4, 5}, i;
+    sfem_mesh m;
+    sfem_surface s;
+    sfem_error err;
+    size_t bytes;
+    char *text;
+    (void)state;
+    memset(&m, 0, sizeof m);
+    m.nodes = 6, m.tets = 1, m.x = x, m.tet = tet;
+    for (i = 0; i < 18; ++i) moved[i] = x[i] / 10;
+    assert_ok(sfem_write_obj(path, &m, NULL, moved, &err), err);
+    text = contents(path, &bytes);
+    assert_string_equal(text, "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\n"
+                              "f 2 3 4\nf 1 4 3\nf 1 2 4\nf 1 3 2\n");
+    free(text);
+    assert_ok(sfem_mesh_surface(&m, NULL, &s, &err), err);
+    s.triangles = 1;
+    assert_ok(sfem_write_obj(path, &m, &s, NULL, &err), err);
+    text = contents(path, &bytes);
+    assert_string_equal(text, "v 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n");
+    free(text);
+    sfem_surface_free(&s);
+    remove(path);
+}
+
+static void files_that_cannot_be_used_are_reported(void **state)
+{
+    const char *const missing = "/nonexistent directory/x.msh";
+    const char *const files[1] = {"a"};
+    const sfem_real times[1] = {0};
+    sfem_mesh m = test_ball(), out;
+    sfem_error err;
+    (void)state;
+    assert_status(sfem_mesh_read(missing, NULL, &out, &err), SFEM_IO);
+    assert_names(err, "/nonexistent directory/x.msh: cannot be opened (No such file");
+    assert_status(sfem_mesh_read(".", NULL, &out, &err), SFEM_IO);
+    assert_status(sfem_write_msh(missing, &m, &err), SFEM_IO);
+    assert_names(err, "cannot be opened for writing");
+    assert_status(sfem_write_vtu(missing, &m, NULL, NULL, 0, &err), SFEM_IO);
+    assert_status(sfem_write_pvd(missing, files, times, 1, &err), SFEM_IO);
+    assert_status(sfem_write_obj(missing, &m, NULL, NULL, &err), SFEM_IO);
+    if (access("/dev/full", W_OK) == 0) { /* a disk without room */
+        assert_status(sfem_write_msh("/dev/full", &m, &err), SFEM_IO);
+        assert_names(err, "cannot be written (No space");
+        assert_status(sfem_write_vtu("/dev/full", &m, NULL, NULL, 0, &err), SFEM_IO);
+        assert_status(sfem_write_pvd("/dev/full", files, times, 1, &err), SFEM_IO);
+        assert_status(sfem_write_obj("/dev/full", &m, NULL, NULL, &err), SFEM_IO);
+    }
+    free_ball(&m);
+}
+
+static void a_file_with_a_fault_is_named_with_the_line(void **state)
+{
+    const char *path = scratch_path("test_meshio_bad.msh");
+    char *text = join(gmsh_lines, 17, "0 zero 1", "\n"), wanted[1200];
+    sfem_error err;
+    sfem_mesh m;
+    (void)state;
+    scratch_write(path, text);
+    assert_status(sfem_mesh_read(path, NULL, &m, &err), SFEM_FORMAT);
+    assert_int_equal(err.line, 17);
+    snprintf(wanted, sizeof wanted, "%.100s: line 17: expected a coordinate, found 'zero'", path);
+    assert_string_equal(err.text, wanted);
+    remove(path);
+    free(text);
+}
+
+/* ---- memory ---- */
+
+static sfem_status do_each(sfem_allocator allocator, void *user, sfem_error *err)
+{
+    const int which = *(const int *)user;
+    sfem_status status;
+    sfem_mesh m;
+    if (which < 3) {
+        char *text = join(all_lines[which], -1, NULL, "\n");
+        status = sfem_mesh_parse(text, strlen(text), &allocator, &m, err);
+        free(text);
+    } else if (which == 3) {
+        status = sfem_mesh_read(scratch_path("test_meshio_memory.msh"), &allocator, &m, err);
+    } else {
+        m = test_ball();
+        m.allocator = allocator;
+        status = sfem_write_obj(scratch_path("test_meshio_memory.obj"), &m, NULL, NULL, err);
+        memset(&m.allocator, 0, sizeof m.allocator);
+        free_ball(&m);
+        return status;
+    }
+    if (status == SFEM_OK) sfem_mesh_free(&m);
+    return status;
+}
+
+static void every_allocation_may_fail(void **state)
+{
+    sfem_error err;
+    sfem_mesh m;
+    int which;
+    (void)state;
+    assert_ok(sfem_mesh_ball(1, 12, NULL, &m, &err), err); /* its file outgrows the first buffer */
+    assert_ok(sfem_write_msh(scratch_path("test_meshio_memory.msh"), &m, &err), err);
+    sfem_mesh_free(&m);
+    for (which = 0; which < 5; ++which) assert_true(fail_every_allocation(do_each, &which) >= 3);
+    remove(scratch_path("test_meshio_memory.msh"));
+    remove(scratch_path("test_meshio_memory.obj"));
+}
+
+/* ---- meshes that others made ---- */
+
+static void real_meshes_are_read(void **state)
+{
+    static const struct {
+        const char *name;
+        sfem_int nodes, tets, euler;
+    } real[] = {{"mj_cube_41_ascii.msh", 14, 24, 2},
+                {"bullet_torus.vtk", 1036, 4436, 0},
+                {"ipc_rod300x33.msh", 13333, 50511, 2}};
+    size_t i, found = 0;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(real); ++i) {
+        const char *path = mesh_path(real[i].name);
+        sfem_mesh m;
+        sfem_mesh_report r;
+        sfem_error err;
+        if (!path) continue;
+        ++found;
+        assert_ok(sfem_mesh_read(path, NULL, &m, &err), err);
+        assert_int_equal(m.nodes, real[i].nodes);
+        assert_int_equal(m.tets, real[i].tets);
+        assert_ok(sfem_mesh_check(&m, &r, &err), err);
+        assert_int_equal(r.euler, real[i].euler);
+        assert_int_equal(r.components, 1);
+        assert_int_equal(r.unused + r.overlapping + r.coincident, 0);
+        if (i == 0) assert_near(r.volume, 1, 1e-14, 0); /* a cube of side 1 */
+        if (i > 0) {
+            sfem_int before = sfem_mesh_bandwidth(&m);
+            sfem_real volume = r.volume;
+            assert_ok(sfem_mesh_renumber(&m, NULL, &err), err);
+            assert_true(8 * sfem_mesh_bandwidth(&m) < before);
+            assert_ok(sfem_mesh_check(&m, &r, &err), err);
+            assert_near(r.volume, volume, 1e-12, 0);
+            assert_int_equal(r.euler, real[i].euler);
+        }
+        sfem_mesh_free(&m);
+    }
+    if (!found) skip();
+}
+
+static void real_meshes_of_other_formats_are_refused(void **state)
+{
+    static const char *const name[][2] = {
+        {"mj_cube_41_binary.msh", "Gmsh 4.1 binary: only 4.1 ASCII is read"},
+        {"mj_shark_ascii22.msh", "Gmsh 2.2: only 4.1 ASCII is read"},
+        {"mj_shark_binary22.msh", "Gmsh 2.2: only 4.1 ASCII is read"},
+        {"vega_beam3.veg", "only Gmsh 4.1 ASCII and VTK legacy ASCII are read"}};
+    size_t i, found = 0;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(name); ++i) {
+        const char *path = mesh_path(name[i][0]);
+        sfem_mesh m;
+        sfem_error err;
+        if (!path) continue;
+        ++found;
+        assert_status(sfem_mesh_read(path, NULL, &m, &err), SFEM_FORMAT);
+        assert_names(err, name[i][1]);
+    }
+    if (!found) skip();
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(the_same_mesh_comes_from_each_format),
+        cmocka_unit_test(text_need_not_end_in_a_newline_or_a_zero),
+        cmocka_unit_test(physical_groups_become_regions),
+        cmocka_unit_test(vtk_fields_and_data_are_passed_over),
+        cmocka_unit_test(numbers_are_read_to_the_nearest_double),
+        cmocka_unit_test(numbers_agree_with_the_c_library),
+        cmocka_unit_test(numbers_that_are_none_are_refused),
+        cmocka_unit_test(malformed_gmsh_is_refused_with_its_line),
+        cmocka_unit_test(malformed_vtk_is_refused_with_its_line),
+        cmocka_unit_test(other_data_is_refused),
+        cmocka_unit_test(a_text_cut_anywhere_is_refused),
+        cmocka_unit_test(damaged_texts_do_no_harm),
+        cmocka_unit_test(a_mesh_comes_back_as_it_was_written),
+        cmocka_unit_test(the_locale_changes_nothing),
+        cmocka_unit_test(vtu_holds_positions_cells_and_fields),
+        cmocka_unit_test(pvd_lists_files_and_times),
+        cmocka_unit_test(obj_holds_the_surface_at_the_given_positions),
+        cmocka_unit_test(files_that_cannot_be_used_are_reported),
+        cmocka_unit_test(a_file_with_a_fault_is_named_with_the_line),
+        cmocka_unit_test(every_allocation_may_fail),
+        cmocka_unit_test(real_meshes_are_read),
+        cmocka_unit_test(real_meshes_of_other_formats_are_refused),
+    };
+    return run_all_tests(tests);
+}
