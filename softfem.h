@@ -10042,6 +10042,7 @@ typedef struct sfemi_newton {
     const char *what;    /* "the step" */
     sfem_int iterations; /* at most */
     int once;            /* one solve, whatever comes of it */
+    int ready;           /* d is evaluated */
     int feasible;        /* pins and handles are where they have to be */
     sfem_real scale;     /* what |r| is compared with */
     sfem_real floor_u, floor_d, edge; /* |r| that rounding makes of displacements, see below */
@@ -10212,21 +10213,25 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
                          status == SFEM_NOT_SPD ? "not positive definite" : "not finite", (int)place.node);
 }
 
-/* A factor of J, of a projected one if need be: with the frame frozen or eigenvalues cut off K is positive
- * semidefinite, and where nothing else is in J (statics), a little mass makes up for flat directions. */
+/* A factor of J. One that is not positive definite gets more of its own mass, which disturbs the other modes
+ * less than projecting every tet, and then the projected K; and where nothing but K is in J (statics), that and
+ * a little mass to make up for flat directions. */
 static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
 {
     const sfem_tangent kind = project ? SFEM_TANGENT_PSD : b->def.newton.tangent;
+    const sfem_real inertia = b->implicit.still ? 0 : b->implicit.stage.m1 * b->implicit.stage.c2;
     sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
     sfem_real shift;
     int tries;
-    if (status == SFEM_NOT_SPD && kind == SFEM_TANGENT_EXACT && !sfemi_implicit_linear(b->model)) {
-        status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, 0, err);
+    if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
+    if (kind == SFEM_TANGENT_EXACT) {
         ++b->implicit.info.projected;
+        for (shift = inertia / 8; shift > 0 && shift < inertia && status == SFEM_NOT_SPD; shift *= 4)
+            status = sfemi_newton_factor(b, t, kind, shift, err);
+        if (status == SFEM_NOT_SPD) status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, 0, err);
     }
-    if (status != SFEM_NOT_SPD || !b->implicit.still || !(b->model->total_mass > 0)) return status;
-    /* floor_u is eps |diag K| */
-    shift = 1e-7 * t->floor_u / 2.3e-16 / b->model->total_mass;
+    if (!b->implicit.still || !(b->model->total_mass > 0)) return status;
+    shift = 1e-7 * t->floor_u / 2.3e-16 / b->model->total_mass; /* floor_u is eps |diag K| */
     for (tries = 0; tries < 3 && status == SFEM_NOT_SPD; ++tries, shift *= 100)
         status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, shift, err);
     return status;
@@ -10313,6 +10318,18 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     return SFEM_OK;
 }
 
+/* l.(H step): nothing once the handles are where they belong, but for rounding, which l may make felt. */
+static sfem_real sfemi_newton_handle_work(const sfem_body *b)
+{
+    sfem_real work = 0, mean[3];
+    sfem_int k;
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_grip_mean(b->state.handle + b->grip.slot[k], b->implicit.step, mean);
+        work += sfemi_dot3(mean, b->grip.lambda + 3 * k);
+    }
+    return work;
+}
+
 /* Is the potential low enough at d + length step? drop, slope: minus its slopes at both ends; change: what
  * it has gained. Where the change drowns in rounding, the slope alone tells [Hager and Zhang 2005]. */
 static int sfemi_newton_suffices(sfem_real change, sfem_real length, sfem_real drop, sfem_real slope,
@@ -10329,7 +10346,8 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
     sfemi_implicit *m = &b->implicit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int check = t->feasible && !b->def.newton.no_line_search;
-    const sfem_real energy = m->energy, q0 = sfemi_implicit_dot(m->q, m->step, n);
+    const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
+    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
     const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
     sfem_real length = 1, gone = 0;
     size_t i;
@@ -10340,7 +10358,7 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
         gone = length;
         sfemi_newton_evaluate(b, t);
         if (sfemi_newton_finite(b, t)) {
-            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n);
+            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - hands;
             const sfem_real slope = -(q1 + sfemi_implicit_dot(m->f, m->step, n));
             const sfem_real noise = 1e-10 * (fabs(energy) + fabs(m->energy)) / m->stage.w1;
             change = (m->energy - energy) / m->stage.w1 + length / 2 * (q0 + q1);
@@ -10369,7 +10387,7 @@ static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *e
     size_t i;
     int project = 0;
     sfemi_newton_floor(b, t);
-    sfemi_newton_evaluate(b, t);
+    if (!t->ready) sfemi_newton_evaluate(b, t);
     if (!sfemi_newton_finite(b, t))
         return sfemi_fail(err, SFEM_NOT_FINITE, "%s: a force is not finite", t->what);
     t->best = 1e300;
@@ -10447,7 +10465,8 @@ static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
     for (i = 0; i < n; ++i) m->d[i] += m->step[i];
     sfemi_newton_evaluate(b, t);
     q0 += sfemi_implicit_dot(m->q, m->step, n);
-    if (sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0) return;
+    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0;
+    if (t->ready) return;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
 }
 
@@ -10572,7 +10591,7 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
         if (status == SFEM_OK) {
             memcpy(m->mid_d, m->d, n * sizeof *m->d);
             reached = m->share;
-            part *= 2;
+            part = fmin(2 * part, 1.0 / b->def.newton.load_steps);
         } else if (part < 2.0 / 1024 || status == SFEM_OUT_OF_MEMORY) {
             break;
         } else {
