@@ -34,7 +34,8 @@
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
- *            >>newmark      implicit Newmark          >>pqr  the (p,q,r) family, central difference
+ *            >>newmark      linear Newmark            >>pqr  the (p,q,r) family, central difference
+ *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
@@ -760,8 +761,26 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *                 [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for
  *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
- *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step */
-typedef enum sfem_integrator { SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL } sfem_integrator;
+ *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
+ * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
+ * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
+ * unconditionally stable for linear bodies, and second order but for the first:
+ *   SFEM_BACKWARD_EULER      first order, damps everything
+ *   SFEM_HHT                 [Hilber, Hughes, Taylor 1977], hht_alpha = .1 damps a little at high Omega
+ *   SFEM_GENERALIZED_ALPHA   [Chung and Hulbert 1993], by rho_inf, the spectral radius at Omega = infinity
+ *   SFEM_BATHE               [Bathe and Baig 2005]: half a step of the trapezoidal rule, then three-point
+ *                            backward differences; two systems a step
+ *   SFEM_NEWMARK             is one of them where the model or its damping is nonlinear [Yuan et al. 2017,
+ *                            algorithm 1] */
+typedef enum sfem_integrator {
+    SFEM_PQR,
+    SFEM_NEWMARK,
+    SFEM_CENTRAL,
+    SFEM_BACKWARD_EULER,
+    SFEM_HHT,
+    SFEM_GENERALIZED_ALPHA,
+    SFEM_BATHE
+} sfem_integrator;
 
 /* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
  * damping a start of fourth order. */
@@ -778,12 +797,54 @@ enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
 typedef struct sfem_body sfem_body;
 
+/* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
+ * allocated), a solve, and a force for each length that the line search tries. It minimises the
+ * incremental potential (Armijo), or where damping has none, brings the work of the residual down; an
+ * exact tangent that is not positive definite gives way to the projected one for that iteration. */
+typedef struct sfem_newton_def {
+    sfem_int iterations; /* at most, >= 1; 20. With 1 the step is semi-implicit: one solve with the tangent
+                          * at its start, never refused, no residual known afterwards */
+    sfem_real tolerance; /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a|, |D(v)|, or
+                          * where the correction drowns in the rounding of positions; >= 0, 1e-8 */
+    sfem_tangent tangent; /* SFEM_TANGENT_EXACT; SFEM_TANGENT_PSD: always the projected one, in D too */
+    int no_line_search;
+    int accept_best;     /* where it does not converge, take the iterate of least residual and go on; by
+                          * default the step fails with SFEM_NOT_CONVERGED, the state as it was */
+    sfem_int load_steps; /* statics: loads, pins and handles come in this many steps at first, >= 1; 1. A
+                          * step that fails is halved, down to 1/1024 */
+} sfem_newton_def;
+
+typedef struct sfem_newton_info {
+    int converged;
+    sfem_int iterations;     /* solves */
+    sfem_int factorisations;
+    sfem_int evaluations;    /* of the forces */
+    sfem_int projected;      /* tangents that had to be projected to be positive definite */
+    sfem_int load_steps;     /* statics */
+    sfem_real residual;      /* relative, see tolerance; the last that was computed */
+} sfem_newton_info;
+
+/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods. Called from the
+ * thread that steps. */
+typedef struct sfem_damping_force {
+    /* adds D(v), N, to force [nodes][3]: it is subtracted from the load, so that v.D(v) >= 0 damps */
+    void (*force)(void *user, const sfem_real *v /* [nodes][3] */, sfem_real *force);
+    /* adds dD/dv, symmetric, to a matrix on K's pattern (zero when it comes); or NULL: the force is then
+     * iterated upon, which converges while h dD/dv stays below the mass, linearly */
+    void (*tangent)(void *user, const sfem_real *v, sfem_matrix *tangent);
+    void *user;
+} sfem_damping_force;
+
 typedef struct sfem_body_def {
     sfem_integrator integrator;
     sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
+    sfem_real rho_inf;        /* of generalized-alpha, 0 to 1; .8 */
+    sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; .1 */
+    sfem_newton_def newton;
+    sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
     int no_guard;             /* take every step as it comes, even if it makes energy */
@@ -791,7 +852,8 @@ typedef struct sfem_body_def {
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
-    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s */
+    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In the
+                               * implicit methods K is the current K(u) */
     sfem_real gravity[3];     /* m/s^2 */
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
@@ -834,7 +896,12 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
+                                                               * the method is implicit */
+
+/* How the last implicit step (SFEM_BATHE: its two systems together) or nonlinear static solution went,
+ * also where it failed. All zero before. */
+SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
 
 /* Static equilibrium K u = F under the forces, gravity, pins and handles of now; velocity becomes zero.
  * Handles that are nodes count as pins here.
@@ -9535,6 +9602,36 @@ typedef struct sfemi_guard {
     sfem_real psi;         /* at u */
     int redone;            /* u, w, f come from the redo */
 } sfemi_guard;
+/* What >>implicit works with. */
+typedef struct sfemi_stage {
+    sfem_real m1, m0, w1, w0, c1, c2; /* see there */
+    sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
+    sfem_real end; /* where in the step it ends, in h */
+} sfemi_stage;
+
+typedef struct sfemi_system {
+    sfem_factor *factor;
+    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
+    sfem_int *source;   /* [blocks] their places in K's pattern */
+} sfemi_system;
+
+typedef struct sfemi_implicit {
+    sfem_newton_info info;
+    sfemi_stage stage;
+    sfemi_system system; /* its factor is the body's */
+    sfem_factor *second; /* linear bodies: that of the second of two systems */
+    sfem_matrix tangent; /* K(u): the model's K itself where that is constant */
+    sfem_matrix drag;    /* of the caller's damping, or no values */
+    int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
+    int still;           /* statics: no inertia, no damping */
+    sfem_real share;     /* statics: of the load */
+    sfem_real energy;    /* Psi at the last evaluation */
+    sfem_real *memory;   /* what follows: [nodes][3] each */
+    sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
+    sfem_real *work;     /* of sfem_model_forces */
+} sfemi_implicit;
+
+enum { SFEMI_IMPLICIT_VECTORS = 15 };
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
@@ -9563,6 +9660,7 @@ struct sfem_body {
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+    sfemi_implicit implicit;
 };
 
 enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
@@ -9811,6 +9909,966 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
         }
         sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
     }
+}
+
+/* ============================================================================================
+ * >>implicit   Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
+ *
+ * Every method is one or two stages of one form, in the displacement d = u' - u over the step:
+ *
+ *   m1 M a' + m0 M a + D(w1 v' + w0 v) + f(u + w1 d) = F_w,    v' = c1 d + V,    a' = c2 d + A
+ *
+ * with V, A known: they are algorithm 1 of [Yuan et al. 2017] as meant, with other numbers. At a pin d, v'
+ * and a' are given (see >>newmark); V and A are set so that the two maps hold there, too. Newton's matrix is
+ *
+ *   J = (m1 c2 + w1 c1 alpha) M + w1 (1 + c1 beta) K(u + w1 d) + w1 c1 (rest of D),
+ *
+ * which leaves out how beta K(u) v changes with u. J delta = F - M .. - D - f =: r. Where J is symmetric r is
+ * minus the gradient of Psi(u + w1 d)/w1 + a part that is quadratic in d, so that the change of that
+ * potential over delta is known without cancellation: the first by the energies, the second as the mean
+ * of its slopes at both ends. A nonlinear damping force enters in the same way, to third order.
+ * Handles: multipliers l with H (u + d) = target, by the Schur complement on the factor of the moment.
+ * ============================================================================================ */
+
+/* Do all tets follow Hooke's law in small rotations? */
+static int sfemi_implicit_linear(const sfem_model *model) { return !model->turns; }
+
+static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
+{
+    const sfem_newton_def *n = &d->newton;
+    if (!(d->rho_inf >= 0 && d->rho_inf <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "rho_inf is %g, must be 0 to 1", d->rho_inf);
+    if (!(d->hht_alpha >= 0 && d->hht_alpha <= 1. / 3))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "HHT's alpha is %g, must be 0 to 1/3", d->hht_alpha);
+    if (n->iterations < 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newton's iterations are %d, must be >= 1", (int)n->iterations);
+    if (!(sfemi_finite(n->tolerance) && n->tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newton's tolerance is %g, must be >= 0", n->tolerance);
+    if ((unsigned)n->tangent > SFEM_TANGENT_FROZEN)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no tangent %d", (int)n->tangent);
+    if (n->load_steps < 1 || n->load_steps > 1000000)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "load_steps is %d, must be 1 to 1000000", (int)n->load_steps);
+    if (d->damping_force.tangent && !d->damping_force.force)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping force has a tangent, but no force");
+    if (d->damping_force.force && (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a damping force needs an implicit integrator");
+    return SFEM_OK;
+}
+
+/* Is a step of this body solved here? */
+static int sfemi_implicit_serves(const sfem_body *b)
+{
+    if (b->def.integrator == SFEM_NEWMARK)
+        return !sfemi_implicit_linear(b->model) || b->def.damping_force.force != NULL;
+    return b->def.integrator >= SFEM_BACKWARD_EULER && b->def.integrator <= SFEM_BATHE;
+}
+
+/* Does Newton's matrix never change, so that a shared factor serves? */
+static int sfemi_implicit_constant(const sfem_body *b)
+{
+    return sfemi_implicit_linear(b->model) && !b->def.damping_force.tangent;
+}
+
+/* The energy at u, and its gradient. */
+static sfem_real sfemi_implicit_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real energy = 0;
+    size_t i;
+    if (!sfemi_implicit_linear(b->model))
+        return sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->implicit.work, &b->exec);
+    sfem_matrix_multiply(&b->model->stiffness, u, f, &b->exec);
+    for (i = 0; i < n; ++i) energy += u[i] * f[i];
+    return energy / 2;
+}
+
+/* K(u), to tangent. */
+static void sfemi_implicit_tangent(sfem_body *b, const sfem_real *u, sfem_tangent kind)
+{
+    if (!sfemi_implicit_linear(b->model))
+        sfem_model_tangent(b->model, u, kind, &b->implicit.tangent, &b->exec);
+}
+
+static int sfemi_implicit_damped(const sfem_body *b)
+{
+    return b->alpha != 0 || b->beta != 0 || b->model->damping || b->def.damping_force.force;
+}
+
+/* Room for all that a step or a static solution works on; the tangent is a matrix of its own only where it
+ * changes. */
+static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfemi_implicit *m = &b->implicit;
+    sfem_real *memory = NULL, *tangent = NULL, *drag = NULL, *work = NULL, *at;
+    sfem_status status = SFEM_OK;
+    if (m->memory) return SFEM_OK;
+    SFEMI_NEW(sfem_real, memory, &b->allocator, SFEMI_IMPLICIT_VECTORS * n);
+    if (!sfemi_implicit_linear(model)) {
+        SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
+        SFEMI_NEW(sfem_real, work, &b->allocator, sfem_model_work_size(model));
+    }
+    if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
+    m->tangent = m->drag = model->stiffness;
+    if (tangent) m->tangent.val = tangent;
+    m->drag.val = drag;
+    at = m->memory = memory;
+    m->work = work;
+    m->d = at, at += n;
+    m->best = at, at += n;
+    m->goal = at, at += n;
+    m->vmap = at, at += n;
+    m->amap = at, at += n;
+    m->a0 = at, at += n;
+    m->load = at, at += n;
+    m->f = at, at += n;
+    m->q = at, at += n;
+    m->x = at, at += n;
+    m->v = at, at += n;
+    m->step = at, at += n;
+    m->mid_d = at, at += n;
+    m->mid_v = at, at += n;
+    m->mid_a = at;
+    return SFEM_OK;
+done:
+    sfemi_delete(&b->allocator, work);
+    sfemi_delete(&b->allocator, tangent);
+    sfemi_delete(&b->allocator, memory);
+    return status;
+}
+
+static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
+{
+    sfem_matrix_free(&s->matrix, &b->model->allocator);
+    sfemi_delete(&b->model->allocator, s->source);
+    memset(s, 0, sizeof *s);
+}
+
+static void sfemi_implicit_destroy(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_system_close(b, &m->system);
+    sfemi_factor_release(b->model, m->second);
+    if (m->memory && m->tangent.val != b->model->stiffness.val)
+        sfemi_delete(&b->allocator, m->tangent.val);
+    sfemi_delete(&b->allocator, m->drag.val);
+    sfemi_delete(&b->allocator, m->work);
+    sfemi_delete(&b->allocator, m->memory);
+}
+
+static size_t sfemi_implicit_bytes(const sfem_body *b)
+{
+    const sfemi_implicit *m = &b->implicit;
+    const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
+    size_t reals = 0;
+    if (m->memory) {
+        reals = 3 * SFEMI_IMPLICIT_VECTORS * (size_t)b->model->mesh.nodes;
+        if (m->tangent.val != b->model->stiffness.val) reals += values;
+        if (m->drag.val) reals += values;
+    }
+    if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
+    return reals * sizeof(sfem_real);
+}
+
+/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
+static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
+                                     sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_system s;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
+    ++b->factors_made;
+    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
+    for (k = 0; k < s.factor->free_nodes; ++k)
+        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+    *out = s;
+    return SFEM_OK;
+done:
+    sfemi_factor_release(b->model, s.factor);
+    sfemi_system_close(b, &s);
+    return status;
+}
+
+/* ---- stages ---- */
+
+static int sfemi_implicit_stages(const sfem_body *b) { return b->def.integrator == SFEM_BATHE ? 2 : 1; }
+
+/* The numbers of stage k of a step of h seconds. */
+static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
+{
+    sfem_real beta = b->def.beta, gamma = b->def.gamma, am = 0, af = 0;
+    sfemi_stage s;
+    memset(&s, 0, sizeof s);
+    s.end = 1;
+    if (b->def.integrator == SFEM_HHT) {
+        af = b->def.hht_alpha;
+    } else if (b->def.integrator == SFEM_GENERALIZED_ALPHA) {
+        const sfem_real rho = b->def.rho_inf;
+        am = (2 * rho - 1) / (rho + 1);
+        af = rho / (rho + 1);
+    }
+    if (b->def.integrator != SFEM_NEWMARK) {
+        gamma = 0.5 - am + af;
+        beta = (1 - am + af) * (1 - am + af) / 4;
+    }
+    s.m1 = 1 - am;
+    s.m0 = am;
+    s.w1 = 1 - af;
+    s.w0 = af;
+    if (b->def.integrator == SFEM_BACKWARD_EULER) {
+        s.c1 = 1 / h;
+        s.c2 = 1 / (h * h);
+        s.av = -1 / h;
+        return s;
+    }
+    if (b->def.integrator == SFEM_BATHE && k == 1) {
+        s.c1 = 3 / h; /* v' = (u - 4 u_mid + 3 u')/h, and a' from v alike */
+        s.vd = -4 / h;
+        s.c2 = 9 / (h * h);
+        s.av = 1 / h;
+        s.ad = -12 / (h * h);
+        s.am = -4 / h;
+        return s;
+    }
+    if (b->def.integrator == SFEM_BATHE) {
+        s.end = 0.5;
+        h /= 2;
+    }
+    s.c1 = gamma / (beta * h);
+    s.vv = 1 - gamma / beta;
+    s.va = (1 - gamma / (2 * beta)) * h;
+    s.c2 = 1 / (beta * h * h);
+    s.av = -1 / (beta * h);
+    s.aa = 1 - 1 / (2 * beta);
+    return s;
+}
+
+/* J of a stage at rest position, as a factor's key. */
+static sfemi_factor_key sfemi_implicit_key(const sfem_body *b, int k, sfem_real h)
+{
+    const sfemi_stage s = sfemi_implicit_stage(b, k, h);
+    sfemi_factor_key key;
+    memset(&key, 0, sizeof key);
+    key.ck = s.w1 * (1 + s.c1 * b->beta);
+    key.cm = s.m1 * s.c2 + s.w1 * s.c1 * b->alpha;
+    key.cd = b->model->damping ? s.w1 * s.c1 : 0;
+    key.mask = b->mask;
+    key.precision = b->def.precision;
+    key.ordering = b->def.ordering;
+    return key;
+}
+
+/* The factor for steps of h seconds, a reference for the caller: shared for a constant matrix (and the second
+ * one kept), else the body's own, which serves any h. */
+static sfem_status sfemi_implicit_get_factor(sfem_body *b, sfem_real h, sfem_factor **out, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_factor_key key = sfemi_implicit_key(b, 0, h);
+    sfem_factor *second = NULL;
+    sfemi_system system;
+    sfem_status status;
+    if (sfemi_implicit_constant(b)) {
+        status = sfemi_factor_get(b->model, &key, &b->exec, out, &b->factors_made, err);
+        if (status != SFEM_OK || sfemi_implicit_stages(b) == 1) return status;
+        {
+            const sfemi_factor_key other = sfemi_implicit_key(b, 1, h);
+            status = sfemi_factor_get(b->model, &other, &b->exec, &second, &b->factors_made, err);
+        }
+        if (status != SFEM_OK) {
+            sfemi_factor_release(b->model, *out);
+            return status;
+        }
+        sfemi_factor_release(b->model, m->second);
+        m->second = second;
+        return SFEM_OK;
+    }
+    if (!b->factor) {
+        status = sfemi_system_open(b, &key, &system, err);
+        if (status != SFEM_OK) return status;
+        sfemi_system_close(b, &m->system);
+        m->system = system;
+        *out = system.factor;
+        return SFEM_OK;
+    }
+    *out = b->factor;
+    sfemi_lock(&b->model->lock);
+    ++b->factor->references;
+    sfemi_unlock(&b->model->lock);
+    return SFEM_OK;
+}
+
+/* Place, velocity and acceleration of something held, where the stage ends; x: where it is now. */
+static void sfemi_implicit_hold(const sfem_body *b, const sfemi_hold *hold, const sfem_real *x,
+                                sfem_real place[3], sfem_real v[3], sfem_real a[3])
+{
+    const sfem_real back = (1 - b->implicit.stage.end) * b->step;
+    int c;
+    sfemi_hold_motion(hold, x, b->step, b->state.head->h, v, a);
+    for (c = 0; c < 3; ++c) {
+        place[c] = hold->target[c] - back * (v[c] - back / 2 * a[c]);
+        v[c] -= back * a[c];
+    }
+}
+
+/* V, A, and at pins d itself. */
+static void sfemi_implicit_history(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *v = b->state.w;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (i = 0; i < n; ++i) {
+        m->vmap[i] = s->vv * v[i] + s->va * m->a0[i] + s->vd * m->mid_d[i];
+        m->amap[i] = s->av * v[i] + s->aa * m->a0[i] + s->ad * m->mid_d[i] + s->am * m->mid_v[i];
+        m->goal[i] = 0;
+    }
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        const sfem_real *rest = b->model->mesh.x + at, *u = b->state.u + at;
+        sfem_real x[3], place[3], pv[3], pa[3];
+        for (c = 0; c < 3; ++c) x[c] = rest[c] + u[c];
+        sfemi_implicit_hold(b, b->state.pin + k, x, place, pv, pa);
+        for (c = 0; c < 3; ++c) {
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            i = at + (size_t)c;
+            m->goal[i] = place[c] - rest[c] - u[c];
+            m->vmap[i] = pv[c] - s->c1 * m->goal[i];
+            m->amap[i] = pa[c] - s->c2 * m->goal[i];
+        }
+    }
+}
+
+/* ---- what is balanced ---- */
+
+/* f = f(u), q = M a + D(v), v and a NULL: zero. Returns the energy at u. v may be overwritten. */
+static sfem_real sfemi_implicit_terms(sfem_body *b, const sfem_real *u, const sfem_real *v,
+                                      const sfem_real *a, sfem_real *f, sfem_real *q)
+{
+    const sfem_damping_force *drag = &b->def.damping_force;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real energy = sfemi_implicit_forces(b, u, f);
+    size_t i;
+    b->implicit.tangent_ready = 0;
+    memset(q, 0, n * sizeof *q);
+    if (v && b->beta != 0) {
+        sfemi_implicit_tangent(b, u, b->def.newton.tangent);
+        b->implicit.tangent_ready = 1;
+        sfem_matrix_multiply(&b->implicit.tangent, v, q, &b->exec);
+        for (i = 0; i < n; ++i) q[i] *= b->beta;
+    }
+    if (a) sfemi_fem_add_mass(b->model, 1, a, q);
+    if (v && b->alpha != 0) sfemi_fem_add_mass(b->model, b->alpha, v, q);
+    if (v) sfemi_fem_add_damping_rest(b->model, v, q);
+    if (v && drag->force) drag->force(drag->user, v, q);
+    return energy;
+}
+
+/* load = F+ + share (F - F+) + M g, the load at a time between the start and the end of the step. */
+static void sfemi_implicit_load(const sfem_body *b, sfem_real share, sfem_real *load)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    size_t i;
+    for (i = 0; i < n; ++i) load[i] = b->model->node_mass[i / 3] * s->head->gravity[i % 3];
+    if (!s->head->loaded) return;
+    for (i = 0; i < n; ++i) load[i] += s->force[0][i];
+    if (s->head->load_age >= 2 || share == 0) return;
+    for (i = 0; i < n; ++i) load[i] += share * (s->force[1][i] - s->force[0][i]);
+}
+
+/* r = F - M a - D(v) - f(u) in the present state, under the load at the start (share 1) or end (0) of the
+ * next step. */
+static void sfemi_implicit_balance(sfem_body *b, sfem_real share, const sfem_real *v, const sfem_real *a,
+                                   sfem_real *r)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_implicit_terms(b, b->state.u, v, a, m->f, m->q);
+    sfemi_implicit_load(b, share, r);
+    for (i = 0; i < n; ++i) r[i] -= m->f[i] + m->q[i];
+}
+
+/* ---- Newton ---- */
+
+/* Where Newton's iteration stands. */
+typedef struct sfemi_newton {
+    sfemi_system *system;
+    const char *what;    /* "the step" */
+    sfem_int iterations; /* at most */
+    int once;            /* one solve, whatever comes of it */
+    int ready;           /* d is evaluated */
+    int feasible;        /* pins and handles are where they have to be */
+    sfem_real scale;     /* what |r| is compared with */
+    sfem_real floor_u, floor_d, edge; /* |r| that rounding makes of displacements, see below */
+    sfem_real best;      /* the least relative |r| so far, that of implicit.best */
+} sfemi_newton;
+
+static sfem_real sfemi_implicit_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+static sfem_real sfemi_implicit_max(const sfem_real *a, size_t n)
+{
+    sfem_real most = 0;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        if (fabs(a[i]) > most) most = fabs(a[i]);
+    return most;
+}
+
+/* Below what |r| is noise: gradients of displacements carry an error of eps (|u|/edge + 1), so that a
+ * node's force is uncertain by eps K_ii (|u| + edge); inertia by eps M c2 |d|. */
+static void sfemi_newton_floor(sfem_body *b, sfemi_newton *t)
+{
+    const sfem_model *model = b->model;
+    const sfem_real eps = 2.3e-16;
+    sfem_real k2 = 0, m2 = 0, volume = 0;
+    sfem_int i;
+    int c;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real *k = model->stiffness.val + 9 * ((size_t)model->row[i + 1] - 1);
+        for (c = 0; c < 3; ++c) k2 += k[4 * c] * k[4 * c];
+        m2 += 3 * model->node_mass[i] * model->node_mass[i];
+    }
+    for (i = 0; i < model->mesh.tets; ++i) volume += model->volume[i];
+    t->edge = pow(volume / model->mesh.tets, 1. / 3);
+    t->floor_u = eps * sqrt(k2);
+    t->floor_d = b->implicit.still ? 0 : eps * b->implicit.stage.m1 * b->implicit.stage.c2 * sqrt(m2);
+}
+
+/* f and q = M .. + D - F at d, zero on held axes; the scale of r. */
+static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const unsigned char *mask = t->system->factor->mask;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *a = b->zm, most[4] = {0, 0, 0, 0};
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        m->x[i] = b->state.u[i] + s->w1 * m->d[i];
+        if (m->still) continue;
+        m->v[i] = s->w1 * (s->c1 * m->d[i] + m->vmap[i]) + s->w0 * b->state.w[i];
+        a[i] = s->m1 * (s->c2 * m->d[i] + m->amap[i]) + s->m0 * m->a0[i];
+    }
+    m->energy = sfemi_implicit_terms(b, m->x, m->still || !sfemi_implicit_damped(b) ? NULL : m->v, NULL,
+                                     m->f, m->q);
+    memset(b->zk, 0, n * sizeof *b->zk);
+    if (!m->still) sfemi_fem_add_mass(b->model, 1, a, b->zk);
+    for (i = 0; i < n; ++i) {
+        if (mask[i / 3] >> (i % 3) & 1) {
+            m->f[i] = m->q[i] = 0;
+            continue;
+        }
+        most[0] += m->f[i] * m->f[i];
+        most[1] += m->q[i] * m->q[i];
+        most[2] += b->zk[i] * b->zk[i];
+        most[3] += m->load[i] * m->load[i];
+        m->q[i] += b->zk[i] - m->load[i];
+    }
+    for (i = 1; i < 4; ++i)
+        if (most[i] > most[0] || !sfemi_finite(most[i])) most[0] = most[i];
+    t->scale = sqrt(most[0]);
+    ++m->info.evaluations;
+}
+
+static int sfemi_newton_finite(const sfem_body *b, const sfemi_newton *t)
+{
+    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale);
+}
+
+/* The norm of r + H^T l, l in grip.lambda, and whether it will do. */
+static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_grip *g = &b->grip;
+    const unsigned char *mask = t->system->factor->mask;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real floor, norm;
+    sfem_int k;
+    size_t i;
+    int p, c;
+    for (i = 0; i < n; ++i) m->step[i] = -(m->f[i] + m->q[i]);
+    for (k = 0; k < g->count; ++k) {
+        const sfemi_handle *h = b->state.handle + g->slot[k];
+        for (p = 0; p < 4; ++p)
+            for (c = 0; c < 3; ++c)
+                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
+                    m->step[3 * (size_t)h->node[p] + (size_t)c] += h->weight[p] * g->lambda[3 * k + c];
+    }
+    norm = sqrt(sfemi_implicit_dot(m->step, m->step, n));
+    floor = t->floor_u * (sfemi_implicit_max(m->x, n) + t->edge) +
+            t->floor_d * sfemi_implicit_max(m->d, n);
+    m->info.residual = t->scale > 0 ? norm / t->scale : 0;
+    if (!t->feasible) return 0;
+    if (b->def.newton.accept_best && !m->still && m->info.residual < t->best) {
+        t->best = m->info.residual;
+        memcpy(m->best, m->d, n * sizeof *m->d);
+    }
+    return norm <= floor || norm <= b->def.newton.tolerance * t->scale;
+}
+
+/* The stage's J at the last evaluation, plus shift M, into the system's factor. */
+static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tangent kind, sfem_real shift,
+                                       sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const sfem_model *model = b->model;
+    const sfemi_system *y = t->system;
+    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfem_int k, at = 0;
+    sfem_error place;
+    sfem_status status;
+    int r, c;
+    if (!y->matrix.val) return SFEM_OK;
+    if (!m->tangent_ready || kind != b->def.newton.tangent) sfemi_implicit_tangent(b, m->x, kind);
+    m->tangent_ready = kind == b->def.newton.tangent;
+    if (m->drag.val && !m->still) {
+        memset(m->drag.val, 0, values * sizeof *m->drag.val);
+        b->def.damping_force.tangent(b->def.damping_force.user, m->v, &m->drag);
+    }
+    for (k = 0; k < y->matrix.n; ++k) {
+        const sfem_int i = y->factor->node[k];
+        for (; at < y->matrix.row[k + 1]; ++at) {
+            const size_t from = 9 * (size_t)y->source[at];
+            const sfem_int j = model->col[y->source[at]];
+            const int held = y->factor->mask[i] | y->factor->mask[j];
+            const sfem_real mass = model->block_mass ? model->block_mass[y->source[at]]
+                                   : i == j       ? model->node_mass[i]
+                                                  : 0;
+            const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
+            const sfem_real cm = (s->m1 * s->c2 + cd * b->alpha + shift) * mass;
+            sfem_real *to = y->matrix.val + 9 * (size_t)at;
+            for (c = 0; c < 9; ++c) to[c] = ck * m->tangent.val[from + (size_t)c];
+            for (c = 0; c < 9; c += 4) to[c] += cm;
+            if (model->damping && cd != 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[from + (size_t)c];
+            if (m->drag.val && cd != 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * m->drag.val[from + (size_t)c];
+            for (r = 0; held && r < 3; ++r)
+                for (c = 0; c < 3; ++c) {
+                    if (!(y->factor->mask[i] >> r & 1) && !(y->factor->mask[j] >> c & 1)) continue;
+                    if (i != j || r != c) to[3 * r + c] = 0;
+                    else to[3 * r + c] = model->stiffness.val[from + (size_t)(4 * r)];
+                }
+        }
+    }
+    ++m->info.factorisations;
+    if (!y->factor->ldl) return SFEM_OK;
+    status = sfem_ldl_refactor(y->factor->ldl, &y->matrix, &place);
+    if (status == SFEM_OK || !err) return status;
+    if (place.node >= 0) place.node = y->factor->node[place.node];
+    return sfemi_fail_at(err, status, place.node, -1, "%s's matrix is %s at node %d", t->what,
+                         status == SFEM_NOT_SPD ? "not positive definite" : "not finite", (int)place.node);
+}
+
+/* A factor of J. One that is not positive definite gets more of its own mass, which disturbs the other modes
+ * less than projecting every tet, and then the projected K; and where nothing but K is in J (statics), that and
+ * a little mass to make up for flat directions. */
+static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
+{
+    const sfem_tangent kind = project ? SFEM_TANGENT_PSD : b->def.newton.tangent;
+    const sfem_real inertia = b->implicit.still ? 0 : b->implicit.stage.m1 * b->implicit.stage.c2;
+    sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
+    sfem_real shift;
+    int tries;
+    if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
+    if (kind == SFEM_TANGENT_EXACT) {
+        ++b->implicit.info.projected;
+        for (shift = inertia / 8; shift > 0 && shift < inertia && status == SFEM_NOT_SPD; shift *= 4)
+            status = sfemi_newton_factor(b, t, kind, shift, err);
+        if (status == SFEM_NOT_SPD) status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, 0, err);
+    }
+    if (!b->implicit.still || !(b->model->total_mass > 0)) return status;
+    shift = 1e-7 * t->floor_u / 2.3e-16 / b->model->total_mass; /* floor_u is eps |diag K| */
+    for (tries = 0; tries < 3 && status == SFEM_NOT_SPD; ++tries, shift *= 100)
+        status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, shift, err);
+    return status;
+}
+
+/* step -= J g, where g is what the held axes still have to go. */
+static void sfemi_newton_lift(sfem_body *b, const sfem_real *g)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
+    size_t i;
+    sfem_matrix_multiply(&m->tangent, g, b->zk, &b->exec);
+    for (i = 0; i < n; ++i) m->step[i] -= ck * b->zk[i];
+    sfemi_fem_add_mass(b->model, -(s->m1 * s->c2 + cd * b->alpha), g, m->step);
+    if (cd == 0) return;
+    if (b->model->damping) {
+        for (i = 0; i < n; ++i) b->zk[i] = -cd * g[i];
+        sfemi_fem_add_damping_rest(b->model, b->zk, m->step);
+    }
+    if (!m->drag.val) return;
+    sfem_matrix_multiply(&m->drag, g, b->zk, &b->exec);
+    for (i = 0; i < n; ++i) m->step[i] -= cd * b->zk[i];
+}
+
+/* What the handles still have to go, to grip.lambda; the largest of it. */
+static sfem_real sfemi_newton_gap(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        sfem_real rest[3], u[3], d[3], place[3], v[3], a[3];
+        sfemi_grip_mean(h, b->model->mesh.x, rest);
+        sfemi_grip_mean(h, b->state.u, u);
+        sfemi_grip_mean(h, m->d, d);
+        for (c = 0; c < 3; ++c) place[c] = rest[c] + u[c];
+        if (m->still) {
+            for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->hold.target[c] - place[c]);
+            memcpy(place, v, sizeof place);
+        } else {
+            sfemi_implicit_hold(b, &h->hold, place, place, v, a);
+        }
+        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = place[c] - rest[c] - u[c] - d[c];
+    }
+    return sfemi_implicit_max(b->grip.lambda, 3 * (size_t)b->grip.count);
+}
+
+/* Newton's correction, to step; pins and handles go all their way. */
+static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_system *y = t->system;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    sfem_real *g = b->acc;
+    int moved = 0;
+    sfem_int k;
+    size_t i;
+    const sfem_status status = sfemi_newton_matrix(b, t, project, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < n; ++i) {
+        const int held = y->factor->mask[i / 3] >> (i % 3) & 1;
+        m->step[i] = -(m->f[i] + m->q[i]);
+        g[i] = held ? m->goal[i] - m->d[i] : 0;
+        moved |= g[i] != 0;
+    }
+    if (moved) sfemi_newton_lift(b, g);
+    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->work, &b->exec);
+    for (i = 0; i < n; ++i)
+        if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
+    ++m->info.iterations;
+    if (!b->grip.count) return SFEM_OK;
+    if (y->matrix.val || m->second) {
+        for (k = 0; k < b->grip.count; ++k)
+            sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
+                               b->grip.y[b->grip.slot[k]], b->work, &b->exec);
+        sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
+    }
+    sfemi_newton_gap(b);
+    sfemi_grip_apply(&b->grip, b->state.handle, nodes, m->step);
+    return SFEM_OK;
+}
+
+/* l.(H step): nothing once the handles are where they belong, but for rounding, which l may make felt. */
+static sfem_real sfemi_newton_handle_work(const sfem_body *b)
+{
+    sfem_real work = 0, mean[3];
+    sfem_int k;
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_grip_mean(b->state.handle + b->grip.slot[k], b->implicit.step, mean);
+        work += sfemi_dot3(mean, b->grip.lambda + 3 * k);
+    }
+    return work;
+}
+
+/* Is the potential low enough at d + length step? drop, slope: minus its slopes at both ends; change: what
+ * it has gained. Where the change drowns in rounding, the slope alone tells [Hager and Zhang 2005]. */
+static int sfemi_newton_suffices(sfem_real change, sfem_real length, sfem_real drop, sfem_real slope,
+                                 sfem_real noise)
+{
+    if (change <= -1e-4 * length * drop) return 1;
+    return fabs(slope) <= 0.9 * drop && change <= noise;
+}
+
+/* Goes along step until that is better. 1: d is the new place and evaluated; 0: d is as it was, but what was
+ * evaluated is not. */
+static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int check = t->feasible && !b->def.newton.no_line_search;
+    const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
+    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
+    const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
+    sfem_real length = 1, gone = 0;
+    size_t i;
+    int tries;
+    for (tries = 0; tries < 20; ++tries) {
+        sfem_real change = 0, next = length / 4;
+        for (i = 0; i < n; ++i) m->d[i] += (length - gone) * m->step[i];
+        gone = length;
+        sfemi_newton_evaluate(b, t);
+        if (sfemi_newton_finite(b, t)) {
+            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - hands;
+            const sfem_real slope = -(q1 + sfemi_implicit_dot(m->f, m->step, n));
+            const sfem_real noise = 1e-10 * (fabs(energy) + fabs(m->energy)) / m->stage.w1;
+            change = (m->energy - energy) / m->stage.w1 + length / 2 * (q0 + q1);
+            if (!check || sfemi_newton_suffices(change, length, drop, slope, noise)) {
+                t->feasible |= length == 1;
+                return 1;
+            }
+            next = length * length * drop / (2 * (change + length * drop)); /* of the parabola */
+            if (!(next < length / 2)) next = length / 2;
+            if (!(next > length / 10)) next = length / 10;
+        }
+        length = next;
+    }
+    for (i = 0; i < n; ++i) m->d[i] -= gone * m->step[i];
+    return 0;
+}
+
+/* One stage, from d on. */
+static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_int before = m->info.iterations;
+    const unsigned char *mask = t->system->factor->mask;
+    sfem_status status;
+    size_t i;
+    int project = 0;
+    sfemi_newton_floor(b, t);
+    if (!t->ready) sfemi_newton_evaluate(b, t);
+    if (!sfemi_newton_finite(b, t))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "%s: a force is not finite", t->what);
+    t->best = 1e300;
+    t->feasible = !(sfemi_newton_gap(b) > 0);
+    for (i = 0; i < n && t->feasible; ++i)
+        t->feasible = !(mask[i / 3] >> (i % 3) & 1) || m->d[i] == m->goal[i];
+    for (i = 0; i < (size_t)b->grip.count; ++i)
+        memcpy(b->grip.lambda + 3 * i, b->state.handle[b->grip.slot[i]].force, 3 * sizeof(sfem_real));
+    m->info.converged = 0;
+    for (;;) {
+        const int enough = sfemi_newton_converged(b, t);
+        if (enough && !t->once) {
+            m->info.converged = 1;
+            return SFEM_OK;
+        }
+        if (m->info.iterations - before >= t->iterations) break;
+        status = sfemi_newton_correct(b, t, project, err);
+        if (status != SFEM_OK) return status;
+        if (t->once) {
+            for (i = 0; i < n; ++i) m->d[i] += m->step[i];
+            if (sfemi_all_finite(m->d, n)) return SFEM_OK;
+            return sfemi_fail(err, SFEM_NOT_FINITE, "%s: the displacement is not finite", t->what);
+        }
+        if (sfemi_newton_search(b, t)) {
+            project = 0;
+        } else {
+            if (project) break;
+            project = 1;
+            sfemi_newton_evaluate(b, t);
+        }
+    }
+    if (b->def.newton.accept_best && !m->still) {
+        if (t->best < 1e300) memcpy(m->d, m->best, n * sizeof *m->d);
+        return SFEM_OK;
+    }
+    return sfemi_fail(err, SFEM_NOT_CONVERGED, "%s did not converge: residual %.3g after %d iterations",
+                      t->what, m->info.residual, (int)(m->info.iterations - before));
+}
+
+/* ---- a step ---- */
+
+static void sfemi_implicit_predict(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_implicit *m = &b->implicit;
+    memset(m->mid_d, 0, n * sizeof *m->mid_d);
+    memset(m->mid_v, 0, n * sizeof *m->mid_v);
+    if (b->state.head->started == SFEMI_RUNNING) {
+        memcpy(m->a0, b->state.a, n * sizeof *m->a0);
+    } else if (b->def.integrator == SFEM_BACKWARD_EULER) {
+        memset(m->a0, 0, n * sizeof *m->a0);
+    } else {
+        memcpy(m->v, b->state.w, n * sizeof *m->v);
+        sfemi_implicit_balance(b, 1, m->v, NULL, b->rhs);
+        sfemi_body_mass_solve(b, m->a0);
+    }
+    sfemi_implicit_load(b, 0, b->rhs);
+}
+
+/* Where to start from: the last place known, or that and v, a from there, whichever has less potential. */
+static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *v = stage ? m->mid_v : b->state.w, *a = stage ? m->mid_a : m->a0;
+    const sfem_real h = b->step * (stage ? 0.5 : m->stage.end);
+    sfem_real energy, q0;
+    size_t i;
+    memcpy(m->d, m->mid_d, n * sizeof *m->d);
+    if (t->once) return;
+    sfemi_newton_evaluate(b, t);
+    energy = m->energy;
+    for (i = 0; i < n; ++i) m->step[i] = h * (v[i] + h / 2 * a[i]);
+    q0 = sfemi_implicit_dot(m->q, m->step, n);
+    for (i = 0; i < n; ++i) m->d[i] += m->step[i];
+    sfemi_newton_evaluate(b, t);
+    q0 += sfemi_implicit_dot(m->q, m->step, n);
+    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0;
+    if (t->ready) return;
+    memcpy(m->d, m->mid_d, n * sizeof *m->d);
+}
+
+/* All stages; leaves the acceleration at the end in acc, and d, v', a' in d, mid_v, mid_a. */
+static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int stages = sfemi_implicit_stages(b);
+    sfem_status status;
+    size_t i;
+    int k;
+    memset(&m->info, 0, sizeof m->info);
+    m->still = 0;
+    m->system.factor = b->factor;
+    for (k = 0; k < stages; ++k) {
+        sfemi_system shared;
+        sfemi_newton t;
+        sfem_real share;
+        memset(&t, 0, sizeof t);
+        memset(&shared, 0, sizeof shared);
+        shared.factor = k ? m->second : b->factor;
+        t.system = m->system.matrix.val ? &m->system : &shared;
+        t.what = "the step";
+        t.iterations = b->def.newton.iterations;
+        t.once = t.iterations == 1 ||
+                 (sfemi_implicit_linear(b->model) && !b->def.damping_force.force);
+        m->stage = sfemi_implicit_stage(b, k, b->step);
+        share = 1 - m->stage.w1 * m->stage.end;
+        memcpy(m->load, b->rhs, n * sizeof *m->load);
+        if (share != 0 && b->state.head->loaded && b->state.head->load_age < 2)
+            for (i = 0; i < n; ++i) m->load[i] += share * (b->state.force[1][i] - b->state.force[0][i]);
+        sfemi_implicit_history(b);
+        sfemi_implicit_guess(b, &t, k);
+        status = sfemi_newton_run(b, &t, err);
+        if (status != SFEM_OK) return status;
+        memcpy(m->mid_d, m->d, n * sizeof *m->d);
+        for (i = 0; i < n; ++i) {
+            m->mid_v[i] = m->stage.c1 * m->d[i] + m->vmap[i];
+            m->mid_a[i] = m->stage.c2 * m->d[i] + m->amap[i];
+        }
+    }
+    if (!sfemi_all_finite(m->mid_a, n))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+    memcpy(b->acc, m->mid_a, n * sizeof *b->acc);
+    return SFEM_OK;
+}
+
+static void sfemi_implicit_finish(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_state *s = &b->state;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        sfem_real x[3], v[3], a[3];
+        for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
+        sfemi_hold_motion(s->pin + k, x, b->step, s->head->h, v, a);
+        for (c = 0; c < 3; ++c) {
+            i = at + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            s->u[i] = s->pin[k].target[c] - b->model->mesh.x[i];
+            s->w[i] = v[c];
+            s->a[i] = a[c];
+        }
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) {
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        s->u[i] += m->d[i];
+        s->w[i] = m->mid_v[i];
+        s->a[i] = m->mid_a[i];
+    }
+}
+
+SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->implicit.info;
+}
+
+/* ---- statics ---- */
+
+/* f(u) = F, the held axes of mask at known, and the handles in grip.slot at their targets, from the present u
+ * on; the solution to u. Steps of the load, in which the force that is out of balance at the start
+ * vanishes in proportion and pins and handles go their ways. */
+static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system, const sfem_real *known,
+                                              sfem_real *u, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const unsigned char *mask = system->factor->mask;
+    sfem_real reached = 0, part = 1.0 / b->def.newton.load_steps;
+    sfemi_newton t;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    memset(&m->info, 0, sizeof m->info);
+    memset(&m->stage, 0, sizeof m->stage);
+    m->stage.w1 = m->stage.end = 1;
+    m->still = 1;
+    memset(&t, 0, sizeof t);
+    t.system = system;
+    t.what = "the static solution";
+    t.iterations = b->def.newton.iterations > 2 ? b->def.newton.iterations : 20;
+    sfemi_implicit_load(b, 0, m->amap);                            /* F */
+    sfemi_implicit_terms(b, b->state.u, NULL, NULL, m->vmap, m->q); /* f at the start */
+    memset(m->mid_d, 0, n * sizeof *m->mid_d);                     /* where it converged last */
+    while (reached < 1) {
+        if (part > 1 - reached - 1e-9) part = 1 - reached;
+        m->share = part == 1 - reached ? 1 : reached + part;
+        memcpy(m->d, m->mid_d, n * sizeof *m->d);
+        for (i = 0; i < n; ++i) {
+            const int held = mask[i / 3] >> (i % 3) & 1;
+            m->load[i] = m->vmap[i] + m->share * (m->amap[i] - m->vmap[i]);
+            m->goal[i] = held ? m->share * (known[i] - b->state.u[i]) : 0;
+        }
+        status = sfemi_newton_run(b, &t, err);
+        ++m->info.load_steps;
+        if (status == SFEM_OK) {
+            memcpy(m->mid_d, m->d, n * sizeof *m->d);
+            reached = m->share;
+            part = fmin(2 * part, 1.0 / b->def.newton.load_steps);
+        } else if (part < 2.0 / 1024 || status == SFEM_OUT_OF_MEMORY) {
+            break;
+        } else {
+            part /= 2;
+        }
+    }
+    for (i = 0; i < n && status == SFEM_OK; ++i) u[i] = b->state.u[i] + m->mid_d[i];
+    if (status == SFEM_NOT_CONVERGED)
+        return sfemi_fail(err, status,
+                          "the static solution did not converge: residual %.3g after %d iterations, at %.3g "
+                          "of the load",
+                          m->info.residual, (int)m->info.iterations, reached);
+    return status;
 }
 
 /* ============================================================================================
@@ -10080,6 +11138,7 @@ static sfem_real sfemi_pqr_stable_step(const sfem_body *b, sfem_real p)
 static int sfemi_pqr_needs_omega(const sfem_body *b)
 {
     if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
+    if (b->def.integrator > SFEM_CENTRAL) return 0;
     if (b->def.integrator == SFEM_CENTRAL) return 1;
     if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
@@ -11122,13 +12181,18 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.q = d.r = 1;
     d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
+    d.rho_inf = 0.8;
+    d.hht_alpha = 0.1;
+    d.newton.iterations = 20;
+    d.newton.tolerance = 1e-8;
+    d.newton.load_steps = 1;
     d.max_handles = 16;
     return d;
 }
 
 static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
-    if ((unsigned)d->integrator > SFEM_CENTRAL)
+    if ((unsigned)d->integrator > SFEM_BATHE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
@@ -11155,14 +12219,20 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
-    return SFEM_OK;
+    return sfemi_implicit_check(d, err);
+}
+
+/* Is w the mean velocity over a step, not the velocity? */
+static int sfemi_body_keeps_mean(const sfem_body *b)
+{
+    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
 static uint64_t sfemi_body_key(const sfem_body *b)
 {
     const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
-                              b->def.integrator == SFEM_NEWMARK};
+                              !sfemi_body_keeps_mean(b)};
     const uint64_t hash = sfemi_state_hash(0xcbf29ce484222325u, shape, sizeof shape);
     return sfemi_state_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
@@ -11278,6 +12348,7 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    sfemi_implicit_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
     sfemi_factor_release(b->model, b->guard.factor);
@@ -11320,6 +12391,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
 done:
     return status;
 }
@@ -11340,7 +12412,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = model->turns && def->integrator != SFEM_NEWMARK;
+    b->turns = model->turns && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
@@ -11398,7 +12470,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
-        if (!g->ready[i])
+        if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
             sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
                                b->work, &b->exec);
         g->ready[i] = 1;
@@ -11439,6 +12511,10 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     sfem_real limit;
     if (sfemi_pqr_needs_omega(b) && b->omega_max == 0) status = sfemi_pqr_find_omega(b, err);
     if (status != SFEM_OK) return status;
+    if (b->def.integrator > SFEM_CENTRAL) {
+        *p = 0;
+        return SFEM_OK;
+    }
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
@@ -11452,7 +12528,21 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
 
 static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
 {
-    return b->factor && h == b->h && !b->grip.dirty;
+    return b->factor && (h == b->h || (b->h > 0 && b->implicit.system.matrix.val)) && !b->grip.dirty;
+}
+
+static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
+{
+    sfem_factor *f;
+    sfem_status status = sfemi_implicit_get_factor(b, h, &f, err);
+    if (status != SFEM_OK) return status;
+    sfemi_body_adopt(b, f);
+    b->h = 0; /* until all is there */
+    status = sfemi_body_reserve_work(b, f, 3, err);
+    if (status != SFEM_OK) return status;
+    b->h = h;
+    b->p = p;
+    return sfemi_body_prepare_handles(b, err);
 }
 
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
@@ -11470,6 +12560,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
+        if (sfemi_implicit_serves(b)) return sfemi_body_prepare_implicit(b, h, p, err);
         k = sfemi_body_coefficients(b, p);
         key.ck = k.p * h * h + k.q / 2 * h * b->beta;
         key.cm = k.r + k.q / 2 * h * b->alpha;
@@ -11503,6 +12594,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     }
     b->step = h;
     if (b->turns) sfemi_guard_predict(b, h);
+    else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
     b->phase = SFEMI_PREDICTED;
@@ -11513,6 +12605,11 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
+    if (sfemi_implicit_serves(b)) {
+        const sfem_status status = sfemi_implicit_solve(b, err);
+        b->phase = status == SFEM_OK ? SFEMI_SOLVED : SFEMI_IDLE;
+        return status;
+    }
     if (!b->turns)
         sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
     if (b->turns) sfemi_guard_solve(b);
@@ -11543,12 +12640,10 @@ static void sfemi_body_finish_linear(sfem_body *b)
     sfem_int i;
     for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
-    if (b->def.integrator == SFEM_NEWMARK) {
-        sfemi_newmark_finish(b);
-        sfemi_newmark_settle_handles(b, g->place);
-    } else {
-        sfemi_pqr_finish(b);
-    }
+    if (sfemi_implicit_serves(b)) sfemi_implicit_finish(b);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_finish(b);
+    else sfemi_pqr_finish(b);
+    if (!sfemi_body_keeps_mean(b)) sfemi_newmark_settle_handles(b, g->place);
     b->state.head->started = SFEMI_RUNNING;
 }
 
@@ -11669,7 +12764,7 @@ SFEM_DEF void sfem_body_positions(const sfem_body *b, sfem_real *x)
 SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    const int mean = b->def.integrator != SFEM_NEWMARK && s->head->started == SFEMI_RUNNING;
+    const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] = s->w[i] + half * s->a[i];
@@ -11893,6 +12988,13 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     sfem_real *v = b->acc;
     size_t i;
     sfem_body_velocities(b, v);
+    if (sfemi_implicit_serves(b)) {
+        memcpy(b->zm, b->state.a, n * sizeof *b->zm);
+        b->phase = SFEMI_IDLE;
+        sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
+        for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+        return;
+    }
     for (i = 0; i < n; ++i) {
         b->zk[i] = b->state.u[i] + b->beta * v[i];
         b->zm[i] = b->state.a[i] + b->alpha * v[i];
@@ -11994,7 +13096,8 @@ static void sfemi_body_static_forces(sfem_body *b)
     int c;
     memcpy(b->zk, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zk);
     if (b->zd) memset(b->zd, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zd);
-    sfemi_body_residual(b, load, 0);
+    if (sfemi_implicit_linear(b->model)) sfemi_body_residual(b, load, 0);
+    else sfemi_implicit_balance(b, 0, NULL, NULL, b->rhs);
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
         for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
@@ -12003,6 +13106,32 @@ static void sfemi_body_static_forces(sfem_body *b)
             b->rhs[i] = 0; /* carried */
         }
     }
+}
+
+/* The static solution of a nonlinear model, to acc. */
+static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    sfemi_system system;
+    sfem_status status = SFEM_OK;
+    sfem_int k;
+    memset(&system, 0, sizeof system);
+    SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    SFEMI_TRY(sfemi_system_open(b, key, &system, err));
+    SFEMI_TRY(sfemi_body_reserve_work(b, system.factor, 3, err));
+    SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
+    sfemi_body_static_known(b, b->implicit.best);
+    SFEMI_TRY(sfemi_implicit_equilibrium(b, &system, b->implicit.best, b->acc, err));
+    for (k = 0; k < g->count; ++k)
+        memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
+done:
+    g->count = 0;
+    g->dirty = 1;
+    sfemi_factor_release(b->model, system.factor);
+    sfemi_system_close(b, &system);
+    return status;
 }
 
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
@@ -12022,15 +13151,19 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
-    SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
-    SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
-    sfemi_body_static_known(b, b->zk);
-    memcpy(b->acc, b->zk, n * sizeof *b->acc);
-    if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
-    sfemi_body_residual(b, load, 0);
-    sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
-    SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
+    if (!sfemi_implicit_linear(b->model)) {
+        SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
+    } else {
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
+        SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
+        sfemi_body_static_known(b, b->zk);
+        memcpy(b->acc, b->zk, n * sizeof *b->acc);
+        if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
+        sfemi_body_residual(b, load, 0);
+        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+        SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
+    }
     if (!sfemi_all_finite(b->acc, n)) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "the static solution is not finite");
         goto done;
@@ -12074,16 +13207,19 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
     if (b->turns) {
         e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
-    } else {
+    } else if (sfemi_implicit_linear(model)) {
         sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
         e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    } else {
+        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
     }
     e.load = 0;
     for (i = 0; i < n; ++i)
         e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
     if (!running || b->turns) return e;
-    if (b->def.integrator == SFEM_NEWMARK) {
+    if (!sfemi_body_keeps_mean(b)) {
+        if (b->def.integrator != SFEM_NEWMARK) return e;
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
         e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
     } else {
@@ -12118,6 +13254,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
