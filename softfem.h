@@ -789,9 +789,17 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 #define SFEM_P_AUTO (-1.0) /* linear body: 1/12 where every mode is resolved (omega_max h < 2) */
 #define SFEM_P_SAFE (-2.0) /* 1/4 for a linear body, .27 for a corotational one, 1/2 for one that hardens */
 
-/* The frame in which the constant factor of a body that turns is used: as it is (the source's form, which
- * explodes after a turn of 5 degrees), turned with each connected piece, or with each node. */
-typedef enum sfem_frame { SFEM_FRAME_NODE, SFEM_FRAME_PIECE, SFEM_FRAME_REST } sfem_frame;
+/* The frame in which the constant factor of a body that turns is used: turned with each node (default), with
+ * each connected piece, or as it is (the source's form, which explodes after a turn of 5 degrees). The last
+ * takes in place of K its isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian: it bounds the
+ * corotational stiffness whatever turns, but is far too heavy for slender bodies, and stiffness damping is
+ * the majorant's, too. */
+typedef enum sfem_frame {
+    SFEM_FRAME_NODE,
+    SFEM_FRAME_PIECE,
+    SFEM_FRAME_REST,
+    SFEM_FRAME_MAJORANT
+} sfem_frame;
 
 enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
@@ -938,8 +946,11 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, s
 typedef struct sfem_energy {
     sfem_real kinetic, elastic, load; /* 1/2 v.Mv, 1/2 u.Ku, -(F + Mg).u; J */
     sfem_real total;                  /* their sum */
-    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load: for
-                          * (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
+                          * nonlinear body nearly, without the motion of free pieces' centres of mass: for
+                          * its guarded steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
+                          * - F.(u+u-)/2, after a step done again 1/2 w.r M w + E - F.u; for a linear body
+                          * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
                           * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a's counterpart */
 } sfem_energy;
 SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
@@ -954,7 +965,9 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
-    int64_t steps, redone;    /* since its state was set; redone: by the guard */
+    int64_t steps, redone;    /* since its state was set; redone: by the guard, */
+    int64_t descents;         /* with so many steps of descent, a solve each */
+    sfem_int corrections;     /* in the last step */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -7011,6 +7024,21 @@ static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real 
     for (i = 3; i < 6; ++i) stress[i] = mu * strain[i];
 }
 
+/* Below this |F| a tet is a point, and all that is left of F is the rounding of G = F - I: R is then I. */
+#define SFEMI_TINY_F       1e-12
+#define SFEMI_TINY_F_MIXED 1e-6 /* G in float */
+
+static void sfemi_element_rotation(const sfem_real f[9], sfem_real point, sfem_real r[9])
+{
+    sfem_real norm2 = 0;
+    int i;
+    for (i = 0; i < 9; ++i) norm2 += f[i] * f[i];
+    if (norm2 < point * point)
+        for (i = 0; i < 9; ++i) r[i] = i % 4 ? 0 : 1;
+    else
+        sfem_polar(f, r, NULL);
+}
+
 /* ---- materials, one at a time: F = I + G, so that small G keep their digits ---- */
 
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu)
@@ -7039,7 +7067,7 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
 {
     sfem_real r[9], trace = 0, square = 0;
     int i;
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, SFEMI_TINY_F, r);
     for (i = 0; i < 9; ++i) {
         const sfem_real d = f[i] - r[i];
         square += d * d;
@@ -7219,7 +7247,7 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
         f[i] = g[i] + m->u[i];
     }
     if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN)
-        sfem_polar(f, m->u, NULL);
+        sfemi_element_rotation(f, SFEMI_TINY_F, m->u);
     else if (law != SFEM_LINEAR)
         sfemi_law_svd(f, m->u, s, m->v);
     sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
@@ -7748,12 +7776,12 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
 #endif
 
 /* R of a lane that the fast way has given up. */
-static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
+static void sfemi_lanes_repair(const sfem_real g[9], sfem_real point, sfem_real r[9])
 {
     sfem_real f[9];
     int i;
     for (i = 0; i < 9; ++i) f[i] = g[i] + (i % 4 ? 0 : 1);
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, point, r);
 }
 
 /* Is any of the flags, 0 or 1, not 0? */
@@ -7926,7 +7954,7 @@ static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fus
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         if (w->bad[l] == 0) continue;                                                              \
         for (i = 0; i < 9; ++i) g[i] = w->g[i][l];                                                 \
-        sfemi_lanes_repair(g, r);                                                                  \
+        sfemi_lanes_repair(g, sizeof(T) < sizeof g[0] ? SFEMI_TINY_F_MIXED : SFEMI_TINY_F, r);       \
         for (i = 0; i < 9; ++i) w->r[i][l] = (T)r[i];                                              \
     }                                                                                              \
 }                                                                                                  \
@@ -9056,13 +9084,16 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>factor   the shared factor of a body's system matrix
  *
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
- * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. All bodies of a model with the
+ * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
+ * isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
+ * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. All bodies of a model with the
  * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
  * goes when its last body lets go. A factor never changes after it is made.
  * ============================================================================================ */
 
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
+    int majorant; /* ck times the isotropic majorant in place of K */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -9082,7 +9113,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, size_t nodes)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.precision == key->precision && f->key.ordering == key->ordering &&
+           f->key.majorant == key->majorant && f->key.precision == key->precision && f->key.ordering == key->ordering &&
            memcmp(f->mask, key->mask, nodes) == 0;
 }
 
@@ -9127,6 +9158,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
+            k.majorant = f->key.majorant;
         }
         if (!sfemi_factor_matches(f, &k, nodes)) continue;
         ++f->references;
@@ -9136,13 +9168,67 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     return f;
 }
 
+static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
+{
+    return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0));
+}
+
+/* y = the majorant times x. */
+static void sfemi_factor_multiply_majorant(const sfem_model *model, const sfem_real *x, sfem_real *y)
+{
+    sfem_int e;
+    int a, i, j;
+    memset(y, 0, 3 * (size_t)model->mesh.nodes * sizeof *y);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3], d[3][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) {
+                d[i][j] = 0;
+                for (a = 1; a < 4; ++a)
+                    d[i][j] += g[a][j] * (x[3 * (size_t)t[a] + (size_t)i] - x[3 * (size_t)t[0] + (size_t)i]);
+                d[i][j] *= sfemi_factor_isotropic(model, e);
+            }
+        for (a = 0; a < 4; ++a)
+            for (i = 0; i < 3; ++i) y[3 * (size_t)t[a] + (size_t)i] += sfemi_dot3(d[i], g[a]);
+    }
+}
+
+/* The majorant's scalars [blocks], to be freed, where the key wants it; else NULL. */
+static sfem_status sfemi_factor_majorant(const sfem_model *model, const sfemi_factor_key *key,
+                                         sfem_real **out, sfem_error *err)
+{
+    sfem_real *scalar = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int e;
+    int a, b;
+    *out = NULL;
+    if (!key->majorant) return SFEM_OK;
+    SFEMI_NEW(sfem_real, scalar, &model->allocator, model->row[model->mesh.nodes]);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (a = 0; a < 4; ++a)
+            for (b = 0; b < 4; ++b)
+                if (t[a] >= t[b])
+                    scalar[sfemi_fem_find(model->row, model->col, t[a], t[b])] +=
+                        sfemi_factor_isotropic(model, e) * sfemi_dot3(g[a], g[b]);
+    }
+    *out = scalar;
+done:
+    return status;
+}
+
 /* Block (i, j) of A at place `at` of the pattern, without what couples held axes. */
-static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, sfem_int at, sfem_int i,
-                               sfem_real b[9])
+static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *majorant,
+                               sfem_int at, sfem_int i, sfem_real b[9])
 {
     const sfem_int j = model->col[at];
     int r, c;
-    sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
+    sfemi_fem_block(model, at, i, majorant ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; majorant && r < 9; r += 4) b[r] += f->key.ck * majorant[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
             if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
@@ -9154,9 +9240,11 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
 {
     const sfem_allocator *al = &model->allocator;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_real *majorant = NULL;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
+    SFEMI_TRY(sfemi_factor_majorant(model, &f->key, &majorant, err));
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
@@ -9168,13 +9256,14 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
             if (number[model->col[at]] == 0) continue;
             col[blocks] = number[model->col[at]] - 1;
-            sfemi_factor_block(model, f, at, f->node[k], a.val + 9 * (size_t)blocks++);
+            sfemi_factor_block(model, f, majorant, at, f->node[k], a.val + 9 * (size_t)blocks++);
         }
         row[k + 1] = blocks;
     }
     *out = a;
 done:
     if (status != SFEM_OK) sfem_matrix_free(&a, al);
+    sfemi_delete(al, majorant);
     sfemi_delete(al, number);
     return status;
 }
@@ -9331,14 +9420,16 @@ typedef struct sfemi_state_head {
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
-    sfem_int current;   /* f, psi, frame and the ledger belong to u */
-    sfem_int rebase;    /* what counts as free has changed: a new ledger */
+    sfem_int current;   /* f, psi and frame belong to u */
+    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
     sfem_int unused;
-    int64_t steps, redone;
-    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger */
+    int64_t steps, redone, descents;
+    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
+    sfem_real energy;                   /* and what it conserves */
 } sfemi_state_head;
 
 /* RESTARTED: as not started, but the loads have their history. */
+enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
@@ -9591,16 +9682,31 @@ typedef struct sfemi_turn {
     sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
 } sfemi_turn;
 
+/* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
+typedef struct sfemi_redo {
+    sfem_factor *factor;
+    sfem_real h;
+    sfemi_grip grip; /* the handles' columns for it */
+} sfemi_redo;
+
+enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
+
+/* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
+enum { SFEMI_MEMORY = 6 };
+
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
     sfem_real *external;   /* the loads as the corrections weigh them */
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
-    sfem_factor *factor;   /* A with p = 1, for the redo; NULL until one is needed */
-    sfem_real h;           /* what it is for */
-    sfemi_grip grip;       /* the handles' columns for it */
+    sfem_real *unit;       /* frames that do not turn */
+    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
+    sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
+    int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
     int redone;            /* u, w, f come from the redo */
+    int crumpled;          /* which needed the isotropic majorant */
+    sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
 /* What >>implicit works with. */
 typedef struct sfemi_stage {
@@ -11305,12 +11411,12 @@ static int sfemi_turn_projects(const sfem_body *b)
     return 0;
 }
 
-/* x = A^-1 x, see above, held axes becoming 0. */
+/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
 static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
     const sfem_int nodes = b->model->mesh.nodes;
-    const int projects = sfemi_turn_projects(b);
+    const int projects = u && sfemi_turn_projects(b);
     sfem_int i, k;
     int c;
     if (projects) {
@@ -11348,7 +11454,8 @@ static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_re
         }
         sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
     }
-    sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
+    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_turn_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -11379,7 +11486,7 @@ static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real
     sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
     sfem_int e, i;
     int a, c;
-    if (b->def.frame == SFEM_FRAME_REST) return;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
     memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
     for (e = 0; e < model->mesh.tets; ++e)
         for (a = 0; a < 4; ++a) {
@@ -11510,26 +11617,34 @@ static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real 
     return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
 }
 
-/* Forces, frames and a new ledger where the state was set from outside. */
-static void sfemi_guard_refresh(sfem_body *b)
+/* Forces and frames where the state was set from outside; the pieces' places. */
+static void sfemi_guard_look(sfem_body *b)
 {
     sfemi_state_head *head = b->state.head;
-    sfemi_guard_energies e;
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+        head->current = 1;
+        head->rebase = SFEMI_NEW_LEDGER;
     }
     sfemi_turn_locate(b, b->state.u);
-    if (head->current && !head->rebase) return;
-    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+}
+
+/* A ledger for steps of h from here, where the present one is void. */
+static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
+{
+    sfemi_state_head *head = b->state.head;
+    sfemi_guard_energies e;
+    sfemi_guard_look(b);
+    if (head->rebase == SFEMI_LEDGER) return;
+    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
     head->budget = head->last = e.ec;
-    if (!head->current) head->scale = 0;
+    if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
-    head->current = 1;
-    head->rebase = 0;
+    head->rebase = SFEMI_LEDGER;
 }
 
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
@@ -11544,7 +11659,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     sfem_int j;
     size_t i;
     b->step = h;
-    sfemi_guard_refresh(b);
+    sfemi_guard_refresh(b, h);
     t = sfemi_pqr_weigh(b, h);
     t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
@@ -11711,6 +11826,7 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
     int k;
     for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
         sfem_real size = 0, change = 0;
+        g->corrections = k + 1;
         for (i = 0; i < n; ++i) {
             const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
             b->zk[i] = b->beta * v;
@@ -11760,6 +11876,7 @@ static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_re
  * constraints, and what is added to it may not leave them. */
 static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
 {
+    sfemi_grip *grip = &b->guard.redo[SFEMI_TURNED].grip;
     sfem_int k;
     int c;
     for (k = 0; k < b->pin_count; ++k)
@@ -11767,14 +11884,14 @@ static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
         }
-    if (!b->guard.grip.count) return;
-    for (k = 0; k < b->guard.grip.count; ++k) { /* hold compares H z with the target's displacement */
-        const sfemi_handle *h = b->state.handle + b->guard.grip.slot[k];
+    if (!grip->count) return;
+    for (k = 0; k < grip->count; ++k) { /* hold compares H z with the target's displacement */
+        const sfemi_handle *h = b->state.handle + grip->slot[k];
         sfem_real rest[3];
         sfemi_grip_mean(h, b->model->mesh.x, rest);
-        for (c = 0; c < 3; ++c) b->guard.grip.lambda[3 * k + c] = h->hold.target[c] - rest[c];
+        for (c = 0; c < 3; ++c) grip->lambda[3 * k + c] = h->hold.target[c] - rest[c];
     }
-    sfemi_guard_hold(b, &b->guard.grip, b->state.frame, z);
+    sfemi_guard_hold(b, grip, b->state.frame, z);
 }
 
 static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
@@ -11803,44 +11920,94 @@ static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
     return sfemi_guard_potential(b, g->u, g->f, psi);
 }
 
-/* dir = -h^2 A1^-1 grad in the frames of z, leaving constraints alone. Returns grad.dir. */
-static sfem_real sfemi_guard_direction(sfem_body *b)
+/* x = h^2 A^-1 x in the frames of z, leaving constraints alone. The isotropic majorant is taken as it is:
+ * only then it bounds Phi. */
+static void sfemi_guard_precondition(sfem_body *b, int kind, sfem_real *x)
+{
+    sfemi_grip *grip = &b->guard.redo[kind].grip;
+    const sfem_real *frame = kind == SFEMI_TURNED ? b->guard.frame : b->guard.unit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_turn_solve(b, b->guard.redo[kind].factor, kind == SFEMI_TURNED ? b->state.u : NULL, frame, x);
+    if (grip->count) {
+        memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
+        sfemi_guard_hold(b, grip, frame, x);
+    }
+    for (i = 0; i < n; ++i) x[i] *= b->step * b->step;
+}
+
+static sfem_real sfemi_guard_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+/* dir, a direction of descent: minus the preconditioned gradient, with the majorant corrected by the pairs
+ * (L-BFGS) [Nocedal 1980; with such a matrix: Liu, Bouaziz, Kavan 2017]. Returns grad.dir. */
+static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real slope = 0;
+    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
+    sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
-    sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    int k;
+    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
-    sfemi_turn_solve(b, g->factor, b->state.u, g->frame, g->dir);
-    if (g->grip.count) {
-        memset(g->grip.lambda, 0, 3 * (size_t)g->grip.count * sizeof *g->grip.lambda);
-        sfemi_guard_hold(b, &g->grip, g->frame, g->dir);
+    for (k = 0; k < count; ++k) { /* from the last on */
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
+        rho[k] = sfemi_guard_dot(s, y, n);
+        part[k] = sfemi_guard_dot(s, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
     }
+    sfemi_guard_precondition(b, kind, g->dir);
+    for (k = count - 1; k >= 0; --k) {
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
+        const sfem_real back = sfemi_guard_dot(y, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
+    }
+    for (i = 0; i < n; ++i) g->dir[i] = -g->dir[i];
+    return sfemi_guard_dot(g->grad, g->dir, n);
+}
+
+/* Puts the pair that was begun in its slot in order, if the gradient has changed along the step as it
+ * must. */
+static void sfemi_guard_remember(sfemi_guard *g, size_t n)
+{
+    sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY), *y = s + n;
+    size_t i;
     for (i = 0; i < n; ++i) {
-        g->dir[i] *= -b->step * b->step;
-        slope += g->grad[i] * g->dir[i];
+        s[i] = g->u[i] - s[i];
+        y[i] = g->grad[i] - y[i];
     }
-    return slope;
+    if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n))) ++g->pairs;
 }
 
 /* One step of descent with Armijo's rule; 0 if there is none left to take. */
-static int sfemi_guard_descend(sfem_body *b, sfem_real *phi, sfem_real *psi)
+static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
-    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
-    const sfem_real slope = sfemi_guard_direction(b);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real slope = sfemi_guard_direction(b, kind);
     sfem_real length = 1;
     size_t i;
     int halvings;
-    for (halvings = 0; halvings < 20 && slope < 0; ++halvings, length /= 2) {
+    if (kind == SFEMI_ISOTROPIC) {
+        sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
+        memcpy(s, g->u, n * sizeof *s);
+        memcpy(s + n, g->grad, n * sizeof *s);
+    }
+    for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
         sfem_real value;
-        for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
+        for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
         if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
         *phi = value;
-        memcpy(g->u, g->trial_u, bytes);
-        memcpy(g->f, g->trial_f, bytes);
+        memcpy(g->u, g->trial_u, n * sizeof *g->u);
+        memcpy(g->f, g->trial_f, n * sizeof *g->f);
+        if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
         return 1;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
@@ -11923,6 +12090,7 @@ static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
     sfem_int k;
     int l, c;
@@ -11930,29 +12098,106 @@ static sfem_real sfemi_guard_work(sfem_body *b)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+            work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
     for (k = 0; k < b->grip.count; ++k) {
         const sfemi_handle *h = b->state.handle + b->grip.slot[k];
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+                work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
 }
 
-/* Does the step again, by minimisation. Leaves z, w', f, rotations in guard; returns Psi. */
-static sfem_real sfemi_guard_redo(sfem_body *b)
+/* The factor of the redo, and the handles' columns for it. */
+static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *err)
+{
+    sfemi_redo *g = &b->guard.redo[kind];
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
+    sfem_factor *f = NULL;
+    sfemi_factor_key key;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!g->factor || g->h != h) {
+        key = b->factor->key;
+        key.majorant = kind == SFEMI_ISOTROPIC;
+        key.ck = kind == SFEMI_TURNED ? h * h + h * b->beta : h * h;
+        key.cm = kind == SFEMI_TURNED ? r + h * b->alpha : r;
+        key.cd = kind == SFEMI_TURNED && b->model->damping ? h : 0;
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        sfemi_factor_release(b->model, g->factor);
+        g->factor = f;
+        g->h = h;
+        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
+    }
+    if (kind == SFEMI_ISOTROPIC && !b->guard.pair)
+        SFEMI_NEW(sfem_real, b->guard.pair, &b->allocator, 6 * SFEMI_MEMORY * (size_t)b->model->mesh.nodes);
+    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
+    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
+    g->grip.count = b->grip.count;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
+        if (!g->grip.ready[slot])
+            sfemi_grip_columns(g->factor, b->state.handle + slot, b->model->mesh.nodes, 1, g->grip.y[slot],
+                               b->work, &b->exec);
+        g->grip.ready[slot] = 1;
+    }
+done:
+    return status;
+}
+
+/* Lowers Phi, by the turned factor, or where that needs short steps, by the isotropic majorant, until Ec is
+ * in order and a step of descent gains little. */
+static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
+                                        sfem_error *err)
+{
+    enum { LIMIT = 100 };
+    sfemi_guard *g = &b->guard;
+    const sfem_real scale = b->state.head->scale;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real first = 0;
+    sfem_status status = SFEM_OK;
+    int k, kind = SFEMI_TURNED, poor = 0;
+    g->pairs = 0;
+    for (k = 0; k < LIMIT; ++k) {
+        sfem_real norm = 0, before = phi;
+        size_t i;
+        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
+        if (k == 0) first = norm;
+        if (norm == 0 || norm < 1e-6 * first) break;
+        if (sfemi_guard_descend(b, kind, &phi, psi)) {
+            const sfem_real worth = *psi < scale ? *psi : scale;
+            const int turned = kind == SFEMI_TURNED;
+            ++b->state.head->descents;
+            poor = before - phi <= (turned ? .01 : .001) * worth ? poor + 1 : 0;
+            if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
+        } else if (kind == SFEMI_TURNED) {
+            kind = SFEMI_ISOTROPIC;
+            g->crumpled = 1;
+            SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
+        } else {
+            break;
+        }
+    }
+done:
+    return status;
+}
+
+/* Does the step again, by minimisation. Leaves z, w', f, rotations and Psi in guard. */
+static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
 {
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real psi, phi, first = 0, target;
+    sfem_real psi, phi, target;
+    sfem_status status;
     size_t i;
-    int k;
+    g->crumpled = 0;
+    status = sfemi_guard_prepare_redo(b, SFEMI_TURNED, err);
+    if (status != SFEM_OK) return status;
     for (i = 0; i < n; ++i) {
         const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
         g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
@@ -11963,52 +12208,13 @@ static sfem_real sfemi_guard_redo(sfem_body *b)
     head->budget += sfemi_guard_work(b);
     target = head->budget + .01 * head->scale;
     if (head->last > target) target = head->last;
-    for (k = 0; k < 8; ++k) {
-        sfem_real norm = 0;
-        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
-        if (k == 0) first = norm;
-        else if (norm < 1e-6 * first || sfemi_guard_at(b, psi).ec <= target) break;
-        if (!sfemi_guard_descend(b, &phi, &psi)) break;
-    }
+    status = sfemi_guard_minimise(b, phi, target, &psi, err);
+    if (status != SFEM_OK) return status;
     (void)sfemi_guard_at(b, psi);
     sfemi_guard_restore_momentum(b, psi);
     sfemi_guard_slow_down(b, psi, target);
-    return psi;
-}
-
-/* The factor of the redo, and the handles' columns for it. */
-static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
-{
-    sfemi_guard *g = &b->guard;
-    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_factor *f = NULL;
-    sfemi_factor_key key;
-    sfem_status status = SFEM_OK;
-    sfem_int i;
-    if (!g->factor || g->h != h) {
-        key = b->factor->key;
-        key.ck = h * h + h * b->beta;
-        key.cm = r + h * b->alpha;
-        key.cd = b->model->damping ? h : 0;
-        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-        sfemi_factor_release(b->model, g->factor);
-        g->factor = f;
-        g->h = h;
-        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
-    }
-    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
-    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
-    g->grip.count = b->grip.count;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
-        if (!g->grip.ready[slot])
-            sfemi_grip_columns(g->factor, b->state.handle + slot, (sfem_int)(n / 3), 1, g->grip.y[slot], b->work,
-                               &b->exec);
-        g->grip.ready[slot] = 1;
-    }
-done:
-    return status;
+    g->psi = psi;
+    return SFEM_OK;
 }
 
 /* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
@@ -12063,7 +12269,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (b->model->node_mass[b->pin[k]] * b->acc[i] + s->f[i]) * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            work += s->f[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
         }
     if (s->head->loaded && s->head->load_age < 2)
         for (i = 0; i < n; ++i)
@@ -12076,7 +12282,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
 static void sfemi_guard_handle_forces(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
-    const sfem_real h2 = b->step * b->step;
+    const sfem_real h2 = b->step * b->step / sfemi_body_coefficients(b, b->p).r;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->grip.count; ++k) {
@@ -12104,6 +12310,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const sfem_real budget = head->budget;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
+    g->corrections = 0;
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
     g->redone = 0;
@@ -12115,9 +12322,11 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     }
     if (g->redone) {
         head->budget = budget;
-        status = sfemi_guard_prepare_redo(b, err);
-        if (status != SFEM_OK) return status;
-        g->psi = sfemi_guard_redo(b);
+        status = sfemi_guard_redo(b, err);
+        if (status != SFEM_OK) {
+            head->budget = budget;
+            return status;
+        }
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
     head->budget = budget;
@@ -12143,10 +12352,14 @@ static void sfemi_guard_finish(sfem_body *b)
             memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
     e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-    energy = redone ? e.ec : e.eb;
+    energy = head->energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
-    moving = e.kinetic + (head->psi + psi) / 2;
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
     head->scale *= exp(-b->step);
+    if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
+        head->scale = 0;
+        head->budget = energy;
+    }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
     head->last = e.ec;
@@ -12196,7 +12409,7 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
-    if ((unsigned)d->frame > SFEM_FRAME_REST)
+    if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
     if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
@@ -12335,12 +12548,14 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
     SFEMI_NEW(sfem_real, b->turn.rotation, al,
-              9 * tets + sfem_model_work_size(b->model) + (10 + 3) * n + n + n / 3 + 3 * n);
+              9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
     b->turn.work = b->turn.rotation + 9 * tets;
     b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
     g->frame = b->turn.sum + 3 * n + n / 3;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->frame + (3 + i) * n;
-    SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->grip, err));
+    g->unit = g->frame + 3 * n;
+    for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
+    for (i = 0; i < SFEMI_REDOS; ++i) SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->redo[i].grip, err));
 done:
     return status;
 }
@@ -12348,12 +12563,16 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    int k;
     sfemi_implicit_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_factor_release(b->model, b->guard.factor);
     sfemi_body_free_grip(b, &b->grip);
-    sfemi_body_free_grip(b, &b->guard.grip);
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        sfemi_body_free_grip(b, &b->guard.redo[k].grip);
+    }
+    sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.rotation);
@@ -12452,7 +12671,7 @@ static void sfemi_body_find_held(sfem_body *b)
         changed |= held != b->turn.piece[k].held;
         b->turn.piece[k].held = held;
     }
-    if (changed) b->state.head->rebase = 1;
+    if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
@@ -12478,8 +12697,8 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
     if (b->turns) sfemi_body_find_held(b);
-    if (b->turns && b->def.no_allocation && !b->def.no_guard)
-        SFEMI_TRY(sfemi_guard_prepare_redo(b, err));
+    for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
     return status;
@@ -12489,7 +12708,8 @@ static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    for (i = 0; b->turns && i < b->def.max_handles; ++i) b->guard.grip.ready[i] = 0;
+    for (i = 0; b->turns && i < b->def.max_handles; ++i)
+        b->guard.redo[SFEMI_TURNED].grip.ready[i] = b->guard.redo[SFEMI_ISOTROPIC].grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
@@ -12566,6 +12786,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cm = k.r + k.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? k.q / 2 * h : 0;
         key.mask = b->mask;
+        key.majorant = b->turns && b->def.frame == SFEM_FRAME_MAJORANT;
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -12747,7 +12968,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
-    b->state.head->rebase = 1;
+    if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
 }
 
@@ -12781,7 +13002,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
-    b->state.head->steps = b->state.head->redone = 0;
+    b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -12850,6 +13071,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes;
+    int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
@@ -12871,8 +13093,10 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    sfemi_factor_release(b->model, b->guard.factor);
-    b->guard.factor = NULL;
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        b->guard.redo[k].factor = NULL;
+    }
     sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
     return SFEM_OK;
@@ -13003,7 +13227,7 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
-        sfemi_guard_refresh(b);
+        sfemi_guard_look(b);
         sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i)
             b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
@@ -13217,6 +13441,11 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     for (i = 0; i < n; ++i)
         e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
+    if (b->turns) {
+        sfemi_guard_look(b);
+        e.conserved = s->head->steps ? s->head->energy
+                                     : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
+    }
     if (!running || b->turns) return e;
     if (!sfemi_body_keeps_mean(b)) {
         if (b->def.integrator != SFEM_NEWMARK) return e;
@@ -13251,6 +13480,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.factors_made = b->factors_made;
     info.steps = b->state.head->steps;
     info.redone = b->state.head->redone;
+    info.descents = b->state.head->descents;
+    info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
