@@ -34,7 +34,8 @@
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
- *            >>newmark      implicit Newmark          >>pqr  the (p,q,r) family, central difference
+ *            >>newmark      linear Newmark            >>pqr  the (p,q,r) family, central difference
+ *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
@@ -760,8 +761,26 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *                 [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for
  *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
- *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step */
-typedef enum sfem_integrator { SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL } sfem_integrator;
+ *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
+ * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
+ * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
+ * unconditionally stable for linear bodies, and second order but for the first:
+ *   SFEM_BACKWARD_EULER      first order, damps everything
+ *   SFEM_HHT                 [Hilber, Hughes, Taylor 1977], hht_alpha = .1 damps a little at high Omega
+ *   SFEM_GENERALIZED_ALPHA   [Chung and Hulbert 1993], by rho_inf, the spectral radius at Omega = infinity
+ *   SFEM_BATHE               [Bathe and Baig 2005]: half a step of the trapezoidal rule, then three-point
+ *                            backward differences; two systems a step
+ *   SFEM_NEWMARK             is one of them where the model or its damping is nonlinear [Yuan et al. 2017,
+ *                            algorithm 1] */
+typedef enum sfem_integrator {
+    SFEM_PQR,
+    SFEM_NEWMARK,
+    SFEM_CENTRAL,
+    SFEM_BACKWARD_EULER,
+    SFEM_HHT,
+    SFEM_GENERALIZED_ALPHA,
+    SFEM_BATHE
+} sfem_integrator;
 
 /* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
  * damping a start of fourth order. */
@@ -770,13 +789,59 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 #define SFEM_P_AUTO (-1.0) /* linear body: 1/12 where every mode is resolved (omega_max h < 2) */
 #define SFEM_P_SAFE (-2.0) /* 1/4 for a linear body, .27 for a corotational one, 1/2 for one that hardens */
 
-/* The frame in which the constant factor of a body that turns is used: as it is (the source's form, which
- * explodes after a turn of 5 degrees), turned with each connected piece, or with each node. */
-typedef enum sfem_frame { SFEM_FRAME_NODE, SFEM_FRAME_PIECE, SFEM_FRAME_REST } sfem_frame;
+/* The frame in which the constant factor of a body that turns is used: turned with each node (default), with
+ * each connected piece, or as it is (the source's form, which explodes after a turn of 5 degrees). The last
+ * takes in place of K its isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian: it bounds the
+ * corotational stiffness whatever turns, but is far too heavy for slender bodies, and stiffness damping is
+ * the majorant's, too. */
+typedef enum sfem_frame {
+    SFEM_FRAME_NODE,
+    SFEM_FRAME_PIECE,
+    SFEM_FRAME_REST,
+    SFEM_FRAME_MAJORANT
+} sfem_frame;
 
 enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
 typedef struct sfem_body sfem_body;
+
+/* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
+ * allocated), a solve, and a force for each length that the line search tries. It minimises the
+ * incremental potential (Armijo), or where damping has none, brings the work of the residual down; an
+ * exact tangent that is not positive definite gives way to the projected one for that iteration. */
+typedef struct sfem_newton_def {
+    sfem_int iterations; /* at most, >= 1; 20. With 1 the step is semi-implicit: one solve with the tangent
+                          * at its start, never refused, no residual known afterwards */
+    sfem_real tolerance; /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a|, |D(v)|, or
+                          * where the correction drowns in the rounding of positions; >= 0, 1e-8 */
+    sfem_tangent tangent; /* SFEM_TANGENT_EXACT; SFEM_TANGENT_PSD: always the projected one, in D too */
+    int no_line_search;
+    int accept_best;     /* where it does not converge, take the iterate of least residual and go on; by
+                          * default the step fails with SFEM_NOT_CONVERGED, the state as it was */
+    sfem_int load_steps; /* statics: loads, pins and handles come in this many steps at first, >= 1; 1. A
+                          * step that fails is halved, down to 1/1024 */
+} sfem_newton_def;
+
+typedef struct sfem_newton_info {
+    int converged;
+    sfem_int iterations;     /* solves */
+    sfem_int factorisations;
+    sfem_int evaluations;    /* of the forces */
+    sfem_int projected;      /* tangents that had to be projected to be positive definite */
+    sfem_int load_steps;     /* statics */
+    sfem_real residual;      /* relative, see tolerance; the last that was computed */
+} sfem_newton_info;
+
+/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods. Called from the
+ * thread that steps. */
+typedef struct sfem_damping_force {
+    /* adds D(v), N, to force [nodes][3]: it is subtracted from the load, so that v.D(v) >= 0 damps */
+    void (*force)(void *user, const sfem_real *v /* [nodes][3] */, sfem_real *force);
+    /* adds dD/dv, symmetric, to a matrix on K's pattern (zero when it comes); or NULL: the force is then
+     * iterated upon, which converges while h dD/dv stays below the mass, linearly */
+    void (*tangent)(void *user, const sfem_real *v, sfem_matrix *tangent);
+    void *user;
+} sfem_damping_force;
 
 typedef struct sfem_body_def {
     sfem_integrator integrator;
@@ -784,6 +849,10 @@ typedef struct sfem_body_def {
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
+    sfem_real rho_inf;        /* of generalized-alpha, 0 to 1; .8 */
+    sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; .1 */
+    sfem_newton_def newton;
+    sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
     int no_guard;             /* take every step as it comes, even if it makes energy */
@@ -791,7 +860,8 @@ typedef struct sfem_body_def {
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
-    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s */
+    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In the
+                               * implicit methods K is the current K(u) */
     sfem_real gravity[3];     /* m/s^2 */
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
@@ -834,7 +904,12 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
+                                                               * the method is implicit */
+
+/* How the last implicit step (SFEM_BATHE: its two systems together) or nonlinear static solution went,
+ * also where it failed. All zero before. */
+SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
 
 /* Static equilibrium K u = F under the forces, gravity, pins and handles of now; velocity becomes zero.
  * Handles that are nodes count as pins here.
@@ -871,8 +946,11 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, s
 typedef struct sfem_energy {
     sfem_real kinetic, elastic, load; /* 1/2 v.Mv, 1/2 u.Ku, -(F + Mg).u; J */
     sfem_real total;                  /* their sum */
-    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load: for
-                          * (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
+                          * nonlinear body nearly, without the motion of free pieces' centres of mass: for
+                          * its guarded steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
+                          * - F.(u+u-)/2, after a step done again 1/2 w.r M w + E - F.u; for a linear body
+                          * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
                           * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a's counterpart */
 } sfem_energy;
 SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
@@ -887,7 +965,9 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
-    int64_t steps, redone;    /* since its state was set; redone: by the guard */
+    int64_t steps, redone;    /* since its state was set; redone: by the guard, */
+    int64_t descents;         /* with so many steps of descent, a solve each */
+    sfem_int corrections;     /* in the last step */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -6944,6 +7024,21 @@ static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real 
     for (i = 3; i < 6; ++i) stress[i] = mu * strain[i];
 }
 
+/* Below this |F| a tet is a point, and all that is left of F is the rounding of G = F - I: R is then I. */
+#define SFEMI_TINY_F       1e-12
+#define SFEMI_TINY_F_MIXED 1e-6 /* G in float */
+
+static void sfemi_element_rotation(const sfem_real f[9], sfem_real point, sfem_real r[9])
+{
+    sfem_real norm2 = 0;
+    int i;
+    for (i = 0; i < 9; ++i) norm2 += f[i] * f[i];
+    if (norm2 < point * point)
+        for (i = 0; i < 9; ++i) r[i] = i % 4 ? 0 : 1;
+    else
+        sfem_polar(f, r, NULL);
+}
+
 /* ---- materials, one at a time: F = I + G, so that small G keep their digits ---- */
 
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu)
@@ -6972,7 +7067,7 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
 {
     sfem_real r[9], trace = 0, square = 0;
     int i;
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, SFEMI_TINY_F, r);
     for (i = 0; i < 9; ++i) {
         const sfem_real d = f[i] - r[i];
         square += d * d;
@@ -7152,16 +7247,16 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
         f[i] = g[i] + m->u[i];
     }
     if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN)
-        sfem_polar(f, m->u, NULL);
+        sfemi_element_rotation(f, SFEMI_TINY_F, m->u);
     else if (law != SFEM_LINEAR)
         sfemi_law_svd(f, m->u, s, m->v);
     sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
     if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
     for (i = 0; i < 3; ++i) {
         if (kind != SFEM_TANGENT_EXACT) {
-            flip[i] = fmax(flip[i], 0);
+            flip[i] = fmax(flip[i], 0.0);
             twist[i] =
-                law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
+                law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0.0);
         }
         m->both[i] = (flip[i] + twist[i]) / 2;
         m->swap[i] = (flip[i] - twist[i]) / 2;
@@ -7492,7 +7587,7 @@ static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu,
     third = i + (cof[0] + cof[4] + cof[8]) + sfemi_dot3(c, cof); /* III_C - 1 */
     for (k = 0; k < 9; ++k) full[k] = c[k] + (k % 4 ? 0 : 1);
     sfemi_cofactor3(full, cof);
-    det = sqrt(fmax(1 + third, 0));
+    det = sqrt(fmax(1 + third, 0.0));
     volume = third > -1 ? third / (1 + det) : -1; /* J - 1 */
     a = (l * volume - .75 * m) / (2 * fmax(det, 1e-8));
     for (k = 0; k < 9; ++k) s[k] = a * cof[k] + (k % 4 ? 0 : m / 2 * (3 + i) / (4 + i));
@@ -7681,12 +7776,12 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
 #endif
 
 /* R of a lane that the fast way has given up. */
-static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
+static void sfemi_lanes_repair(const sfem_real g[9], sfem_real point, sfem_real r[9])
 {
     sfem_real f[9];
     int i;
     for (i = 0; i < 9; ++i) f[i] = g[i] + (i % 4 ? 0 : 1);
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, point, r);
 }
 
 /* Is any of the flags, 0 or 1, not 0? */
@@ -7859,7 +7954,7 @@ static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fus
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         if (w->bad[l] == 0) continue;                                                              \
         for (i = 0; i < 9; ++i) g[i] = w->g[i][l];                                                 \
-        sfemi_lanes_repair(g, r);                                                                  \
+        sfemi_lanes_repair(g, sizeof(T) < sizeof g[0] ? SFEMI_TINY_F_MIXED : SFEMI_TINY_F, r);       \
         for (i = 0; i < 9; ++i) w->r[i][l] = (T)r[i];                                              \
     }                                                                                              \
 }                                                                                                  \
@@ -8984,13 +9079,16 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>factor   the shared factor of a body's system matrix
  *
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
- * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. All bodies of a model with the
+ * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
+ * isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
+ * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. All bodies of a model with the
  * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
  * goes when its last body lets go. A factor never changes after it is made.
  * ============================================================================================ */
 
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
+    int majorant; /* ck times the isotropic majorant in place of K */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -9010,7 +9108,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, size_t nodes)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.precision == key->precision && f->key.ordering == key->ordering &&
+           f->key.majorant == key->majorant && f->key.precision == key->precision && f->key.ordering == key->ordering &&
            memcmp(f->mask, key->mask, nodes) == 0;
 }
 
@@ -9055,6 +9153,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
+            k.majorant = f->key.majorant;
         }
         if (!sfemi_factor_matches(f, &k, nodes)) continue;
         ++f->references;
@@ -9064,13 +9163,67 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     return f;
 }
 
+static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
+{
+    return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0));
+}
+
+/* y = the majorant times x. */
+static void sfemi_factor_multiply_majorant(const sfem_model *model, const sfem_real *x, sfem_real *y)
+{
+    sfem_int e;
+    int a, i, j;
+    memset(y, 0, 3 * (size_t)model->mesh.nodes * sizeof *y);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3], d[3][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) {
+                d[i][j] = 0;
+                for (a = 1; a < 4; ++a)
+                    d[i][j] += g[a][j] * (x[3 * (size_t)t[a] + (size_t)i] - x[3 * (size_t)t[0] + (size_t)i]);
+                d[i][j] *= sfemi_factor_isotropic(model, e);
+            }
+        for (a = 0; a < 4; ++a)
+            for (i = 0; i < 3; ++i) y[3 * (size_t)t[a] + (size_t)i] += sfemi_dot3(d[i], g[a]);
+    }
+}
+
+/* The majorant's scalars [blocks], to be freed, where the key wants it; else NULL. */
+static sfem_status sfemi_factor_majorant(const sfem_model *model, const sfemi_factor_key *key,
+                                         sfem_real **out, sfem_error *err)
+{
+    sfem_real *scalar = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int e;
+    int a, b;
+    *out = NULL;
+    if (!key->majorant) return SFEM_OK;
+    SFEMI_NEW(sfem_real, scalar, &model->allocator, model->row[model->mesh.nodes]);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (a = 0; a < 4; ++a)
+            for (b = 0; b < 4; ++b)
+                if (t[a] >= t[b])
+                    scalar[sfemi_fem_find(model->row, model->col, t[a], t[b])] +=
+                        sfemi_factor_isotropic(model, e) * sfemi_dot3(g[a], g[b]);
+    }
+    *out = scalar;
+done:
+    return status;
+}
+
 /* Block (i, j) of A at place `at` of the pattern, without what couples held axes. */
-static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, sfem_int at, sfem_int i,
-                               sfem_real b[9])
+static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *majorant,
+                               sfem_int at, sfem_int i, sfem_real b[9])
 {
     const sfem_int j = model->col[at];
     int r, c;
-    sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
+    sfemi_fem_block(model, at, i, majorant ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; majorant && r < 9; r += 4) b[r] += f->key.ck * majorant[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
             if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
@@ -9082,9 +9235,11 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
 {
     const sfem_allocator *al = &model->allocator;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_real *majorant = NULL;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
+    SFEMI_TRY(sfemi_factor_majorant(model, &f->key, &majorant, err));
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
@@ -9096,13 +9251,14 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
             if (number[model->col[at]] == 0) continue;
             col[blocks] = number[model->col[at]] - 1;
-            sfemi_factor_block(model, f, at, f->node[k], a.val + 9 * (size_t)blocks++);
+            sfemi_factor_block(model, f, majorant, at, f->node[k], a.val + 9 * (size_t)blocks++);
         }
         row[k + 1] = blocks;
     }
     *out = a;
 done:
     if (status != SFEM_OK) sfem_matrix_free(&a, al);
+    sfemi_delete(al, majorant);
     sfemi_delete(al, number);
     return status;
 }
@@ -9259,14 +9415,16 @@ typedef struct sfemi_state_head {
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
-    sfem_int current;   /* f, psi, frame and the ledger belong to u */
-    sfem_int rebase;    /* what counts as free has changed: a new ledger */
+    sfem_int current;   /* f, psi and frame belong to u */
+    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
     sfem_int unused;
-    int64_t steps, redone;
-    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger */
+    int64_t steps, redone, descents;
+    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
+    sfem_real energy;                   /* and what it conserves */
 } sfemi_state_head;
 
 /* RESTARTED: as not started, but the loads have their history. */
+enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
@@ -9519,17 +9677,62 @@ typedef struct sfemi_turn {
     sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
 } sfemi_turn;
 
+/* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
+typedef struct sfemi_redo {
+    sfem_factor *factor;
+    sfem_real h;
+    sfemi_grip grip; /* the handles' columns for it */
+} sfemi_redo;
+
+enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
+
+/* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
+enum { SFEMI_MEMORY = 6 };
+
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
     sfem_real *external;   /* the loads as the corrections weigh them */
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
-    sfem_factor *factor;   /* A with p = 1, for the redo; NULL until one is needed */
-    sfem_real h;           /* what it is for */
-    sfemi_grip grip;       /* the handles' columns for it */
+    sfem_real *unit;       /* frames that do not turn */
+    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
+    sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
+    int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
     int redone;            /* u, w, f come from the redo */
+    int crumpled;          /* which needed the isotropic majorant */
+    sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
+/* What >>implicit works with. */
+typedef struct sfemi_stage {
+    sfem_real m1, m0, w1, w0, c1, c2; /* see there */
+    sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
+    sfem_real end; /* where in the step it ends, in h */
+} sfemi_stage;
+
+typedef struct sfemi_system {
+    sfem_factor *factor;
+    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
+    sfem_int *source;   /* [blocks] their places in K's pattern */
+} sfemi_system;
+
+typedef struct sfemi_implicit {
+    sfem_newton_info info;
+    sfemi_stage stage;
+    sfemi_system system; /* its factor is the body's */
+    sfem_factor *second; /* linear bodies: that of the second of two systems */
+    sfem_matrix tangent; /* K(u): the model's K itself where that is constant */
+    sfem_matrix drag;    /* of the caller's damping, or no values */
+    int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
+    int still;           /* statics: no inertia, no damping */
+    sfem_real share;     /* statics: of the load */
+    sfem_real energy;    /* Psi at the last evaluation */
+    sfem_real *memory;   /* what follows: [nodes][3] each */
+    sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
+    sfem_real *work;     /* of sfem_model_forces */
+} sfemi_implicit;
+
+enum { SFEMI_IMPLICIT_VECTORS = 15 };
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
@@ -9558,6 +9761,7 @@ struct sfem_body {
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+    sfemi_implicit implicit;
 };
 
 enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
@@ -9806,6 +10010,966 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
         }
         sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
     }
+}
+
+/* ============================================================================================
+ * >>implicit   Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
+ *
+ * Every method is one or two stages of one form, in the displacement d = u' - u over the step:
+ *
+ *   m1 M a' + m0 M a + D(w1 v' + w0 v) + f(u + w1 d) = F_w,    v' = c1 d + V,    a' = c2 d + A
+ *
+ * with V, A known: they are algorithm 1 of [Yuan et al. 2017] as meant, with other numbers. At a pin d, v'
+ * and a' are given (see >>newmark); V and A are set so that the two maps hold there, too. Newton's matrix is
+ *
+ *   J = (m1 c2 + w1 c1 alpha) M + w1 (1 + c1 beta) K(u + w1 d) + w1 c1 (rest of D),
+ *
+ * which leaves out how beta K(u) v changes with u. J delta = F - M .. - D - f =: r. Where J is symmetric r is
+ * minus the gradient of Psi(u + w1 d)/w1 + a part that is quadratic in d, so that the change of that
+ * potential over delta is known without cancellation: the first by the energies, the second as the mean
+ * of its slopes at both ends. A nonlinear damping force enters in the same way, to third order.
+ * Handles: multipliers l with H (u + d) = target, by the Schur complement on the factor of the moment.
+ * ============================================================================================ */
+
+/* Do all tets follow Hooke's law in small rotations? */
+static int sfemi_implicit_linear(const sfem_model *model) { return !model->turns; }
+
+static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
+{
+    const sfem_newton_def *n = &d->newton;
+    if (!(d->rho_inf >= 0 && d->rho_inf <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "rho_inf is %g, must be 0 to 1", d->rho_inf);
+    if (!(d->hht_alpha >= 0 && d->hht_alpha <= 1. / 3))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "HHT's alpha is %g, must be 0 to 1/3", d->hht_alpha);
+    if (n->iterations < 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newton's iterations are %d, must be >= 1", (int)n->iterations);
+    if (!(sfemi_finite(n->tolerance) && n->tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newton's tolerance is %g, must be >= 0", n->tolerance);
+    if ((unsigned)n->tangent > SFEM_TANGENT_FROZEN)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no tangent %d", (int)n->tangent);
+    if (n->load_steps < 1 || n->load_steps > 1000000)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "load_steps is %d, must be 1 to 1000000", (int)n->load_steps);
+    if (d->damping_force.tangent && !d->damping_force.force)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping force has a tangent, but no force");
+    if (d->damping_force.force && (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a damping force needs an implicit integrator");
+    return SFEM_OK;
+}
+
+/* Is a step of this body solved here? */
+static int sfemi_implicit_serves(const sfem_body *b)
+{
+    if (b->def.integrator == SFEM_NEWMARK)
+        return !sfemi_implicit_linear(b->model) || b->def.damping_force.force != NULL;
+    return b->def.integrator >= SFEM_BACKWARD_EULER && b->def.integrator <= SFEM_BATHE;
+}
+
+/* Does Newton's matrix never change, so that a shared factor serves? */
+static int sfemi_implicit_constant(const sfem_body *b)
+{
+    return sfemi_implicit_linear(b->model) && !b->def.damping_force.tangent;
+}
+
+/* The energy at u, and its gradient. */
+static sfem_real sfemi_implicit_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real energy = 0;
+    size_t i;
+    if (!sfemi_implicit_linear(b->model))
+        return sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->implicit.work, &b->exec);
+    sfem_matrix_multiply(&b->model->stiffness, u, f, &b->exec);
+    for (i = 0; i < n; ++i) energy += u[i] * f[i];
+    return energy / 2;
+}
+
+/* K(u), to tangent. */
+static void sfemi_implicit_tangent(sfem_body *b, const sfem_real *u, sfem_tangent kind)
+{
+    if (!sfemi_implicit_linear(b->model))
+        sfem_model_tangent(b->model, u, kind, &b->implicit.tangent, &b->exec);
+}
+
+static int sfemi_implicit_damped(const sfem_body *b)
+{
+    return b->alpha != 0 || b->beta != 0 || b->model->damping || b->def.damping_force.force;
+}
+
+/* Room for all that a step or a static solution works on; the tangent is a matrix of its own only where it
+ * changes. */
+static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfemi_implicit *m = &b->implicit;
+    sfem_real *memory = NULL, *tangent = NULL, *drag = NULL, *work = NULL, *at;
+    sfem_status status = SFEM_OK;
+    if (m->memory) return SFEM_OK;
+    SFEMI_NEW(sfem_real, memory, &b->allocator, SFEMI_IMPLICIT_VECTORS * n);
+    if (!sfemi_implicit_linear(model)) {
+        SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
+        SFEMI_NEW(sfem_real, work, &b->allocator, sfem_model_work_size(model));
+    }
+    if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
+    m->tangent = m->drag = model->stiffness;
+    if (tangent) m->tangent.val = tangent;
+    m->drag.val = drag;
+    at = m->memory = memory;
+    m->work = work;
+    m->d = at, at += n;
+    m->best = at, at += n;
+    m->goal = at, at += n;
+    m->vmap = at, at += n;
+    m->amap = at, at += n;
+    m->a0 = at, at += n;
+    m->load = at, at += n;
+    m->f = at, at += n;
+    m->q = at, at += n;
+    m->x = at, at += n;
+    m->v = at, at += n;
+    m->step = at, at += n;
+    m->mid_d = at, at += n;
+    m->mid_v = at, at += n;
+    m->mid_a = at;
+    return SFEM_OK;
+done:
+    sfemi_delete(&b->allocator, work);
+    sfemi_delete(&b->allocator, tangent);
+    sfemi_delete(&b->allocator, memory);
+    return status;
+}
+
+static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
+{
+    sfem_matrix_free(&s->matrix, &b->model->allocator);
+    sfemi_delete(&b->model->allocator, s->source);
+    memset(s, 0, sizeof *s);
+}
+
+static void sfemi_implicit_destroy(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_system_close(b, &m->system);
+    sfemi_factor_release(b->model, m->second);
+    if (m->memory && m->tangent.val != b->model->stiffness.val)
+        sfemi_delete(&b->allocator, m->tangent.val);
+    sfemi_delete(&b->allocator, m->drag.val);
+    sfemi_delete(&b->allocator, m->work);
+    sfemi_delete(&b->allocator, m->memory);
+}
+
+static size_t sfemi_implicit_bytes(const sfem_body *b)
+{
+    const sfemi_implicit *m = &b->implicit;
+    const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
+    size_t reals = 0;
+    if (m->memory) {
+        reals = 3 * SFEMI_IMPLICIT_VECTORS * (size_t)b->model->mesh.nodes;
+        if (m->tangent.val != b->model->stiffness.val) reals += values;
+        if (m->drag.val) reals += values;
+    }
+    if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
+    return reals * sizeof(sfem_real);
+}
+
+/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
+static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
+                                     sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_system s;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
+    ++b->factors_made;
+    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
+    for (k = 0; k < s.factor->free_nodes; ++k)
+        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+    *out = s;
+    return SFEM_OK;
+done:
+    sfemi_factor_release(b->model, s.factor);
+    sfemi_system_close(b, &s);
+    return status;
+}
+
+/* ---- stages ---- */
+
+static int sfemi_implicit_stages(const sfem_body *b) { return b->def.integrator == SFEM_BATHE ? 2 : 1; }
+
+/* The numbers of stage k of a step of h seconds. */
+static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
+{
+    sfem_real beta = b->def.beta, gamma = b->def.gamma, am = 0, af = 0;
+    sfemi_stage s;
+    memset(&s, 0, sizeof s);
+    s.end = 1;
+    if (b->def.integrator == SFEM_HHT) {
+        af = b->def.hht_alpha;
+    } else if (b->def.integrator == SFEM_GENERALIZED_ALPHA) {
+        const sfem_real rho = b->def.rho_inf;
+        am = (2 * rho - 1) / (rho + 1);
+        af = rho / (rho + 1);
+    }
+    if (b->def.integrator != SFEM_NEWMARK) {
+        gamma = 0.5 - am + af;
+        beta = (1 - am + af) * (1 - am + af) / 4;
+    }
+    s.m1 = 1 - am;
+    s.m0 = am;
+    s.w1 = 1 - af;
+    s.w0 = af;
+    if (b->def.integrator == SFEM_BACKWARD_EULER) {
+        s.c1 = 1 / h;
+        s.c2 = 1 / (h * h);
+        s.av = -1 / h;
+        return s;
+    }
+    if (b->def.integrator == SFEM_BATHE && k == 1) {
+        s.c1 = 3 / h; /* v' = (u - 4 u_mid + 3 u')/h, and a' from v alike */
+        s.vd = -4 / h;
+        s.c2 = 9 / (h * h);
+        s.av = 1 / h;
+        s.ad = -12 / (h * h);
+        s.am = -4 / h;
+        return s;
+    }
+    if (b->def.integrator == SFEM_BATHE) {
+        s.end = 0.5;
+        h /= 2;
+    }
+    s.c1 = gamma / (beta * h);
+    s.vv = 1 - gamma / beta;
+    s.va = (1 - gamma / (2 * beta)) * h;
+    s.c2 = 1 / (beta * h * h);
+    s.av = -1 / (beta * h);
+    s.aa = 1 - 1 / (2 * beta);
+    return s;
+}
+
+/* J of a stage at rest position, as a factor's key. */
+static sfemi_factor_key sfemi_implicit_key(const sfem_body *b, int k, sfem_real h)
+{
+    const sfemi_stage s = sfemi_implicit_stage(b, k, h);
+    sfemi_factor_key key;
+    memset(&key, 0, sizeof key);
+    key.ck = s.w1 * (1 + s.c1 * b->beta);
+    key.cm = s.m1 * s.c2 + s.w1 * s.c1 * b->alpha;
+    key.cd = b->model->damping ? s.w1 * s.c1 : 0;
+    key.mask = b->mask;
+    key.precision = b->def.precision;
+    key.ordering = b->def.ordering;
+    return key;
+}
+
+/* The factor for steps of h seconds, a reference for the caller: shared for a constant matrix (and the second
+ * one kept), else the body's own, which serves any h. */
+static sfem_status sfemi_implicit_get_factor(sfem_body *b, sfem_real h, sfem_factor **out, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_factor_key key = sfemi_implicit_key(b, 0, h);
+    sfem_factor *second = NULL;
+    sfemi_system system;
+    sfem_status status;
+    if (sfemi_implicit_constant(b)) {
+        status = sfemi_factor_get(b->model, &key, &b->exec, out, &b->factors_made, err);
+        if (status != SFEM_OK || sfemi_implicit_stages(b) == 1) return status;
+        {
+            const sfemi_factor_key other = sfemi_implicit_key(b, 1, h);
+            status = sfemi_factor_get(b->model, &other, &b->exec, &second, &b->factors_made, err);
+        }
+        if (status != SFEM_OK) {
+            sfemi_factor_release(b->model, *out);
+            return status;
+        }
+        sfemi_factor_release(b->model, m->second);
+        m->second = second;
+        return SFEM_OK;
+    }
+    if (!b->factor) {
+        status = sfemi_system_open(b, &key, &system, err);
+        if (status != SFEM_OK) return status;
+        sfemi_system_close(b, &m->system);
+        m->system = system;
+        *out = system.factor;
+        return SFEM_OK;
+    }
+    *out = b->factor;
+    sfemi_lock(&b->model->lock);
+    ++b->factor->references;
+    sfemi_unlock(&b->model->lock);
+    return SFEM_OK;
+}
+
+/* Place, velocity and acceleration of something held, where the stage ends; x: where it is now. */
+static void sfemi_implicit_hold(const sfem_body *b, const sfemi_hold *hold, const sfem_real *x,
+                                sfem_real place[3], sfem_real v[3], sfem_real a[3])
+{
+    const sfem_real back = (1 - b->implicit.stage.end) * b->step;
+    int c;
+    sfemi_hold_motion(hold, x, b->step, b->state.head->h, v, a);
+    for (c = 0; c < 3; ++c) {
+        place[c] = hold->target[c] - back * (v[c] - back / 2 * a[c]);
+        v[c] -= back * a[c];
+    }
+}
+
+/* V, A, and at pins d itself. */
+static void sfemi_implicit_history(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *v = b->state.w;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (i = 0; i < n; ++i) {
+        m->vmap[i] = s->vv * v[i] + s->va * m->a0[i] + s->vd * m->mid_d[i];
+        m->amap[i] = s->av * v[i] + s->aa * m->a0[i] + s->ad * m->mid_d[i] + s->am * m->mid_v[i];
+        m->goal[i] = 0;
+    }
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        const sfem_real *rest = b->model->mesh.x + at, *u = b->state.u + at;
+        sfem_real x[3], place[3], pv[3], pa[3];
+        for (c = 0; c < 3; ++c) x[c] = rest[c] + u[c];
+        sfemi_implicit_hold(b, b->state.pin + k, x, place, pv, pa);
+        for (c = 0; c < 3; ++c) {
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            i = at + (size_t)c;
+            m->goal[i] = place[c] - rest[c] - u[c];
+            m->vmap[i] = pv[c] - s->c1 * m->goal[i];
+            m->amap[i] = pa[c] - s->c2 * m->goal[i];
+        }
+    }
+}
+
+/* ---- what is balanced ---- */
+
+/* f = f(u), q = M a + D(v), v and a NULL: zero. Returns the energy at u. v may be overwritten. */
+static sfem_real sfemi_implicit_terms(sfem_body *b, const sfem_real *u, const sfem_real *v,
+                                      const sfem_real *a, sfem_real *f, sfem_real *q)
+{
+    const sfem_damping_force *drag = &b->def.damping_force;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real energy = sfemi_implicit_forces(b, u, f);
+    size_t i;
+    b->implicit.tangent_ready = 0;
+    memset(q, 0, n * sizeof *q);
+    if (v && b->beta != 0) {
+        sfemi_implicit_tangent(b, u, b->def.newton.tangent);
+        b->implicit.tangent_ready = 1;
+        sfem_matrix_multiply(&b->implicit.tangent, v, q, &b->exec);
+        for (i = 0; i < n; ++i) q[i] *= b->beta;
+    }
+    if (a) sfemi_fem_add_mass(b->model, 1, a, q);
+    if (v && b->alpha != 0) sfemi_fem_add_mass(b->model, b->alpha, v, q);
+    if (v) sfemi_fem_add_damping_rest(b->model, v, q);
+    if (v && drag->force) drag->force(drag->user, v, q);
+    return energy;
+}
+
+/* load = F+ + share (F - F+) + M g, the load at a time between the start and the end of the step. */
+static void sfemi_implicit_load(const sfem_body *b, sfem_real share, sfem_real *load)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    size_t i;
+    for (i = 0; i < n; ++i) load[i] = b->model->node_mass[i / 3] * s->head->gravity[i % 3];
+    if (!s->head->loaded) return;
+    for (i = 0; i < n; ++i) load[i] += s->force[0][i];
+    if (s->head->load_age >= 2 || share == 0) return;
+    for (i = 0; i < n; ++i) load[i] += share * (s->force[1][i] - s->force[0][i]);
+}
+
+/* r = F - M a - D(v) - f(u) in the present state, under the load at the start (share 1) or end (0) of the
+ * next step. */
+static void sfemi_implicit_balance(sfem_body *b, sfem_real share, const sfem_real *v, const sfem_real *a,
+                                   sfem_real *r)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_implicit_terms(b, b->state.u, v, a, m->f, m->q);
+    sfemi_implicit_load(b, share, r);
+    for (i = 0; i < n; ++i) r[i] -= m->f[i] + m->q[i];
+}
+
+/* ---- Newton ---- */
+
+/* Where Newton's iteration stands. */
+typedef struct sfemi_newton {
+    sfemi_system *system;
+    const char *what;    /* "the step" */
+    sfem_int iterations; /* at most */
+    int once;            /* one solve, whatever comes of it */
+    int ready;           /* d is evaluated */
+    int feasible;        /* pins and handles are where they have to be */
+    sfem_real scale;     /* what |r| is compared with */
+    sfem_real floor_u, floor_d, edge; /* |r| that rounding makes of displacements, see below */
+    sfem_real best;      /* the least relative |r| so far, that of implicit.best */
+} sfemi_newton;
+
+static sfem_real sfemi_implicit_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+static sfem_real sfemi_implicit_max(const sfem_real *a, size_t n)
+{
+    sfem_real most = 0;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        if (fabs(a[i]) > most) most = fabs(a[i]);
+    return most;
+}
+
+/* Below what |r| is noise: gradients of displacements carry an error of eps (|u|/edge + 1), so that a
+ * node's force is uncertain by eps K_ii (|u| + edge); inertia by eps M c2 |d|. */
+static void sfemi_newton_floor(sfem_body *b, sfemi_newton *t)
+{
+    const sfem_model *model = b->model;
+    const sfem_real eps = 2.3e-16;
+    sfem_real k2 = 0, m2 = 0, volume = 0;
+    sfem_int i;
+    int c;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real *k = model->stiffness.val + 9 * ((size_t)model->row[i + 1] - 1);
+        for (c = 0; c < 3; ++c) k2 += k[4 * c] * k[4 * c];
+        m2 += 3 * model->node_mass[i] * model->node_mass[i];
+    }
+    for (i = 0; i < model->mesh.tets; ++i) volume += model->volume[i];
+    t->edge = pow(volume / model->mesh.tets, 1. / 3);
+    t->floor_u = eps * sqrt(k2);
+    t->floor_d = b->implicit.still ? 0 : eps * b->implicit.stage.m1 * b->implicit.stage.c2 * sqrt(m2);
+}
+
+/* f and q = M .. + D - F at d, zero on held axes; the scale of r. */
+static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const unsigned char *mask = t->system->factor->mask;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *a = b->zm, most[4] = {0, 0, 0, 0};
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        m->x[i] = b->state.u[i] + s->w1 * m->d[i];
+        if (m->still) continue;
+        m->v[i] = s->w1 * (s->c1 * m->d[i] + m->vmap[i]) + s->w0 * b->state.w[i];
+        a[i] = s->m1 * (s->c2 * m->d[i] + m->amap[i]) + s->m0 * m->a0[i];
+    }
+    m->energy = sfemi_implicit_terms(b, m->x, m->still || !sfemi_implicit_damped(b) ? NULL : m->v, NULL,
+                                     m->f, m->q);
+    memset(b->zk, 0, n * sizeof *b->zk);
+    if (!m->still) sfemi_fem_add_mass(b->model, 1, a, b->zk);
+    for (i = 0; i < n; ++i) {
+        if (mask[i / 3] >> (i % 3) & 1) {
+            m->f[i] = m->q[i] = 0;
+            continue;
+        }
+        most[0] += m->f[i] * m->f[i];
+        most[1] += m->q[i] * m->q[i];
+        most[2] += b->zk[i] * b->zk[i];
+        most[3] += m->load[i] * m->load[i];
+        m->q[i] += b->zk[i] - m->load[i];
+    }
+    for (i = 1; i < 4; ++i)
+        if (most[i] > most[0] || !sfemi_finite(most[i])) most[0] = most[i];
+    t->scale = sqrt(most[0]);
+    ++m->info.evaluations;
+}
+
+static int sfemi_newton_finite(const sfem_body *b, const sfemi_newton *t)
+{
+    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale);
+}
+
+/* The norm of r + H^T l, l in grip.lambda, and whether it will do. */
+static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_grip *g = &b->grip;
+    const unsigned char *mask = t->system->factor->mask;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real floor, norm;
+    sfem_int k;
+    size_t i;
+    int p, c;
+    for (i = 0; i < n; ++i) m->step[i] = -(m->f[i] + m->q[i]);
+    for (k = 0; k < g->count; ++k) {
+        const sfemi_handle *h = b->state.handle + g->slot[k];
+        for (p = 0; p < 4; ++p)
+            for (c = 0; c < 3; ++c)
+                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
+                    m->step[3 * (size_t)h->node[p] + (size_t)c] += h->weight[p] * g->lambda[3 * k + c];
+    }
+    norm = sqrt(sfemi_implicit_dot(m->step, m->step, n));
+    floor = t->floor_u * (sfemi_implicit_max(m->x, n) + t->edge) +
+            t->floor_d * sfemi_implicit_max(m->d, n);
+    m->info.residual = t->scale > 0 ? norm / t->scale : 0;
+    if (!t->feasible) return 0;
+    if (b->def.newton.accept_best && !m->still && m->info.residual < t->best) {
+        t->best = m->info.residual;
+        memcpy(m->best, m->d, n * sizeof *m->d);
+    }
+    return norm <= floor || norm <= b->def.newton.tolerance * t->scale;
+}
+
+/* The stage's J at the last evaluation, plus shift M, into the system's factor. */
+static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tangent kind, sfem_real shift,
+                                       sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const sfem_model *model = b->model;
+    const sfemi_system *y = t->system;
+    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfem_int k, at = 0;
+    sfem_error place;
+    sfem_status status;
+    int r, c;
+    if (!y->matrix.val) return SFEM_OK;
+    if (!m->tangent_ready || kind != b->def.newton.tangent) sfemi_implicit_tangent(b, m->x, kind);
+    m->tangent_ready = kind == b->def.newton.tangent;
+    if (m->drag.val && !m->still) {
+        memset(m->drag.val, 0, values * sizeof *m->drag.val);
+        b->def.damping_force.tangent(b->def.damping_force.user, m->v, &m->drag);
+    }
+    for (k = 0; k < y->matrix.n; ++k) {
+        const sfem_int i = y->factor->node[k];
+        for (; at < y->matrix.row[k + 1]; ++at) {
+            const size_t from = 9 * (size_t)y->source[at];
+            const sfem_int j = model->col[y->source[at]];
+            const int held = y->factor->mask[i] | y->factor->mask[j];
+            const sfem_real mass = model->block_mass ? model->block_mass[y->source[at]]
+                                   : i == j       ? model->node_mass[i]
+                                                  : 0;
+            const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
+            const sfem_real cm = (s->m1 * s->c2 + cd * b->alpha + shift) * mass;
+            sfem_real *to = y->matrix.val + 9 * (size_t)at;
+            for (c = 0; c < 9; ++c) to[c] = ck * m->tangent.val[from + (size_t)c];
+            for (c = 0; c < 9; c += 4) to[c] += cm;
+            if (model->damping && cd != 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[from + (size_t)c];
+            if (m->drag.val && cd != 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * m->drag.val[from + (size_t)c];
+            for (r = 0; held && r < 3; ++r)
+                for (c = 0; c < 3; ++c) {
+                    if (!(y->factor->mask[i] >> r & 1) && !(y->factor->mask[j] >> c & 1)) continue;
+                    if (i != j || r != c) to[3 * r + c] = 0;
+                    else to[3 * r + c] = model->stiffness.val[from + (size_t)(4 * r)];
+                }
+        }
+    }
+    ++m->info.factorisations;
+    if (!y->factor->ldl) return SFEM_OK;
+    status = sfem_ldl_refactor(y->factor->ldl, &y->matrix, &place);
+    if (status == SFEM_OK || !err) return status;
+    if (place.node >= 0) place.node = y->factor->node[place.node];
+    return sfemi_fail_at(err, status, place.node, -1, "%s's matrix is %s at node %d", t->what,
+                         status == SFEM_NOT_SPD ? "not positive definite" : "not finite", (int)place.node);
+}
+
+/* A factor of J. One that is not positive definite gets more of its own mass, which disturbs the other modes
+ * less than projecting every tet, and then the projected K; and where nothing but K is in J (statics), that and
+ * a little mass to make up for flat directions. */
+static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
+{
+    const sfem_tangent kind = project ? SFEM_TANGENT_PSD : b->def.newton.tangent;
+    const sfem_real inertia = b->implicit.still ? 0 : b->implicit.stage.m1 * b->implicit.stage.c2;
+    sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
+    sfem_real shift;
+    int tries;
+    if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
+    if (kind == SFEM_TANGENT_EXACT) {
+        ++b->implicit.info.projected;
+        for (shift = inertia / 8; shift > 0 && shift < inertia && status == SFEM_NOT_SPD; shift *= 4)
+            status = sfemi_newton_factor(b, t, kind, shift, err);
+        if (status == SFEM_NOT_SPD) status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, 0, err);
+    }
+    if (!b->implicit.still || !(b->model->total_mass > 0)) return status;
+    shift = 1e-7 * t->floor_u / 2.3e-16 / b->model->total_mass; /* floor_u is eps |diag K| */
+    for (tries = 0; tries < 3 && status == SFEM_NOT_SPD; ++tries, shift *= 100)
+        status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, shift, err);
+    return status;
+}
+
+/* step -= J g, where g is what the held axes still have to go. */
+static void sfemi_newton_lift(sfem_body *b, const sfem_real *g)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
+    size_t i;
+    sfem_matrix_multiply(&m->tangent, g, b->zk, &b->exec);
+    for (i = 0; i < n; ++i) m->step[i] -= ck * b->zk[i];
+    sfemi_fem_add_mass(b->model, -(s->m1 * s->c2 + cd * b->alpha), g, m->step);
+    if (cd == 0) return;
+    if (b->model->damping) {
+        for (i = 0; i < n; ++i) b->zk[i] = -cd * g[i];
+        sfemi_fem_add_damping_rest(b->model, b->zk, m->step);
+    }
+    if (!m->drag.val) return;
+    sfem_matrix_multiply(&m->drag, g, b->zk, &b->exec);
+    for (i = 0; i < n; ++i) m->step[i] -= cd * b->zk[i];
+}
+
+/* What the handles still have to go, to grip.lambda; the largest of it. */
+static sfem_real sfemi_newton_gap(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        sfem_real rest[3], u[3], d[3], place[3], v[3], a[3];
+        sfemi_grip_mean(h, b->model->mesh.x, rest);
+        sfemi_grip_mean(h, b->state.u, u);
+        sfemi_grip_mean(h, m->d, d);
+        for (c = 0; c < 3; ++c) place[c] = rest[c] + u[c];
+        if (m->still) {
+            for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->hold.target[c] - place[c]);
+            memcpy(place, v, sizeof place);
+        } else {
+            sfemi_implicit_hold(b, &h->hold, place, place, v, a);
+        }
+        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = place[c] - rest[c] - u[c] - d[c];
+    }
+    return sfemi_implicit_max(b->grip.lambda, 3 * (size_t)b->grip.count);
+}
+
+/* Newton's correction, to step; pins and handles go all their way. */
+static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_system *y = t->system;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    sfem_real *g = b->acc;
+    int moved = 0;
+    sfem_int k;
+    size_t i;
+    const sfem_status status = sfemi_newton_matrix(b, t, project, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < n; ++i) {
+        const int held = y->factor->mask[i / 3] >> (i % 3) & 1;
+        m->step[i] = -(m->f[i] + m->q[i]);
+        g[i] = held ? m->goal[i] - m->d[i] : 0;
+        moved |= g[i] != 0;
+    }
+    if (moved) sfemi_newton_lift(b, g);
+    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->work, &b->exec);
+    for (i = 0; i < n; ++i)
+        if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
+    ++m->info.iterations;
+    if (!b->grip.count) return SFEM_OK;
+    if (y->matrix.val || m->second) {
+        for (k = 0; k < b->grip.count; ++k)
+            sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
+                               b->grip.y[b->grip.slot[k]], b->work, &b->exec);
+        sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
+    }
+    sfemi_newton_gap(b);
+    sfemi_grip_apply(&b->grip, b->state.handle, nodes, m->step);
+    return SFEM_OK;
+}
+
+/* l.(H step): nothing once the handles are where they belong, but for rounding, which l may make felt. */
+static sfem_real sfemi_newton_handle_work(const sfem_body *b)
+{
+    sfem_real work = 0, mean[3];
+    sfem_int k;
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_grip_mean(b->state.handle + b->grip.slot[k], b->implicit.step, mean);
+        work += sfemi_dot3(mean, b->grip.lambda + 3 * k);
+    }
+    return work;
+}
+
+/* Is the potential low enough at d + length step? drop, slope: minus its slopes at both ends; change: what
+ * it has gained. Where the change drowns in rounding, the slope alone tells [Hager and Zhang 2005]. */
+static int sfemi_newton_suffices(sfem_real change, sfem_real length, sfem_real drop, sfem_real slope,
+                                 sfem_real noise)
+{
+    if (change <= -1e-4 * length * drop) return 1;
+    return fabs(slope) <= 0.9 * drop && change <= noise;
+}
+
+/* Goes along step until that is better. 1: d is the new place and evaluated; 0: d is as it was, but what was
+ * evaluated is not. */
+static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int check = t->feasible && !b->def.newton.no_line_search;
+    const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
+    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
+    const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
+    sfem_real length = 1, gone = 0;
+    size_t i;
+    int tries;
+    for (tries = 0; tries < 20; ++tries) {
+        sfem_real change = 0, next = length / 4;
+        for (i = 0; i < n; ++i) m->d[i] += (length - gone) * m->step[i];
+        gone = length;
+        sfemi_newton_evaluate(b, t);
+        if (sfemi_newton_finite(b, t)) {
+            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - hands;
+            const sfem_real slope = -(q1 + sfemi_implicit_dot(m->f, m->step, n));
+            const sfem_real noise = 1e-10 * (fabs(energy) + fabs(m->energy)) / m->stage.w1;
+            change = (m->energy - energy) / m->stage.w1 + length / 2 * (q0 + q1);
+            if (!check || sfemi_newton_suffices(change, length, drop, slope, noise)) {
+                t->feasible |= length == 1;
+                return 1;
+            }
+            next = length * length * drop / (2 * (change + length * drop)); /* of the parabola */
+            if (!(next < length / 2)) next = length / 2;
+            if (!(next > length / 10)) next = length / 10;
+        }
+        length = next;
+    }
+    for (i = 0; i < n; ++i) m->d[i] -= gone * m->step[i];
+    return 0;
+}
+
+/* One stage, from d on. */
+static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_int before = m->info.iterations;
+    const unsigned char *mask = t->system->factor->mask;
+    sfem_status status;
+    size_t i;
+    int project = 0;
+    sfemi_newton_floor(b, t);
+    if (!t->ready) sfemi_newton_evaluate(b, t);
+    if (!sfemi_newton_finite(b, t))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "%s: a force is not finite", t->what);
+    t->best = 1e300;
+    t->feasible = !(sfemi_newton_gap(b) > 0);
+    for (i = 0; i < n && t->feasible; ++i)
+        t->feasible = !(mask[i / 3] >> (i % 3) & 1) || m->d[i] == m->goal[i];
+    for (i = 0; i < (size_t)b->grip.count; ++i)
+        memcpy(b->grip.lambda + 3 * i, b->state.handle[b->grip.slot[i]].force, 3 * sizeof(sfem_real));
+    m->info.converged = 0;
+    for (;;) {
+        const int enough = sfemi_newton_converged(b, t);
+        if (enough && !t->once) {
+            m->info.converged = 1;
+            return SFEM_OK;
+        }
+        if (m->info.iterations - before >= t->iterations) break;
+        status = sfemi_newton_correct(b, t, project, err);
+        if (status != SFEM_OK) return status;
+        if (t->once) {
+            for (i = 0; i < n; ++i) m->d[i] += m->step[i];
+            if (sfemi_all_finite(m->d, n)) return SFEM_OK;
+            return sfemi_fail(err, SFEM_NOT_FINITE, "%s: the displacement is not finite", t->what);
+        }
+        if (sfemi_newton_search(b, t)) {
+            project = 0;
+        } else {
+            if (project) break;
+            project = 1;
+            sfemi_newton_evaluate(b, t);
+        }
+    }
+    if (b->def.newton.accept_best && !m->still) {
+        if (t->best < 1e300) memcpy(m->d, m->best, n * sizeof *m->d);
+        return SFEM_OK;
+    }
+    return sfemi_fail(err, SFEM_NOT_CONVERGED, "%s did not converge: residual %.3g after %d iterations",
+                      t->what, m->info.residual, (int)(m->info.iterations - before));
+}
+
+/* ---- a step ---- */
+
+static void sfemi_implicit_predict(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_implicit *m = &b->implicit;
+    memset(m->mid_d, 0, n * sizeof *m->mid_d);
+    memset(m->mid_v, 0, n * sizeof *m->mid_v);
+    if (b->state.head->started == SFEMI_RUNNING) {
+        memcpy(m->a0, b->state.a, n * sizeof *m->a0);
+    } else if (b->def.integrator == SFEM_BACKWARD_EULER) {
+        memset(m->a0, 0, n * sizeof *m->a0);
+    } else {
+        memcpy(m->v, b->state.w, n * sizeof *m->v);
+        sfemi_implicit_balance(b, 1, m->v, NULL, b->rhs);
+        sfemi_body_mass_solve(b, m->a0);
+    }
+    sfemi_implicit_load(b, 0, b->rhs);
+}
+
+/* Where to start from: the last place known, or that and v, a from there, whichever has less potential. */
+static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *v = stage ? m->mid_v : b->state.w, *a = stage ? m->mid_a : m->a0;
+    const sfem_real h = b->step * (stage ? 0.5 : m->stage.end);
+    sfem_real energy, q0;
+    size_t i;
+    memcpy(m->d, m->mid_d, n * sizeof *m->d);
+    if (t->once) return;
+    sfemi_newton_evaluate(b, t);
+    energy = m->energy;
+    for (i = 0; i < n; ++i) m->step[i] = h * (v[i] + h / 2 * a[i]);
+    q0 = sfemi_implicit_dot(m->q, m->step, n);
+    for (i = 0; i < n; ++i) m->d[i] += m->step[i];
+    sfemi_newton_evaluate(b, t);
+    q0 += sfemi_implicit_dot(m->q, m->step, n);
+    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0;
+    if (t->ready) return;
+    memcpy(m->d, m->mid_d, n * sizeof *m->d);
+}
+
+/* All stages; leaves the acceleration at the end in acc, and d, v', a' in d, mid_v, mid_a. */
+static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int stages = sfemi_implicit_stages(b);
+    sfem_status status;
+    size_t i;
+    int k;
+    memset(&m->info, 0, sizeof m->info);
+    m->still = 0;
+    m->system.factor = b->factor;
+    for (k = 0; k < stages; ++k) {
+        sfemi_system shared;
+        sfemi_newton t;
+        sfem_real share;
+        memset(&t, 0, sizeof t);
+        memset(&shared, 0, sizeof shared);
+        shared.factor = k ? m->second : b->factor;
+        t.system = m->system.matrix.val ? &m->system : &shared;
+        t.what = "the step";
+        t.iterations = b->def.newton.iterations;
+        t.once = t.iterations == 1 ||
+                 (sfemi_implicit_linear(b->model) && !b->def.damping_force.force);
+        m->stage = sfemi_implicit_stage(b, k, b->step);
+        share = 1 - m->stage.w1 * m->stage.end;
+        memcpy(m->load, b->rhs, n * sizeof *m->load);
+        if (share != 0 && b->state.head->loaded && b->state.head->load_age < 2)
+            for (i = 0; i < n; ++i) m->load[i] += share * (b->state.force[1][i] - b->state.force[0][i]);
+        sfemi_implicit_history(b);
+        sfemi_implicit_guess(b, &t, k);
+        status = sfemi_newton_run(b, &t, err);
+        if (status != SFEM_OK) return status;
+        memcpy(m->mid_d, m->d, n * sizeof *m->d);
+        for (i = 0; i < n; ++i) {
+            m->mid_v[i] = m->stage.c1 * m->d[i] + m->vmap[i];
+            m->mid_a[i] = m->stage.c2 * m->d[i] + m->amap[i];
+        }
+    }
+    if (!sfemi_all_finite(m->mid_a, n))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+    memcpy(b->acc, m->mid_a, n * sizeof *b->acc);
+    return SFEM_OK;
+}
+
+static void sfemi_implicit_finish(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_state *s = &b->state;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        sfem_real x[3], v[3], a[3];
+        for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
+        sfemi_hold_motion(s->pin + k, x, b->step, s->head->h, v, a);
+        for (c = 0; c < 3; ++c) {
+            i = at + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            s->u[i] = s->pin[k].target[c] - b->model->mesh.x[i];
+            s->w[i] = v[c];
+            s->a[i] = a[c];
+        }
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) {
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        s->u[i] += m->d[i];
+        s->w[i] = m->mid_v[i];
+        s->a[i] = m->mid_a[i];
+    }
+}
+
+SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->implicit.info;
+}
+
+/* ---- statics ---- */
+
+/* f(u) = F, the held axes of mask at known, and the handles in grip.slot at their targets, from the present u
+ * on; the solution to u. Steps of the load, in which the force that is out of balance at the start
+ * vanishes in proportion and pins and handles go their ways. */
+static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system, const sfem_real *known,
+                                              sfem_real *u, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const unsigned char *mask = system->factor->mask;
+    sfem_real reached = 0, part = 1.0 / b->def.newton.load_steps;
+    sfemi_newton t;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    memset(&m->info, 0, sizeof m->info);
+    memset(&m->stage, 0, sizeof m->stage);
+    m->stage.w1 = m->stage.end = 1;
+    m->still = 1;
+    memset(&t, 0, sizeof t);
+    t.system = system;
+    t.what = "the static solution";
+    t.iterations = b->def.newton.iterations > 2 ? b->def.newton.iterations : 20;
+    sfemi_implicit_load(b, 0, m->amap);                            /* F */
+    sfemi_implicit_terms(b, b->state.u, NULL, NULL, m->vmap, m->q); /* f at the start */
+    memset(m->mid_d, 0, n * sizeof *m->mid_d);                     /* where it converged last */
+    while (reached < 1) {
+        if (part > 1 - reached - 1e-9) part = 1 - reached;
+        m->share = part == 1 - reached ? 1 : reached + part;
+        memcpy(m->d, m->mid_d, n * sizeof *m->d);
+        for (i = 0; i < n; ++i) {
+            const int held = mask[i / 3] >> (i % 3) & 1;
+            m->load[i] = m->vmap[i] + m->share * (m->amap[i] - m->vmap[i]);
+            m->goal[i] = held ? m->share * (known[i] - b->state.u[i]) : 0;
+        }
+        status = sfemi_newton_run(b, &t, err);
+        ++m->info.load_steps;
+        if (status == SFEM_OK) {
+            memcpy(m->mid_d, m->d, n * sizeof *m->d);
+            reached = m->share;
+            part = fmin(2 * part, 1.0 / b->def.newton.load_steps);
+        } else if (part < 2.0 / 1024 || status == SFEM_OUT_OF_MEMORY) {
+            break;
+        } else {
+            part /= 2;
+        }
+    }
+    for (i = 0; i < n && status == SFEM_OK; ++i) u[i] = b->state.u[i] + m->mid_d[i];
+    if (status == SFEM_NOT_CONVERGED)
+        return sfemi_fail(err, status,
+                          "the static solution did not converge: residual %.3g after %d iterations, at %.3g "
+                          "of the load",
+                          m->info.residual, (int)m->info.iterations, reached);
+    return status;
 }
 
 /* ============================================================================================
@@ -10075,6 +11239,7 @@ static sfem_real sfemi_pqr_stable_step(const sfem_body *b, sfem_real p)
 static int sfemi_pqr_needs_omega(const sfem_body *b)
 {
     if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
+    if (b->def.integrator > SFEM_CENTRAL) return 0;
     if (b->def.integrator == SFEM_CENTRAL) return 1;
     if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
@@ -10241,12 +11406,12 @@ static int sfemi_turn_projects(const sfem_body *b)
     return 0;
 }
 
-/* x = A^-1 x, see above, held axes becoming 0. */
+/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
 static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
     const sfem_int nodes = b->model->mesh.nodes;
-    const int projects = sfemi_turn_projects(b);
+    const int projects = u && sfemi_turn_projects(b);
     sfem_int i, k;
     int c;
     if (projects) {
@@ -10284,7 +11449,8 @@ static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_re
         }
         sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
     }
-    sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
+    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_turn_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -10315,7 +11481,7 @@ static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real
     sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
     sfem_int e, i;
     int a, c;
-    if (b->def.frame == SFEM_FRAME_REST) return;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
     memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
     for (e = 0; e < model->mesh.tets; ++e)
         for (a = 0; a < 4; ++a) {
@@ -10446,26 +11612,34 @@ static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real 
     return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
 }
 
-/* Forces, frames and a new ledger where the state was set from outside. */
-static void sfemi_guard_refresh(sfem_body *b)
+/* Forces and frames where the state was set from outside; the pieces' places. */
+static void sfemi_guard_look(sfem_body *b)
 {
     sfemi_state_head *head = b->state.head;
-    sfemi_guard_energies e;
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+        head->current = 1;
+        head->rebase = SFEMI_NEW_LEDGER;
     }
     sfemi_turn_locate(b, b->state.u);
-    if (head->current && !head->rebase) return;
-    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+}
+
+/* A ledger for steps of h from here, where the present one is void. */
+static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
+{
+    sfemi_state_head *head = b->state.head;
+    sfemi_guard_energies e;
+    sfemi_guard_look(b);
+    if (head->rebase == SFEMI_LEDGER) return;
+    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
     head->budget = head->last = e.ec;
-    if (!head->current) head->scale = 0;
+    if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
-    head->current = 1;
-    head->rebase = 0;
+    head->rebase = SFEMI_LEDGER;
 }
 
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
@@ -10480,7 +11654,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     sfem_int j;
     size_t i;
     b->step = h;
-    sfemi_guard_refresh(b);
+    sfemi_guard_refresh(b, h);
     t = sfemi_pqr_weigh(b, h);
     t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
@@ -10647,6 +11821,7 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
     int k;
     for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
         sfem_real size = 0, change = 0;
+        g->corrections = k + 1;
         for (i = 0; i < n; ++i) {
             const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
             b->zk[i] = b->beta * v;
@@ -10696,6 +11871,7 @@ static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_re
  * constraints, and what is added to it may not leave them. */
 static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
 {
+    sfemi_grip *grip = &b->guard.redo[SFEMI_TURNED].grip;
     sfem_int k;
     int c;
     for (k = 0; k < b->pin_count; ++k)
@@ -10703,14 +11879,14 @@ static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
         }
-    if (!b->guard.grip.count) return;
-    for (k = 0; k < b->guard.grip.count; ++k) { /* hold compares H z with the target's displacement */
-        const sfemi_handle *h = b->state.handle + b->guard.grip.slot[k];
+    if (!grip->count) return;
+    for (k = 0; k < grip->count; ++k) { /* hold compares H z with the target's displacement */
+        const sfemi_handle *h = b->state.handle + grip->slot[k];
         sfem_real rest[3];
         sfemi_grip_mean(h, b->model->mesh.x, rest);
-        for (c = 0; c < 3; ++c) b->guard.grip.lambda[3 * k + c] = h->hold.target[c] - rest[c];
+        for (c = 0; c < 3; ++c) grip->lambda[3 * k + c] = h->hold.target[c] - rest[c];
     }
-    sfemi_guard_hold(b, &b->guard.grip, b->state.frame, z);
+    sfemi_guard_hold(b, grip, b->state.frame, z);
 }
 
 static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
@@ -10739,44 +11915,94 @@ static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
     return sfemi_guard_potential(b, g->u, g->f, psi);
 }
 
-/* dir = -h^2 A1^-1 grad in the frames of z, leaving constraints alone. Returns grad.dir. */
-static sfem_real sfemi_guard_direction(sfem_body *b)
+/* x = h^2 A^-1 x in the frames of z, leaving constraints alone. The isotropic majorant is taken as it is:
+ * only then it bounds Phi. */
+static void sfemi_guard_precondition(sfem_body *b, int kind, sfem_real *x)
+{
+    sfemi_grip *grip = &b->guard.redo[kind].grip;
+    const sfem_real *frame = kind == SFEMI_TURNED ? b->guard.frame : b->guard.unit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_turn_solve(b, b->guard.redo[kind].factor, kind == SFEMI_TURNED ? b->state.u : NULL, frame, x);
+    if (grip->count) {
+        memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
+        sfemi_guard_hold(b, grip, frame, x);
+    }
+    for (i = 0; i < n; ++i) x[i] *= b->step * b->step;
+}
+
+static sfem_real sfemi_guard_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+/* dir, a direction of descent: minus the preconditioned gradient, with the majorant corrected by the pairs
+ * (L-BFGS) [Nocedal 1980; with such a matrix: Liu, Bouaziz, Kavan 2017]. Returns grad.dir. */
+static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real slope = 0;
+    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
+    sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
-    sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    int k;
+    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
-    sfemi_turn_solve(b, g->factor, b->state.u, g->frame, g->dir);
-    if (g->grip.count) {
-        memset(g->grip.lambda, 0, 3 * (size_t)g->grip.count * sizeof *g->grip.lambda);
-        sfemi_guard_hold(b, &g->grip, g->frame, g->dir);
+    for (k = 0; k < count; ++k) { /* from the last on */
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
+        rho[k] = sfemi_guard_dot(s, y, n);
+        part[k] = sfemi_guard_dot(s, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
     }
+    sfemi_guard_precondition(b, kind, g->dir);
+    for (k = count - 1; k >= 0; --k) {
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
+        const sfem_real back = sfemi_guard_dot(y, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
+    }
+    for (i = 0; i < n; ++i) g->dir[i] = -g->dir[i];
+    return sfemi_guard_dot(g->grad, g->dir, n);
+}
+
+/* Puts the pair that was begun in its slot in order, if the gradient has changed along the step as it
+ * must. */
+static void sfemi_guard_remember(sfemi_guard *g, size_t n)
+{
+    sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY), *y = s + n;
+    size_t i;
     for (i = 0; i < n; ++i) {
-        g->dir[i] *= -b->step * b->step;
-        slope += g->grad[i] * g->dir[i];
+        s[i] = g->u[i] - s[i];
+        y[i] = g->grad[i] - y[i];
     }
-    return slope;
+    if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n))) ++g->pairs;
 }
 
 /* One step of descent with Armijo's rule; 0 if there is none left to take. */
-static int sfemi_guard_descend(sfem_body *b, sfem_real *phi, sfem_real *psi)
+static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
-    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
-    const sfem_real slope = sfemi_guard_direction(b);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real slope = sfemi_guard_direction(b, kind);
     sfem_real length = 1;
     size_t i;
     int halvings;
-    for (halvings = 0; halvings < 20 && slope < 0; ++halvings, length /= 2) {
+    if (kind == SFEMI_ISOTROPIC) {
+        sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
+        memcpy(s, g->u, n * sizeof *s);
+        memcpy(s + n, g->grad, n * sizeof *s);
+    }
+    for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
         sfem_real value;
-        for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
+        for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
         if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
         *phi = value;
-        memcpy(g->u, g->trial_u, bytes);
-        memcpy(g->f, g->trial_f, bytes);
+        memcpy(g->u, g->trial_u, n * sizeof *g->u);
+        memcpy(g->f, g->trial_f, n * sizeof *g->f);
+        if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
         return 1;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
@@ -10859,6 +12085,7 @@ static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
     sfem_int k;
     int l, c;
@@ -10866,29 +12093,106 @@ static sfem_real sfemi_guard_work(sfem_body *b)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+            work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
     for (k = 0; k < b->grip.count; ++k) {
         const sfemi_handle *h = b->state.handle + b->grip.slot[k];
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+                work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
 }
 
-/* Does the step again, by minimisation. Leaves z, w', f, rotations in guard; returns Psi. */
-static sfem_real sfemi_guard_redo(sfem_body *b)
+/* The factor of the redo, and the handles' columns for it. */
+static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *err)
+{
+    sfemi_redo *g = &b->guard.redo[kind];
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
+    sfem_factor *f = NULL;
+    sfemi_factor_key key;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!g->factor || g->h != h) {
+        key = b->factor->key;
+        key.majorant = kind == SFEMI_ISOTROPIC;
+        key.ck = kind == SFEMI_TURNED ? h * h + h * b->beta : h * h;
+        key.cm = kind == SFEMI_TURNED ? r + h * b->alpha : r;
+        key.cd = kind == SFEMI_TURNED && b->model->damping ? h : 0;
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        sfemi_factor_release(b->model, g->factor);
+        g->factor = f;
+        g->h = h;
+        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
+    }
+    if (kind == SFEMI_ISOTROPIC && !b->guard.pair)
+        SFEMI_NEW(sfem_real, b->guard.pair, &b->allocator, 6 * SFEMI_MEMORY * (size_t)b->model->mesh.nodes);
+    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
+    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
+    g->grip.count = b->grip.count;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
+        if (!g->grip.ready[slot])
+            sfemi_grip_columns(g->factor, b->state.handle + slot, b->model->mesh.nodes, 1, g->grip.y[slot],
+                               b->work, &b->exec);
+        g->grip.ready[slot] = 1;
+    }
+done:
+    return status;
+}
+
+/* Lowers Phi, by the turned factor, or where that needs short steps, by the isotropic majorant, until Ec is
+ * in order and a step of descent gains little. */
+static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
+                                        sfem_error *err)
+{
+    enum { LIMIT = 100 };
+    sfemi_guard *g = &b->guard;
+    const sfem_real scale = b->state.head->scale;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real first = 0;
+    sfem_status status = SFEM_OK;
+    int k, kind = SFEMI_TURNED, poor = 0;
+    g->pairs = 0;
+    for (k = 0; k < LIMIT; ++k) {
+        sfem_real norm = 0, before = phi;
+        size_t i;
+        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
+        if (k == 0) first = norm;
+        if (norm == 0 || norm < 1e-6 * first) break;
+        if (sfemi_guard_descend(b, kind, &phi, psi)) {
+            const sfem_real worth = *psi < scale ? *psi : scale;
+            const int turned = kind == SFEMI_TURNED;
+            ++b->state.head->descents;
+            poor = before - phi <= (turned ? .01 : .001) * worth ? poor + 1 : 0;
+            if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
+        } else if (kind == SFEMI_TURNED) {
+            kind = SFEMI_ISOTROPIC;
+            g->crumpled = 1;
+            SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
+        } else {
+            break;
+        }
+    }
+done:
+    return status;
+}
+
+/* Does the step again, by minimisation. Leaves z, w', f, rotations and Psi in guard. */
+static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
 {
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real psi, phi, first = 0, target;
+    sfem_real psi, phi, target;
+    sfem_status status;
     size_t i;
-    int k;
+    g->crumpled = 0;
+    status = sfemi_guard_prepare_redo(b, SFEMI_TURNED, err);
+    if (status != SFEM_OK) return status;
     for (i = 0; i < n; ++i) {
         const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
         g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
@@ -10899,52 +12203,13 @@ static sfem_real sfemi_guard_redo(sfem_body *b)
     head->budget += sfemi_guard_work(b);
     target = head->budget + .01 * head->scale;
     if (head->last > target) target = head->last;
-    for (k = 0; k < 8; ++k) {
-        sfem_real norm = 0;
-        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
-        if (k == 0) first = norm;
-        else if (norm < 1e-6 * first || sfemi_guard_at(b, psi).ec <= target) break;
-        if (!sfemi_guard_descend(b, &phi, &psi)) break;
-    }
+    status = sfemi_guard_minimise(b, phi, target, &psi, err);
+    if (status != SFEM_OK) return status;
     (void)sfemi_guard_at(b, psi);
     sfemi_guard_restore_momentum(b, psi);
     sfemi_guard_slow_down(b, psi, target);
-    return psi;
-}
-
-/* The factor of the redo, and the handles' columns for it. */
-static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
-{
-    sfemi_guard *g = &b->guard;
-    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_factor *f = NULL;
-    sfemi_factor_key key;
-    sfem_status status = SFEM_OK;
-    sfem_int i;
-    if (!g->factor || g->h != h) {
-        key = b->factor->key;
-        key.ck = h * h + h * b->beta;
-        key.cm = r + h * b->alpha;
-        key.cd = b->model->damping ? h : 0;
-        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-        sfemi_factor_release(b->model, g->factor);
-        g->factor = f;
-        g->h = h;
-        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
-    }
-    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
-    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
-    g->grip.count = b->grip.count;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
-        if (!g->grip.ready[slot])
-            sfemi_grip_columns(g->factor, b->state.handle + slot, (sfem_int)(n / 3), 1, g->grip.y[slot], b->work,
-                               &b->exec);
-        g->grip.ready[slot] = 1;
-    }
-done:
-    return status;
+    g->psi = psi;
+    return SFEM_OK;
 }
 
 /* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
@@ -10999,7 +12264,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (b->model->node_mass[b->pin[k]] * b->acc[i] + s->f[i]) * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            work += s->f[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
         }
     if (s->head->loaded && s->head->load_age < 2)
         for (i = 0; i < n; ++i)
@@ -11012,7 +12277,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
 static void sfemi_guard_handle_forces(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
-    const sfem_real h2 = b->step * b->step;
+    const sfem_real h2 = b->step * b->step / sfemi_body_coefficients(b, b->p).r;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->grip.count; ++k) {
@@ -11040,6 +12305,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const sfem_real budget = head->budget;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
+    g->corrections = 0;
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
     g->redone = 0;
@@ -11051,9 +12317,11 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     }
     if (g->redone) {
         head->budget = budget;
-        status = sfemi_guard_prepare_redo(b, err);
-        if (status != SFEM_OK) return status;
-        g->psi = sfemi_guard_redo(b);
+        status = sfemi_guard_redo(b, err);
+        if (status != SFEM_OK) {
+            head->budget = budget;
+            return status;
+        }
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
     head->budget = budget;
@@ -11079,10 +12347,14 @@ static void sfemi_guard_finish(sfem_body *b)
             memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
     e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-    energy = redone ? e.ec : e.eb;
+    energy = head->energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
-    moving = e.kinetic + (head->psi + psi) / 2;
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
     head->scale *= exp(-b->step);
+    if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
+        head->scale = 0;
+        head->budget = energy;
+    }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
     head->last = e.ec;
@@ -11117,17 +12389,22 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.q = d.r = 1;
     d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
+    d.rho_inf = 0.8;
+    d.hht_alpha = 0.1;
+    d.newton.iterations = 20;
+    d.newton.tolerance = 1e-8;
+    d.newton.load_steps = 1;
     d.max_handles = 16;
     return d;
 }
 
 static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
-    if ((unsigned)d->integrator > SFEM_CENTRAL)
+    if ((unsigned)d->integrator > SFEM_BATHE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
-    if ((unsigned)d->frame > SFEM_FRAME_REST)
+    if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
     if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
@@ -11150,14 +12427,20 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
-    return SFEM_OK;
+    return sfemi_implicit_check(d, err);
+}
+
+/* Is w the mean velocity over a step, not the velocity? */
+static int sfemi_body_keeps_mean(const sfem_body *b)
+{
+    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
 static uint64_t sfemi_body_key(const sfem_body *b)
 {
     const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
-                              b->def.integrator == SFEM_NEWMARK};
+                              !sfemi_body_keeps_mean(b)};
     const uint64_t hash = sfemi_state_hash(0xcbf29ce484222325u, shape, sizeof shape);
     return sfemi_state_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
@@ -11260,12 +12543,14 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
     SFEMI_NEW(sfem_real, b->turn.rotation, al,
-              9 * tets + sfem_model_work_size(b->model) + (10 + 3) * n + n + n / 3 + 3 * n);
+              9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
     b->turn.work = b->turn.rotation + 9 * tets;
     b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
     g->frame = b->turn.sum + 3 * n + n / 3;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->frame + (3 + i) * n;
-    SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->grip, err));
+    g->unit = g->frame + 3 * n;
+    for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
+    for (i = 0; i < SFEMI_REDOS; ++i) SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->redo[i].grip, err));
 done:
     return status;
 }
@@ -11273,11 +12558,16 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    int k;
+    sfemi_implicit_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_factor_release(b->model, b->guard.factor);
     sfemi_body_free_grip(b, &b->grip);
-    sfemi_body_free_grip(b, &b->guard.grip);
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        sfemi_body_free_grip(b, &b->guard.redo[k].grip);
+    }
+    sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.rotation);
@@ -11315,6 +12605,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
 done:
     return status;
 }
@@ -11335,7 +12626,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = model->turns && def->integrator != SFEM_NEWMARK;
+    b->turns = model->turns && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
@@ -11375,7 +12666,7 @@ static void sfemi_body_find_held(sfem_body *b)
         changed |= held != b->turn.piece[k].held;
         b->turn.piece[k].held = held;
     }
-    if (changed) b->state.head->rebase = 1;
+    if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
@@ -11393,7 +12684,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
-        if (!g->ready[i])
+        if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
             sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
                                b->work, &b->exec);
         g->ready[i] = 1;
@@ -11401,8 +12692,8 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
     if (b->turns) sfemi_body_find_held(b);
-    if (b->turns && b->def.no_allocation && !b->def.no_guard)
-        SFEMI_TRY(sfemi_guard_prepare_redo(b, err));
+    for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
     return status;
@@ -11412,7 +12703,8 @@ static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    for (i = 0; b->turns && i < b->def.max_handles; ++i) b->guard.grip.ready[i] = 0;
+    for (i = 0; b->turns && i < b->def.max_handles; ++i)
+        b->guard.redo[SFEMI_TURNED].grip.ready[i] = b->guard.redo[SFEMI_ISOTROPIC].grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
@@ -11434,6 +12726,10 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     sfem_real limit;
     if (sfemi_pqr_needs_omega(b) && b->omega_max == 0) status = sfemi_pqr_find_omega(b, err);
     if (status != SFEM_OK) return status;
+    if (b->def.integrator > SFEM_CENTRAL) {
+        *p = 0;
+        return SFEM_OK;
+    }
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
@@ -11447,7 +12743,21 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
 
 static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
 {
-    return b->factor && h == b->h && !b->grip.dirty;
+    return b->factor && (h == b->h || (b->h > 0 && b->implicit.system.matrix.val)) && !b->grip.dirty;
+}
+
+static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
+{
+    sfem_factor *f;
+    sfem_status status = sfemi_implicit_get_factor(b, h, &f, err);
+    if (status != SFEM_OK) return status;
+    sfemi_body_adopt(b, f);
+    b->h = 0; /* until all is there */
+    status = sfemi_body_reserve_work(b, f, 3, err);
+    if (status != SFEM_OK) return status;
+    b->h = h;
+    b->p = p;
+    return sfemi_body_prepare_handles(b, err);
 }
 
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
@@ -11465,11 +12775,13 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
+        if (sfemi_implicit_serves(b)) return sfemi_body_prepare_implicit(b, h, p, err);
         k = sfemi_body_coefficients(b, p);
         key.ck = k.p * h * h + k.q / 2 * h * b->beta;
         key.cm = k.r + k.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? k.q / 2 * h : 0;
         key.mask = b->mask;
+        key.majorant = b->turns && b->def.frame == SFEM_FRAME_MAJORANT;
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -11498,6 +12810,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     }
     b->step = h;
     if (b->turns) sfemi_guard_predict(b, h);
+    else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
     b->phase = SFEMI_PREDICTED;
@@ -11508,6 +12821,11 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
+    if (sfemi_implicit_serves(b)) {
+        const sfem_status status = sfemi_implicit_solve(b, err);
+        b->phase = status == SFEM_OK ? SFEMI_SOLVED : SFEMI_IDLE;
+        return status;
+    }
     if (!b->turns)
         sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
     if (b->turns) sfemi_guard_solve(b);
@@ -11538,12 +12856,10 @@ static void sfemi_body_finish_linear(sfem_body *b)
     sfem_int i;
     for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
-    if (b->def.integrator == SFEM_NEWMARK) {
-        sfemi_newmark_finish(b);
-        sfemi_newmark_settle_handles(b, g->place);
-    } else {
-        sfemi_pqr_finish(b);
-    }
+    if (sfemi_implicit_serves(b)) sfemi_implicit_finish(b);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_finish(b);
+    else sfemi_pqr_finish(b);
+    if (!sfemi_body_keeps_mean(b)) sfemi_newmark_settle_handles(b, g->place);
     b->state.head->started = SFEMI_RUNNING;
 }
 
@@ -11647,7 +12963,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
-    b->state.head->rebase = 1;
+    if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
 }
 
@@ -11664,7 +12980,7 @@ SFEM_DEF void sfem_body_positions(const sfem_body *b, sfem_real *x)
 SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    const int mean = b->def.integrator != SFEM_NEWMARK && s->head->started == SFEMI_RUNNING;
+    const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] = s->w[i] + half * s->a[i];
@@ -11681,7 +12997,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
-    b->state.head->steps = b->state.head->redone = 0;
+    b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -11750,6 +13066,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes;
+    int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
@@ -11771,8 +13088,10 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    sfemi_factor_release(b->model, b->guard.factor);
-    b->guard.factor = NULL;
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        b->guard.redo[k].factor = NULL;
+    }
     sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
     return SFEM_OK;
@@ -11888,6 +13207,13 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     sfem_real *v = b->acc;
     size_t i;
     sfem_body_velocities(b, v);
+    if (sfemi_implicit_serves(b)) {
+        memcpy(b->zm, b->state.a, n * sizeof *b->zm);
+        b->phase = SFEMI_IDLE;
+        sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
+        for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+        return;
+    }
     for (i = 0; i < n; ++i) {
         b->zk[i] = b->state.u[i] + b->beta * v[i];
         b->zm[i] = b->state.a[i] + b->alpha * v[i];
@@ -11896,7 +13222,7 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
-        sfemi_guard_refresh(b);
+        sfemi_guard_look(b);
         sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i)
             b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
@@ -11989,7 +13315,8 @@ static void sfemi_body_static_forces(sfem_body *b)
     int c;
     memcpy(b->zk, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zk);
     if (b->zd) memset(b->zd, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zd);
-    sfemi_body_residual(b, load, 0);
+    if (sfemi_implicit_linear(b->model)) sfemi_body_residual(b, load, 0);
+    else sfemi_implicit_balance(b, 0, NULL, NULL, b->rhs);
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
         for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
@@ -11998,6 +13325,32 @@ static void sfemi_body_static_forces(sfem_body *b)
             b->rhs[i] = 0; /* carried */
         }
     }
+}
+
+/* The static solution of a nonlinear model, to acc. */
+static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    sfemi_system system;
+    sfem_status status = SFEM_OK;
+    sfem_int k;
+    memset(&system, 0, sizeof system);
+    SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    SFEMI_TRY(sfemi_system_open(b, key, &system, err));
+    SFEMI_TRY(sfemi_body_reserve_work(b, system.factor, 3, err));
+    SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
+    sfemi_body_static_known(b, b->implicit.best);
+    SFEMI_TRY(sfemi_implicit_equilibrium(b, &system, b->implicit.best, b->acc, err));
+    for (k = 0; k < g->count; ++k)
+        memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
+done:
+    g->count = 0;
+    g->dirty = 1;
+    sfemi_factor_release(b->model, system.factor);
+    sfemi_system_close(b, &system);
+    return status;
 }
 
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
@@ -12017,15 +13370,19 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
-    SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
-    SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
-    sfemi_body_static_known(b, b->zk);
-    memcpy(b->acc, b->zk, n * sizeof *b->acc);
-    if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
-    sfemi_body_residual(b, load, 0);
-    sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
-    SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
+    if (!sfemi_implicit_linear(b->model)) {
+        SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
+    } else {
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
+        SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
+        sfemi_body_static_known(b, b->zk);
+        memcpy(b->acc, b->zk, n * sizeof *b->acc);
+        if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
+        sfemi_body_residual(b, load, 0);
+        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+        SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
+    }
     if (!sfemi_all_finite(b->acc, n)) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "the static solution is not finite");
         goto done;
@@ -12069,16 +13426,24 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
     if (b->turns) {
         e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
-    } else {
+    } else if (sfemi_implicit_linear(model)) {
         sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
         e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    } else {
+        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
     }
     e.load = 0;
     for (i = 0; i < n; ++i)
         e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
+    if (b->turns) {
+        sfemi_guard_look(b);
+        e.conserved = s->head->steps ? s->head->energy
+                                     : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
+    }
     if (!running || b->turns) return e;
-    if (b->def.integrator == SFEM_NEWMARK) {
+    if (!sfemi_body_keeps_mean(b)) {
+        if (b->def.integrator != SFEM_NEWMARK) return e;
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
         e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
     } else {
@@ -12110,9 +13475,12 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.factors_made = b->factors_made;
     info.steps = b->state.head->steps;
     info.redone = b->state.head->redone;
+    info.descents = b->state.head->descents;
+    info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
