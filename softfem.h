@@ -1031,6 +1031,13 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #elif defined(__aarch64__)
 #include <arm_neon.h>
 #endif
+#if defined(__unix__) || defined(__APPLE__)
+#include <sched.h>
+#define SFEMI_YIELD() (void)sched_yield()
+#else
+#define SFEMI_YIELD() (void)0
+#endif
+#include <time.h>
 #ifndef SFEM_SELF
 #define SFEM_SELF "softfem.h"
 #endif
@@ -5221,6 +5228,113 @@ done:
     return status;
 }
 
+/* --- counters that threads share ------------------------------------------------------------- */
+
+#if defined(__GNUC__)
+#define SFEMI_ATOMICS 1
+typedef int32_t sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before */
+#define SFEMI_ATOMIC_GET(p) __atomic_load_n((p), __ATOMIC_ACQUIRE)
+#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
+#elif defined(_MSC_VER)
+#define SFEMI_ATOMICS 1
+typedef long sfemi_counter;
+long _InterlockedExchangeAdd(long volatile *, long);
+long _InterlockedExchange(long volatile *, long);
+#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
+#define SFEMI_ATOMIC_GET(p) _InterlockedExchangeAdd((p), 0)
+#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
+#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
+#define SFEMI_ATOMICS 0
+typedef long sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
+#define SFEMI_ATOMIC_GET(p) (*(p))
+#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
+#endif
+
+/* Seconds since some moment, or 0 where the language has no such clock. */
+static double sfemi_seconds(void)
+{
+#ifdef _OPENMP
+    return omp_get_wtime();
+#elif defined(TIME_UTC) && !defined(_WIN32)
+    struct timespec t;
+    timespec_get(&t, TIME_UTC);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+#else
+    return 0;
+#endif
+}
+
+/* A crew works off a list of units on several threads in one parallel region: each worker takes the
+ * next unit, waits for what it depends on, which stands before it in the list and so has been taken,
+ * and does it. So one worker alone can do everything, and nobody waits for a thread that the system
+ * has not started.
+ *
+ * On a busy machine several threads may still take longer than one. A pace compares the two: one call
+ * in 64 is done alone, and where the crew was slower it rests, for longer each time. */
+#define SFEMI_CREW 32 /* most workers */
+
+typedef struct sfemi_pace {
+    sfemi_counter calls, rest, longer;
+    sfemi_counter alone; /* microseconds / 4 of the latest call on one thread, or 0 */
+} sfemi_pace;
+
+typedef struct sfemi_crew {
+    void (*unit)(void *data, sfem_int unit);
+    void *data;
+    sfem_int count;
+    sfemi_counter *next;
+} sfemi_crew;
+
+static void sfemi_crew_work(void *data, sfem_int worker)
+{
+    sfemi_crew *c = (sfemi_crew *)data;
+    (void)worker;
+    for (;;) {
+        const sfem_int unit = (sfem_int)SFEMI_ATOMIC_ADD(c->next, 1);
+        if (unit >= c->count) return;
+        c->unit(c->data, unit);
+    }
+}
+
+static void sfemi_crew_wait(sfemi_counter *counter, sfem_int value)
+{
+    int spins = 0;
+    while (SFEMI_ATOMIC_GET(counter) < value) {
+        if (++spins > 2000) SFEMI_YIELD(); /* who has the unit may need this processor */
+#if SFEMI_X86
+        else __builtin_ia32_pause();
+#endif
+    }
+}
+
+/* Threads to use for the next call. */
+static sfem_int sfemi_pace_threads(sfemi_pace *p, const sfem_exec *e)
+{
+    const sfem_int threads = SFEMI_ATOMICS ? sfemi_threads(e) : 1;
+    if (threads == 1) return 1;
+    if (SFEMI_ATOMIC_GET(&p->rest) > 0) {
+        (void)SFEMI_ATOMIC_ADD(&p->rest, -1);
+        return 1;
+    }
+    if (SFEMI_ATOMIC_ADD(&p->calls, 1) % 64 == 1) return 1;
+    return threads < SFEMI_CREW ? threads : SFEMI_CREW;
+}
+
+static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
+{
+    const double units = seconds * 250000 + 1;
+    const sfemi_counter took = units < 1e9 ? (sfemi_counter)units : 1000000000;
+    const sfemi_counter alone = SFEMI_ATOMIC_GET(&p->alone), longer = SFEMI_ATOMIC_GET(&p->longer);
+    if (seconds <= 0) return;
+    if (threads == 1) SFEMI_ATOMIC_SET(&p->alone, took);
+    else if (alone && took > alone) {
+        SFEMI_ATOMIC_SET(&p->longer, longer < 8 ? 8 : longer < 512 ? 2 * longer : longer);
+        SFEMI_ATOMIC_SET(&p->rest, SFEMI_ATOMIC_GET(&p->longer));
+    } else SFEMI_ATOMIC_SET(&p->longer, longer / 2);
+}
+
 /* --- fronts and kernels ---------------------------------------------------------------------- */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
@@ -5345,19 +5459,6 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 
 /* --- symbolic analysis ----------------------------------------------------------------------- */
 
-#if defined(__GNUC__)
-#define SFEMI_COUNT_UP(p) ((void)__atomic_add_fetch((p), 1, __ATOMIC_RELAXED))
-#define SFEMI_COUNT_DOWN(p) __atomic_sub_fetch((p), 1, __ATOMIC_ACQ_REL)
-#elif defined(_MSC_VER)
-long _InterlockedIncrement(long volatile *);
-long _InterlockedDecrement(long volatile *);
-#define SFEMI_COUNT_UP(p) ((void)_InterlockedIncrement(p))
-#define SFEMI_COUNT_DOWN(p) _InterlockedDecrement(p)
-#else /* no atomics: make and free factors from one thread */
-#define SFEMI_COUNT_UP(p) ((void)++*(p))
-#define SFEMI_COUNT_DOWN(p) (--*(p))
-#endif
-
 /* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1] in
  * the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
  *
@@ -5365,7 +5466,7 @@ long _InterlockedDecrement(long volatile *);
  * whole subtree of the elimination tree or one supernode above those. Tasks of equal level do not
  * depend on each other. */
 typedef struct sfemi_symbolic {
-    long references; /* atomic */
+    sfemi_counter references;
     sfem_allocator allocator;
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
@@ -5393,6 +5494,7 @@ typedef struct sfemi_symbolic {
     sfem_int *buffer;  /* [tasks + 1] where its buffer starts in the solve's work array, in nodes */
     sfem_int *level;   /* [levels + 1] into by_level */
     sfem_int *by_level; /* [tasks] */
+    sfem_int *at_level; /* [tasks] its inverse */
     size_t *scratch;   /* [tasks + 1] the solve's scratch of a task, in rows */
     size_t update_size, update_kept_size; /* in scalars */
     size_t nnz, bytes;
@@ -5408,7 +5510,7 @@ static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, siz
 static void sfemi_symbolic_free(sfemi_symbolic *y)
 {
     sfem_allocator m;
-    if (!y || SFEMI_COUNT_DOWN(&y->references) > 0) return;
+    if (!y || SFEMI_ATOMIC_ADD(&y->references, -1) > 1) return;
     m = y->allocator;
     sfemi_delete(&m, y->order);
     sfemi_delete(&m, y->inverse);
@@ -5434,6 +5536,7 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
     sfemi_delete(&m, y->buffer);
     sfemi_delete(&m, y->level);
     sfemi_delete(&m, y->by_level);
+    sfemi_delete(&m, y->at_level);
     sfemi_delete(&m, y);
 }
 
@@ -5771,9 +5874,13 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
     y->levels = tasks ? top + 1 : 0;
     SFEMI_NEW(sfem_int, y->level, m, (size_t)y->levels + 3);
     SFEMI_NEW(sfem_int, y->by_level, m, (size_t)tasks + 1);
+    SFEMI_NEW(sfem_int, y->at_level, m, (size_t)tasks + 1);
     for (t = 0; t < tasks; ++t) ++y->level[level[t] + 2];
     for (t = 0; t < y->levels; ++t) y->level[t + 2] += y->level[t + 1];
-    for (t = 0; t < tasks; ++t) y->by_level[y->level[level[t] + 1]++] = t;
+    for (t = 0; t < tasks; ++t) {
+        y->at_level[t] = y->level[level[t] + 1]++;
+        y->by_level[y->at_level[t]] = t;
+    }
 done:
     sfemi_delete(m, weight);
     sfemi_delete(m, level);
@@ -5789,7 +5896,7 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
     sfem_status status = SFEM_OK;
     sfemi_slot *slot = NULL;
     size_t shared = 0, *base = NULL;
-    sfem_int s, t, l, k, count = 0;
+    sfem_int s, t, count = 0;
     SFEMI_NEW(sfemi_slot, slot, m, (size_t)ns + 1);
     SFEMI_NEW(size_t, base, m, (size_t)y->tasks + 2);
     SFEMI_NEW(size_t, y->panel, m, (size_t)ns + 1);
@@ -5833,21 +5940,11 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
         }
         y->buffer[t + 1] = y->buffer[t] + (sfem_int)(y->start[root + 1] - y->start[root]);
     }
-    /* roots of tasks live from their level to their parent's */
-    for (count = 0, l = 0; l < y->levels; ++l)
-        for (k = y->level[l]; k < y->level[l + 1]; ++k) {
-            const sfem_int root = y->task[y->by_level[k] + 1] - 1;
-            const size_t u = y->update_kept[root + 1] - y->update_kept[root];
-            sfem_int until = l;
-            if (!u) continue;
-            for (until = l + 1; until < y->levels; ++until) {
-                const sfem_int *b = y->by_level + y->level[until], *e = y->by_level + y->level[until + 1];
-                while (b < e && *b != y->of[y->parent[root]]) ++b;
-                if (b < e) break;
-            }
-            y->update[root] = sfemi_slot_take(slot, &count, u, l, until);
-            if (y->update[root] + u > shared) shared = y->update[root] + u;
-        }
+    for (t = 0; t < y->tasks; ++t) { /* roots of tasks: threads may be anywhere, so nothing is reused */
+        const sfem_int root = y->task[t + 1] - 1;
+        y->update[root] = shared;
+        shared += y->update_kept[root + 1] - y->update_kept[root];
+    }
     for (base[0] = shared, t = 0; t < y->tasks; ++t) {
         base[t + 1] += base[t];
         for (s = y->task[t]; s < y->task[t + 1] - 1; ++s) y->update[s] += base[t];
@@ -5959,7 +6056,10 @@ struct sfem_ldl {
     double *scale;       /* [3n] s / sqrt|d| of each pivot */
     double *floor;       /* [3n] what a pivot must exceed */
     double *lost;        /* [tasks] the pivot that stopped a task */
-    sfem_int *lost_at;   /* [tasks] its column, or -1 */
+    sfem_int *lost_at;   /* [tasks] its column, or -1; -2: a task below failed */
+    sfem_int *units;     /* [tasks + 1] in order of levels: units of work before each */
+    sfemi_counter *done; /* [tasks + 1] units done; then the crew's counter */
+    sfemi_pace *pace;    /* [3] of factorisations, solves, solves of blocks */
     sfem_int *negative;  /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
     double unit;         /* power of 2 near the root of the largest entry of A */
@@ -5980,7 +6080,9 @@ typedef struct sfemi_solve {
     size_t block;
     double *w, *scratch;
     float *w32, *scratch32;
-    const sfem_int *tasks;
+    sfem_task forward, backward;
+    sfemi_counter *done;
+    sfemi_pace *pace;
 } sfemi_solve;
 
 static size_t sfemi_solve_rows(const sfemi_symbolic *y)
@@ -5992,7 +6094,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
 {
     const sfemi_symbolic *y = ldl->symbolic;
     return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
-           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 2 * (size_t)y->tasks + 64;
 }
 
 /* The tasks of both sweeps, for double and float. */
@@ -6002,7 +6104,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
     {                                                                                                \
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
+        const sfem_int t = index, root = y->task[t + 1] - 1;                                         \
         const size_t n = 3 * q->block; /* numbers to a node */                                       \
         R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
         R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
@@ -6042,7 +6144,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
     {                                                                                                \
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
+        const sfem_int t = index, root = y->task[t + 1] - 1, p = y->parent[root];                    \
         const size_t n = 3 * q->block;                                                               \
         R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
         R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
@@ -6069,20 +6171,50 @@ SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scr
                   forward32, backward32, forward8_32, backward8_32)
 #undef SFEMI_SOLVE_TASKS
 
-/* Up the tree and down again, level by level. */
+/* Unit u of a solve: tasks up the tree by levels, then down again; done[] has one flag for each. */
+static void sfemi_solve_unit(void *data, sfem_int u)
+{
+    const sfemi_solve *q = (const sfemi_solve *)data;
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const int up = u < y->tasks;
+    const sfem_int t = y->by_level[up ? u : 2 * y->tasks - 1 - u], root = y->task[t + 1] - 1;
+    sfem_int c;
+    if (up)
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) {
+            if (y->of[c] != t) sfemi_crew_wait(q->done + y->of[c], 1);
+        }
+    else sfemi_crew_wait(q->done + (y->parent[root] < 0 ? t : y->tasks + y->of[y->parent[root]]), 1);
+    (up ? q->forward : q->backward)(data, t);
+    SFEMI_ATOMIC_SET(q->done + (up ? t : y->tasks + t), 1);
+}
+
+/* Up the tree and down again. */
+#define SFEMI_SOLVE_PARALLEL 400000 /* numbers in L from which a solve is worth several threads */
+
 static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
                                sfem_task backward)
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
-    sfem_int l;
-    for (l = 0; l < y->levels; ++l) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
+    const sfem_int threads =
+        y->tasks > 1 && y->nnz > SFEMI_SOLVE_PARALLEL ? sfemi_pace_threads(q->pace, exec) : 1;
+    const double start = exec && exec->threads > 1 ? sfemi_seconds() : 0;
+    sfem_int t;
+    if (threads > 1) {
+        sfemi_crew crew;
+        crew.unit = sfemi_solve_unit;
+        crew.data = q;
+        crew.count = 2 * y->tasks;
+        crew.next = q->done + 2 * y->tasks;
+        memset(q->done, 0, (2 * (size_t)y->tasks + 1) * sizeof *q->done);
+        q->forward = forward;
+        q->backward = backward;
+        SFEMI_ATOMIC_SET(crew.next, 0);
+        sfemi_run(exec, threads, sfemi_crew_work, &crew);
+    } else {
+        for (t = 0; t < y->tasks; ++t) forward(q, t);
+        for (t = y->tasks; t-- > 0;) backward(q, t);
     }
-    for (l = y->levels; l-- > 0;) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
-    }
+    if (start > 0) sfemi_pace_took(q->pace, threads, sfemi_seconds() - start);
 }
 
 /* count <= block right sides; those that are missing are 0 */
@@ -6139,10 +6271,13 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
     memset(&q, 0, sizeof q);
     q.ldl = ldl;
     q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.pace = ldl->pace + (q.block == 1 ? 1 : 2);
     q.w = work;
     q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
     q.w32 = (float *)(void *)q.w;
     q.scratch32 = (float *)(void *)q.scratch;
+    q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
+                                                       SFEMI_SOLVE_SCRATCH);
     while (rhs > 0 && n > 0) {
         const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
         if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
@@ -6161,10 +6296,8 @@ typedef struct sfemi_front {
     sfemi_shape h;
     double *l, *u, *scale;
     double *b; /* what stands at the right of products: l, or its signed copy */
-    const sfem_exec *exec;
     size_t begin, end; /* diagonal tiles of the block of columns at work */
-    int load;
-    sfem_int child;
+    int load;          /* are there children, so that U starts from what they add? */
 } sfemi_front;
 
 static double *sfemi_ldl_update_of(const sfem_ldl *ldl, sfem_int s)
@@ -6180,6 +6313,7 @@ static void sfemi_front_begin(sfemi_front *q)
     const double least = q->ldl->positive ? 4e-15 : 1e-13;
     sfem_int e;
     memset(q->l, 0, sfemi_shape_panel_size(h) * sizeof *q->l);
+    if (q->load) memset(q->u, 0, sfemi_shape_update_size(h) * sizeof *q->u);
     for (e = y->from[q->s]; e < y->from[q->s + 1]; ++e) {
         const sfem_int in = y->into[2 * (size_t)e];
         const double *v = q->a->val + 9 * (size_t)y->source[e];
@@ -6202,15 +6336,14 @@ static void sfemi_front_begin(sfemi_front *q)
 }
 
 /* Adds the rows of one tile of a child's update matrix. */
-static void sfemi_front_add_tile(void *data, sfem_int index)
+static void sfemi_front_add_tile(const sfemi_front *q, sfem_int child, size_t tile)
 {
-    const sfemi_front *q = (const sfemi_front *)data;
     const sfemi_symbolic *y = q->ldl->symbolic;
-    const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, q->child, h->w);
-    const sfem_int *place = y->place + y->start[q->child];
+    const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, child, h->w);
+    const sfem_int *place = y->place + y->start[child];
     const sfem_int pivots = y->first[q->s + 1] - y->first[q->s], below = (sfem_int)((ch.f - ch.k) / 3);
-    const size_t tile = ch.boundary + (size_t)index, hs = sfemi_shape_height(&ch, tile);
-    const double *src = sfemi_ldl_update_of(q->ldl, q->child) + sfemi_shape_update(&ch, tile);
+    const size_t hs = sfemi_shape_height(&ch, tile);
+    const double *src = sfemi_ldl_update_of(q->ldl, child) + sfemi_shape_update(&ch, tile);
     const size_t c0 = ch.boundary * ch.t, d0 = h->boundary * h->t;
     const sfem_int per = (sfem_int)(h->t / 3), shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
     sfem_int a = shift < 0 ? 0 : shift, last = shift + per < below ? shift + per : below, b, inner;
@@ -6258,13 +6391,6 @@ static void sfemi_front_rows(const sfemi_front *q, size_t tile, size_t end)
     }
 }
 
-static void sfemi_front_rows_task(void *data, sfem_int index)
-{
-    const sfemi_front *q = (const sfemi_front *)data;
-    size_t tile = q->end + 4 * (size_t)index, last = tile + 4;
-    for (; tile < last && tile < q->h.tiles; ++tile) sfemi_front_rows(q, tile, q->end);
-}
-
 /* Copies columns of a tile with the signs of their pivots. */
 static void sfemi_front_sign(const sfemi_front *q, size_t tile, size_t begin, size_t end)
 {
@@ -6300,36 +6426,12 @@ static sfem_int sfemi_front_diagonal(const sfemi_front *q, size_t tile, double *
     return -1;
 }
 
-#define SFEMI_FRONT_BLOCK 96 /* columns that are eliminated together */
-
-/* Eliminates the front's k columns; returns the one that is lost, or -1. */
-static sfem_int sfemi_front_eliminate(sfemi_front *q, double *lost)
-{
-    const sfemi_shape *h = &q->h;
-    const size_t block = SFEMI_FRONT_BLOCK / h->t;
-    size_t tile;
-    sfem_int at;
-    for (q->begin = 0; q->begin < h->diagonal; q->begin = q->end) {
-        q->end = q->begin + block < h->diagonal ? q->begin + block : h->diagonal;
-        for (tile = q->begin; tile < q->end; ++tile) {
-            sfemi_front_rows(q, tile, tile);
-            at = sfemi_front_diagonal(q, tile, lost);
-            if (at >= 0) return at;
-        }
-        sfemi_run(q->exec, (sfem_int)((h->tiles - q->end + 3) / 4), sfemi_front_rows_task, q);
-    }
-    if (q->b != q->l)
-        for (tile = h->diagonal; tile < h->tiles; ++tile) sfemi_front_sign(q, tile, 0, h->k);
-    return -1;
-}
-
 /* U -= L21 S L21^T, four tiles of rows, from the last ones on (they are the longest). */
-static void sfemi_front_update_task(void *data, sfem_int index)
+static void sfemi_front_update(const sfemi_front *q, size_t index)
 {
-    const sfemi_front *q = (const sfemi_front *)data;
     const sfemi_ldl_kernels *k = q->ldl->symbolic->kernels;
     const sfemi_shape *h = &q->h;
-    const size_t last = h->tiles - 4 * (size_t)index, c0 = h->boundary * h->t;
+    const size_t last = h->tiles - 4 * index, c0 = h->boundary * h->t;
     const size_t begin = last < h->boundary + 4 ? h->boundary : last - 4;
     size_t tile, j, g;
     for (j = h->boundary; j < last; ++j) {
@@ -6374,6 +6476,8 @@ static void sfemi_front_finish(const sfemi_front *q)
     const sfemi_symbolic *y = q->ldl->symbolic;
     const sfemi_shape *h = &q->h;
     size_t tile;
+    q->ldl->negative[q->s] = 0;
+    for (tile = 0; tile < h->k; ++tile) q->ldl->negative[q->s] += q->scale[tile] < 0;
     if (q->ldl->mixed) {
         const sfemi_shape h32 = sfemi_symbolic_shape(y, q->s, 8);
         float *l32 = q->ldl->l32 + y->panel32[q->s];
@@ -6394,16 +6498,92 @@ static void sfemi_front_finish(const sfemi_front *q)
     }
 }
 
-#define SFEMI_FRONT_PARALLEL 2e7 /* operations from which a front is worth several threads */
+#define SFEMI_FRONT_PARALLEL 1e7 /* operations from which a front is worth several threads */
+#define SFEMI_FRONT_BLOCK 96     /* columns that are eliminated together */
+#define SFEMI_FRONT_CHUNK 4      /* tiles of rows to a unit of work */
 
-/* One front: assemble, eliminate, update. Returns the lost column in the new numbering, or -1. */
-static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int s, double *lost,
-                                   const sfem_exec *exec)
+/* A front is worked off in stages, each of so many units that do not depend on each other: assembly,
+ * for each block of columns its diagonal and then the rows below, update, end. */
+static size_t sfemi_front_chunks(size_t tiles)
+{
+    return (tiles + SFEMI_FRONT_CHUNK - 1) / SFEMI_FRONT_CHUNK;
+}
+
+/* Children are added in turn; each unit adds a few tiles of one child, at most so many. */
+static void sfemi_front_add(const sfemi_front *q, sfem_int child, size_t chunk)
+{
+    const sfemi_shape h = sfemi_symbolic_shape(q->ldl->symbolic, child, q->h.w);
+    size_t tile = h.boundary + chunk * SFEMI_FRONT_CHUNK, last = tile + SFEMI_FRONT_CHUNK;
+    for (; h.f > h.k && tile < last && tile < h.tiles; ++tile) sfemi_front_add_tile(q, child, tile);
+}
+
+static size_t sfemi_front_add_units(const sfemi_front *q, sfem_int child)
+{
+    const sfemi_shape h = sfemi_symbolic_shape(q->ldl->symbolic, child, q->h.w);
+    return h.f > h.k ? sfemi_front_chunks(h.tiles - h.boundary) : 1;
+}
+
+/* The block of columns [begin, end) of diagonal tiles; returns the column that is lost, or -1. */
+static sfem_int sfemi_front_block(const sfemi_front *q, double *lost)
+{
+    size_t tile;
+    for (tile = q->begin; tile < q->end; ++tile) {
+        sfem_int at;
+        sfemi_front_rows(q, tile, tile);
+        at = sfemi_front_diagonal(q, tile, lost);
+        if (at >= 0) return at;
+    }
+    return -1;
+}
+
+static void sfemi_front_below(const sfemi_front *q, size_t chunk)
+{
+    size_t tile = q->end + chunk * SFEMI_FRONT_CHUNK, last = tile + SFEMI_FRONT_CHUNK;
+    for (; tile < last && tile < q->h.tiles; ++tile) {
+        sfemi_front_rows(q, tile, q->end);
+        if (q->b != q->l && q->end == q->h.diagonal && tile >= q->h.diagonal)
+            sfemi_front_sign(q, tile, 0, q->h.k);
+    }
+}
+
+/* Does unit number *unit of the front, if it has so many and do_it is set; else subtracts them. Before
+ * that, *before is set to the units that have to be done by then. Returns the lost column or -1. */
+static sfem_int sfemi_front_unit(sfemi_front *q, size_t unit, int do_it, size_t *before, double *lost)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t block = SFEMI_FRONT_BLOCK / q->h.t;
+    sfem_int c;
+    size_t n;
+    *before = 0;
+#define SFEMI_STAGE(count, work)                                                                     \
+    n = (count);                                                                                     \
+    if (unit < n) {                                                                                  \
+        if (do_it) { work; }                                                                         \
+        return -1;                                                                                   \
+    }                                                                                                \
+    unit -= n;                                                                                       \
+    *before += n;
+    SFEMI_STAGE(1, sfemi_front_begin(q))
+    for (c = y->child[q->s]; c >= 0; c = y->sibling[c]) {
+        SFEMI_STAGE(sfemi_front_add_units(q, c), sfemi_front_add(q, c, unit))
+    }
+    for (q->begin = 0; q->begin < q->h.diagonal; q->begin = q->end) {
+        q->end = q->begin + block < q->h.diagonal ? q->begin + block : q->h.diagonal;
+        SFEMI_STAGE(1, return sfemi_front_block(q, lost))
+        SFEMI_STAGE(sfemi_front_chunks(q->h.tiles - q->end), sfemi_front_below(q, unit))
+    }
+    if (q->h.f > q->h.k) {
+        SFEMI_STAGE(sfemi_front_chunks(q->h.tiles - q->h.boundary), sfemi_front_update(q, unit))
+    }
+    SFEMI_STAGE(1, sfemi_front_finish(q))
+#undef SFEMI_STAGE
+    return -1;
+}
+
+static sfemi_front sfemi_front_of(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s)
 {
     const sfemi_symbolic *y = ldl->symbolic;
     sfemi_front q;
-    sfem_int at;
-    size_t p;
     q.ldl = ldl;
     q.a = a;
     q.s = s;
@@ -6412,20 +6592,31 @@ static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int
     q.u = sfemi_ldl_update_of(ldl, s);
     q.scale = ldl->scale + 3 * (size_t)y->first[s];
     q.b = ldl->positive ? q.l : ldl->signs + y->signs[y->of[s]];
-    q.exec = sfemi_front_flops(y, s) > SFEMI_FRONT_PARALLEL ? exec : NULL;
     q.load = y->child[s] >= 0;
+    q.begin = q.end = 0;
+    return q;
+}
+
+/* All of a front at once. Returns the lost column in the new numbering, or -1. */
+static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s, double *lost)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfemi_front q = sfemi_front_of(ldl, a, s);
+    size_t unit, n, block = SFEMI_FRONT_BLOCK / q.h.t;
+    sfem_int c;
     sfemi_front_begin(&q);
-    if (q.load) memset(q.u, 0, sfemi_shape_update_size(&q.h) * sizeof *q.u);
-    for (q.child = y->child[s]; q.child >= 0; q.child = y->sibling[q.child]) {
-        const sfemi_shape h = sfemi_symbolic_shape(y, q.child, y->kernels->width);
-        if (h.f > h.k) sfemi_run(q.exec, (sfem_int)(h.tiles - h.boundary), sfemi_front_add_tile, &q);
+    for (c = y->child[s]; c >= 0; c = y->sibling[c])
+        for (n = sfemi_front_add_units(&q, c), unit = 0; unit < n; ++unit) sfemi_front_add(&q, c, unit);
+    for (q.begin = 0; q.begin < q.h.diagonal; q.begin = q.end) {
+        q.end = q.begin + block < q.h.diagonal ? q.begin + block : q.h.diagonal;
+        c = sfemi_front_block(&q, lost);
+        if (c >= 0) return c + 3 * y->first[s];
+        for (n = sfemi_front_chunks(q.h.tiles - q.end), unit = 0; unit < n; ++unit)
+            sfemi_front_below(&q, unit);
     }
-    at = sfemi_front_eliminate(&q, lost);
-    if (at >= 0) return at + 3 * y->first[s];
     if (q.h.f > q.h.k)
-        sfemi_run(q.exec, (sfem_int)((q.h.tiles - q.h.boundary + 3) / 4), sfemi_front_update_task, &q);
-    ldl->negative[s] = 0;
-    for (p = 0; p < q.h.k; ++p) ldl->negative[s] += q.scale[p] < 0;
+        for (n = sfemi_front_chunks(q.h.tiles - q.h.boundary), unit = 0; unit < n; ++unit)
+            sfemi_front_update(&q, unit);
     sfemi_front_finish(&q);
     return -1;
 }
@@ -6433,20 +6624,77 @@ static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int
 typedef struct sfemi_factor_job {
     sfem_ldl *ldl;
     const sfem_matrix *a;
-    const sfem_int *tasks;
-    const sfem_exec *exec;
 } sfemi_factor_job;
 
-static void sfemi_factor_task(void *data, sfem_int index)
+/* Is the task one front that is worth cutting into units? */
+static int sfemi_task_is_cut(const sfemi_symbolic *y, sfem_int t)
+{
+    return y->task[t + 1] - y->task[t] == 1 && sfemi_front_flops(y, y->task[t]) > SFEMI_FRONT_PARALLEL;
+}
+
+static void sfemi_factor_task(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int t)
+{
+    sfem_int s = ldl->symbolic->task[t];
+    for (; s < ldl->symbolic->task[t + 1] && ldl->lost_at[t] == -1; ++s)
+        if (ldl->stale[s]) ldl->lost_at[t] = sfemi_front_factor(ldl, a, s, ldl->lost + t);
+}
+
+/* Waits for the tasks below t; marks t if one of them failed. */
+static void sfemi_factor_wait(const sfem_ldl *ldl, sfem_int t)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int c = y->child[y->task[t + 1] - 1];
+    for (; c >= 0; c = y->sibling[c]) {
+        const sfem_int below = y->of[c];
+        if (below == t) continue;
+        sfemi_crew_wait(ldl->done + below, ldl->units[y->at_level[below] + 1] - ldl->units[y->at_level[below]]);
+        if (ldl->lost_at[below] != -1) ldl->lost_at[t] = -2;
+    }
+}
+
+static void sfemi_factor_unit(void *data, sfem_int unit)
 {
     const sfemi_factor_job *job = (const sfemi_factor_job *)data;
-    sfem_ldl *ldl = job->ldl;
-    const sfem_int t = job->tasks[index], end = ldl->symbolic->task[t + 1];
-    sfem_int s = ldl->symbolic->task[t];
-    ldl->lost_at[t] = -1;
-    for (; s < end && ldl->lost_at[t] < 0; ++s)
-        if (ldl->stale[s])
-            ldl->lost_at[t] = sfemi_front_factor(ldl, job->a, s, ldl->lost + t, job->exec);
+    const sfem_ldl *ldl = job->ldl;
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int low = 0, high = y->tasks, t;
+    while (high - low > 1) {
+        const sfem_int middle = low + (high - low) / 2;
+        if (ldl->units[middle] <= unit) low = middle;
+        else high = middle;
+    }
+    t = y->by_level[low];
+    unit -= ldl->units[low];
+    if (unit == 0) sfemi_factor_wait(ldl, t);
+    if (!sfemi_task_is_cut(y, t)) sfemi_factor_task(ldl, job->a, t);
+    else if (ldl->stale[y->task[t]]) {
+        sfemi_front q = sfemi_front_of(ldl, job->a, y->task[t]);
+        size_t before;
+        (void)sfemi_front_unit(&q, (size_t)unit, 0, &before, NULL);
+        sfemi_crew_wait(ldl->done + t, (sfem_int)before);
+        if (ldl->lost_at[t] == -1) {
+            const sfem_int at = sfemi_front_unit(&q, (size_t)unit, 1, &before, ldl->lost + t);
+            if (at >= 0) ldl->lost_at[t] = at + 3 * y->first[q.s];
+        }
+    }
+    (void)SFEMI_ATOMIC_ADD(ldl->done + t, 1);
+}
+
+/* How the work is cut for several threads. */
+static void sfemi_factor_units(const sfem_ldl *ldl)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int k;
+    ldl->units[0] = 0;
+    for (k = 0; k < y->tasks; ++k) {
+        const sfem_int t = y->by_level[k];
+        size_t units = 1;
+        if (sfemi_task_is_cut(y, t)) {
+            sfemi_front q = sfemi_front_of(ldl, NULL, y->task[t]);
+            (void)sfemi_front_unit(&q, (size_t)-1, 0, &units, NULL);
+        }
+        ldl->units[k + 1] = ldl->units[k] + (sfem_int)units;
+    }
 }
 
 static void sfemi_ldl_statistics(sfem_ldl *ldl)
@@ -6474,8 +6722,11 @@ static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error
     memset(&q, 0, sizeof q);
     q.ldl = ldl;
     q.block = 1;
+    q.pace = ldl->pace + 1;
     q.w = r + n;
     q.scratch = q.w + sfemi_solve_rows(ldl->symbolic);
+    q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
+                                                       SFEMI_SOLVE_SCRATCH);
     for (i = 0; i < n; ++i) {
         random = random * 1664525u + 1013904223u;
         x[i] = (double)(int32_t)random * (1. / 2147483648.);
@@ -6520,11 +6771,11 @@ static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, s
 static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    const sfem_int threads = sfemi_threads(&ldl->exec);
     sfemi_factor_job job;
     sfem_status status = SFEM_OK;
-    sfem_int l, k;
-    double most = 0;
+    sfem_int threads, k;
+    int e = 0;
+    double most = 0, start;
     ldl->valid = 0;
     job.ldl = ldl;
     job.a = a;
@@ -6532,19 +6783,29 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
         const double *v = a->val + 9 * ((size_t)a->row[k + 1] - 1);
         if (fabs(v[0]) > most) most = fabs(v[0]);
     }
-    k = 0;
-    if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &k);
-    ldl->unit = ldexp(1.0, k);
-    for (l = 0; l < y->levels; ++l) {
-        const sfem_int count = y->level[l + 1] - y->level[l];
-        const int wide = threads > 1 && count < threads; /* then the fronts themselves are shared out */
-        job.tasks = y->by_level + y->level[l];
-        job.exec = wide ? &ldl->exec : NULL;
-        sfemi_run(wide ? NULL : &ldl->exec, count, sfemi_factor_task, &job);
-        for (k = y->level[l]; k < y->level[l + 1]; ++k)
-            if (ldl->lost_at[y->by_level[k]] >= 0)
-                return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
+    if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &e);
+    if (ldl->mixed && ldl->unit != ldexp(1.0, e)) memset(ldl->stale, 1, (size_t)y->supernodes);
+    ldl->unit = ldexp(1.0, e);
+    for (k = 0; k < y->tasks; ++k) {
+        ldl->lost_at[k] = -1;
+        SFEMI_ATOMIC_SET(ldl->done + k, 0);
     }
+    threads = y->tasks > 1 ? sfemi_pace_threads(ldl->pace, &ldl->exec) : 1;
+    start = ldl->exec.threads > 1 ? sfemi_seconds() : 0;
+    if (threads > 1) {
+        sfemi_crew crew;
+        crew.unit = sfemi_factor_unit;
+        crew.data = &job;
+        crew.count = ldl->units[y->tasks];
+        crew.next = ldl->done + y->tasks;
+        SFEMI_ATOMIC_SET(crew.next, 0);
+        sfemi_run(&ldl->exec, threads, sfemi_crew_work, &crew);
+    } else
+        for (k = 0; k < y->tasks && (k == 0 || ldl->lost_at[y->by_level[k - 1]] == -1); ++k)
+            sfemi_factor_task(ldl, a, y->by_level[k]);
+    if (start > 0) sfemi_pace_took(ldl->pace, threads, sfemi_seconds() - start);
+    for (k = 0; k < y->tasks; ++k)
+        if (ldl->lost_at[y->by_level[k]] >= 0) return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
     sfemi_ldl_statistics(ldl);
     if (!ldl->positive) status = sfemi_ldl_try(ldl, a, err);
     ldl->valid = status == SFEM_OK;
@@ -6579,9 +6840,13 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     SFEMI_NEW(double, ldl->floor, m, n + 1);
     SFEMI_NEW(double, ldl->lost, m, nt + 1);
     SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
+    SFEMI_NEW(sfem_int, ldl->units, m, nt + 1);
+    SFEMI_NEW(sfemi_counter, ldl->done, m, nt + 1);
+    SFEMI_NEW(sfemi_pace, ldl->pace, m, 3);
     SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
     SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
     memset(ldl->stale, 1, ns);
+    sfemi_factor_units(ldl);
     SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
     *out = ldl;
     return SFEM_OK;
@@ -6634,7 +6899,7 @@ SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matri
 {
     const sfem_status status = sfemi_ldl_matches(like, a, err);
     if (status != SFEM_OK) return status;
-    SFEMI_COUNT_UP(&like->symbolic->references);
+    (void)SFEMI_ATOMIC_ADD(&like->symbolic->references, 1);
     return sfemi_ldl_make(like, like->symbolic, a, out, err);
 }
 
@@ -6711,6 +6976,9 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->floor);
     sfemi_delete(&m, ldl->lost);
     sfemi_delete(&m, ldl->lost_at);
+    sfemi_delete(&m, ldl->units);
+    sfemi_delete(&m, ldl->done);
+    sfemi_delete(&m, ldl->pace);
     sfemi_delete(&m, ldl->negative);
     sfemi_delete(&m, ldl->stale);
     sfemi_delete(&m, ldl);
