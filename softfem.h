@@ -34,8 +34,12 @@
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
- *            >>newmark      linear Newmark            >>pqr  the (p,q,r) family, central difference
- *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
+ *            >>newmark      linear Newmark
+ *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
+ *                           nonlinear statics
+ *            >>pqr          the (p,q,r) family, central difference
+ *            >>turn         A^-1 in a body that turns: frames, rigid projection
+ *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *     TAIL   licence, changes
  *
@@ -417,7 +421,7 @@ SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full /* [3n]
  * triangular with a positive diagonal, S the signs of the pivots, so that L |d|^1/2 of the textbook's
  * L D L^T is what is stored. Positive definite matrices are always safe; of an indefinite one (K -
  * sigma M) the number of negative pivots is its number of negative eigenvalues [Sylvester], and it is
- * refused where a pivot or the growth of L would make that number a guess. */
+ * refused where a pivot drowns in rounding or a trial solve fails: that number would be a guess. */
 
 typedef enum sfem_ordering {
     SFEM_ORDER_BEST,       /* of the following two, what needs fewer operations */
@@ -449,7 +453,7 @@ typedef struct sfem_ldl_info {
     size_t work_bytes;      /* update matrices */
     sfem_int negative;      /* pivots < 0 */
     sfem_real pivot_min, pivot_max; /* of their absolute values */
-    sfem_real growth;       /* max_i (|L| |L|^T)_ii / max |a_ij|: 1 if positive definite */
+    sfem_real residual;     /* unless def.positive: |b - A x| / (|A| |x| + |b|) of a trial solve */
     const char *path;       /* the vector path: "portable", "avx2", "avx512" */
 } sfem_ldl_info;
 
@@ -533,28 +537,29 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
  * >>api-element   materials: energy, stress, tangent; energies in edge lengths
  * ============================================================================================ */
 
-/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda and mu
- * are Lame's parameters; all agree for small strains and are zero, and least, at rest.
+/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda
+ * and mu are Lame's parameters; all agree for small strains and are zero, and least, at rest.
  *   SFEM_LINEAR         lambda/2 tr(e)^2 + mu e:e, e = (F + F^T)/2 - I. Small rotations only.
- *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper rotation
- *                       [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small strains; any
- *                       rotation; inverted tets recover.
- *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff. Weak in
- *                       compression: below .58 of its length the force on a bar falls (at nu = 0)
- *                       and is zero at length 0; it does not feel a mirror image, so inverted tets
- *                       stay inverted. For large rotations and stretches, not for crushing.
- *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1),
- *                       m = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
+ *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper
+ *                       rotation [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small
+ *                       strains; any rotation; inverted tets recover.
+ *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff.
+ *                       Weak in compression: below .58 of its length the force on a bar falls
+ *                       (at nu = 0) and is zero at length 0; it does not feel a mirror image,
+ *                       so inverted tets stay inverted. For large rotations and stretches, not
+ *                       for crushing.
+ *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1), m
+ *                       = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
  *                       neo-Hookean of Smith, de Goes, Kim 2018. Any strain, defined through
  *                       inversion; keeps volume best as nu nears 0.5. */
 typedef enum sfem_law { SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN } sfem_law;
 
 /* Derivatives of the stress.
- *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles. SFEM_COROTATIONAL has a
- *                        pole where the two smallest signed singular values of F sum to 0: there the
- *                        sum is kept above 1e-8.
- *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite one, from
- *                        closed forms in singular values [Smith, de Goes, Kim 2019]
+ *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles.
+ *                        SFEM_COROTATIONAL has a pole where the two smallest signed singular
+ *                        values of F sum to 0: there the sum is kept above 1e-8.
+ *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite
+ *                        one, from closed forms in singular values [Smith, de Goes, Kim 2019]
  *   SFEM_TANGENT_FROZEN  SFEM_COROTATIONAL without the change of R: R k R^T, always positive
  *                        semidefinite; the other laws as with SFEM_TANGENT_PSD */
 typedef enum sfem_tangent {
@@ -563,56 +568,60 @@ typedef enum sfem_tangent {
     SFEM_TANGENT_FROZEN
 } sfem_tangent;
 
-/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in float and
- * everything else in double: half the memory traffic, a residual of a solve of about 4e-7 on good
- * meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a strain of 1e-3. */
+/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in
+ * float and everything else in double: half the memory traffic, a residual of a solve of about
+ * 4e-7 on good meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a
+ * strain of 1e-3. */
 typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
 
 /* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
 
-/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat, inverted
- * or zero; a number that is not finite gives numbers that are not finite. About 0.4 us at most. */
-SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9]);
+/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat,
+ * inverted or zero; a number that is not finite gives numbers that are not finite. Tens of ns,
+ * 0.7 us where R is all but undetermined. */
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9]);
 
 /* P = dPsi/dF, the first Piola-Kirchhoff stress, Pa; returns Psi. */
-SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                   sfem_real p[9]);
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9], sfem_real p[9]);
 
 /* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81]);
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9]);
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
+                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
+                                    sfem_real dp[9]);
 
-/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its energy, J,
- * the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m. force and k may be
- * NULL. */
+/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its
+ * energy, J, the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m.
+ * force and k may be NULL. */
 SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
                                 const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
                                 sfem_real k[144]);
 
-/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or 1, which
- * stands for whatever the compiler makes of the portable ones. */
+/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or
+ * 1, which stands for whatever the compiler makes of the portable ones. */
 SFEM_DEF int sfem_vector_width(void);
 
-/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative det F the
- * smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a double smallest
- * singular value of an inverted F) one of the nearest is given, I for F = 0. Never fails on finite F;
- * R is orthogonal and S symmetric to a few rounding errors (of |F|). */
+/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative
+ * det F the smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a
+ * double smallest singular value of an inverted F) one of the nearest is given, I for F = 0.
+ * Never fails on finite F; R is orthogonal and S symmetric to a few rounding errors (of |F|). */
 SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9]);
 
-/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of det F:
- * one-sided Jacobi, small singular values to their own rounding error. Entries below 1e-150 of the
- * largest count as 0. */
+/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of
+ * det F: one-sided Jacobi, small singular values to their own rounding error. Entries below
+ * 1e-150 of the largest count as 0. */
 SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9]);
 
-/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared lengths
- * alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest direction n_k, and with
- * it all invariants and every isotropic energy [Mandal, Chaudhuri, Chaudhuri 2023, supplement, Theorem
- * 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12 13 23; dim = 2: triangles in their plane,
- * three edges 01 02 12, in plane strain. Flat tets and triangles have the C of least norm that fits
- * best. */
+/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared
+ * lengths alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest
+ * direction n_k, and with it all invariants and every isotropic energy [Mandal, Chaudhuri,
+ * Chaudhuri 2023, supplement, Theorem 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12
+ * 13 23; dim = 2: triangles in their plane, three edges 01 02 12, in plane strain. Flat tets
+ * and triangles have the C of least norm that fits best. */
 typedef struct sfem_edge_shape {
     int dim, nodes, edges;
     int rank;          /* edges, or less where flat */
@@ -625,19 +634,21 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
 /* d2 [edges]: squared lengths, m^2, of positions x [nodes][dim]. */
 SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2);
 /* C [dim][dim] of squared lengths. */
-SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c);
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2,
+                                     sfem_real *c);
 /* I_C = tr C, II_C = tr C^2, III_C = det C, and with a fibre a [dim] (NULL: 0) IV_C = a.C a,
  * V_C = a.C^2 a. */
 SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
                                    const sfem_real *fibre, sfem_real invariants[5]);
-/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL. Lengths
- * do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above 1e-8. */
+/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL.
+ * Lengths do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above
+ * 1e-8. */
 SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, sfem_real lambda,
                                     sfem_real mu, const sfem_real *d2, sfem_real *slope);
-/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i - x_j), N.
- * The force on node i is its negative. */
-SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
-                               sfem_real *force);
+/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i -
+ * x_j), N. The force on node i is its negative. */
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
+                               const sfem_real *slope, sfem_real *force);
 
 /* ============================================================================================
  * >>api-model   finite elements: K, M, D, loads, stress
@@ -703,22 +714,26 @@ SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real 
 SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                           const sfem_exec *exec);
 
-/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient, the
- * internal force [nodes][3], N (what the body pushes back with is its negative). A translation changes
- * nothing but rounding of u; forces sum to zero in every tet.
+/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient,
+ * the internal force [nodes][3], N (what the body pushes back with is its negative). A
+ * translation changes nothing but the rounding of u; the forces of a tet sum to zero.
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      about 10 to 20 ns a tet (corotational, AVX2), half a microsecond for a tet where R is all
- *             but undetermined; O(tets) at any u. Not finite u give an energy that is not finite.
- * Allocates nothing; same bits for any number of threads, but not from one vector path to another. */
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19;
+ *             0.7 us for one whose R is all but undetermined. Any finite u will do; others give
+ *             an energy that is not finite.
+ * Allocates nothing. Same bits for any number of threads, but not from one vector width (see
+ * sfem_vector_width) to another. */
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model);
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
-                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
-                                     sfem_real *work, const sfem_exec *exec);
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec);
 
-/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern, such as
- * sfem_model_combine makes. About 1 us a tet; allocates nothing; same bits for any number of threads. */
+/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern,
+ * such as sfem_model_combine makes. 0.2 (linear) to 0.8 us a tet; allocates nothing; same bits for
+ * any number of threads. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
@@ -773,7 +788,12 @@ typedef enum sfem_integrator {
  * damping a start of fourth order. */
 typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_start;
 
-#define SFEM_P_AUTO (-1.0) /* p = 1/12 where every mode is resolved (omega_max h < 2), else 1/4 */
+#define SFEM_P_AUTO (-1.0) /* linear body: 1/12 where every mode is resolved (omega_max h < 2) */
+#define SFEM_P_SAFE (-2.0) /* 1/4 for a linear body, .27 for a corotational one, 1/2 for one that hardens */
+
+/* The frame in which the constant factor of a body that turns is used: as it is (the source's form, which
+ * explodes after a turn of 5 degrees), turned with each connected piece, or with each node. */
+typedef enum sfem_frame { SFEM_FRAME_NODE, SFEM_FRAME_PIECE, SFEM_FRAME_REST } sfem_frame;
 
 enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
@@ -819,7 +839,7 @@ typedef struct sfem_damping_force {
 
 typedef struct sfem_body_def {
     sfem_integrator integrator;
-    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
+    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
@@ -828,6 +848,10 @@ typedef struct sfem_body_def {
     sfem_newton_def newton;
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
+    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
+    int no_guard;             /* take every step as it comes, even if it makes energy */
+    sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
+    sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
     sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In the
@@ -844,7 +868,7 @@ typedef struct sfem_body_def {
     sfem_exec exec;
 } sfem_body_def;
 
-/* (p,q,r) with p = 1/4, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
+/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
 SFEM_DEF sfem_body_def sfem_default_body_def(void);
 
 /* Creates a body at rest in its rest position. Nothing is factored yet. O(nodes).
@@ -872,7 +896,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
  * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
-SFEM_DEF void sfem_body_finish(sfem_body *body);
+SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
 SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
                                                                * the method is implicit */
@@ -932,6 +956,7 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
+    int64_t steps, redone;    /* since its state was set; redone: by the guard */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -989,6 +1014,11 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #include <immintrin.h>
 #else
 #define SFEMI_X86 0
+#endif
+#if defined(__FMA__) && !SFEMI_X86
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
 #endif
 #ifndef SFEM_SELF
 #define SFEM_SELF "softfem.h"
@@ -1135,7 +1165,7 @@ static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *
  * A kernel is a function SFEMI_KERNEL(name) in section >>kernels, marked SFEMI_TARGET; its instances
  * are called name_0, name_1, name_2, and a table of pointers for each path, like sfemi_ldl_kernels,
  * chooses between them. Inside it SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
- * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_SUB, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
+ * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
  * (c - a b). Multiply-adds are explicit, so that the bits depend on the path and on nothing else. */
 static int sfemi_path(void)
 {
@@ -1156,20 +1186,17 @@ static int sfemi_path(void)
 #define SFEMI_INLINE inline
 #endif
 
-/* Instruction sets that hot kernels are compiled for on top of what the compiler was told to use. */
+/* For kernels that vector types would only obscure: loops over lanes that the compiler turns into
+ * vector instructions of the given set. */
 #if SFEMI_X86
-#define SFEMI_X86_PATHS
+#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
+#define SFEMI_AVX512 __attribute__((target("avx512f,avx2,fma")))
 #endif
 
 SFEM_DEF int sfem_vector_width(void)
 {
-#ifdef SFEMI_X86_PATHS
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl"))
-        return 8;
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 4;
-#endif
-    return 1;
+    static const int width[3] = {1, 4, 8};
+    return width[sfemi_path()];
 }
 
 /* ============================================================================================
@@ -1210,24 +1237,32 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 /* c = a b, a^T b, a b^T. c must be neither. */
 static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j)
-            c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        c[i] = a[i] * b[0] + a[i + 1] * b[3] + a[i + 2] * b[6];
+        c[i + 1] = a[i] * b[1] + a[i + 1] * b[4] + a[i + 2] * b[7];
+        c[i + 2] = a[i] * b[2] + a[i + 1] * b[5] + a[i + 2] * b[8];
+    }
 }
 
 static void sfemi_mul3_tn(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j) c[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j];
+    int i;
+    for (i = 0; i < 3; ++i) {
+        c[3 * i] = a[i] * b[0] + a[3 + i] * b[3] + a[6 + i] * b[6];
+        c[3 * i + 1] = a[i] * b[1] + a[3 + i] * b[4] + a[6 + i] * b[7];
+        c[3 * i + 2] = a[i] * b[2] + a[3 + i] * b[5] + a[6 + i] * b[8];
+    }
 }
 
 static void sfemi_mul3_nt(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j) c[3 * i + j] = sfemi_dot3(a + 3 * i, b + 3 * j);
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        c[i] = sfemi_dot3(a + i, b);
+        c[i + 1] = sfemi_dot3(a + i, b + 3);
+        c[i + 2] = sfemi_dot3(a + i, b + 6);
+    }
 }
 
 /* d(det f)/df; f:c = 3 det f. */
@@ -1238,17 +1273,16 @@ static void sfemi_cofactor3(const sfem_real *f, sfem_real *c)
     sfemi_cross(f, f + 3, c + 6);
 }
 
-/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle that zeroes the
- * off-diagonal entry pq of a symmetric matrix. */
+/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle, at most 45
+ * degrees, that zeroes the off-diagonal entry pq of a symmetric matrix. */
 static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
 {
-    const sfem_real theta = (qq - pp) / (2 * pq);
-    const sfem_real t = 1 / (fabs(theta) + sqrt(theta * theta + 1));
-    return theta < 0 ? -t : t;
+    const sfem_real d = qq - pp, t = 2 * pq / (fabs(d) + sqrt(d * d + 4 * pq * pq));
+    return d < 0 ? -t : t;
 }
 
-/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric matrix
- * a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
+/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric
+ * matrix a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
 static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
 {
     sfem_real norm = 0;
@@ -1257,7 +1291,7 @@ static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
         norm += a[i] * a[i];
         v[i] = i % (n + 1) ? 0 : 1;
     }
-    norm = 1e-17 * sqrt(norm);
+    norm = 2e-16 * sqrt(norm); /* the rounding error */
     for (sweep = 0; sweep < 30 && turned; ++sweep) {
         turned = 0;
         for (p = 0; p < n - 1; ++p) {
@@ -1298,9 +1332,10 @@ static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
     }
 }
 
-/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were. Sweeps of
- * it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the start: the singular
- * value decomposition, its small values to their own rounding error [Hestenes 1958]. */
+/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were.
+ * Sweeps of it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the
+ * start: the singular value decomposition, its small values to their own rounding error
+ * [Hestenes 1958]. */
 static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
 {
     sfem_real pp = 0, qq = 0, pq = 0, t, c, s;
@@ -1324,10 +1359,11 @@ static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
     return 1;
 }
 
-/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none); where
- * nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves enough. */
-static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9], int k,
-                           sfem_real axis[3])
+/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none);
+ * where nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves
+ * enough. */
+static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9],
+                           int k, sfem_real axis[3])
 {
     sfem_real length = 0, size, along;
     int tries, pass, i;
@@ -1366,8 +1402,9 @@ SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[
         v[i] = i % 4 ? 0 : 1;
     }
     if (!(scale > 0)) scale = 1;
-    for (i = 0; i < 9; ++i) b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
-    for (sweep = 0; sweep < 20 && turned; ++sweep) { /* b = f v / scale */
+    for (i = 0; i < 9; ++i)
+        b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
+    for (sweep = 0; sweep < 20 && turned; ++sweep) {           /* b = f v / scale */
         turned = sfemi_svd_turn(3, b, v, 0, 1);
         turned |= sfemi_svd_turn(3, b, v, 0, 2);
         turned |= sfemi_svd_turn(3, b, v, 1, 2);
@@ -1391,9 +1428,10 @@ SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[
 
 /* The nearest rotation R of an ordinary F, or 0. The trace t of S is the largest root of
  *     p(t) = t^4 - 2 |F|^2 t^2 - 8 det F t + |F|^4 - 4 |cof F|^2,
- * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura 2022]. That
- * loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F flat or a little
- * inverted is ordinary, F of rank 1 is not. The root is approached from above by Halley's method, which cannot overshoot. */
+ * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura
+ * 2022]. That loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F
+ * flat or a little inverted is ordinary, F of rank 1 is not. The root is approached from above
+ * by Halley's method, which cannot overshoot. */
 static int sfemi_polar_fast(const sfem_real f[9], sfem_real r[9])
 {
     sfem_real c[9], ftf[9], norm2 = 0, cof2 = 0, det, t, step, slope;
@@ -5392,7 +5430,7 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
 static int sfemi_merge_pays(double k, double m, double zeros, double n)
 {
     const double share = zeros / (k * (k + 1) / 2 + k * m);
-    const int small = n < 900; /* calls dominate: merge more */
+    const int small = n < 2500; /* calls dominate: merge more */
     if (k <= 4) return share < (small ? 0.6 : 0.4);
     if (k <= 8) return share < (small ? 0.35 : 0.15);
     if (k <= 16) return share < (small ? 0.2 : 0.08);
@@ -5651,7 +5689,7 @@ done:
 
 /* Cuts the work into tasks of at most a 16th of it and finds the place of every update matrix. */
 #define SFEMI_TASK_SHARE 16
-#define SFEMI_TASK_LEAST 4e6 /* floating-point operations below which one task does everything */
+#define SFEMI_TASK_LEAST 3e7 /* floating-point operations below which one task does everything */
 
 /* First fit: blocks that live at the same time do not overlap. */
 typedef struct sfemi_slot {
@@ -5896,7 +5934,7 @@ done:
     return status;
 }
 
-/* --- numeric factor -------------------------------------------------------------------------- */
+/* --- the factor and its solves --------------------------------------------------------------- */
 
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
@@ -5914,8 +5952,196 @@ struct sfem_ldl {
     sfem_int *negative;  /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
     double unit;         /* power of 2 near the root of the largest entry of A */
-    double pivot_min, pivot_max, growth;
+    double *probe;       /* unless positive: for a solve that tells whether the factor is any good */
+    double pivot_min, pivot_max, residual;
 };
+
+/* --- solve ----------------------------------------------------------------------------------- */
+
+#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
+#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
+#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
+
+/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
+ * and scratch for each task; each row of `block` numbers side by side */
+typedef struct sfemi_solve {
+    const sfem_ldl *ldl;
+    size_t block;
+    double *w, *scratch;
+    float *w32, *scratch32;
+    const sfem_int *tasks;
+} sfemi_solve;
+
+static size_t sfemi_solve_rows(const sfemi_symbolic *y)
+{
+    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
+}
+
+SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
+}
+
+/* The tasks of both sweeps, for double and float. */
+#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
+                          backward_, forward8_, backward8_)                                          \
+    static void forward_task(void *data, sfem_int index)                                             \
+    {                                                                                                \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
+        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
+        const size_t n = 3 * q->block; /* numbers to a node */                                       \
+        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
+        sfem_int s, c;                                                                               \
+        size_t i;                                                                                    \
+        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
+            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
+            size_t a = y->start[c];                                                                  \
+            if (y->of[c] == t) continue;                                                             \
+            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
+                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
+                                           : buffer + n * (size_t)(y->place[a] - wide);              \
+                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
+            }                                                                                        \
+        }                                                                                            \
+        for (s = y->task[t]; s <= root; ++s) {                                                       \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            R *x = w + n * (size_t)y->first[s];                                                      \
+            if (q->block == 1)                                                                       \
+                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
+            else                                                                                     \
+                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
+                                      scratch);                                                      \
+            if (q->ldl->negative[s]) {                                                               \
+                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
+                size_t p;                                                                            \
+                for (p = 0; p < k; ++p)                                                              \
+                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
+                        x[p * q->block + i] = -x[p * q->block + i];                                  \
+            }                                                                                        \
+        }                                                                                            \
+    }                                                                                                \
+    static void backward_task(void *data, sfem_int index)                                            \
+    {                                                                                                \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
+        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
+        const size_t n = 3 * q->block;                                                               \
+        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
+        size_t a;                                                                                    \
+        sfem_int s;                                                                                  \
+        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
+            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
+            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
+                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
+            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
+        }                                                                                            \
+        for (s = root; s >= y->task[t]; --s) {                                                       \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
+            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
+                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
+                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
+        }                                                                                            \
+    }
+
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8)
+SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
+                  forward32, backward32, forward8_32, backward8_32)
+#undef SFEMI_SOLVE_TASKS
+
+/* Up the tree and down again, level by level. */
+static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
+                               sfem_task backward)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    sfem_int l;
+    for (l = 0; l < y->levels; ++l) {
+        q->tasks = y->by_level + y->level[l];
+        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
+    }
+    for (l = y->levels; l-- > 0;) {
+        q->tasks = y->by_level + y->level[l];
+        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
+    }
+}
+
+/* count <= block right sides; those that are missing are 0 */
+static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    size_t i, r, c;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+}
+
+/* The same in float, each right side scaled to 1 lest floats overflow. */
+static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    double unit[SFEMI_SOLVE_BLOCK];
+    size_t i, r, c;
+    for (r = 0; r < count; ++r) {
+        double most = 0;
+        int e = 0;
+        for (i = 0; i < n; ++i)
+            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
+        if (most > 0) (void)frexp(most, &e);
+        unit[r] = ldexp(1.0, -e);
+    }
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w32[(3 * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
+    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
+}
+
+SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
+                             const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    sfemi_solve q;
+    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.w = work;
+    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
+    q.w32 = (float *)(void *)q.w;
+    q.scratch32 = (float *)(void *)q.scratch;
+    while (rhs > 0 && n > 0) {
+        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
+        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
+        else sfemi_solve_some(&q, count, x, exec);
+        x += count * n;
+        rhs -= (sfem_int)count;
+    }
+}
+
+/* --- numeric factor -------------------------------------------------------------------------- */
 
 typedef struct sfemi_front {
     const sfem_ldl *ldl;
@@ -6212,7 +6438,6 @@ static void sfemi_factor_task(void *data, sfem_int index)
             ldl->lost_at[t] = sfemi_front_factor(ldl, job->a, s, ldl->lost + t, job->exec);
 }
 
-/* What the pivots were: extremes, signs, growth. */
 static void sfemi_ldl_statistics(sfem_ldl *ldl)
 {
     const size_t n = 3 * (size_t)ldl->symbolic->n;
@@ -6225,6 +6450,44 @@ static void sfemi_ldl_statistics(sfem_ldl *ldl)
     }
     ldl->pivot_min = n ? 1 / (high * high) : 0;
     ldl->pivot_max = n ? 1 / (low * low) : 0;
+}
+
+/* Without pivoting, small pivots may have blown L up. One solve shows it: refused above 1e-8. */
+static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const size_t n = 3 * (size_t)a->n;
+    double *x = ldl->probe, *r = x + n, top_a = 0, top_x = 0, top_r = 0;
+    size_t i, at = 0;
+    sfemi_solve q;
+    uint32_t random = 1;
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = 1;
+    q.w = r + n;
+    q.scratch = q.w + sfemi_solve_rows(ldl->symbolic);
+    for (i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        x[i] = (double)(int32_t)random * (1. / 2147483648.);
+    }
+    sfemi_solve_some(&q, 1, x, &ldl->exec);
+    sfem_matrix_multiply(a, x, r, NULL);
+    for (i = 0; i < 9 * (size_t)ldl->symbolic->blocks; ++i)
+        if (fabs(a->val[i]) > top_a) top_a = fabs(a->val[i]);
+    for (random = 1, i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        r[i] = fabs(r[i] - (double)(int32_t)random * (1. / 2147483648.));
+        if (fabs(x[i]) > top_x) top_x = fabs(x[i]);
+        if (r[i] > top_r || !sfemi_finite(r[i])) {
+            top_r = r[i];
+            at = i;
+        }
+    }
+    ldl->residual = n ? top_r / (top_a * top_x + 1) : 0;
+    if (ldl->residual <= 1e-8 && sfemi_finite(top_r)) return SFEM_OK;
+    return sfemi_fail_at(err, SFEM_SINGULAR, (sfem_int)(at / 3), -1,
+                         "the matrix is too close to singular or needs pivoting: a trial solve leaves "
+                         "%g of its right side, most at node %ld",
+                         top_r, (long)(at / 3));
 }
 
 static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int task,
@@ -6248,6 +6511,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     const sfemi_symbolic *y = ldl->symbolic;
     const sfem_int threads = sfemi_threads(&ldl->exec);
     sfemi_factor_job job;
+    sfem_status status = SFEM_OK;
     sfem_int l, k;
     double most = 0;
     ldl->valid = 0;
@@ -6271,8 +6535,9 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
                 return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
     }
     sfemi_ldl_statistics(ldl);
-    ldl->valid = 1;
-    return SFEM_OK;
+    if (!ldl->positive) status = sfemi_ldl_try(ldl, a, err);
+    ldl->valid = status == SFEM_OK;
+    return status;
 }
 
 #define SFEMI_PANEL_SLACK 512 /* numbers after L that the block solve may read: half a tile square */
@@ -6298,6 +6563,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
     SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
     if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
+    if (!ldl->positive) SFEMI_NEW(double, ldl->probe, m, 2 * n + sfem_ldl_work_size(ldl, 1));
     SFEMI_NEW(double, ldl->scale, m, n + 1);
     SFEMI_NEW(double, ldl->floor, m, n + 1);
     SFEMI_NEW(double, ldl->lost, m, nt + 1);
@@ -6414,7 +6680,7 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
     for (s = 0; s < y->supernodes; ++s) info.negative += ldl->negative[s];
     info.pivot_min = ldl->pivot_min;
     info.pivot_max = ldl->pivot_max;
-    info.growth = ldl->growth;
+    info.residual = ldl->residual;
     info.path = y->kernels->name;
     return info;
 }
@@ -6429,6 +6695,7 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->l32);
     sfemi_delete(&m, ldl->update);
     sfemi_delete(&m, ldl->signs);
+    sfemi_delete(&m, ldl->probe);
     sfemi_delete(&m, ldl->scale);
     sfemi_delete(&m, ldl->floor);
     sfemi_delete(&m, ldl->lost);
@@ -6436,191 +6703,6 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->negative);
     sfemi_delete(&m, ldl->stale);
     sfemi_delete(&m, ldl);
-}
-
-/* --- solve ----------------------------------------------------------------------------------- */
-
-#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
-#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
-#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
-
-/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
- * and scratch for each task; each row of `block` numbers side by side */
-typedef struct sfemi_solve {
-    const sfem_ldl *ldl;
-    size_t block;
-    double *w, *scratch;
-    float *w32, *scratch32;
-    const sfem_int *tasks;
-} sfemi_solve;
-
-static size_t sfemi_solve_rows(const sfemi_symbolic *y)
-{
-    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
-}
-
-SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
-{
-    const sfemi_symbolic *y = ldl->symbolic;
-    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
-           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
-}
-
-/* The tasks of both sweeps, for double and float. */
-#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
-                          backward_, forward8_, backward8_)                                          \
-    static void forward_task(void *data, sfem_int index)                                             \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
-        const size_t n = 3 * q->block; /* numbers to a node */                                       \
-        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
-        sfem_int s, c;                                                                               \
-        size_t i;                                                                                    \
-        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
-        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
-            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
-            size_t a = y->start[c];                                                                  \
-            if (y->of[c] == t) continue;                                                             \
-            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
-                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
-                                           : buffer + n * (size_t)(y->place[a] - wide);              \
-                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
-            }                                                                                        \
-        }                                                                                            \
-        for (s = y->task[t]; s <= root; ++s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            R *x = w + n * (size_t)y->first[s];                                                      \
-            if (q->block == 1)                                                                       \
-                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
-            else                                                                                     \
-                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
-                                      scratch);                                                      \
-            if (q->ldl->negative[s]) {                                                               \
-                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
-                size_t p;                                                                            \
-                for (p = 0; p < k; ++p)                                                              \
-                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
-                        x[p * q->block + i] = -x[p * q->block + i];                                  \
-            }                                                                                        \
-        }                                                                                            \
-    }                                                                                                \
-    static void backward_task(void *data, sfem_int index)                                            \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
-        const size_t n = 3 * q->block;                                                               \
-        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        size_t a;                                                                                    \
-        sfem_int s;                                                                                  \
-        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
-            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
-            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
-                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
-            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
-        }                                                                                            \
-        for (s = root; s >= y->task[t]; --s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
-                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
-                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
-        }                                                                                            \
-    }
-
-SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
-                  backward, forward8, backward8)
-SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
-                  forward32, backward32, forward8_32, backward8_32)
-#undef SFEMI_SOLVE_TASKS
-
-/* Up the tree and down again, level by level. */
-static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
-                               sfem_task backward)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    sfem_int l;
-    for (l = 0; l < y->levels; ++l) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
-    }
-    for (l = y->levels; l-- > 0;) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
-    }
-}
-
-/* count <= block right sides; those that are missing are 0 */
-static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
-    size_t i, r, c;
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < b; ++r)
-                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
-    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
-}
-
-/* The same in float, each right side scaled to 1 lest floats overflow. */
-static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
-    double unit[SFEMI_SOLVE_BLOCK];
-    size_t i, r, c;
-    for (r = 0; r < count; ++r) {
-        double most = 0;
-        int e = 0;
-        for (i = 0; i < n; ++i)
-            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
-        if (most > 0) (void)frexp(most, &e);
-        unit[r] = ldexp(1.0, -e);
-    }
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < b; ++r)
-                q->w32[(3 * i + c) * b + r] =
-                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
-    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
-    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
-}
-
-SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
-                             const sfem_exec *exec)
-{
-    const size_t n = 3 * (size_t)ldl->symbolic->n;
-    sfemi_solve q;
-    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
-    memset(&q, 0, sizeof q);
-    q.ldl = ldl;
-    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
-    q.w = work;
-    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
-    q.w32 = (float *)(void *)q.w;
-    q.scratch32 = (float *)(void *)q.scratch;
-    while (rhs > 0 && n > 0) {
-        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
-        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
-        else sfemi_solve_some(&q, count, x, exec);
-        x += count * n;
-        rhs -= (sfem_int)count;
-    }
 }
 
 /* --- dense ----------------------------------------------------------------------------------- */
@@ -6863,7 +6945,8 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
 
 /* Rows 0..3 of g: the gradients of the four shape functions. Returns the volume. */
 static sfem_real sfemi_element_gradients_of(const sfem_real *x0, const sfem_real *x1,
-                                            const sfem_real *x2, const sfem_real *x3, sfem_real g[4][3])
+                                            const sfem_real *x2, const sfem_real *x3,
+                                            sfem_real g[4][3])
 {
     sfem_real e[3][3], volume6;
     int a, i;
@@ -6885,8 +6968,8 @@ static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sf
 {
     const sfem_int *t = mesh->tet + 4 * (size_t)tet;
     const sfem_real *x = mesh->x;
-    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1], x + 3 * (size_t)t[2],
-                                      x + 3 * (size_t)t[3], g);
+    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1],
+                                      x + 3 * (size_t)t[2], x + 3 * (size_t)t[3], g);
 }
 
 /* k = V (lambda ga gb^T + mu gb ga^T + mu (ga.gb) I): the block of nodes a, b of K_e. */
@@ -6940,7 +7023,8 @@ SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambd
 }
 
 /* p = lambda tr(e) I + 2 mu e; returns lambda/2 tr(e)^2 + mu e:e. */
-static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9], sfem_real p[9])
+static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9],
+                                 sfem_real p[9])
 {
     const sfem_real trace = e[0] + e[4] + e[8];
     sfem_real square = 0;
@@ -6967,7 +7051,8 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
     return lambda / 2 * trace * trace + mu * square;
 }
 
-static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9], sfem_real p[9])
+static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                                sfem_real p[9])
 {
     sfem_real e[9], s[9], gs[9], energy;
     int i, j;
@@ -7001,8 +7086,8 @@ static sfem_real sfemi_law_neohookean(sfem_real lambda, sfem_real mu, const sfem
     return m / 2 * (i - 1.5 * j - log1p(i / 4)) + l / 2 * j * j;
 }
 
-static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
-                                  sfem_real p[9])
+static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                  const sfem_real g[9], sfem_real p[9])
 {
     sfem_real e[9];
     int i, j;
@@ -7010,8 +7095,10 @@ static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, 
     case SFEM_COROTATIONAL:
         for (i = 0; i < 9; ++i) e[i] = g[i] + (i % 4 ? 0 : 1);
         return sfemi_law_corotational(lambda, mu, e, p);
-    case SFEM_STVK: return sfemi_law_stvk(lambda, mu, g, p);
-    case SFEM_NEOHOOKEAN: return sfemi_law_neohookean(lambda, mu, g, p);
+    case SFEM_STVK:
+        return sfemi_law_stvk(lambda, mu, g, p);
+    case SFEM_NEOHOOKEAN:
+        return sfemi_law_neohookean(lambda, mu, g, p);
     default:
         for (i = 0; i < 3; ++i)
             for (j = 0; j < 3; ++j) e[3 * i + j] = (g[3 * i + j] + g[3 * j + i]) / 2;
@@ -7026,8 +7113,8 @@ static void sfemi_law_less_one(const sfem_real f[9], sfem_real g[9])
     for (i = 0; i < 9; ++i) g[i] = f[i] - (i % 4 ? 0 : 1);
 }
 
-SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                   sfem_real p[9])
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9], sfem_real p[9])
 {
     sfem_real g[9];
     SFEM_ASSERT(f && p && (unsigned)law <= SFEM_NEOHOOKEAN);
@@ -7035,7 +7122,8 @@ SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
     return sfemi_law_stress(law, lambda, mu, g, p);
 }
 
-SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9])
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9])
 {
     sfem_real p[9];
     return sfem_law_stress(law, lambda, mu, f, p);
@@ -7043,8 +7131,8 @@ SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
 
 /* ---- tangents ----
  *
- * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T alone, and
- * their dP/dF is simple in that frame: with dF~ = U^T dF V,
+ * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T
+ * alone, and their dP/dF is simple in that frame: with dF~ = U^T dF V,
  *     dP~_ii = sum_j d2Psi/(ds_i ds_j) dF~_jj,    dP~_ij = both dF~_ij + swap dF~_ji,
  * both +- swap the eigenvalues of the symmetric (flip) and skew (twist) change of the pair ij,
  * (Psi_i - Psi_j)/(s_i - s_j) and (Psi_i + Psi_j)/(s_i + s_j), the quotients done by hand
@@ -7058,11 +7146,13 @@ typedef struct sfemi_modes {
 static const int sfemi_law_pair[3][2] = {{1, 2}, {0, 2}, {0, 1}};
 
 /* The law's derivatives at s: a, and flip and twist by pair. */
-static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real s[3],
-                                  sfem_real a[9], sfem_real flip[3], sfem_real twist[3])
+static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu,
+                                  const sfem_real s[3], sfem_real a[9], sfem_real flip[3],
+                                  sfem_real twist[3])
 {
     const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, det = s[0] * s[1] * s[2];
-    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2, trace = s[0] + s[1] + s[2] - 3;
+    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2,
+                    trace = s[0] + s[1] + s[2] - 3;
     const sfem_real b = l * (det - 1) - .75 * m, c = m * (1 - 1 / (norm2 + 1));
     const sfem_real d = 2 * m / ((norm2 + 1) * (norm2 + 1));
     int k, i, j;
@@ -7095,6 +7185,9 @@ static void sfemi_law_project(sfem_real a[9])
 {
     sfem_real w[3], v[9], copy[9];
     int i, j, k;
+    const sfem_real minor = a[0] * a[4] - a[1] * a[1];
+    sfemi_cofactor3(a, copy);
+    if (a[0] > 0 && minor > 0 && sfemi_dot3(a, copy) > 0) return; /* definite as it is */
     memcpy(copy, a, sizeof copy);
     sfemi_sym_eigen(3, copy, w, v);
     if (w[2] >= 0) return;
@@ -7102,6 +7195,20 @@ static void sfemi_law_project(sfem_real a[9])
         for (j = 0; j < 3; ++j)
             for (k = 0, a[3 * i + j] = 0; k < 3; ++k)
                 if (w[k] > 0) a[3 * i + j] += w[k] * v[3 * i + k] * v[3 * j + k];
+}
+
+/* As sfem_signed_svd, but small s only to the rounding error of the largest: by R and the
+ * eigenvectors of S where F is ordinary. */
+static void sfemi_law_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9])
+{
+    sfem_real r[9], rtf[9];
+    if (!sfemi_polar_fast(f, r)) {
+        sfem_signed_svd(f, u, s, v);
+        return;
+    }
+    sfemi_mul3_tn(r, f, rtf);
+    sfemi_sym_eigen(3, rtf, s, v);
+    sfemi_mul3(r, v, u);
 }
 
 static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
@@ -7113,14 +7220,17 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
         m->u[i] = m->v[i] = i % 4 ? 0 : 1;
         f[i] = g[i] + m->u[i];
     }
-    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN) sfem_polar(f, m->u, NULL);
-    else if (law != SFEM_LINEAR) sfem_signed_svd(f, m->u, s, m->v);
+    if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN)
+        sfem_polar(f, m->u, NULL);
+    else if (law != SFEM_LINEAR)
+        sfemi_law_svd(f, m->u, s, m->v);
     sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
     if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
     for (i = 0; i < 3; ++i) {
         if (kind != SFEM_TANGENT_EXACT) {
-            flip[i] = fmax(flip[i], 0);
-            twist[i] = law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
+            flip[i] = fmax(flip[i], 0.0);
+            twist[i] =
+                law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0.0);
         }
         m->both[i] = (flip[i] + twist[i]) / 2;
         m->swap[i] = (flip[i] - twist[i]) / 2;
@@ -7143,8 +7253,9 @@ static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_
     sfemi_mul3_nt(t, m->v, dp);
 }
 
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9])
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
+                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
+                                    sfem_real dp[9])
 {
     sfem_real g[9];
     sfemi_modes modes;
@@ -7170,31 +7281,89 @@ SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, con
     }
 }
 
-/* block = volume ga.(dP/dF).gb, the 3x3 block of two nodes whose shape gradients are, in the frame V,
- * ga and gb. */
-static void sfemi_modes_block(const sfemi_modes *m, sfem_real volume, const sfem_real ga[3],
-                              const sfem_real gb[3], sfem_real block[9])
-{
-    sfem_real x[9], t[9];
-    int k, i, j;
-    for (k = 0; k < 3; ++k) {
-        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
-        x[4 * k] = volume * (m->a[4 * k] * ga[k] * gb[k] + m->both[j] * ga[i] * gb[i] +
-                             m->both[i] * ga[j] * gb[j]);
-        x[3 * i + j] = volume * (m->a[3 * i + j] * ga[i] * gb[j] + m->swap[k] * ga[j] * gb[i]);
-        x[3 * j + i] = volume * (m->a[3 * i + j] * ga[j] * gb[i] + m->swap[k] * ga[i] * gb[j]);
-    }
-    sfemi_mul3(m->u, x, t);
-    sfemi_mul3_nt(t, m->u, block);
-}
+/* The stiffness of a tet by blocks of its node pairs a >= b, in the order 00 10 11 20 .. 33,
+ * all at once: the pairs are lanes of a vector. */
+#define SFEMI_PAIRS 12 /* ten, and two that are zero */
 
-/* The shape gradients in the frame V. */
-static void sfemi_modes_turn(const sfemi_modes *m, sfem_real g[4][3], sfem_real in_v[4][3])
+typedef struct sfemi_pairs {
+    sfem_real a[3][SFEMI_PAIRS],
+        b[3][SFEMI_PAIRS];       /* shape gradients of both nodes in the frame V */
+    sfem_real x[9][SFEMI_PAIRS]; /* the blocks in the frame U, */
+    sfem_real k[9][SFEMI_PAIRS]; /* and in that of the world */
+} sfemi_pairs;
+
+/* Bit p of swap: pair p wants the block of (b, a) instead of (a, b). */
+static void sfemi_pairs_fill(const sfemi_modes *m, sfem_real g[4][3], unsigned swap, sfemi_pairs *w)
 {
-    int a, i;
+    sfem_real in_v[4][3];
+    int a, b, i, p;
     for (a = 0; a < 4; ++a)
         for (i = 0; i < 3; ++i)
             in_v[a][i] = g[a][0] * m->v[i] + g[a][1] * m->v[3 + i] + g[a][2] * m->v[6 + i];
+    for (a = 0, p = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++p)
+            for (i = 0; i < 3; ++i) {
+                w->a[i][p] = in_v[swap >> p & 1 ? b : a][i];
+                w->b[i][p] = in_v[swap >> p & 1 ? a : b][i];
+            }
+    for (i = 0; i < 3; ++i) w->a[i][10] = w->a[i][11] = w->b[i][10] = w->b[i][11] = 0;
+}
+
+/* x = volume ga.(dP/dF).gb in its entries nn, ij and ji; n, i, j are constants, all different. */
+static SFEMI_INLINE void sfemi_pairs_entries(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w,
+                                             const int n, const int i, const int j)
+{
+    const sfem_real ann = volume * m->a[4 * n], aij = volume * m->a[3 * i + j];
+    const sfem_real swap = volume * m->swap[n], bi = volume * m->both[i], bj = volume * m->both[j];
+    int p;
+    for (p = 0; p < SFEMI_PAIRS; ++p) {
+        const sfem_real an = w->a[n][p], ai = w->a[i][p], aj = w->a[j][p];
+        const sfem_real cn = w->b[n][p], ci = w->b[i][p], cj = w->b[j][p];
+        w->x[4 * n][p] = ann * an * cn + bj * ai * ci + bi * aj * cj;
+        w->x[3 * i + j][p] = aij * ai * cj + swap * aj * ci;
+        w->x[3 * j + i][p] = aij * aj * ci + swap * ai * cj;
+    }
+}
+
+static SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    int p, i;
+    sfemi_pairs_entries(m, volume, w, 0, 1, 2);
+    sfemi_pairs_entries(m, volume, w, 1, 0, 2);
+    sfemi_pairs_entries(m, volume, w, 2, 0, 1);
+    for (i = 0; i < 3; ++i) { /* k = u x u^T, by rows of u x */
+        const sfem_real a = m->u[3 * i], b = m->u[3 * i + 1], c = m->u[3 * i + 2];
+        for (p = 0; p < SFEMI_PAIRS; ++p) {
+            const sfem_real t0 = a * w->x[0][p] + b * w->x[3][p] + c * w->x[6][p];
+            const sfem_real t1 = a * w->x[1][p] + b * w->x[4][p] + c * w->x[7][p];
+            const sfem_real t2 = a * w->x[2][p] + b * w->x[5][p] + c * w->x[8][p];
+            w->k[3 * i][p] = t0 * m->u[0] + t1 * m->u[1] + t2 * m->u[2];
+            w->k[3 * i + 1][p] = t0 * m->u[3] + t1 * m->u[4] + t2 * m->u[5];
+            w->k[3 * i + 2][p] = t0 * m->u[6] + t1 * m->u[7] + t2 * m->u[8];
+        }
+    }
+}
+
+typedef void (*sfemi_pairs_kernel)(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w);
+
+static void sfemi_pairs_portable(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    sfemi_pairs_blocks(m, volume, w);
+}
+
+#if SFEMI_X86
+SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    sfemi_pairs_blocks(m, volume, w);
+}
+#endif
+
+static sfemi_pairs_kernel sfemi_pairs_pick(void)
+{
+#if SFEMI_X86
+    if (sfemi_path() > 0) return sfemi_pairs_avx2;
+#endif
+    return sfemi_pairs_portable;
 }
 
 /* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
@@ -7204,17 +7373,18 @@ static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const
     int i, j;
     for (i = 0; i < 3; ++i)
         for (j = 0; j < 3; ++j)
-            grad[3 * i + j] = (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] +
-                              (u3[i] - u0[i]) * g[3][j];
+            grad[3 * i + j] =
+                (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] + (u3[i] - u0[i]) * g[3][j];
 }
 
 SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
                                 const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
                                 sfem_real k[144])
 {
-    sfem_real g[4][3], in_v[4][3], grad[9], p[9], block[9], volume, energy;
+    sfem_real g[4][3], grad[9], p[9], volume, energy;
     sfemi_modes modes;
-    int a, b, i;
+    sfemi_pairs pairs;
+    int a, b, i, n;
     SFEM_ASSERT(x && u && (unsigned)law <= SFEM_NEOHOOKEAN);
     volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, g);
     sfemi_element_deform(u, u + 3, u + 6, u + 9, g, grad);
@@ -7223,12 +7393,14 @@ SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, co
         for (i = 0; i < 3; ++i) force[3 * a + i] = volume * sfemi_dot3(p + 3 * i, g[a]);
     if (!k) return energy;
     sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
-    sfemi_modes_turn(&modes, g, in_v);
-    for (a = 0; a < 4; ++a)
-        for (b = 0; b < 4; ++b) {
-            sfemi_modes_block(&modes, volume, in_v[a], in_v[b], block);
-            for (i = 0; i < 9; ++i) k[12 * (3 * a + i / 3) + 3 * b + i % 3] = block[i];
-        }
+    sfemi_pairs_fill(&modes, g, 0, &pairs);
+    sfemi_pairs_portable(&modes, volume, &pairs);
+    for (a = 0, n = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n)
+            for (i = 0; i < 9; ++i) {
+                k[12 * (3 * a + i / 3) + 3 * b + i % 3] = pairs.k[i][n];
+                k[12 * (3 * b + i % 3) + 3 * a + i / 3] = pairs.k[i][n];
+            }
     return energy;
 }
 
@@ -7255,8 +7427,9 @@ SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2)
     }
 }
 
-/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the product
- * with a symmetric tensor written the same way is n.C n. Zero for an edge without length. */
+/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the
+ * product with a symmetric tensor written the same way is n.C n. Zero for an edge without
+ * length. */
 static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length2, sfem_real *q)
 {
     const int edges = dim == 3 ? 6 : 3;
@@ -7265,15 +7438,16 @@ static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length
         const int *end = sfemi_edge_ends(dim, k);
         sfem_real n[3];
         for (i = 0; i < dim; ++i)
-            n[i] = length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
+            n[i] =
+                length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
         for (i = 0, at = 0; i < dim; ++i) q[edges * k + at++] = n[i] * n[i];
         for (i = 0; i < dim; ++i)
             for (j = i + 1; j < dim; ++j) q[edges * k + at++] = sqrt(2.0) * n[i] * n[j];
     }
 }
 
-/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the sum of
- * v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
+/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the
+ * sum of v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
 static int sfemi_edge_pseudo_inverse(int m, sfem_real *q, sfem_real *w)
 {
     sfem_real v[36], square[6], largest = 0;
@@ -7305,8 +7479,9 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
     out->dim = dim;
     out->nodes = dim + 1;
     out->edges = dim == 3 ? 6 : 3;
-    out->volume = dim == 3 ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
-                           : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
+    out->volume = dim == 3
+                      ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
+                      : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
     sfem_edge_lengths2(dim, x, length2);
     sfemi_edge_rows(dim, x, length2, q);
     out->rank = sfemi_edge_pseudo_inverse(out->edges, q, w);
@@ -7320,7 +7495,8 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
     }
 }
 
-SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c)
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2,
+                                     sfem_real *c)
 {
     int i, k;
     SFEM_ASSERT(shape && d2 && c);
@@ -7369,8 +7545,8 @@ SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real
 }
 
 /* dPsi/dC, with C = I + c. */
-static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real c[9],
-                                   sfem_real s[9])
+static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real c[9], sfem_real s[9])
 {
     const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, i = c[0] + c[4] + c[8];
     sfem_real full[9], e[9], cof[9], third, det, volume, a;
@@ -7385,7 +7561,7 @@ static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu,
     third = i + (cof[0] + cof[4] + cof[8]) + sfemi_dot3(c, cof); /* III_C - 1 */
     for (k = 0; k < 9; ++k) full[k] = c[k] + (k % 4 ? 0 : 1);
     sfemi_cofactor3(full, cof);
-    det = sqrt(fmax(1 + third, 0));
+    det = sqrt(fmax(1 + third, 0.0));
     volume = third > -1 ? third / (1 + det) : -1; /* J - 1 */
     a = (l * volume - .75 * m) / (2 * fmax(det, 1e-8));
     for (k = 0; k < 9; ++k) s[k] = a * cof[k] + (k % 4 ? 0 : m / 2 * (3 + i) / (4 + i));
@@ -7403,12 +7579,13 @@ SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, 
     energy = sfemi_edge_stress(law, lambda, mu, c, s);
     for (k = 0; slope && k < shape->edges; ++k)
         for (i = 0, slope[k] = 0; i < shape->dim; ++i)
-            for (j = 0; j < shape->dim; ++j) slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
+            for (j = 0; j < shape->dim; ++j)
+                slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
     return energy;
 }
 
-SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
-                               sfem_real *force)
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
+                               const sfem_real *slope, sfem_real *force)
 {
     const int dim = shape->dim;
     int k, i;
@@ -7427,19 +7604,21 @@ SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
 
 /* ---- the same for many tets at once ----
  *
- * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each loop over
- * lanes below is straight-line arithmetic that a compiler turns into vector instructions (gcc from 12 on
- * and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double and float; the paths below it compile
- * that for several instruction sets. `fused` is a constant there: fused multiply-adds are asked for by
- * name, so that the bits of a result depend on the path and on nothing else. */
+ * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each
+ * loop over lanes below is straight-line arithmetic that a compiler turns into vector
+ * instructions (gcc from 12 on and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double
+ * and float; the paths below it compile that for several instruction sets. `fused` is a
+ * constant there: fused multiply-adds are asked for by name, so that the bits of a result
+ * depend on the path and on nothing else. */
 #define SFEMI_LANES 16
 
 typedef struct sfemi_block {
     sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
-    sfem_real lambda[SFEMI_LANES], mu[SFEMI_LANES]; /* times the volume, J; 0 in lanes that fill up */
+    sfem_real lambda[SFEMI_LANES];    /* times the volume, J; 0 in lanes that fill up */
+    sfem_real mu[SFEMI_LANES];
     sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
     sfem_int tet[SFEMI_LANES];
-    sfem_int law, count;              /* count of the lanes are tets, the others copies of the last */
+    sfem_int law, count;              /* so many lanes are tets, the others copies of the last */
     sfem_int pad[14];                 /* to whole cache lines */
 } sfemi_block;
 
@@ -7448,8 +7627,8 @@ typedef struct sfemi_totals {
     sfem_real energy[SFEMI_LANES], inverted[SFEMI_LANES]; /* inverted: tets with det F <= 0 */
 } sfemi_totals;
 
-/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4]; the
- * nearest rotations go to rotation [tets][9], if not NULL. */
+/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
+ * the nearest rotations go to rotation [tets][9], if not NULL. */
 typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
                                     sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
 
@@ -7462,7 +7641,8 @@ typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, co
 #endif
 
 /* d = u_a - u_0 by lanes, a = 1, 2, 3; and out_a += d, out_0 -= the sum of d. */
-typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u, sfem_real d[9][SFEMI_LANES]);
+typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u,
+                             sfem_real d[9][SFEMI_LANES]);
 typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                               sfem_real *out);
 
@@ -7497,10 +7677,7 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
     }
 }
 
-#ifdef SFEMI_X86_PATHS
-#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
-#define SFEMI_AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
-
+#if SFEMI_X86
 /* Rows <-> columns of four vectors of four. */
 SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
 {
@@ -7541,8 +7718,8 @@ SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
     _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
 }
 
-SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
-                                          sfem_real *out)
+SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
+                                          const sfem_real d[9][SFEMI_LANES], sfem_real *out)
 {
     int l, a;
     for (l = 0; l < SFEMI_LANES; l += 4) { /* lanes that fill up add zero */
@@ -7591,21 +7768,30 @@ static SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
     return any != 0;
 }
 
-#define SFEMI_LANE_KERNELS(T, S, STEP, ROUND)                                                      \
-/* a b + c; and with it a0 b0 + a1 b1 + a2 b2 (+ c), a b - c d */                                  \
-static SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
+/* MA = a b + c, DOT = a0 b0 + a1 b1 + a2 b2, DET = a b - c d, rounded as the path does it */
+#define SFEMI_LANE_ARITHMETIC(T, S)                                                                \
+static SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                 \
 {                                                                                                  \
     return fused ? SFEMI_FMA_##S(a, b, c) : a * b + c;                                             \
 }                                                                                                  \
-static SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)                  \
+static SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)           \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a0, b0, sfemi_ma_##S(fused, a1, b1, a2 * b2));                      \
 }                                                                                                  \
-static SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
+static SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                           \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a, b, -(c * d));                                                    \
-}                                                                                                  \
-                                                                                                   \
+}
+SFEMI_LANE_ARITHMETIC(double, d)
+SFEMI_LANE_ARITHMETIC(float, f)
+#define SFEMI_MA_d(a, b, c)                sfemi_ma_d(fused, a, b, c)
+#define SFEMI_MA_f(a, b, c)                sfemi_ma_f(fused, a, b, c)
+#define SFEMI_DOT_d(a0, b0, a1, b1, a2, b2) sfemi_dot_d(fused, a0, b0, a1, b1, a2, b2)
+#define SFEMI_DOT_f(a0, b0, a1, b1, a2, b2) sfemi_dot_f(fused, a0, b0, a1, b1, a2, b2)
+#define SFEMI_DET_d(a, b, c, d)            sfemi_det_d(fused, a, b, c, d)
+#define SFEMI_DET_f(a, b, c, d)            sfemi_det_f(fused, a, b, c, d)
+
+#define SFEMI_LANE_KERNELS(T, S, MA, DOT, DET, STEP, ROUND)                                        \
 typedef struct sfemi_lanes_##S {                                                                   \
     sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
     T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
@@ -7620,46 +7806,49 @@ typedef struct sfemi_lanes_##S {                                                
 } sfemi_lanes_##S;                                                                                 \
                                                                                                    \
 /* G and det F */                                                                                  \
-static SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
-                                         const int fused)                                          \
+static SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,      \
+                                                const int fused)                                   \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (i = 0; i < 3; ++i)                                                                        \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T a = (T)w->d[i][l], b = (T)w->d[3 + i][l], c = (T)w->d[6 + i][l];               \
-            w->g[3 * i][l] = sfemi_dot_##S(fused, a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]);\
-            w->g[3 * i + 1][l] = sfemi_dot_##S(fused, a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]);\
-            w->g[3 * i + 2][l] = sfemi_dot_##S(fused, a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]);\
+            w->g[3 * i][l] =                                                                       \
+                DOT(a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]); \
+            w->g[3 * i + 1][l] =                                                                   \
+                DOT(a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]); \
+            w->g[3 * i + 2][l] =                                                                   \
+                DOT(a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]); \
         }                                                                                          \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
         const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
         const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
-        w->det[l] = sfemi_dot_##S(fused, f0, sfemi_det_##S(fused, f4, f8, f5, f7),                 \
-                                  f1, sfemi_det_##S(fused, f5, f6, f3, f8),                        \
-                                  f2, sfemi_det_##S(fused, f3, f7, f4, f6));                       \
+        w->det[l] = DOT(f0, DET(f4, f8, f5, f7),                                                   \
+                                  f1, DET(f5, f6, f3, f8),                                         \
+                                  f2, DET(f3, f7, f4, f6));                                        \
         w->lambda[l] = (T)block->lambda[l];                                                        \
         w->mu[l] = (T)block->mu[l];                                                                \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* F, cof F, |F|^2, the constant of p(t) and a first trace: (|F|^2 + 3)/2 >= sqrt(3 |F|^2) >= t */ \
-static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)                     \
+static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)              \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
         const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
         const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
-        const T c0 = sfemi_det_##S(fused, f4, f8, f5, f7), c1 = sfemi_det_##S(fused, f5, f6, f3, f8);\
-        const T c2 = sfemi_det_##S(fused, f3, f7, f4, f6), c3 = sfemi_det_##S(fused, f2, f7, f1, f8);\
-        const T c4 = sfemi_det_##S(fused, f0, f8, f2, f6), c5 = sfemi_det_##S(fused, f1, f6, f0, f7);\
-        const T c6 = sfemi_det_##S(fused, f1, f5, f2, f4), c7 = sfemi_det_##S(fused, f2, f3, f0, f5);\
-        const T c8 = sfemi_det_##S(fused, f0, f4, f1, f3);                                         \
-        const T n = sfemi_dot_##S(fused, f0, f0, f1, f1, f2, f2) + sfemi_dot_##S(fused, f3, f3, f4, f4, f5, f5) +\
-                    sfemi_dot_##S(fused, f6, f6, f7, f7, f8, f8);                                  \
-        const T m = sfemi_dot_##S(fused, c0, c0, c1, c1, c2, c2) + sfemi_dot_##S(fused, c3, c3, c4, c4, c5, c5) +\
-                    sfemi_dot_##S(fused, c6, c6, c7, c7, c8, c8);                                  \
+        const T c0 = DET(f4, f8, f5, f7), c1 = DET(f5, f6, f3, f8);                                \
+        const T c2 = DET(f3, f7, f4, f6), c3 = DET(f2, f7, f1, f8);                                \
+        const T c4 = DET(f0, f8, f2, f6), c5 = DET(f1, f6, f0, f7);                                \
+        const T c6 = DET(f1, f5, f2, f4), c7 = DET(f2, f3, f0, f5);                                \
+        const T c8 = DET(f0, f4, f1, f3);                                                          \
+        const T n = DOT(f0, f0, f1, f1, f2, f2) + DOT(f3, f3, f4, f4, f5, f5) +                    \
+                    DOT(f6, f6, f7, f7, f8, f8);                                                   \
+        const T m = DOT(c0, c0, c1, c1, c2, c2) + DOT(c3, c3, c4, c4, c5, c5) +                    \
+                    DOT(c6, c6, c7, c7, c8, c8);                                                   \
         w->c[0][l] = c0, w->c[1][l] = c1, w->c[2][l] = c2;                                         \
         w->c[3][l] = c3, w->c[4][l] = c4, w->c[5][l] = c5;                                         \
         w->c[6][l] = c6, w->c[7][l] = c7, w->c[8][l] = c8;                                         \
@@ -7667,70 +7856,70 @@ static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int f
         w->r[3][l] = f3, w->r[4][l] = f4, w->r[5][l] = f5;                                         \
         w->r[6][l] = f6, w->r[7][l] = f7, w->r[8][l] = f8;                                         \
         w->norm2[l] = n;                                                                           \
-        w->constant[l] = sfemi_ma_##S(fused, n, n, -4 * m);                                        \
+        w->constant[l] = MA(n, n, -4 * m);                                                         \
         w->trace[l] = (n + 3) / 2;                                                                 \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* one step of Halley's method for the trace */                                                    \
-static SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)               \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T t = w->trace[l], n = w->norm2[l], d = w->det[l], t2 = t * t;                       \
-        const T p = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t2 - 2 * n, t, -8 * d), t, w->constant[l]);\
-        const T slope = sfemi_ma_##S(fused, t2 - n, t, -2 * d);                                    \
+        const T p = MA(MA(t2 - 2 * n, t, -8 * d), t, w->constant[l]);                              \
+        const T slope = MA(t2 - n, t, -2 * d);                                                     \
         const T half = (3 * t2 - n) / 2;                                                           \
-        const T step = p * slope / sfemi_det_##S(fused, 4 * slope, slope, p, half);                \
+        const T step = p * slope / DET(4 * slope, slope, p, half);                                 \
                 w->trace[l] = t - step;                                                            \
         w->bad[l] = step <= (T)STEP * (t - step) ? 0 : 1; /* also where step is not a number */    \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* R = F (k0 I + k1 F^T F) + k2 cof F, row by row in place of F */                                 \
-static SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)                    \
+static SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)             \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T t = w->trace[l], n = w->norm2[l];                                                  \
-        const T slope = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t, t, -n), t, -2 * w->det[l]);     \
+        const T slope = MA(MA(t, t, -n), t, -2 * w->det[l]);                                       \
         const T over = 1 / slope;                                                                  \
         w->bad[l] = slope > (T)ROUND * t * t * t ? w->bad[l] : 1;                                  \
-        w->k[0][l] = sfemi_ma_##S(fused, t, t, n) * over;                                          \
+        w->k[0][l] = MA(t, t, n) * over;                                                           \
         w->k[1][l] = -2 * over;                                                                    \
         w->k[2][l] = 2 * t * over;                                                                 \
     }                                                                                              \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l], f3 = w->r[3][l], f4 = w->r[4][l];\
-        const T f5 = w->r[5][l], f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                \
+        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l];                                 \
+        const T f3 = w->r[3][l], f4 = w->r[4][l], f5 = w->r[5][l];                                 \
+        const T f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                                 \
         const T a = w->k[0][l], b = w->k[1][l];                                                    \
-        w->s[0][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f0, f0, f3, f3, f6, f6), a);      \
-        w->s[1][l] = b * sfemi_dot_##S(fused, f0, f1, f3, f4, f6, f7);                             \
-        w->s[2][l] = b * sfemi_dot_##S(fused, f0, f2, f3, f5, f6, f8);                             \
-        w->s[3][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f1, f1, f4, f4, f7, f7), a);      \
-        w->s[4][l] = b * sfemi_dot_##S(fused, f1, f2, f4, f5, f7, f8);                             \
-        w->s[5][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f2, f2, f5, f5, f8, f8), a);      \
+        w->s[0][l] = MA(b, DOT(f0, f0, f3, f3, f6, f6), a);                                        \
+        w->s[1][l] = b * DOT(f0, f1, f3, f4, f6, f7);                                              \
+        w->s[2][l] = b * DOT(f0, f2, f3, f5, f6, f8);                                              \
+        w->s[3][l] = MA(b, DOT(f1, f1, f4, f4, f7, f7), a);                                        \
+        w->s[4][l] = b * DOT(f1, f2, f4, f5, f7, f8);                                              \
+        w->s[5][l] = MA(b, DOT(f2, f2, f5, f5, f8, f8), a);                                        \
     }                                                                                              \
     for (i = 0; i < 9; i += 3)                                                                     \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T x = w->r[i][l], y = w->r[i + 1][l], z = w->r[i + 2][l], b = w->k[2][l];        \
             const T s0 = w->s[0][l], s1 = w->s[1][l], s2 = w->s[2][l];                             \
             const T s3 = w->s[3][l], s4 = w->s[4][l], s5 = w->s[5][l];                             \
-            w->r[i][l] = sfemi_ma_##S(fused, b, w->c[i][l], sfemi_dot_##S(fused, x, s0, y, s1, z, s2));\
-            w->r[i + 1][l] = sfemi_ma_##S(fused, b, w->c[i + 1][l], sfemi_dot_##S(fused, x, s1, y, s3, z, s4));\
-            w->r[i + 2][l] = sfemi_ma_##S(fused, b, w->c[i + 2][l], sfemi_dot_##S(fused, x, s2, y, s4, z, s5));\
+            w->r[i][l] = MA(b, w->c[i][l], DOT(x, s0, y, s1, z, s2));                              \
+            w->r[i + 1][l] = MA(b, w->c[i + 1][l], DOT(x, s1, y, s3, z, s4));                      \
+            w->r[i + 2][l] = MA(b, w->c[i + 2][l], DOT(x, s2, y, s4, z, s5));                      \
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope is\
- * below ROUND t^3 are done again the slow way */                                                  \
-static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
+/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope  \
+ * is below ROUND t^3 are done again the slow way */                                               \
+static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                \
 {                                                                                                  \
     sfem_real g[9], r[9];                                                                          \
     int l, i, k;                                                                                   \
     sfemi_lanes_quartic_##S(w, fused);                                                             \
-    sfemi_lanes_halley_##S(w, fused);                                                              \
-    for (k = 0; k < 5; ++k) {                                                                      \
+    for (k = 0; k < 8; ++k) {                                                                      \
         sfemi_lanes_halley_##S(w, fused);                                                          \
         if (!sfemi_lanes_any(w->bad, sizeof w->bad)) break;                                        \
     }                                                                                              \
@@ -7744,129 +7933,136 @@ static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fus
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)               \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T e0 = w->g[0][l], e4 = w->g[4][l], e8 = w->g[8][l], trace = e0 + e4 + e8;           \
-        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l], e5 = w->g[5][l] + w->g[7][l];\
+        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l];                        \
+        const T e5 = w->g[5][l] + w->g[7][l];                                                      \
         const T mu = w->mu[l], lt = w->lambda[l] * trace;                                          \
-        w->p[0][l] = sfemi_ma_##S(fused, 2 * mu, e0, lt);                                          \
-        w->p[4][l] = sfemi_ma_##S(fused, 2 * mu, e4, lt);                                          \
-        w->p[8][l] = sfemi_ma_##S(fused, 2 * mu, e8, lt);                                          \
+        w->p[0][l] = MA(2 * mu, e0, lt);                                                           \
+        w->p[4][l] = MA(2 * mu, e4, lt);                                                           \
+        w->p[8][l] = MA(2 * mu, e8, lt);                                                           \
         w->p[1][l] = w->p[3][l] = mu * e1;                                                         \
         w->p[2][l] = w->p[6][l] = mu * e2;                                                         \
         w->p[5][l] = w->p[7][l] = mu * e5;                                                         \
-        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
-                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+        w->energy[l] = MA(lt / 2, trace,                                                           \
+                       mu * (DOT(e0, e0, e4, e4, e8, e8) + DOT(e1, e1, e2, e2, e5, e5) / 2));      \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)                \
+static SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)         \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l], r3 = w->r[3][l], r4 = w->r[4][l];\
-        const T r5 = w->r[5][l], r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                \
+        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l];                                 \
+        const T r3 = w->r[3][l], r4 = w->r[4][l], r5 = w->r[5][l];                                 \
+        const T r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                                 \
         const T d0 = w->g[0][l] + (1 - r0), d1 = w->g[1][l] - r1, d2 = w->g[2][l] - r2;            \
         const T d3 = w->g[3][l] - r3, d4 = w->g[4][l] + (1 - r4), d5 = w->g[5][l] - r5;            \
         const T d6 = w->g[6][l] - r6, d7 = w->g[7][l] - r7, d8 = w->g[8][l] + (1 - r8);            \
-        const T trace = sfemi_dot_##S(fused, r0, d0, r1, d1, r2, d2) + sfemi_dot_##S(fused, r3, d3, r4, d4, r5, d5) +\
-                        sfemi_dot_##S(fused, r6, d6, r7, d7, r8, d8);                              \
-        const T square = sfemi_dot_##S(fused, d0, d0, d1, d1, d2, d2) + sfemi_dot_##S(fused, d3, d3, d4, d4, d5, d5) +\
-                         sfemi_dot_##S(fused, d6, d6, d7, d7, d8, d8);                             \
+        const T trace = DOT(r0, d0, r1, d1, r2, d2) + DOT(r3, d3, r4, d4, r5, d5) +                \
+                        DOT(r6, d6, r7, d7, r8, d8);                                               \
+        const T square = DOT(d0, d0, d1, d1, d2, d2) + DOT(d3, d3, d4, d4, d5, d5) +               \
+                         DOT(d6, d6, d7, d7, d8, d8);                                              \
         const T lt = w->lambda[l] * trace;                                                         \
         w->trace[l] = lt;                                                                          \
-        w->energy[l] = sfemi_ma_##S(fused, w->mu[l], square, lt / 2 * trace);                      \
+        w->energy[l] = MA(w->mu[l], square, lt / 2 * trace);                                       \
     }                                                                                              \
     for (i = 0; i < 9; ++i) {                                                                      \
         const T one = i % 4 ? 0 : 1;                                                               \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T r = w->r[i][l], d = w->g[i][l] + (one - r);                                    \
-            w->p[i][l] = sfemi_ma_##S(fused, 2 * w->mu[l], d, w->trace[l] * r);                    \
+            w->p[i][l] = MA(2 * w->mu[l], d, w->trace[l] * r);                                     \
         }                                                                                          \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                        \
+static SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                 \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
-        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
-        const T e0 = g0 + sfemi_dot_##S(fused, g0, g0, g3, g3, g6, g6) / 2;                        \
-        const T e4 = g4 + sfemi_dot_##S(fused, g1, g1, g4, g4, g7, g7) / 2;                        \
-        const T e8 = g8 + sfemi_dot_##S(fused, g2, g2, g5, g5, g8, g8) / 2;                        \
-        const T e1 = g1 + g3 + sfemi_dot_##S(fused, g0, g1, g3, g4, g6, g7);                       \
-        const T e2 = g2 + g6 + sfemi_dot_##S(fused, g0, g2, g3, g5, g6, g8);                       \
-        const T e5 = g5 + g7 + sfemi_dot_##S(fused, g1, g2, g4, g5, g7, g8);                       \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l];                                 \
+        const T g3 = w->g[3][l], g4 = w->g[4][l], g5 = w->g[5][l];                                 \
+        const T g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                                 \
+        const T e0 = g0 + DOT(g0, g0, g3, g3, g6, g6) / 2;                                         \
+        const T e4 = g4 + DOT(g1, g1, g4, g4, g7, g7) / 2;                                         \
+        const T e8 = g8 + DOT(g2, g2, g5, g5, g8, g8) / 2;                                         \
+        const T e1 = g1 + g3 + DOT(g0, g1, g3, g4, g6, g7);                                        \
+        const T e2 = g2 + g6 + DOT(g0, g2, g3, g5, g6, g8);                                        \
+        const T e5 = g5 + g7 + DOT(g1, g2, g4, g5, g7, g8);                                        \
         const T mu = w->mu[l], trace = e0 + e4 + e8, lt = w->lambda[l] * trace;                    \
-        const T s0 = sfemi_ma_##S(fused, 2 * mu, e0, lt), s4 = sfemi_ma_##S(fused, 2 * mu, e4, lt);\
-        const T s8 = sfemi_ma_##S(fused, 2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;\
-        w->p[0][l] = s0 + sfemi_dot_##S(fused, g0, s0, g1, s1, g2, s2);                            \
-        w->p[1][l] = s1 + sfemi_dot_##S(fused, g0, s1, g1, s4, g2, s5);                            \
-        w->p[2][l] = s2 + sfemi_dot_##S(fused, g0, s2, g1, s5, g2, s8);                            \
-        w->p[3][l] = s1 + sfemi_dot_##S(fused, g3, s0, g4, s1, g5, s2);                            \
-        w->p[4][l] = s4 + sfemi_dot_##S(fused, g3, s1, g4, s4, g5, s5);                            \
-        w->p[5][l] = s5 + sfemi_dot_##S(fused, g3, s2, g4, s5, g5, s8);                            \
-        w->p[6][l] = s2 + sfemi_dot_##S(fused, g6, s0, g7, s1, g8, s2);                            \
-        w->p[7][l] = s5 + sfemi_dot_##S(fused, g6, s1, g7, s4, g8, s5);                            \
-        w->p[8][l] = s8 + sfemi_dot_##S(fused, g6, s2, g7, s5, g8, s8);                            \
-        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
-                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+        const T s0 = MA(2 * mu, e0, lt), s4 = MA(2 * mu, e4, lt);                                  \
+        const T s8 = MA(2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;                 \
+        w->p[0][l] = s0 + DOT(g0, s0, g1, s1, g2, s2);                                             \
+        w->p[1][l] = s1 + DOT(g0, s1, g1, s4, g2, s5);                                             \
+        w->p[2][l] = s2 + DOT(g0, s2, g1, s5, g2, s8);                                             \
+        w->p[3][l] = s1 + DOT(g3, s0, g4, s1, g5, s2);                                             \
+        w->p[4][l] = s4 + DOT(g3, s1, g4, s4, g5, s5);                                             \
+        w->p[5][l] = s5 + DOT(g3, s2, g4, s5, g5, s8);                                             \
+        w->p[6][l] = s2 + DOT(g6, s0, g7, s1, g8, s2);                                             \
+        w->p[7][l] = s5 + DOT(g6, s1, g7, s4, g8, s5);                                             \
+        w->p[8][l] = s8 + DOT(g6, s2, g7, s5, g8, s8);                                             \
+        w->energy[l] = MA(lt / 2, trace,                                                           \
+                       mu * (DOT(e0, e0, e4, e4, e8, e8) + DOT(e1, e1, e2, e2, e5, e5) / 2));      \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* as sfemi_law_neohookean; k1 = 3/4 m, k2 = m i/(16 + 4 i) */                                     \
-static SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)                  \
+static SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)           \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
-        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
-        const T c0 = sfemi_det_##S(fused, g4, g8, g5, g7), c1 = sfemi_det_##S(fused, g5, g6, g3, g8);\
-        const T c2 = sfemi_det_##S(fused, g3, g7, g4, g6), c3 = sfemi_det_##S(fused, g2, g7, g1, g8);\
-        const T c4 = sfemi_det_##S(fused, g0, g8, g2, g6), c5 = sfemi_det_##S(fused, g1, g6, g0, g7);\
-        const T c6 = sfemi_det_##S(fused, g1, g5, g2, g4), c7 = sfemi_det_##S(fused, g2, g3, g0, g5);\
-        const T c8 = sfemi_det_##S(fused, g0, g4, g1, g3);                                         \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l];                                 \
+        const T g3 = w->g[3][l], g4 = w->g[4][l], g5 = w->g[5][l];                                 \
+        const T g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                                 \
+        const T c0 = DET(g4, g8, g5, g7), c1 = DET(g5, g6, g3, g8);                                \
+        const T c2 = DET(g3, g7, g4, g6), c3 = DET(g2, g7, g1, g8);                                \
+        const T c4 = DET(g0, g8, g2, g6), c5 = DET(g1, g6, g0, g7);                                \
+        const T c6 = DET(g1, g5, g2, g4), c7 = DET(g2, g3, g0, g5);                                \
+        const T c8 = DET(g0, g4, g1, g3);                                                          \
         const T trace = g0 + g4 + g8;                                                              \
-        const T i = 2 * trace + sfemi_dot_##S(fused, g0, g0, g1, g1, g2, g2) +                     \
-                    sfemi_dot_##S(fused, g3, g3, g4, g4, g5, g5) + sfemi_dot_##S(fused, g6, g6, g7, g7, g8, g8);\
-        const T j = trace + (c0 + c4 + c8) + sfemi_dot_##S(fused, g0, c0, g1, c1, g2, c2);         \
+        const T i = 2 * trace + DOT(g0, g0, g1, g1, g2, g2) +                                      \
+                    DOT(g3, g3, g4, g4, g5, g5) + DOT(g6, g6, g7, g7, g8, g8);                     \
+        const T j = trace + (c0 + c4 + c8) + DOT(g0, c0, g1, c1, g2, c2);                          \
         const T k1 = w->mu[l], lambda = w->lambda[l] + 5 * k1 / 6, k2 = k1 * i / (12 + 3 * i);     \
-        const T a = k1 + k2, b = sfemi_ma_##S(fused, lambda, j, -k1), lj = lambda * j;             \
-        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + sfemi_ma_##S(fused, k2, g0 + 1, lj * (1 + c0 + trace - g0));\
-        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + sfemi_ma_##S(fused, k2, g4 + 1, lj * (1 + c4 + trace - g4));\
-        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + sfemi_ma_##S(fused, k2, g8 + 1, lj * (1 + c8 + trace - g8));\
-        w->p[1][l] = sfemi_ma_##S(fused, a, g1, b * (c1 - g3));                                    \
-        w->p[2][l] = sfemi_ma_##S(fused, a, g2, b * (c2 - g6));                                    \
-        w->p[3][l] = sfemi_ma_##S(fused, a, g3, b * (c3 - g1));                                    \
-        w->p[5][l] = sfemi_ma_##S(fused, a, g5, b * (c5 - g7));                                    \
-        w->p[6][l] = sfemi_ma_##S(fused, a, g6, b * (c6 - g2));                                    \
-        w->p[7][l] = sfemi_ma_##S(fused, a, g7, b * (c7 - g5));                                    \
+        const T a = k1 + k2, b = MA(lambda, j, -k1), lj = lambda * j;                              \
+        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + MA(k2, g0 + 1, lj * (1 + c0 + trace - g0));     \
+        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + MA(k2, g4 + 1, lj * (1 + c4 + trace - g4));     \
+        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + MA(k2, g8 + 1, lj * (1 + c8 + trace - g8));     \
+        w->p[1][l] = MA(a, g1, b * (c1 - g3));                                                     \
+        w->p[2][l] = MA(a, g2, b * (c2 - g6));                                                     \
+        w->p[3][l] = MA(a, g3, b * (c3 - g1));                                                     \
+        w->p[5][l] = MA(a, g5, b * (c5 - g7));                                                     \
+        w->p[6][l] = MA(a, g6, b * (c6 - g2));                                                     \
+        w->p[7][l] = MA(a, g7, b * (c7 - g5));                                                     \
         w->trace[l] = i / 4;                                                                       \
-        w->energy[l] = sfemi_ma_##S(fused, lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));              \
+        w->energy[l] = MA(lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));                               \
     }                                                                                              \
-    for (l = 0; l < SFEMI_LANES; ++l) w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);\
+    for (l = 0; l < SFEMI_LANES; ++l)                                                              \
+        w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);                          \
 }                                                                                                  \
                                                                                                    \
 /* the forces p g_a on nodes 1, 2, 3 */                                                            \
-static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block, const int fused)\
+static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block,      \
+                                                const int fused)                                   \
 {                                                                                                  \
     int l, a;                                                                                      \
     for (a = 0; a < 9; a += 3)                                                                     \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
-            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l], z = (T)block->shape[a + 2][l];\
-            w->d[a][l] = sfemi_dot_##S(fused, w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);        \
-            w->d[a + 1][l] = sfemi_dot_##S(fused, w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);    \
-            w->d[a + 2][l] = sfemi_dot_##S(fused, w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);    \
+            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l];                      \
+            const T z = (T)block->shape[a + 2][l];                                                 \
+            w->d[a][l] = DOT(w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);                         \
+            w->d[a + 1][l] = DOT(w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);                     \
+            w->d[a + 2][l] = DOT(w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);                     \
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count, const sfem_real *u,\
-                                         sfem_real *out, sfem_real *rotation, sfemi_totals *totals,\
-                                         const sfemi_gather gather, const sfemi_scatter scatter,   \
-                                         const int fused)                                          \
+static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
+                                                const sfem_real *u, sfem_real *out, sfem_real *rotation,\
+                                                sfemi_totals *totals, const sfemi_gather gather,   \
+                                                const sfemi_scatter scatter, const int fused)      \
 {                                                                                                  \
     sfemi_totals sum;                                                                              \
     sfemi_lanes_##S w;                                                                             \
@@ -7898,12 +8094,12 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
     *totals = sum;                                                                                 \
 }
 
-SFEMI_LANE_KERNELS(double, d, 2e-6, 3e-2)
-SFEMI_LANE_KERNELS(float, f, 2e-3, 6e-2)
+SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
+SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
 #define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,\
-                        sfem_real *rotation, sfemi_totals *totals)                                 \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
+                        sfem_real *out, sfem_real *rotation, sfemi_totals *totals)                 \
 {                                                                                                  \
     sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
                            sfemi_scatter_##PATH, FUSED);                                           \
@@ -7911,7 +8107,7 @@ TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_rea
 
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
-#ifdef SFEMI_X86_PATHS
+#if SFEMI_X86
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
@@ -7922,10 +8118,10 @@ SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
 static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
 {
     const int mixed = precision == SFEM_MIXED;
-#ifdef SFEMI_X86_PATHS
-    switch (sfem_vector_width()) {
-    case 8: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 4: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
     default: break;
     }
 #endif
@@ -7941,10 +8137,10 @@ static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
 
 /* ---- chunks: how forces and tangents are computed on any number of threads ----
  *
- * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and adds
- * into copies of their forces, which are then added up node by node. What a chunk does and the order of
- * every sum are fixed by the mesh. For tangents, chunks without a common node have one colour and add
- * into the matrix at the same time. */
+ * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and
+ * adds into copies of their forces, which are then added up node by node. What a chunk does and
+ * the order of every sum are fixed by the mesh. For tangents, chunks without a common node have
+ * one colour and add into the matrix at the same time. */
 #define SFEMI_CHUNK_TETS 256
 #define SFEMI_CHUNK_TASK 4     /* chunks a task */
 #define SFEMI_NODE_TASK  2048  /* nodes a task */
@@ -7979,7 +8175,7 @@ struct sfem_model {
     sfem_real *density;        /* [tets] kg/m^3 */
     sfem_real *volume;         /* [tets] */
     unsigned char *law;        /* [tets] sfem_law */
-    int nonlinear;             /* some of them are not SFEM_LINEAR */
+    int turns, hardens;        /* some law is not linear; is neither linear nor corotational */
     sfemi_chunks chunks;
     sfem_real total_mass;
     int lock;                  /* guards what follows */
@@ -8182,9 +8378,10 @@ static void sfemi_chunks_count(const sfem_model *model, sfemi_chunks *c, sfem_in
     c->copies = c->copy_start[c->count];
 }
 
-/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the chunk. */
-static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, const sfem_int *local,
-                              sfemi_block *block, sfem_int lane)
+/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the
+ * chunk. */
+static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
+                              const sfem_int *local, sfemi_block *block, sfem_int lane)
 {
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
     sfem_real g[4][3];
@@ -8198,8 +8395,8 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, c
     if (!filler) block->count = lane + 1;
 }
 
-/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane after
- * lane then adds to different nodes, and need not wait for the last sum. */
+/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane
+ * after lane then adds to different nodes, and need not wait for the last sum. */
 static void sfemi_chunks_fill_blocks(const sfem_model *model, sfemi_chunks *c, sfem_int k,
                                      const sfem_int *local)
 {
@@ -8254,8 +8451,10 @@ static sfem_int sfemi_chunks_of(const sfemi_chunks *c, sfem_int copy)
     sfem_int low = 0, high = c->count;
     while (high - low > 1) {
         const sfem_int mid = low + (high - low) / 2;
-        if (c->copy_start[mid] <= copy) low = mid;
-        else high = mid;
+        if (c->copy_start[mid] <= copy)
+            low = mid;
+        else
+            high = mid;
     }
     return low;
 }
@@ -8330,6 +8529,8 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
     sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
     model->law[e] = (unsigned char)m->law;
+    model->turns |= m->law != SFEM_LINEAR;
+    model->hardens |= m->law == SFEM_STVK || m->law == SFEM_NEOHOOKEAN;
     model->density[e] = m->density;
     node = m->density * v / 20;
     for (a = 0; a < 4; ++a) {
@@ -8466,7 +8667,6 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
         sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
     SFEMI_TRY(sfemi_chunks_build(model, err));
     for (i = 0; i < model->mesh.nodes; ++i) model->total_mass += model->node_mass[i];
-    for (i = 0; i < model->mesh.tets; ++i) model->nonlinear |= model->law[i] != SFEM_LINEAR;
     if (def->damping) SFEMI_TRY(sfemi_fem_add_damping(model, def->damping, err));
     if (!sfemi_all_finite(model->stiffness.val, 9 * (size_t)model->row[model->mesh.nodes])) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "the stiffness matrix overflows: check the units");
@@ -8678,9 +8878,10 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
 }
 
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
-                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
-                                     sfem_real *work, const sfem_exec *exec)
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
@@ -8711,6 +8912,7 @@ typedef struct sfemi_tangents {
     sfem_tangent kind;
     sfem_real *val;
     const sfem_int *chunk; /* of one colour */
+    sfemi_pairs_kernel kernel;
 } sfemi_tangents;
 
 /* Adds the tangent of a lane's tet. */
@@ -8718,24 +8920,27 @@ static void sfemi_tangents_tet(const sfemi_tangents *job, const sfemi_block *blo
 {
     const sfem_int e = block->tet[lane], *t = job->model->mesh.tet + 4 * (size_t)e;
     const sfem_int *place = job->model->chunks.place + 10 * (size_t)e;
-    sfem_real g[4][3], in_v[4][3], grad[9], k[9];
+    sfem_real g[4][3], grad[9];
+    unsigned swap = 0;
     sfemi_modes modes;
-    int a, b, i;
+    sfemi_pairs pairs;
+    int a, b, i, n;
     for (i = 0; i < 3; ++i) {
         for (a = 1; a < 4; ++a) g[a][i] = block->shape[3 * a - 3 + i][lane];
         g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
     }
     sfemi_element_deform(job->u + 3 * (size_t)t[0], job->u + 3 * (size_t)t[1],
                          job->u + 3 * (size_t)t[2], job->u + 3 * (size_t)t[3], g, grad);
-    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind, &modes);
-    sfemi_modes_turn(&modes, g, in_v);
-    for (a = 0; a < 4; ++a)
-        for (b = 0; b <= a; ++b) {
-            sfem_real *to = job->val + 9 * (size_t)*place++;
-            const int down = t[a] >= t[b];
-            sfemi_modes_block(&modes, 1, in_v[down ? a : b], in_v[down ? b : a], k);
-            for (i = 0; i < 9; ++i) to[i] += k[i];
-        }
+    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind,
+                    &modes);
+    for (a = 0, n = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n) swap |= (unsigned)(t[a] < t[b]) << n;
+    sfemi_pairs_fill(&modes, g, swap, &pairs);
+    job->kernel(&modes, 1, &pairs);
+    for (n = 0; n < 10; ++n) {
+        sfem_real *to = job->val + 9 * (size_t)place[n];
+        for (i = 0; i < 9; ++i) to[i] += pairs.k[i][n];
+    }
 }
 
 static void sfemi_tangents_chunk(void *data, sfem_int index)
@@ -8745,7 +8950,8 @@ static void sfemi_tangents_chunk(void *data, sfem_int index)
     const sfem_int k = job->chunk[index];
     sfem_int b, lane;
     for (b = c->block_start[k]; b < c->block_start[k + 1]; ++b)
-        for (lane = 0; lane < c->block[b].count; ++lane) sfemi_tangents_tet(job, c->block + b, lane);
+        for (lane = 0; lane < c->block[b].count; ++lane)
+            sfemi_tangents_tet(job, c->block + b, lane);
 }
 
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
@@ -8760,6 +8966,7 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
+    job.kernel = sfemi_pairs_pick();
     memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
     for (n = 0; n < c->colors; ++n) {
         job.chunk = c->color_chunk + c->color_start[n];
@@ -9126,10 +9333,15 @@ typedef struct sfemi_state_head {
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
+    sfem_int current;   /* f, psi, frame and the ledger belong to u */
+    sfem_int rebase;    /* what counts as free has changed: a new ledger */
     sfem_int unused;
+    int64_t steps, redone;
+    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger */
 } sfemi_state_head;
 
-enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RUNNING };
+/* RESTARTED: as not started, but the loads have their history. */
+enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
  * the mean velocity over the last step for (p,q,r). */
@@ -9137,17 +9349,22 @@ typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
+    sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
+    sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
 } sfemi_state;
 
-static size_t sfemi_state_bytes(sfem_int nodes, sfem_int pins, sfem_int handles)
+/* reals a node: u, w, a and three loads; f, f_past and frame besides */
+static size_t sfemi_state_reals(sfem_int nodes, int turns) { return (turns ? 33 : 18) * (size_t)nodes; }
+
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles)
 {
-    return sizeof(sfemi_state_head) + 18 * (size_t)nodes * sizeof(sfem_real) +
+    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns) * sizeof(sfem_real) +
            (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
 }
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, sfem_int pins)
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -9157,7 +9374,10 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, sfe
     s->w = at + n;
     s->a = at + 2 * n;
     for (k = 0; k < 3; ++k) s->force[k] = at + (3 + (size_t)k) * n;
-    s->pin = (sfemi_hold *)(void *)(at + 6 * n);
+    s->f = turns ? at + 6 * n : NULL;
+    s->f_past = turns ? at + 7 * n : NULL;
+    s->frame = turns ? at + 8 * n : NULL;
+    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
 }
 
@@ -9192,7 +9412,9 @@ static uint32_t sfemi_state_checksum(const void *block, size_t bytes)
 typedef struct sfemi_grip {
     sfem_int count;   /* handles in use */
     sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body turns, so many
+                       * for each of the handle's nodes */
+    sfem_int *parts;  /* [max] for how many nodes there is room in y */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
     sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
     sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
@@ -9242,23 +9464,27 @@ static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real
     }
 }
 
-/* Y = A^-1 H^T of one handle. scratch [3][nodes][3] may be y itself. */
-static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, sfem_real *y,
-                               sfem_real *work, const sfem_exec *exec)
+/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
+static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
+                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
 {
     const size_t n = 3 * (size_t)nodes;
-    int k, c;
-    memset(y, 0, 3 * n * sizeof *y);
-    for (c = 0; c < 3; ++c)
-        for (k = 0; k < 4; ++k)
-            if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
-                y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += h->weight[k];
-    sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+    int first, k, c;
+    for (first = 0; first < (apart ? 4 : 1); ++first) {
+        if (h->weight[first] == 0 && apart) continue;
+        memset(y, 0, 3 * n * sizeof *y);
+        for (c = 0; c < 3; ++c)
+            for (k = first; k < (apart ? first + 1 : 4); ++k)
+                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
+                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
+        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+        y += 3 * n;
+    }
 }
 
-/* Factors S = H Y and W = H M^-1 H^T over the handles in g->slot. */
+/* Factors S = H Y, unless the body turns, and W = H M^-1 H^T over the handles in g->slot. */
 static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
-                              const unsigned char *mask)
+                              int turns, const unsigned char *mask)
 {
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_int k = g->count;
@@ -9270,8 +9496,8 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             const sfemi_handle *hj = handle + g->slot[j];
             for (b = 0; b < 3; ++b) {
                 sfem_real mean[3], w = 0;
-                sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+                if (!turns) sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3 && !turns; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
                 for (p = 0; p < 4; ++p)
                     for (q = 0; q < 4; ++q)
                         if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
@@ -9281,7 +9507,7 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             }
         }
     }
-    sfemi_grip_factor(g->s, 3 * k, 3 * k);
+    if (!turns) sfemi_grip_factor(g->s, 3 * k, 3 * k);
     for (b = 0; b < 3; ++b) sfemi_grip_factor(g->wm + b * k * k, k, k);
 }
 
@@ -9380,6 +9606,36 @@ typedef struct sfemi_implicit {
 
 enum { SFEMI_IMPLICIT_VECTORS = 15 };
 
+/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
+typedef struct sfemi_piece {
+    int held; /* by a pin or a handle: no projection */
+    sfem_real mass, centre[3], inertia_inverse[9];
+    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real sum[4][3];          /* scratch of the energies */
+} sfemi_piece;
+
+typedef struct sfemi_turn {
+    sfem_int pieces;
+    sfem_int *piece_of;  /* [nodes] -1: in no tet */
+    sfemi_piece *piece;  /* [pieces] */
+    sfem_real *rotation; /* [tets][3][3] */
+    sfem_real *work;     /* of sfem_model_forces */
+    sfem_real *v;        /* [nodes][3] scratch */
+    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
+} sfemi_turn;
+
+/* >>guard: scratch of a step, all [nodes][3] unless stated. */
+typedef struct sfemi_guard {
+    sfem_real *u, *w, *f;  /* the step's end */
+    sfem_real *external;   /* the loads as the corrections weigh them */
+    sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
+    sfem_factor *factor;   /* A with p = 1, for the redo; NULL until one is needed */
+    sfem_real h;           /* what it is for */
+    sfemi_grip grip;       /* the handles' columns for it */
+    sfem_real psi;         /* at u */
+    int redone;            /* u, w, f come from the redo */
+} sfemi_guard;
+
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
     sfem_allocator allocator;
@@ -9390,8 +9646,11 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
+    int turns;             /* a nonlinear law: >>turn and >>guard apply */
     sfemi_state state;
     sfemi_grip grip;
+    sfemi_turn turn;
+    sfemi_guard guard;
     /* prepared */
     sfem_factor *factor;
     sfem_real h, p;      /* what the factor is for */
@@ -9424,29 +9683,37 @@ static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real 
     return k;
 }
 
+/* out = load[0] F+ + load[1] F + load[2] F- + their sum M g - rhs; out may be rhs. */
+static void sfemi_body_take_from_load(const sfem_body *b, const sfem_real load[3], const sfem_real *rhs,
+                                      sfem_real *out)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real all = load[0] + load[1] + load[2], *g = b->state.head->gravity;
+    const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
+    size_t i;
+    for (i = 0; i < n / 3; ++i) {
+        const sfem_real m = all * model->node_mass[i];
+        out[3 * i] = m * g[0] - rhs[3 * i];
+        out[3 * i + 1] = m * g[1] - rhs[3 * i + 1];
+        out[3 * i + 2] = m * g[2] - rhs[3 * i + 2];
+    }
+    if (b->state.head->loaded && b->state.head->load_age >= 2)
+        for (i = 0; i < n; ++i) out[i] += all * f0[i];
+    else if (b->state.head->loaded)
+        for (i = 0; i < n; ++i) out[i] += load[0] * f0[i] + load[1] * f1[i] + load[2] * f2[i];
+}
+
 /* rhs = load[0] F+ + load[1] F + load[2] F- + their sum M g - K zk - M zm - (rest of D) zd. */
 static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_mass)
 {
     const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real all = load[0] + load[1] + load[2];
-    const sfem_real *f0 = b->state.force[0], *f1 = b->state.force[1], *f2 = b->state.force[2];
-    const sfem_real *g = b->state.head->gravity;
     size_t i;
     sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
-    for (i = 0; i < n / 3; ++i) {
-        const sfem_real m = all * model->node_mass[i];
-        b->rhs[3 * i] = m * g[0] - b->rhs[3 * i];
-        b->rhs[3 * i + 1] = m * g[1] - b->rhs[3 * i + 1];
-        b->rhs[3 * i + 2] = m * g[2] - b->rhs[3 * i + 2];
-    }
-    if (b->state.head->loaded && b->state.head->load_age >= 2)
-        for (i = 0; i < n; ++i) b->rhs[i] += all * f0[i];
-    else if (b->state.head->loaded)
-        for (i = 0; i < n; ++i) b->rhs[i] += load[0] * f0[i] + load[1] * f1[i] + load[2] * f2[i];
+    sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
     if (with_mass) sfemi_fem_add_mass(model, -1, b->zm, b->rhs);
     if (model->damping) {
-        for (i = 0; i < n; ++i) b->zd[i] = -b->zd[i];
+        for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) b->zd[i] = -b->zd[i];
         sfemi_fem_add_damping_rest(model, b->zd, b->rhs);
     }
 }
@@ -9518,19 +9785,19 @@ static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
     for (i = 0; i < n; ++i) b->state.a[i] /= scale;
 }
 
-/* c - (what the handles would do without force), in units of acceleration, to grip.lambda:
+/* c - (what the handles would do without force), in units of acceleration, to g->lambda:
  * (target - H X - H u)/scale with u the displacement that is predicted. */
-static void sfemi_body_handle_gap(sfem_body *b, const sfem_real *u, sfem_real scale)
+static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_real *u, sfem_real scale)
 {
     sfem_int i;
     int c;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfemi_handle *h = b->state.handle + b->grip.slot[i];
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *h = b->state.handle + g->slot[i];
         sfem_real rest[3], moved[3];
         sfemi_grip_mean(h, b->model->mesh.x, rest);
         sfemi_grip_mean(h, u, moved);
         for (c = 0; c < 3; ++c)
-            b->grip.lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
+            g->lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
     }
 }
 
@@ -9595,7 +9862,7 @@ static void sfemi_newmark_solve(sfem_body *b)
     sfem_real v;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, h, &b->zk[i], &v);
-    sfemi_body_handle_gap(b, b->zk, b->def.beta * h * h);
+    sfemi_body_handle_gap(b, &b->grip, b->zk, b->def.beta * h * h);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
@@ -9667,7 +9934,7 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
  * ============================================================================================ */
 
 /* Do all tets follow Hooke's law in small rotations? */
-static int sfemi_implicit_linear(const sfem_model *model) { return !model->nonlinear; }
+static int sfemi_implicit_linear(const sfem_model *model) { return !model->turns; }
 
 static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
 {
@@ -10309,9 +10576,9 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     if (!b->grip.count) return SFEM_OK;
     if (y->matrix.val || m->second) {
         for (k = 0; k < b->grip.count; ++k)
-            sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes,
+            sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
                                b->grip.y[b->grip.slot[k]], b->work, &b->exec);
-        sfemi_grip_gather(&b->grip, b->state.handle, b->model, y->factor->mask);
+        sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
     }
     sfemi_newton_gap(b);
     sfemi_grip_apply(&b->grip, b->state.handle, nodes, m->step);
@@ -10702,7 +10969,7 @@ static void sfemi_pqr_solve(sfem_body *b)
     size_t i;
     if (!b->grip.count) return;
     for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, b->zk, h * sfemi_pqr_weigh(b, h).d);
+    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
@@ -10876,7 +11143,1031 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
     if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
     if (b->def.integrator > SFEM_CENTRAL) return 0;
     if (b->def.integrator == SFEM_CENTRAL) return 1;
+    if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
+}
+
+/* ============================================================================================
+ * >>turn   the inverse of A in a body that turns: frames, rigid projection
+ *
+ * The factor is of the rest pose, A0. For a body that turns, A = Q A0 Q^T with one rotation a node,
+ * Q_i = polar(sum V_e R_e) over its tets, or one a piece; a lumped M commutes with Q. That does not keep
+ * rigid motions free of force, so on pieces that nothing holds
+ *   A^-1 b = N (N^T c M N)^-1 N^T b + P Q A0^-1 Q^T P^T b,   P = I - N (N^T M N)^-1 N^T M,
+ * N being the six rigid motions at the present positions, cm M the mass part of A0: linear and angular
+ * momentum are then exact, and the form is symmetric. Stiffness damping turns alike, D w = alpha M w +
+ * P^T Q (beta K + rest) Q^T P w, which A bounds. A piece that a handle holds counts as held.
+ * ============================================================================================ */
+
+/* Inverse of a symmetric positive semidefinite 3x3 matrix, kept finite where it is singular. */
+static void sfemi_turn_invert(const sfem_real m[9], sfem_real inverse[9])
+{
+    const sfem_real trace = m[0] + m[4] + m[8];
+    sfem_real a[9], c[9], det;
+    int i;
+    memcpy(a, m, sizeof a);
+    for (i = 0; i < 9; i += 4) a[i] += 1e-12 * trace;
+    sfemi_cofactor3(a, c);
+    det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 ? c[i] / det : 0;
+}
+
+/* Mass, centre and inertia of every piece at X + u. */
+static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
+{
+    const sfem_model *model = b->model;
+    const sfem_int nodes = model->mesh.nodes;
+    sfemi_turn *t = &b->turn;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < t->pieces; ++k) {
+        t->piece[k].mass = 0;
+        memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
+        memset(t->piece[k].inertia_inverse, 0, sizeof t->piece[k].inertia_inverse);
+    }
+    for (i = 0; i < nodes; ++i) {
+        sfemi_piece *p = t->piece + t->piece_of[i];
+        if (t->piece_of[i] < 0) continue;
+        p->mass += model->node_mass[i];
+        for (c = 0; c < 3; ++c)
+            p->centre[c] += model->node_mass[i] *
+                            (model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c]);
+    }
+    for (k = 0; k < t->pieces; ++k)
+        for (c = 0; c < 3; ++c) t->piece[k].centre[c] /= t->piece[k].mass;
+    for (i = 0; i < nodes; ++i) {
+        sfem_real r[3], m = model->node_mass[i], *in;
+        if (t->piece_of[i] < 0 || t->piece[t->piece_of[i]].held) continue;
+        in = t->piece[t->piece_of[i]].inertia_inverse;
+        for (c = 0; c < 3; ++c)
+            r[c] = model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c] -
+                   t->piece[t->piece_of[i]].centre[c];
+        for (c = 0; c < 9; ++c)
+            in[c] += m * ((c % 4 == 0 ? sfemi_dot3(r, r) : 0) - r[c / 3] * r[c % 3]);
+    }
+    for (k = 0; k < t->pieces; ++k)
+        if (!t->piece[k].held) {
+            sfem_real inertia[9];
+            memcpy(inertia, t->piece[k].inertia_inverse, sizeof inertia);
+            sfemi_turn_invert(inertia, t->piece[k].inertia_inverse);
+        }
+}
+
+/* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
+static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    const sfem_model *model = b->model;
+    sfemi_turn *t = &b->turn;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfemi_piece *p = t->piece + t->piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], force[3], torque[3];
+        if (t->piece_of[i] < 0 || p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+            force[c] = velocity ? model->node_mass[i] * x[at + (size_t)c] : x[at + (size_t)c];
+        }
+        sfemi_cross(r, force, torque);
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] += force[c];
+            p->motion[3 + c] += torque[c];
+        }
+    }
+}
+
+/* The motion that has this momentum: (N^T M N)^-1. */
+static void sfemi_turn_divide(sfem_body *b)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfemi_piece *p = b->turn.piece + k;
+        sfem_real omega[3];
+        if (p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] /= p->mass;
+            omega[c] = sfemi_dot3(p->inertia_inverse + 3 * c, p->motion + 3);
+        }
+        memcpy(p->motion + 3, omega, sizeof omega);
+    }
+}
+
+static void sfemi_turn_motion(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    sfemi_turn_momentum(b, u, x, velocity);
+    sfemi_turn_divide(b);
+}
+
+/* x += scale N motion on free pieces, times the nodes' masses where x is a force. */
+static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real scale, int force,
+                                  sfem_real *x)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    int c;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], v[3], s;
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        s = force ? scale * model->node_mass[i] : scale;
+        for (c = 0; c < 3; ++c)
+            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+        sfemi_cross(p->motion + 3, r, v);
+        for (c = 0; c < 3; ++c) x[at + (size_t)c] += s * (p->motion[c] + v[c]);
+    }
+}
+
+/* y = Q^T x or Q x, node by node; y may be x. */
+static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, const sfem_real *x,
+                              sfem_real *y)
+{
+    sfem_int i;
+    for (i = 0; i < nodes; ++i, x += 3, y += 3, frame += 9) {
+        const sfem_real a = x[0], b = x[1], c = x[2];
+        if (back) {
+            y[0] = frame[0] * a + frame[3] * b + frame[6] * c;
+            y[1] = frame[1] * a + frame[4] * b + frame[7] * c;
+            y[2] = frame[2] * a + frame[5] * b + frame[8] * c;
+        } else {
+            y[0] = frame[0] * a + frame[1] * b + frame[2] * c;
+            y[1] = frame[3] * a + frame[4] * b + frame[5] * c;
+            y[2] = frame[6] * a + frame[7] * b + frame[8] * c;
+        }
+    }
+}
+
+static int sfemi_turn_projects(const sfem_body *b)
+{
+    sfem_int k;
+    for (k = 0; b->def.frame != SFEM_FRAME_REST && k < b->turn.pieces; ++k)
+        if (!b->turn.piece[k].held) return 1;
+    return 0;
+}
+
+/* x = A^-1 x, see above, held axes becoming 0. */
+static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                             const sfem_real *frame, sfem_real *x)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const int projects = sfemi_turn_projects(b);
+    sfem_int i, k;
+    int c;
+    if (projects) {
+        sfemi_turn_motion(b, u, x, 0);
+        sfemi_turn_add_motion(b, u, -1, 1, x);
+    }
+    for (i = 0; i < nodes; ++i)
+        for (c = 0; c < 3; ++c)
+            if (b->mask[i] >> c & 1) x[3 * (size_t)i + (size_t)c] = 0;
+    sfemi_turn_rotate(frame, nodes, 1, x, x);
+    sfemi_factor_solve(f, nodes, 1, x, x, b->work, &b->exec);
+    sfemi_turn_rotate(frame, nodes, 0, x, x);
+    if (!projects) return;
+    for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    sfemi_turn_motion(b, u, x, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] / f->key.cm - b->turn.piece[k].motion[c];
+    sfemi_turn_add_motion(b, u, 1, 0, x);
+}
+
+/* y = P^T Q (K Q^T P z + rest of D Q^T P zd); zd may be NULL. z and zd are overwritten. */
+static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_real *frame, sfem_real *z,
+                                 sfem_real *zd, sfem_real *y)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const int projects = sfemi_turn_projects(b);
+    sfem_real *const both[2] = {z, zd};
+    int k;
+    for (k = 0; k < (zd ? 2 : 1); ++k) {
+        if (projects) {
+            sfemi_turn_motion(b, u, both[k], 1);
+            sfemi_turn_add_motion(b, u, -1, 0, both[k]);
+        }
+        sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
+    }
+    sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
+    sfemi_turn_rotate(frame, nodes, 0, y, y);
+    if (!projects) return;
+    sfemi_turn_motion(b, u, y, 0);
+    sfemi_turn_add_motion(b, u, -1, 1, y);
+}
+
+/* Is the rotation of s = sum V_e R_e well determined: are its two smaller singular values, one of them
+ * signed, together above a twentieth of V? They are at least trace S - V. */
+static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[9])
+{
+    sfem_real stretch[9], u[9], v[9], w[3], fresh[9];
+    sfem_polar(s, fresh, stretch);
+    if (!(stretch[0] + stretch[4] + stretch[8] > 1.05 * volume)) {
+        sfem_signed_svd(s, u, w, v);
+        if (!(w[1] + w[2] > 0.05 * volume)) return 0;
+    }
+    memcpy(r, fresh, sizeof fresh);
+    return 1;
+}
+
+/* Q from the tets' rotations; where it is not determined, and at nodes that are held on some axes only,
+ * it stays as it was. sum [nodes][9] is scratch. */
+static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real *frame)
+{
+    const sfem_model *model = b->model;
+    const int whole = b->def.frame == SFEM_FRAME_PIECE;
+    sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
+    sfem_int e, i;
+    int a, c;
+    if (b->def.frame == SFEM_FRAME_REST) return;
+    memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
+    for (e = 0; e < model->mesh.tets; ++e)
+        for (a = 0; a < 4; ++a) {
+            const sfem_int node = model->mesh.tet[4 * (size_t)e + (size_t)a];
+            const size_t to = (size_t)(whole ? b->turn.piece_of[node] : node);
+            for (c = 0; c < 9; ++c)
+                sum[9 * to + (size_t)c] += model->volume[e] * rotation[9 * (size_t)e + (size_t)c];
+            volume[to] += model->volume[e];
+        }
+    for (i = 0; whole && i < b->turn.pieces; ++i) /* -1 in place of a volume: leave all its frames */
+        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        if (b->turn.piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (!whole) sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], frame + 9 * (size_t)i);
+        else if (volume[b->turn.piece_of[i]] > 0)
+            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)b->turn.piece_of[i], 9 * sizeof *frame);
+    }
+}
+
+/* Room for the solves with f, `rhs` at a time. */
+static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
+                                           sfem_error *err)
+{
+    const size_t size = sfemi_factor_work_size(f, rhs);
+    sfem_real *work;
+    sfem_status status = SFEM_OK;
+    if (size <= b->work_size) return SFEM_OK;
+    SFEMI_NEW(sfem_real, work, &b->allocator, size);
+    sfemi_delete(&b->allocator, b->work);
+    b->work = work;
+    b->work_size = size;
+done:
+    return status;
+}
+
+/* Room for the columns of handle `slot`, where it is used or may not allocate later. */
+static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot, sfem_error *err)
+{
+    const sfemi_handle *h = b->state.handle + slot;
+    sfem_status status = SFEM_OK;
+    sfem_int parts = b->def.no_allocation ? (b->turns ? 4 : 1) : 0, k, used = 0;
+    sfem_real *y;
+    for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
+    if (used > 0 && !b->turns) used = 1;
+    if (used > parts) parts = used;
+    if (parts <= g->parts[slot]) return SFEM_OK;
+    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)parts * (size_t)b->model->mesh.nodes);
+    sfemi_delete(&b->allocator, g->y[slot]);
+    g->y[slot] = y;
+    g->parts[slot] = parts;
+    g->ready[slot] = 0;
+done:
+    return status;
+}
+
+/* ============================================================================================
+ * >>guard   (p,q,r) for bodies that turn: the guarded step
+ *
+ * Turning the factor is not enough in violent motion. Two energies are watched, with L the loads and v_r,
+ * L_r the parts of w' and L that do not move a free piece's centre of mass:
+ *   Eb = 1/2 v_r.r M v_r + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2 - L_r.(u + u')/2
+ *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
+ * Eb is conserved exactly where the body is linear and undamped, but blind to fast modes; Ec is not, and
+ * is tested loosely. They may not pass a ledger B (the least energy so far, forgotten over half a
+ * second, plus the work of handles, moved pins and changing loads) by more than .01 and .3 of a scale S,
+ * the energy in motion over the last second. A step that does is taken back and done again as a
+ * minimisation of
+ *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
+ * by descent with the factor of p = 1, from the better of u and y, until Ec is in order; Phi(z) <= Phi(u)
+ * alone implies Psi(z) - L.z <= Ec(u), so the last resort, less velocity, always ends it. Then the
+ * motion starts afresh from there. Energy and momentum are kept, angular momentum not wholly.
+ * ============================================================================================ */
+
+typedef struct sfemi_guard_energies {
+    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+} sfemi_guard_energies;
+
+/* Sums over a free piece, and the pieces' share in the energies of the whole. */
+static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
+                                                const sfem_real *f1, sfem_real psi1, sfem_real h)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
+    sfemi_guard_energies e;
+    sfem_real mid = 0, end = 0, stretch = 0;
+    sfem_int i, k;
+    int c;
+    memset(&e, 0, sizeof e);
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real m = model->node_mass[i];
+        sfem_real(*sum)[3];
+        if (b->turn.piece_of[i] < 0) continue;
+        sum = b->turn.piece[b->turn.piece_of[i]].sum;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real load = m * g[c] + s->force[1][at];
+            if (b->mask[i] >> c & 1) continue;
+            e.kinetic += m / 2 * w1[at] * w1[at];
+            e.floor += h * h / 2 * load * load / m;
+            mid -= load * (s->u[at] + u1[at]) / 2;
+            end -= load * u1[at];
+            stretch += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            sum[0][c] += m * w1[at];
+            sum[1][c] += load;
+            sum[2][c] += m * (s->u[at] + u1[at]) / 2;
+            sum[3][c] += m * u1[at];
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        const sfemi_piece *p = b->turn.piece + k;
+        for (c = 0; !p->held && c < 3; ++c) {
+            e.kinetic -= p->sum[0][c] * p->sum[0][c] / (2 * p->mass);
+            e.floor -= h * h / 2 * p->sum[1][c] * p->sum[1][c] / p->mass;
+            mid += p->sum[1][c] * p->sum[2][c] / p->mass;
+            end += p->sum[1][c] * p->sum[3][c] / p->mass;
+        }
+    }
+    e.kinetic *= r;
+    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (b->p - 0.5) / 2 * stretch + mid;
+    e.ec = e.kinetic + psi1 + end;
+    return e;
+}
+
+static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
+{
+    return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
+}
+
+/* Forces, frames and a new ledger where the state was set from outside. */
+static void sfemi_guard_refresh(sfem_body *b)
+{
+    sfemi_state_head *head = b->state.head;
+    sfemi_guard_energies e;
+    sfem_int i;
+    if (!head->current) {
+        for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
+        head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
+        sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+    }
+    sfemi_turn_locate(b, b->state.u);
+    if (head->current && !head->rebase) return;
+    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+    head->budget = head->last = e.ec;
+    if (!head->current) head->scale = 0;
+    if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
+    if (e.floor > head->scale) head->scale = e.floor;
+    head->current = 1;
+    head->rebase = 0;
+}
+
+static void sfemi_guard_predict(sfem_body *b, sfem_real h)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
+    int stiff, c;
+    sfemi_pqr_terms t;
+    sfem_int j;
+    size_t i;
+    b->step = h;
+    sfemi_guard_refresh(b);
+    t = sfemi_pqr_weigh(b, h);
+    t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
+    for (i = 0; i < n; ++i) {
+        const sfem_real dv = damped ? t.cd * s->w[i] : 0;
+        b->zk[i] = b->beta * dv - t.ck * s->w[i];
+        b->zm[i] = b->alpha * dv;
+        if (b->zd) b->zd[i] = dv;
+        b->acc[i] = 0;
+    }
+    for (j = 0; j < b->pin_count; ++j) {
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[j] + (size_t)c;
+            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
+            b->acc[i] = ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
+            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * b->acc[i];
+            if (b->zd) b->zd[i] += k.q / 2 * h * b->acc[i];
+            stiff |= b->acc[i] != 0;
+        }
+    }
+    if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+    else memset(b->rhs, 0, n * sizeof *b->rhs);
+    for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
+    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
+        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
+        sfem_real weight[3];
+        weight[0] = after - t.load[0];
+        weight[1] = t.load[0] + t.load[2] - after - before;
+        weight[2] = before - t.load[2];
+        memset(b->guard.external, 0, n * sizeof *b->guard.external);
+        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
+        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
+    }
+    sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
+}
+
+/* In a turned body every node has a frame of its own, so a handle has three columns for each of its nodes,
+ * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
+static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *frame)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_int size = 3 * g->count;
+    sfem_int i, j;
+    int k, l, part, r, c, m;
+    memset(g->s, 0, (size_t)size * (size_t)size * sizeof *g->s);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *hi = b->state.handle + g->slot[i];
+        for (j = 0; j <= i; ++j) {
+            const sfemi_handle *hj = b->state.handle + g->slot[j];
+            for (k = 0; k < 4; ++k)
+                for (l = 0, part = 0; l < 4; ++l) {
+                    const sfem_real *y, *qk, *ql;
+                    sfem_real block[9], turned[9], both[9];
+                    if (hj->weight[l] == 0) continue;
+                    y = g->y[g->slot[j]] + 3 * n * (size_t)part++;
+                    if (hi->weight[k] == 0) continue;
+                    for (r = 0; r < 3; ++r)
+                        for (c = 0; c < 3; ++c)
+                            block[3 * r + c] = y[(size_t)c * n + 3 * (size_t)hi->node[k] + (size_t)r];
+                    qk = frame + 9 * (size_t)hi->node[k];
+                    ql = frame + 9 * (size_t)hj->node[l];
+                    sfemi_mul3(qk, block, turned);
+                    sfemi_mul3_nt(turned, ql, both);
+                    for (m = 0; m < 9; ++m)
+                        g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += hi->weight[k] * hj->weight[l] * both[m];
+                }
+        }
+    }
+    sfemi_grip_factor(g->s, size, size);
+}
+
+/* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
+static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame, sfem_real *a)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *y = b->turn.v;
+    sfem_int i;
+    size_t k;
+    int c, l;
+    if (!g->count) return;
+    sfemi_guard_gather(b, g, frame);
+    for (i = 0; i < g->count; ++i) {
+        sfem_real mean[3];
+        sfemi_grip_mean(b->state.handle + g->slot[i], a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    memset(y, 0, n * sizeof *y);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_handle *h = b->state.handle + g->slot[i];
+        const sfem_real *column = g->y[g->slot[i]];
+        for (l = 0; l < 4; ++l) {
+            const sfem_real *q = frame + 9 * (size_t)h->node[l], *lambda = g->lambda + 3 * i;
+            if (h->weight[l] == 0) continue;
+            for (c = 0; c < 3; ++c, column += n) {
+                const sfem_real f = h->weight[l] * (q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2]);
+                for (k = 0; k < n; ++k) y[k] += f * column[k];
+            }
+        }
+    }
+    sfemi_turn_rotate(frame, b->model->mesh.nodes, 0, y, y);
+    for (k = 0; k < n; ++k)
+        if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
+}
+
+static void sfemi_guard_solve(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step;
+    sfem_real *x = b->zm;
+    size_t i;
+    memcpy(x, b->rhs, n * sizeof *x);
+    for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
+    sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, x);
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
+    if (!b->grip.count) return;
+    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
+    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
+    sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+}
+
+/* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
+static sfem_real sfemi_guard_advance(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        g->w[i] = b->state.w[i] + d * b->acc[i];
+        g->u[i] = b->state.u[i] + b->step * g->w[i];
+    }
+    return sfemi_guard_forces(b, g->u, g->f);
+}
+
+/* Takes from a correction of a what would move the handles; their forces follow. */
+static void sfemi_guard_hold_correction(sfem_body *b, sfem_real *a)
+{
+    sfemi_grip *g = &b->grip;
+    const size_t bytes = 3 * (size_t)g->count * sizeof *g->lambda;
+    sfem_int k;
+    if (!g->count) return;
+    memcpy(g->place, g->lambda, bytes);
+    memset(g->lambda, 0, bytes);
+    sfemi_guard_hold(b, g, b->state.frame, a);
+    for (k = 0; k < 3 * g->count; ++k) g->lambda[k] = g->place[k] - g->lambda[k];
+}
+
+/* Newton-like corrections with the same factor toward Newmark(1/4, 1/2) itself:
+ *   r = M a + D (w + w')/2 + f'/4 + f/2 + f-/4 - L,  a -= A^-1 r,
+ * at the start M a + D w' + f'/2 + f/2 - L. Returns Psi'. */
+static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const int running = s->head->started == SFEMI_RUNNING;
+    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
+    const sfem_real h1 = running ? s->head->h : 0, d = (h1 + b->step) / 2, r0 = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real after = b->step / (4 * d), before = h1 / (4 * d);
+    size_t i;
+    int k;
+    for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
+        sfem_real size = 0, change = 0;
+        for (i = 0; i < n; ++i) {
+            const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+            b->zk[i] = b->beta * v;
+            if (b->zd) b->zd[i] = v;
+            b->zm[i] = r0 * b->acc[i] + b->alpha * v;
+        }
+        if (damped && (b->beta != 0 || b->zd))
+            sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, g->grad);
+        else memset(g->grad, 0, n * sizeof *g->grad);
+        for (i = 0; i < n; ++i)
+            g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
+                          (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
+        sfemi_turn_solve(b, b->factor, s->u, s->frame, g->grad);
+        sfemi_guard_hold_correction(b, g->grad);
+        for (i = 0; i < n; ++i) {
+            if (b->mask[i / 3] >> (i % 3) & 1) continue;
+            change += model->node_mass[i / 3] * g->grad[i] * g->grad[i];
+            size += model->node_mass[i / 3] * b->acc[i] * b->acc[i];
+            b->acc[i] -= g->grad[i];
+        }
+        psi = sfemi_guard_advance(b);
+        if (change <= b->def.correction_tolerance * b->def.correction_tolerance * size) break;
+    }
+    return psi;
+}
+
+/* Phi, its gradient on free axes in guard.grad, Psi and f at z. */
+static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_real *f, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real *mass = b->model->node_mass, h = b->step;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real phi = 0;
+    size_t i;
+    *psi = sfemi_guard_forces(b, z, f);
+    for (i = 0; i < n; ++i) {
+        const sfem_real inertia = r * mass[i / 3] * (z[i] - g->y[i]) / (h * h);
+        const int held = b->mask[i / 3] >> (i % 3) & 1;
+        if (!held) phi += inertia * (z[i] - g->y[i]) / 2;
+        g->grad[i] = held ? 0 : inertia + f[i];
+    }
+    return phi + *psi;
+}
+
+/* Puts held axes at their targets and, by the redo's factor, the handles' points: z satisfies the
+ * constraints, and what is added to it may not leave them. */
+static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
+        }
+    if (!b->guard.grip.count) return;
+    for (k = 0; k < b->guard.grip.count; ++k) { /* hold compares H z with the target's displacement */
+        const sfemi_handle *h = b->state.handle + b->guard.grip.slot[k];
+        sfem_real rest[3];
+        sfemi_grip_mean(h, b->model->mesh.x, rest);
+        for (c = 0; c < 3; ++c) b->guard.grip.lambda[3 * k + c] = h->hold.target[c] - rest[c];
+    }
+    sfemi_guard_hold(b, &b->guard.grip, b->state.frame, z);
+}
+
+static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    for (i = 0; i < n; ++i) g->w[i] = (g->u[i] - b->state.u[i]) / b->step;
+    return sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+}
+
+/* The better of u and y, by Phi, as z in guard.u, with f and grad. Returns Phi. */
+static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_real phi, phi_y;
+    memcpy(g->trial_u, g->y, bytes);
+    sfemi_guard_constrain(b, g->trial_u);
+    phi_y = sfemi_guard_potential(b, g->trial_u, g->f, psi);
+    memcpy(g->u, b->state.u, bytes);
+    sfemi_guard_constrain(b, g->u);
+    phi = sfemi_guard_potential(b, g->u, g->f, psi);
+    if (!(sfemi_finite(phi_y) && phi_y <= phi)) return phi;
+    memcpy(g->u, g->trial_u, bytes);
+    return sfemi_guard_potential(b, g->u, g->f, psi);
+}
+
+/* dir = -h^2 A1^-1 grad in the frames of z, leaving constraints alone. Returns grad.dir. */
+static sfem_real sfemi_guard_direction(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real slope = 0;
+    size_t i;
+    sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    memcpy(g->dir, g->grad, n * sizeof *g->dir);
+    sfemi_turn_solve(b, g->factor, b->state.u, g->frame, g->dir);
+    if (g->grip.count) {
+        memset(g->grip.lambda, 0, 3 * (size_t)g->grip.count * sizeof *g->grip.lambda);
+        sfemi_guard_hold(b, &g->grip, g->frame, g->dir);
+    }
+    for (i = 0; i < n; ++i) {
+        g->dir[i] *= -b->step * b->step;
+        slope += g->grad[i] * g->dir[i];
+    }
+    return slope;
+}
+
+/* One step of descent with Armijo's rule; 0 if there is none left to take. */
+static int sfemi_guard_descend(sfem_body *b, sfem_real *phi, sfem_real *psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    const sfem_real slope = sfemi_guard_direction(b);
+    sfem_real length = 1;
+    size_t i;
+    int halvings;
+    for (halvings = 0; halvings < 20 && slope < 0; ++halvings, length /= 2) {
+        sfem_real value;
+        for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
+        value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
+        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
+        *phi = value;
+        memcpy(g->u, g->trial_u, bytes);
+        memcpy(g->f, g->trial_f, bytes);
+        return 1;
+    }
+    *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
+    return 0;
+}
+
+/* Gives free pieces the momentum that h L adds to M w, and as much of the angular momentum as the ledger
+ * allows. */
+static void sfemi_guard_restore_momentum(sfem_body *b, sfem_real psi)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real spin2 = 0, cross = 0, room, part = 1;
+    sfemi_guard_energies e;
+    size_t i;
+    sfem_int k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    for (i = 0; i < n; ++i)
+        b->zk[i] = b->model->node_mass[i / 3] * (b->state.w[i] + (g->y[i] - b->state.u[i] - b->step * b->state.w[i]) / b->step);
+    sfemi_turn_locate(b, b->state.u);
+    sfemi_turn_momentum(b, b->state.u, b->zk, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    sfemi_turn_locate(b, g->u);
+    sfemi_turn_momentum(b, g->u, g->w, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] - b->turn.piece[k].motion[c];
+    sfemi_turn_divide(b);
+    for (k = 0; k < b->turn.pieces; ++k) { /* the centre's velocity costs no energy that is watched */
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+        memset(b->turn.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
+    }
+    sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
+    for (k = 0; k < b->turn.pieces; ++k) {
+        memset(b->turn.piece[k].motion, 0, 3 * sizeof(sfem_real));
+        memcpy(b->turn.piece[k].motion + 3, b->turn.piece[k].kept + 3, 3 * sizeof(sfem_real));
+    }
+    memset(b->zk, 0, n * sizeof *b->zk);
+    sfemi_turn_add_motion(b, g->u, 1, 0, b->zk);
+    for (i = 0; i < n; ++i) {
+        spin2 += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        cross += b->model->node_mass[i / 3] * b->zk[i] * g->w[i];
+    }
+    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    room = b->state.head->budget - e.ec;
+    if (spin2 + cross > room && spin2 > 0) {
+        const sfem_real root = cross * cross + 4 * spin2 * (room > 0 ? room : 0);
+        part = (sqrt(root) - cross) / (2 * spin2);
+        part = part < 0 ? 0 : part > 1 ? 1 : part;
+    }
+    for (i = 0; i < n; ++i) g->w[i] += part * b->zk[i];
+}
+
+/* The last resort: scales what of w' is not rigid motion until Ec <= target, or to nothing. */
+static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_guard_energies e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    sfem_real inner = 0, scale;
+    size_t i;
+    if (e.ec <= target) return;
+    memcpy(b->zk, g->w, n * sizeof *b->zk);
+    sfemi_turn_locate(b, g->u);
+    if (sfemi_turn_projects(b)) {
+        sfemi_turn_motion(b, g->u, b->zk, 1);
+        sfemi_turn_add_motion(b, g->u, -1, 0, b->zk);
+    }
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) inner += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        else b->zk[i] = 0;
+    inner *= sfemi_body_coefficients(b, b->p).r;
+    scale = inner > e.ec - target ? 1 - sqrt(1 - (e.ec - target) / inner) : 1;
+    for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
+}
+
+/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
+static sfem_real sfemi_guard_work(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
+    sfem_real work = 0;
+    sfem_int k;
+    int l, c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+        }
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
+                work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+            }
+    }
+    return work;
+}
+
+/* Does the step again, by minimisation. Leaves z, w', f, rotations in guard; returns Psi. */
+static sfem_real sfemi_guard_redo(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real psi, phi, first = 0, target;
+    size_t i;
+    int k;
+    for (i = 0; i < n; ++i) {
+        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
+        g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
+    }
+    memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
+    sfemi_turn_locate(b, b->state.u);
+    phi = sfemi_guard_choose_start(b, &psi);
+    head->budget += sfemi_guard_work(b);
+    target = head->budget + .01 * head->scale;
+    if (head->last > target) target = head->last;
+    for (k = 0; k < 8; ++k) {
+        sfem_real norm = 0;
+        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
+        if (k == 0) first = norm;
+        else if (norm < 1e-6 * first || sfemi_guard_at(b, psi).ec <= target) break;
+        if (!sfemi_guard_descend(b, &phi, &psi)) break;
+    }
+    (void)sfemi_guard_at(b, psi);
+    sfemi_guard_restore_momentum(b, psi);
+    sfemi_guard_slow_down(b, psi, target);
+    return psi;
+}
+
+/* The factor of the redo, and the handles' columns for it. */
+static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_factor *f = NULL;
+    sfemi_factor_key key;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!g->factor || g->h != h) {
+        key = b->factor->key;
+        key.ck = h * h + h * b->beta;
+        key.cm = r + h * b->alpha;
+        key.cd = b->model->damping ? h : 0;
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        sfemi_factor_release(b->model, g->factor);
+        g->factor = f;
+        g->h = h;
+        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
+    }
+    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
+    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
+    g->grip.count = b->grip.count;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
+        if (!g->grip.ready[slot])
+            sfemi_grip_columns(g->factor, b->state.handle + slot, (sfem_int)(n / 3), 1, g->grip.y[slot], b->work,
+                               &b->exec);
+        g->grip.ready[slot] = 1;
+    }
+done:
+    return status;
+}
+
+/* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
+ * or -L.u after a redo. */
+static sfem_real sfemi_guard_load_change(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfem_real back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
+    sfem_real change = 0;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        if (b->turn.piece_of[i] < 0) continue;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real u = s->u[at] - back * s->w[at], d = s->force[0][at] - s->force[1][at];
+            change -= d * u;
+            p->sum[0][c] += d;
+            p->sum[1][c] += b->model->node_mass[i] * u;
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
+            change += b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
+    return change;
+}
+
+/* Work done in the step that is to be judged by handles, moved pins, and the part of the loads that is not
+ * in the energies: force . (u' - u-)/2, half of that after a start. */
+static sfem_real sfemi_guard_step_work(const sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real work = 0;
+    sfem_int k;
+    size_t i;
+    int l, c;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = s->handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)h->node[l] + (size_t)c;
+                work += b->grip.lambda[3 * k + c] * h->weight[l] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            }
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (b->model->node_mass[b->pin[k]] * b->acc[i] + s->f[i]) * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+        }
+    if (s->head->loaded && s->head->load_age < 2)
+        for (i = 0; i < n; ++i)
+            work += (t.load[0] * (s->force[0][i] - s->force[1][i]) + t.load[2] * (s->force[2][i] - s->force[1][i])) *
+                    (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+    return work;
+}
+
+/* The hand's force in a step that was done again: what is out of balance at the handle's nodes. */
+static void sfemi_guard_handle_forces(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfem_real h2 = b->step * b->step;
+    sfem_int k;
+    int l, c;
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        sfem_real sum = 0;
+        memset(h->force, 0, sizeof h->force);
+        for (l = 0; l < 4; ++l) {
+            sum += h->weight[l] * h->weight[l];
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
+                h->force[c] += h->weight[l] * (b->model->node_mass[h->node[l]] * (g->u[at] - g->y[at]) / h2 + g->f[at]);
+            }
+        }
+        for (c = 0; c < 3; ++c) h->force[c] /= sum;
+    }
+}
+
+/* Judges the step; where it fails, does it again. The state is not changed but for the ledger, which a
+ * failure puts back. */
+static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real budget = head->budget;
+    sfemi_guard_energies e;
+    sfem_status status = SFEM_OK;
+    g->psi = sfemi_guard_advance(b);
+    if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
+    g->redone = 0;
+    if (!b->def.no_guard && b->def.integrator == SFEM_PQR) {
+        head->budget += sfemi_guard_step_work(b);
+        e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
+                    e.ec <= head->budget + .3 * head->scale);
+    }
+    if (g->redone) {
+        head->budget = budget;
+        status = sfemi_guard_prepare_redo(b, err);
+        if (status != SFEM_OK) return status;
+        g->psi = sfemi_guard_redo(b);
+    }
+    if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
+    head->budget = budget;
+    return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to an energy that is not finite");
+}
+
+static void sfemi_guard_finish(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state *s = &b->state;
+    sfemi_state_head *head = s->head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real psi = g->psi;
+    const int redone = g->redone;
+    sfemi_guard_energies e;
+    sfem_real energy, moving;
+    sfem_int k;
+    size_t i;
+    int c;
+    if (redone) sfemi_guard_handle_forces(b);
+    else
+        for (k = 0; k < b->grip.count; ++k)
+            memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
+    sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
+    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    energy = redone ? e.ec : e.eb;
+    if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
+    moving = e.kinetic + (head->psi + psi) / 2;
+    head->scale *= exp(-b->step);
+    if (moving > head->scale) head->scale = moving;
+    if (e.floor > head->scale) head->scale = e.floor;
+    head->last = e.ec;
+    head->psi = psi;
+    head->redone += redone;
+    for (k = 0; k < b->pin_count; ++k) {
+        sfem_real x[3];
+        for (c = 0; c < 3; ++c)
+            x[c] = b->model->mesh.x[3 * (size_t)b->pin[k] + (size_t)c] + s->u[3 * (size_t)b->pin[k] + (size_t)c];
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) s->a[i] = redone ? 0 : b->acc[i];
+    memcpy(s->f_past, s->f, n * sizeof *s->f);
+    memcpy(s->f, g->f, n * sizeof *s->f);
+    memcpy(s->u, g->u, n * sizeof *s->u);
+    memcpy(s->w, g->w, n * sizeof *s->w);
+    sfemi_turn_frames(b, b->turn.rotation, s->frame);
+    head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
 /* ============================================================================================
@@ -10888,8 +12179,10 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     sfem_body_def d;
     memset(&d, 0, sizeof d);
     d.integrator = SFEM_PQR;
-    d.p = d.beta = 0.25;
+    d.p = SFEM_P_SAFE;
+    d.beta = 0.25;
     d.q = d.r = 1;
+    d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
     d.rho_inf = 0.8;
     d.hht_alpha = 0.1;
@@ -10904,8 +12197,13 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
     if ((unsigned)d->integrator > SFEM_BATHE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
-    if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO)))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0 or SFEM_P_AUTO", d->p);
+    if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
+    if ((unsigned)d->frame > SFEM_FRAME_REST)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
+    if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
+                          d->correction_tolerance);
     if (!(sfemi_finite(d->q) && d->q >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
     if (!(sfemi_finite(d->r) && d->r > 0))
@@ -10994,21 +12292,74 @@ static void sfemi_body_place_pins(sfem_body *b)
     }
 }
 
+static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
+{
+    const sfem_allocator *al = &b->allocator;
+    sfem_int i;
+    for (i = 0; g->y && i < b->def.max_handles; ++i) sfemi_delete(al, g->y[i]);
+    sfemi_delete(al, g->y);
+    sfemi_delete(al, g->slot);
+    sfemi_delete(al, g->parts);
+    sfemi_delete(al, g->ready);
+    sfemi_delete(al, g->s);
+    sfemi_delete(al, g->wm);
+    sfemi_delete(al, g->lambda);
+    sfemi_delete(al, g->place);
+}
+
+static sfem_status sfemi_body_allocate_grip(sfem_body *b, size_t k, sfemi_grip *g, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    sfem_status status = SFEM_OK;
+    if (k == 0) return SFEM_OK;
+    SFEMI_NEW(sfem_int, g->slot, al, k);
+    SFEMI_NEW(sfem_real *, g->y, al, k);
+    SFEMI_NEW(sfem_int, g->parts, al, k);
+    SFEMI_NEW(sfem_int, g->ready, al, k);
+    SFEMI_NEW(sfem_real, g->s, al, 9 * k * k);
+    SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
+    SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
+    SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+done:
+    return status;
+}
+
+/* What only a body that turns needs. */
+static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
+{
+    const sfem_allocator *al = &b->allocator;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes, tets = (size_t)b->model->mesh.tets;
+    sfemi_guard *g = &b->guard;
+    sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->y, &g->grad, &g->dir,
+                                  &g->trial_u, &g->trial_f};
+    sfem_status status = SFEM_OK;
+    size_t i;
+    SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
+    SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
+    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
+    SFEMI_NEW(sfem_real, b->turn.rotation, al,
+              9 * tets + sfem_model_work_size(b->model) + (10 + 3) * n + n + n / 3 + 3 * n);
+    b->turn.work = b->turn.rotation + 9 * tets;
+    b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
+    g->frame = b->turn.sum + 3 * n + n / 3;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->frame + (3 + i) * n;
+    SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->grip, err));
+done:
+    return status;
+}
+
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
-    sfem_int i;
     sfemi_implicit_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    for (i = 0; b->grip.y && i < b->def.max_handles; ++i) sfemi_delete(&al, b->grip.y[i]);
-    sfemi_delete(&al, b->grip.y);
-    sfemi_delete(&al, b->grip.slot);
-    sfemi_delete(&al, b->grip.ready);
-    sfemi_delete(&al, b->grip.s);
-    sfemi_delete(&al, b->grip.wm);
-    sfemi_delete(&al, b->grip.lambda);
-    sfemi_delete(&al, b->grip.place);
+    sfemi_factor_release(b->model, b->guard.factor);
+    sfemi_body_free_grip(b, &b->grip);
+    sfemi_body_free_grip(b, &b->guard.grip);
+    sfemi_delete(&al, b->turn.piece_of);
+    sfemi_delete(&al, b->turn.piece);
+    sfemi_delete(&al, b->turn.rotation);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
@@ -11031,9 +12382,9 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
-    bytes = sfemi_state_bytes(nodes, b->pin_count, def->max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, b->pin_count, def->max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->pin_count);
+    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->pin_count);
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
@@ -11041,15 +12392,8 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
-    if (k > 0) {
-        SFEMI_NEW(sfem_int, b->grip.slot, al, k);
-        SFEMI_NEW(sfem_real *, b->grip.y, al, k);
-        SFEMI_NEW(sfem_int, b->grip.ready, al, k);
-        SFEMI_NEW(sfem_real, b->grip.s, al, 9 * k * k);
-        SFEMI_NEW(sfem_real, b->grip.wm, al, 3 * k * k);
-        SFEMI_NEW(sfem_real, b->grip.lambda, al, 3 * k);
-        SFEMI_NEW(sfem_real, b->grip.place, al, 3 * k);
-    }
+    SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
+    if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
 done:
     return status;
@@ -11071,9 +12415,15 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
+    b->turns = model->turns && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
+    if (b->turns && model->block_mass) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                            "a nonlinear body steps with lumped mass only: a consistent one does not turn");
+        goto done;
+    }
     SFEMI_TRY(sfemi_body_allocate(b, def, err));
     sfemi_body_place_pins(b);
     *out = b;
@@ -11088,64 +12438,74 @@ SFEM_DEF void sfem_body_free(sfem_body *body)
     if (body) sfemi_body_destroy(body);
 }
 
-/* Room for the solves with f, `rhs` at a time. */
-static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
-                                           sfem_error *err)
+/* Which pieces are held by pins or handles; where that changes, the energies count anew. */
+static void sfemi_body_find_held(sfem_body *b)
 {
-    const size_t size = sfemi_factor_work_size(f, rhs);
-    sfem_real *work;
-    sfem_status status = SFEM_OK;
-    if (size <= b->work_size) return SFEM_OK;
-    SFEMI_NEW(sfem_real, work, &b->allocator, size);
-    sfemi_delete(&b->allocator, b->work);
-    b->work = work;
-    b->work_size = size;
-done:
-    return status;
+    sfem_int i, k;
+    int l, changed = 0;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].sum[0][0] = 1;
+    for (i = 0; i < b->grip.count; ++i)
+        for (l = 0; l < 4; ++l)
+            if (b->state.handle[b->grip.slot[i]].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[b->grip.slot[i]].node[l]]].sum[0][0] = 1;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        const int held = b->turn.piece[k].sum[0][0] > 0;
+        changed |= held != b->turn.piece[k].held;
+        b->turn.piece[k].held = held;
+    }
+    if (changed) b->state.head->rebase = 1;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
 static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
 {
     sfemi_grip *g = &b->grip;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
     sfem_int i, count = 0;
     if (!g->dirty) return SFEM_OK;
     for (i = 0; i < b->def.max_handles; ++i) {
-        const int wanted = b->state.handle[i].used;
-        if ((wanted || b->def.no_allocation) && !g->y[i])
-            SFEMI_NEW(sfem_real, g->y[i], &b->allocator, 3 * n);
-        count += wanted;
+        SFEMI_TRY(sfemi_grip_reserve(b, g, i, err));
+        count += b->state.handle[i].used;
     }
     if (count || b->def.no_allocation) SFEMI_TRY(sfemi_body_reserve_work(b, b->factor, 3, err));
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, g->y[i], b->work,
-                               &b->exec);
+            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
+                               b->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
-    sfemi_grip_gather(g, b->state.handle, b->model, b->mask);
+    sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
+    if (b->turns) sfemi_body_find_held(b);
+    if (b->turns && b->def.no_allocation && !b->def.no_guard)
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, err));
     g->dirty = 0;
 done:
     return status;
 }
 
+static void sfemi_body_forget_columns(sfem_body *b)
+{
+    sfem_int i;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    for (i = 0; b->turns && i < b->def.max_handles; ++i) b->guard.grip.ready[i] = 0;
+    b->grip.dirty = 1;
+}
+
 /* Takes over a factor that the body owns a reference to. */
 static void sfemi_body_adopt(sfem_body *b, sfem_factor *f)
 {
-    sfem_int i;
     if (f == b->factor) {
         sfemi_factor_release(b->model, f); /* the body has one reference already */
         return;
     }
     sfemi_factor_release(b->model, b->factor);
     b->factor = f;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_body_forget_columns(b);
 }
 
 static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
@@ -11161,16 +12521,23 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
-    if (*p == SFEM_P_AUTO) *p = b->omega_max * h < 2 ? 1.0 / 12 : 0.25;
+    if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
+    if (*p < 0) *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
     limit = sfemi_pqr_stable_step(b, *p);
     if (limit > 0 && h > limit)
         return sfemi_fail(err, SFEM_UNSTABLE, "a step of %g s is beyond the stable one, %g s", h, limit);
     return SFEM_OK;
 }
 
+/* Newton's own factor serves any h. */
+static int sfemi_body_has_factor(const sfem_body *b, sfem_real h)
+{
+    return b->factor && (h == b->h || (b->h > 0 && b->implicit.system.matrix.val));
+}
+
 static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
 {
-    return b->factor && (h == b->h || (b->h > 0 && b->implicit.system.matrix.val)) && !b->grip.dirty;
+    return sfemi_body_has_factor(b, h) && !b->grip.dirty;
 }
 
 static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
@@ -11229,13 +12596,14 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     SFEM_ASSERT(b);
     if (!sfemi_body_is_prepared(b, h)) {
         sfem_status status;
-        if (b->def.no_allocation && !(b->factor && h == b->h)) /* handles have had their room since */
+        if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
     }
     b->step = h;
     if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
+    else if (b->turns) sfemi_guard_predict(b, h);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
     b->phase = SFEMI_PREDICTED;
@@ -11251,8 +12619,10 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
         b->phase = status == SFEM_OK ? SFEMI_SOLVED : SFEMI_IDLE;
         return status;
     }
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
-    if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
+    if (!b->turns)
+        sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    if (b->turns) sfemi_guard_solve(b);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     b->phase = SFEMI_IDLE;
     if (!sfemi_all_finite(b->acc, n))
@@ -11266,38 +12636,53 @@ static void sfemi_body_age_load(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     if (!b->state.head->loaded || b->state.head->load_age >= 2) return;
+    if (b->turns) b->state.head->budget += sfemi_guard_load_change(b);
     memcpy(b->state.force[2], b->state.force[1], bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     ++b->state.head->load_age;
 }
 
-SFEM_DEF void sfem_body_finish(sfem_body *b)
+/* The handles' forces, and what the integrator does at the end of a step of a linear body. */
+static void sfemi_body_finish_linear(sfem_body *b)
 {
-    sfemi_grip *g = &b->grip;
+    const sfemi_grip *g = &b->grip;
     sfem_int i;
-    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
-    for (i = 0; i < g->count; ++i) {
+    for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
-        sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
-    }
     if (sfemi_implicit_serves(b)) sfemi_implicit_finish(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
     if (!sfemi_body_keeps_mean(b)) sfemi_newmark_settle_handles(b, g->place);
+    b->state.head->started = SFEMI_RUNNING;
+}
+
+SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    sfem_int i;
+    SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    b->phase = SFEMI_IDLE;
+    if (b->turns) {
+        const sfem_status status = sfemi_guard_judge_step(b, err);
+        if (status != SFEM_OK) return status;
+    }
+    for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    if (b->turns) sfemi_guard_finish(b);
+    else sfemi_body_finish_linear(b);
     for (i = 0; i < g->count; ++i)
         sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
-    sfemi_body_age_load(b);
-    b->state.head->started = SFEMI_RUNNING;
     b->state.head->time += b->step;
     b->state.head->h = b->step;
-    b->phase = SFEMI_IDLE;
+    ++b->state.head->steps;
+    sfemi_body_age_load(b);
+    return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status = sfem_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
-    if (status == SFEM_OK) sfem_body_finish(b);
+    if (status == SFEM_OK) status = sfem_body_finish(b, err);
     return status;
 }
 
@@ -11371,6 +12756,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
+    b->state.head->rebase = 1;
     return SFEM_OK;
 }
 
@@ -11403,6 +12789,8 @@ static void sfemi_body_restart(sfem_body *b)
     memcpy(b->state.force[2], b->state.force[0], bytes);
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
+    b->state.head->current = 0;
+    b->state.head->steps = b->state.head->redone = 0;
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -11440,7 +12828,6 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
                                           sfem_error *err)
 {
     sfemi_state_head head;
-    sfem_int i;
     if (bytes < sizeof head)
         return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
     memcpy(&head, memory, sizeof head);
@@ -11455,8 +12842,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
 }
@@ -11470,17 +12856,17 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     const sfem_int nodes = b->model->mesh.nodes;
     sfemi_state fresh, old = b->state;
     unsigned char *mask = NULL;
-    sfem_int *list = NULL, listed, i;
+    sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    bytes = sfemi_state_bytes(nodes, listed, b->def.max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, listed, b->def.max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, listed);
-    memcpy(fresh.head, old.head, sizeof *old.head + 18 * (size_t)nodes * sizeof(sfem_real));
+    sfemi_state_lay_out(&fresh, block, nodes, b->turns, listed);
+    memcpy(fresh.head, old.head, sizeof *old.head + sfemi_state_reals(nodes, b->turns) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
@@ -11494,8 +12880,9 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    sfemi_factor_release(b->model, b->guard.factor);
+    b->guard.factor = NULL;
+    sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
     return SFEM_OK;
 done:
@@ -11623,7 +13010,16 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         if (b->zd) b->zd[i] = v[i];
     }
     b->phase = SFEMI_IDLE;
-    sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
+    if (b->turns) {
+        for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
+        sfemi_guard_refresh(b);
+        sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i)
+            b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
+        sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
+    } else {
+        sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
+    }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
 }
 
@@ -11679,11 +13075,11 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
         if (!g->y[k]) SFEMI_NEW(sfem_real, g->y[k], &b->allocator, 9 * (size_t)b->model->mesh.nodes);
-        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, g->y[k], b->work, &b->exec);
+        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
-        sfemi_grip_gather(g, b->state.handle, b->model, f->mask);
+        sfemi_grip_gather(g, b->state.handle, b->model, 0, f->mask);
         for (k = 0; k < g->count; ++k) {
             sfem_real rest[3];
             int c;
@@ -11818,19 +13214,20 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     sfem_body_velocities(b, b->acc);
     sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
-    if (sfemi_implicit_linear(model)) {
+    if (b->turns) {
+        e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
+    } else if (b->implicit.memory) {
+        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
+    } else {
         sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
         e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
-    } else {
-        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
     }
     e.load = 0;
     for (i = 0; i < n; ++i)
         e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    if (!running) return e;
-    if (!sfemi_body_keeps_mean(b)) {
-        if (b->def.integrator != SFEM_NEWMARK) return e;
+    if (!running || b->turns || b->def.integrator > SFEM_CENTRAL) return e;
+    if (b->def.integrator == SFEM_NEWMARK) {
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
         e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
     } else {
@@ -11860,6 +13257,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.p = b->factor ? b->p : 0;
     info.omega_max = b->omega_max;
     info.factors_made = b->factors_made;
+    info.steps = b->state.head->steps;
+    info.redone = b->state.head->redone;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
@@ -11896,9 +13295,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 
 /* --- vectors ---------------------------------------------------------------------------------
  * Doubles are 4 wide, on AVX-512 8; floats 8 wide on every path. */
-#if SFEMI_PATH == 2
+#if SFEMI_PATH == 2 && !defined(SFEMI_EMULATE_AVX512) /* a test's, for processors without it */
 #define SFEMI_TARGET __attribute__((target("avx512f,avx2,fma")))
-#elif SFEMI_PATH == 1
+#elif SFEMI_PATH >= 1
 #define SFEMI_TARGET __attribute__((target("avx2,fma")))
 #else
 #define SFEMI_TARGET
@@ -11920,35 +13319,32 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #define SFEMI_PASTE(a, b, c) SFEMI_PASTE3(a, b, c)
 #define SFEMI_KERNEL(name) SFEMI_PASTE(name, SFEMI_BITS, SFEMI_PATH)
 
-#if SFEMI_PATH == 2 && SFEMI_BITS == 64
+#if SFEMI_PATH == 2 && SFEMI_BITS == 64 && !defined(SFEMI_EMULATE_AVX512)
 #define SFEMI_V __m512d
 #define SFEMI_LD(p) _mm512_loadu_pd(p)
 #define SFEMI_ST(p, v) _mm512_storeu_pd(p, v)
 #define SFEMI_DUP(s) _mm512_set1_pd(s)
 #define SFEMI_ADD(a, b) _mm512_add_pd(a, b)
-#define SFEMI_SUB(a, b) _mm512_sub_pd(a, b)
 #define SFEMI_MUL(a, b) _mm512_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm512_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
 #define SFEMI_HALF(p) _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
-#elif SFEMI_PATH >= 1 && SFEMI_BITS == 64
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 64 && SFEMI_W == 4
 #define SFEMI_V __m256d
 #define SFEMI_LD(p) _mm256_loadu_pd(p)
 #define SFEMI_ST(p, v) _mm256_storeu_pd(p, v)
 #define SFEMI_DUP(s) _mm256_set1_pd(s)
 #define SFEMI_ADD(a, b) _mm256_add_pd(a, b)
-#define SFEMI_SUB(a, b) _mm256_sub_pd(a, b)
 #define SFEMI_MUL(a, b) _mm256_mul_pd(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_pd(a, b, c)
 #define SFEMI_HALF(p) _mm256_loadu_pd(p)
-#elif SFEMI_PATH >= 1
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 32
 #define SFEMI_V __m256
 #define SFEMI_LD(p) _mm256_loadu_ps(p)
 #define SFEMI_ST(p, v) _mm256_storeu_ps(p, v)
 #define SFEMI_DUP(s) _mm256_set1_ps(s)
 #define SFEMI_ADD(a, b) _mm256_add_ps(a, b)
-#define SFEMI_SUB(a, b) _mm256_sub_ps(a, b)
 #define SFEMI_MUL(a, b) _mm256_mul_ps(a, b)
 #define SFEMI_FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
@@ -11959,19 +13355,61 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
         const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                    \
         _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));    \
     }
-#elif defined(__GNUC__) && !defined(FP_FAST_FMA) /* two or more registers to a vector */
-typedef SFEMI_R SFEMI_KERNEL(sfemi_v) __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R))));
-typedef SFEMI_R SFEMI_KERNEL(sfemi_u)
-    __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R)), aligned(sizeof(SFEMI_R)), may_alias));
+#elif defined(__GNUC__) && SFEMI_W * SFEMI_BITS == 256 /* two vectors of 16 bytes: SSE2, NEON */
+typedef SFEMI_R SFEMI_KERNEL(sfemi_h) __attribute__((vector_size(16)));
+typedef SFEMI_R SFEMI_KERNEL(sfemi_u) __attribute__((vector_size(16), aligned(4), may_alias));
+typedef struct SFEMI_KERNEL(sfemi_v) {
+    SFEMI_KERNEL(sfemi_h) a, b;
+} SFEMI_KERNEL(sfemi_v);
 #define SFEMI_V SFEMI_KERNEL(sfemi_v)
-#define SFEMI_LD(p) (*(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p))
-#define SFEMI_ST(p, v) (*(SFEMI_KERNEL(sfemi_u) *)(void *)(p) = (v))
-#define SFEMI_DUP(s) (s) /* only as an operand */
-#define SFEMI_ADD(a, b) ((a) + (b))
-#define SFEMI_SUB(a, b) ((a) - (b))
-#define SFEMI_MUL(a, b) ((a) * (b))
-#define SFEMI_FMA(a, b, c) ((a) * (b) + (c))
-#define SFEMI_FNMA(a, b, c) ((c) - (a) * (b))
+#define SFEMI_H SFEMI_KERNEL(sfemi_h)
+/* a processor with multiply-add always uses it here, lest the compiler choose */
+#if defined(__FMA__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_pd(x, y, z)
+#elif defined(__FMA__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_ps(x, y, z)
+#elif defined(__aarch64__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f64(z, x, y)
+#elif defined(__aarch64__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f32(z, x, y)
+#else
+#define SFEMI_FMAH(x, y, z) ((x) * (y) + (z))
+#endif
+#define SFEMI_PAIR(name, arguments, first, second)                                                   \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                         \
+    {                                                                                                \
+        SFEMI_V r;                                                                                   \
+        r.a = first;                                                                                 \
+        r.b = second;                                                                                \
+        return r;                                                                                    \
+    }
+SFEMI_PAIR(sfemi_v_load, (const SFEMI_R *p), *(const SFEMI_KERNEL(sfemi_u) *)(const void *)p,
+           *(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p + SFEMI_W / 2))
+static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(sfemi_v_dup)(SFEMI_R s)
+{
+#if SFEMI_BITS == 64
+    const SFEMI_H h = {s, s};
+#else
+    const SFEMI_H h = {s, s, s, s};
+#endif
+    SFEMI_V r;
+    r.a = r.b = h;
+    return r;
+}
+SFEMI_PAIR(sfemi_v_add, (SFEMI_V x, SFEMI_V y), x.a + y.a, x.b + y.b)
+SFEMI_PAIR(sfemi_v_mul, (SFEMI_V x, SFEMI_V y), x.a *y.a, x.b *y.b)
+SFEMI_PAIR(sfemi_v_fma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(x.a, y.a, z.a),
+           SFEMI_FMAH(x.b, y.b, z.b))
+SFEMI_PAIR(sfemi_v_fnma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(-x.a, y.a, z.a),
+           SFEMI_FMAH(-x.b, y.b, z.b))
+static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
+{
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)p = v.a;
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)(p + SFEMI_W / 2) = v.b;
+}
+#undef SFEMI_PAIR
+#undef SFEMI_FMAH
+#undef SFEMI_H
 #else /* plain C; a processor with multiply-add always uses it, lest the compiler choose */
 typedef struct SFEMI_KERNEL(sfemi_v) {
     SFEMI_R e[SFEMI_W];
@@ -11993,7 +13431,6 @@ typedef struct SFEMI_KERNEL(sfemi_v) {
 SFEMI_LANES(sfemi_v_load, (const SFEMI_R *p), p[i])
 SFEMI_LANES(sfemi_v_dup, (SFEMI_R s), s)
 SFEMI_LANES(sfemi_v_add, (SFEMI_V a, SFEMI_V b), a.e[i] + b.e[i])
-SFEMI_LANES(sfemi_v_sub, (SFEMI_V a, SFEMI_V b), a.e[i] - b.e[i])
 SFEMI_LANES(sfemi_v_mul, (SFEMI_V a, SFEMI_V b), a.e[i] * b.e[i])
 SFEMI_LANES(sfemi_v_fma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(a.e[i], b.e[i], c.e[i]))
 SFEMI_LANES(sfemi_v_fnma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(-a.e[i], b.e[i], c.e[i]))
@@ -12001,11 +13438,12 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
 {
     memcpy(p, v.e, sizeof v.e);
 }
+#endif
+#ifndef SFEMI_LD
 #define SFEMI_LD(p) SFEMI_KERNEL(sfemi_v_load)(p)
 #define SFEMI_ST(p, v) SFEMI_KERNEL(sfemi_v_store)(p, v)
 #define SFEMI_DUP(s) SFEMI_KERNEL(sfemi_v_dup)(s)
 #define SFEMI_ADD(a, b) SFEMI_KERNEL(sfemi_v_add)(a, b)
-#define SFEMI_SUB(a, b) SFEMI_KERNEL(sfemi_v_sub)(a, b)
 #define SFEMI_MUL(a, b) SFEMI_KERNEL(sfemi_v_mul)(a, b)
 #define SFEMI_FMA(a, b, c) SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
 #define SFEMI_FNMA(a, b, c) SFEMI_KERNEL(sfemi_v_fnma)(a, b, c)
@@ -12036,9 +13474,9 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_block)(
     int nv, size_t depth, const double *a, size_t ha, const double *b, size_t hb, double *c, int nq,
     int load, int tri, const double *r)
 {
-    SFEMI_V c00 = {0}, c01 = {0}, c02 = {0}, c10 = {0}, c11 = {0}, c12 = {0};
-    SFEMI_V c20 = {0}, c21 = {0}, c22 = {0}, c30 = {0}, c31 = {0}, c32 = {0};
-    SFEMI_V a0 = {0}, a1 = {0}, a2 = {0};
+    SFEMI_V c00 = SFEMI_DUP(0), c01 = SFEMI_DUP(0), c02 = SFEMI_DUP(0), c10 = SFEMI_DUP(0), c11 = SFEMI_DUP(0), c12 = SFEMI_DUP(0);
+    SFEMI_V c20 = SFEMI_DUP(0), c21 = SFEMI_DUP(0), c22 = SFEMI_DUP(0), c30 = SFEMI_DUP(0), c31 = SFEMI_DUP(0), c32 = SFEMI_DUP(0);
+    SFEMI_V a0 = SFEMI_DUP(0), a1 = SFEMI_DUP(0), a2 = SFEMI_DUP(0);
     size_t p;
     if (load) {
 #define SFEMI_C(q)                                                                                   \
@@ -12211,7 +13649,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
 #define SFEMI_ACCUMULATE(OP, depth, a, y)                                                            \
     {                                                                                                \
         size_t p_ = 0;                                                                               \
-        SFEMI_V d0 = {0}, d1 = {0}, d2 = {0};                                                        \
+        SFEMI_V d0 = SFEMI_DUP(0), d1 = SFEMI_DUP(0), d2 = SFEMI_DUP(0);                                                        \
         for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                           \
             c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
             if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
@@ -12244,7 +13682,7 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int n
 #endif
         1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
     const size_t h = (size_t)nv * SFEMI_W;
-    SFEMI_V c0 = {0}, c1 = {0}, c2 = {0};
+    SFEMI_V c0 = SFEMI_DUP(0), c1 = SFEMI_DUP(0), c2 = SFEMI_DUP(0);
     if (j) {
         c0 = SFEMI_LD(out);
         if (nv > 1) c1 = SFEMI_LD(out + SFEMI_W);
@@ -12484,7 +13922,6 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
 #undef SFEMI_ST
 #undef SFEMI_DUP
 #undef SFEMI_ADD
-#undef SFEMI_SUB
 #undef SFEMI_MUL
 #undef SFEMI_FMA
 #undef SFEMI_FNMA

@@ -80,7 +80,7 @@ static double time_steps(sfem_body *body, double h, int count, double part[3])
         b = ex_seconds();
         must(sfem_body_solve(body, &err), &err);
         c = ex_seconds();
-        sfem_body_finish(body);
+        must(sfem_body_finish(body, &err), &err);
         d = ex_seconds();
         if (i < 0) continue;
         t[0][i] = b - a;

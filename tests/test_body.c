@@ -705,7 +705,7 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
         assert_ok(sfem_body_predict(parts, 0.01, &err), err);
         assert_ok(sfem_body_predict(parts, 0.01, &err), err); /* giving a step up costs nothing */
         assert_ok(sfem_body_solve(parts, &err), err);
-        sfem_body_finish(parts);
+        assert_ok(sfem_body_finish(parts, &err), err);
     }
     assert_int_equal(hash_reals(sfem_body_displacement(whole), 3 * (size_t)b.nodes),
                      hash_reals(sfem_body_displacement(parts), 3 * (size_t)b.nodes));
@@ -718,7 +718,7 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
         assert_ok(sfem_body_predict(parts, 0.01, &err), err);
         sfem_body_rhs(parts)[3 * (b.nodes - 1) + 1] += 5;
         assert_ok(sfem_body_solve(parts, &err), err);
-        sfem_body_finish(parts);
+        assert_ok(sfem_body_finish(parts, &err), err);
     }
     assert_all_near(sfem_body_displacement(whole), sfem_body_displacement(parts), 3 * b.nodes, 1e-12, 0);
     sfem_body_free(whole);
