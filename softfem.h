@@ -34,8 +34,10 @@
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
- *            >>newmark      linear Newmark            >>pqr  the (p,q,r) family, central difference
- *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
+ *            >>newmark      linear Newmark
+ *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
+ *                           nonlinear statics
+ *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
@@ -9433,7 +9435,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
 
 static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
 {
-    return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0));
+    return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0.0));
 }
 
 /* y = the majorant times x. */
@@ -13009,9 +13011,15 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     return SFEM_OK;
 }
 
+/* Newton's own factor serves any h. */
+static int sfemi_body_has_factor(const sfem_body *b, sfem_real h)
+{
+    return b->factor && (h == b->h || (b->h > 0 && b->implicit.system.matrix.val));
+}
+
 static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
 {
-    return b->factor && (h == b->h || (b->h > 0 && b->implicit.system.matrix.val)) && !b->grip.dirty;
+    return sfemi_body_has_factor(b, h) && !b->grip.dirty;
 }
 
 static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
@@ -13071,7 +13079,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     SFEM_ASSERT(b);
     if (!sfemi_body_is_prepared(b, h)) {
         sfem_status status;
-        if (b->def.no_allocation && !(b->factor && h == b->h)) /* handles have had their room since */
+        if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
