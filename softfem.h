@@ -690,7 +690,7 @@ SFEM_DEF sfem_model_def sfem_default_model_def(void);
  *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
  *           SFEM_TOO_LARGE; the text names the tet or node. A node in no tet has no mass and
  *           stays where it is.
- *   cost    O(tets), about 0.2 us a tet */
+ *   cost    O(tets), about 0.7 us a tet */
 SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err);
 SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; memory goes with the last body */
 
@@ -791,9 +791,17 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 #define SFEM_P_AUTO (-1.0) /* linear body: 1/12 where every mode is resolved (omega_max h < 2) */
 #define SFEM_P_SAFE (-2.0) /* 1/4 for a linear body, .27 for a corotational one, 1/2 for one that hardens */
 
-/* The frame in which the constant factor of a body that turns is used: as it is (the source's form, which
- * explodes after a turn of 5 degrees), turned with each connected piece, or with each node. */
-typedef enum sfem_frame { SFEM_FRAME_NODE, SFEM_FRAME_PIECE, SFEM_FRAME_REST } sfem_frame;
+/* The frame in which the constant factor of a body that turns is used: turned with each node (default), with
+ * each connected piece, or as it is (the source's form, which explodes after a turn of 5 degrees). The last
+ * takes in place of K its isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian: it bounds the
+ * corotational stiffness whatever turns, but is far too heavy for slender bodies, and stiffness damping is
+ * the majorant's, too. */
+typedef enum sfem_frame {
+    SFEM_FRAME_NODE,
+    SFEM_FRAME_PIECE,
+    SFEM_FRAME_REST,
+    SFEM_FRAME_MAJORANT
+} sfem_frame;
 
 enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
@@ -951,8 +959,11 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, s
 typedef struct sfem_energy {
     sfem_real kinetic, elastic, load; /* 1/2 v.Mv, Psi(u), -(F + Mg).u; J */
     sfem_real total;                  /* their sum */
-    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load: for
-                          * (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
+                          * nonlinear body nearly, without the motion of free pieces' centres of mass: for
+                          * its guarded steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
+                          * - F.(u+u-)/2, after a step done again 1/2 w.r M w + E - F.u; for a linear body
+                          * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
                           * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a's counterpart */
 } sfem_energy;
 SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
@@ -967,7 +978,9 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
-    int64_t steps, redone;    /* since its state was set; redone: by the guard */
+    int64_t steps, redone;    /* since its state was set; redone: by the guard, */
+    int64_t descents;         /* with so many steps of descent, a solve each */
+    sfem_int corrections;     /* in the last step */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -1031,6 +1044,13 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #elif defined(__aarch64__)
 #include <arm_neon.h>
 #endif
+#if defined(__unix__) || defined(__APPLE__)
+#include <sched.h>
+#define SFEMI_YIELD() (void)sched_yield()
+#else
+#define SFEMI_YIELD() (void)0
+#endif
+#include <time.h>
 #ifndef SFEM_SELF
 #define SFEM_SELF "softfem.h"
 #endif
@@ -5221,6 +5241,113 @@ done:
     return status;
 }
 
+/* --- counters that threads share ------------------------------------------------------------- */
+
+#if defined(__GNUC__)
+#define SFEMI_ATOMICS 1
+typedef int32_t sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before */
+#define SFEMI_ATOMIC_GET(p) __atomic_load_n((p), __ATOMIC_ACQUIRE)
+#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
+#elif defined(_MSC_VER)
+#define SFEMI_ATOMICS 1
+typedef long sfemi_counter;
+long _InterlockedExchangeAdd(long volatile *, long);
+long _InterlockedExchange(long volatile *, long);
+#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
+#define SFEMI_ATOMIC_GET(p) _InterlockedExchangeAdd((p), 0)
+#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
+#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
+#define SFEMI_ATOMICS 0
+typedef long sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
+#define SFEMI_ATOMIC_GET(p) (*(p))
+#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
+#endif
+
+/* Seconds since some moment, or 0 where the language has no such clock. */
+static double sfemi_seconds(void)
+{
+#ifdef _OPENMP
+    return omp_get_wtime();
+#elif defined(TIME_UTC) && !defined(_WIN32)
+    struct timespec t;
+    timespec_get(&t, TIME_UTC);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+#else
+    return 0;
+#endif
+}
+
+/* A crew works off a list of units on several threads in one parallel region: each worker takes the
+ * next unit, waits for what it depends on, which stands before it in the list and so has been taken,
+ * and does it. So one worker alone can do everything, and nobody waits for a thread that the system
+ * has not started.
+ *
+ * On a busy machine several threads may still take longer than one. A pace compares the two: one call
+ * in 64 is done alone, and where the crew was slower it rests, for longer each time. */
+#define SFEMI_CREW 32 /* most workers */
+
+typedef struct sfemi_pace {
+    sfemi_counter calls, rest, longer;
+    sfemi_counter alone; /* microseconds / 4 of the latest call on one thread, or 0 */
+} sfemi_pace;
+
+typedef struct sfemi_crew {
+    void (*unit)(void *data, sfem_int unit);
+    void *data;
+    sfem_int count;
+    sfemi_counter *next;
+} sfemi_crew;
+
+static void sfemi_crew_work(void *data, sfem_int worker)
+{
+    sfemi_crew *c = (sfemi_crew *)data;
+    (void)worker;
+    for (;;) {
+        const sfem_int unit = (sfem_int)SFEMI_ATOMIC_ADD(c->next, 1);
+        if (unit >= c->count) return;
+        c->unit(c->data, unit);
+    }
+}
+
+static void sfemi_crew_wait(sfemi_counter *counter, sfem_int value)
+{
+    int spins = 0;
+    while (SFEMI_ATOMIC_GET(counter) < value) {
+        if (++spins > 2000) SFEMI_YIELD(); /* who has the unit may need this processor */
+#if SFEMI_X86
+        else __builtin_ia32_pause();
+#endif
+    }
+}
+
+/* Threads to use for the next call. */
+static sfem_int sfemi_pace_threads(sfemi_pace *p, const sfem_exec *e)
+{
+    const sfem_int threads = SFEMI_ATOMICS ? sfemi_threads(e) : 1;
+    if (threads == 1) return 1;
+    if (SFEMI_ATOMIC_GET(&p->rest) > 0) {
+        (void)SFEMI_ATOMIC_ADD(&p->rest, -1);
+        return 1;
+    }
+    if (SFEMI_ATOMIC_ADD(&p->calls, 1) % 64 == 1) return 1;
+    return threads < SFEMI_CREW ? threads : SFEMI_CREW;
+}
+
+static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
+{
+    const double units = seconds * 250000 + 1;
+    const sfemi_counter took = units < 1e9 ? (sfemi_counter)units : 1000000000;
+    const sfemi_counter alone = SFEMI_ATOMIC_GET(&p->alone), longer = SFEMI_ATOMIC_GET(&p->longer);
+    if (seconds <= 0) return;
+    if (threads == 1) SFEMI_ATOMIC_SET(&p->alone, took);
+    else if (alone && took > alone) {
+        SFEMI_ATOMIC_SET(&p->longer, longer < 8 ? 8 : longer < 512 ? 2 * longer : longer);
+        SFEMI_ATOMIC_SET(&p->rest, SFEMI_ATOMIC_GET(&p->longer));
+    } else SFEMI_ATOMIC_SET(&p->longer, longer / 2);
+}
+
 /* --- fronts and kernels ---------------------------------------------------------------------- */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
@@ -5345,19 +5472,6 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 
 /* --- symbolic analysis ----------------------------------------------------------------------- */
 
-#if defined(__GNUC__)
-#define SFEMI_COUNT_UP(p) ((void)__atomic_add_fetch((p), 1, __ATOMIC_RELAXED))
-#define SFEMI_COUNT_DOWN(p) __atomic_sub_fetch((p), 1, __ATOMIC_ACQ_REL)
-#elif defined(_MSC_VER)
-long _InterlockedIncrement(long volatile *);
-long _InterlockedDecrement(long volatile *);
-#define SFEMI_COUNT_UP(p) ((void)_InterlockedIncrement(p))
-#define SFEMI_COUNT_DOWN(p) _InterlockedDecrement(p)
-#else /* no atomics: make and free factors from one thread */
-#define SFEMI_COUNT_UP(p) ((void)++*(p))
-#define SFEMI_COUNT_DOWN(p) (--*(p))
-#endif
-
 /* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1] in
  * the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
  *
@@ -5365,7 +5479,7 @@ long _InterlockedDecrement(long volatile *);
  * whole subtree of the elimination tree or one supernode above those. Tasks of equal level do not
  * depend on each other. */
 typedef struct sfemi_symbolic {
-    long references; /* atomic */
+    sfemi_counter references;
     sfem_allocator allocator;
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
@@ -5393,6 +5507,7 @@ typedef struct sfemi_symbolic {
     sfem_int *buffer;  /* [tasks + 1] where its buffer starts in the solve's work array, in nodes */
     sfem_int *level;   /* [levels + 1] into by_level */
     sfem_int *by_level; /* [tasks] */
+    sfem_int *at_level; /* [tasks] its inverse */
     size_t *scratch;   /* [tasks + 1] the solve's scratch of a task, in rows */
     size_t update_size, update_kept_size; /* in scalars */
     size_t nnz, bytes;
@@ -5408,7 +5523,7 @@ static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, siz
 static void sfemi_symbolic_free(sfemi_symbolic *y)
 {
     sfem_allocator m;
-    if (!y || SFEMI_COUNT_DOWN(&y->references) > 0) return;
+    if (!y || SFEMI_ATOMIC_ADD(&y->references, -1) > 1) return;
     m = y->allocator;
     sfemi_delete(&m, y->order);
     sfemi_delete(&m, y->inverse);
@@ -5434,6 +5549,7 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
     sfemi_delete(&m, y->buffer);
     sfemi_delete(&m, y->level);
     sfemi_delete(&m, y->by_level);
+    sfemi_delete(&m, y->at_level);
     sfemi_delete(&m, y);
 }
 
@@ -5771,9 +5887,13 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
     y->levels = tasks ? top + 1 : 0;
     SFEMI_NEW(sfem_int, y->level, m, (size_t)y->levels + 3);
     SFEMI_NEW(sfem_int, y->by_level, m, (size_t)tasks + 1);
+    SFEMI_NEW(sfem_int, y->at_level, m, (size_t)tasks + 1);
     for (t = 0; t < tasks; ++t) ++y->level[level[t] + 2];
     for (t = 0; t < y->levels; ++t) y->level[t + 2] += y->level[t + 1];
-    for (t = 0; t < tasks; ++t) y->by_level[y->level[level[t] + 1]++] = t;
+    for (t = 0; t < tasks; ++t) {
+        y->at_level[t] = y->level[level[t] + 1]++;
+        y->by_level[y->at_level[t]] = t;
+    }
 done:
     sfemi_delete(m, weight);
     sfemi_delete(m, level);
@@ -5789,7 +5909,7 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
     sfem_status status = SFEM_OK;
     sfemi_slot *slot = NULL;
     size_t shared = 0, *base = NULL;
-    sfem_int s, t, l, k, count = 0;
+    sfem_int s, t, count = 0;
     SFEMI_NEW(sfemi_slot, slot, m, (size_t)ns + 1);
     SFEMI_NEW(size_t, base, m, (size_t)y->tasks + 2);
     SFEMI_NEW(size_t, y->panel, m, (size_t)ns + 1);
@@ -5833,21 +5953,11 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
         }
         y->buffer[t + 1] = y->buffer[t] + (sfem_int)(y->start[root + 1] - y->start[root]);
     }
-    /* roots of tasks live from their level to their parent's */
-    for (count = 0, l = 0; l < y->levels; ++l)
-        for (k = y->level[l]; k < y->level[l + 1]; ++k) {
-            const sfem_int root = y->task[y->by_level[k] + 1] - 1;
-            const size_t u = y->update_kept[root + 1] - y->update_kept[root];
-            sfem_int until = l;
-            if (!u) continue;
-            for (until = l + 1; until < y->levels; ++until) {
-                const sfem_int *b = y->by_level + y->level[until], *e = y->by_level + y->level[until + 1];
-                while (b < e && *b != y->of[y->parent[root]]) ++b;
-                if (b < e) break;
-            }
-            y->update[root] = sfemi_slot_take(slot, &count, u, l, until);
-            if (y->update[root] + u > shared) shared = y->update[root] + u;
-        }
+    for (t = 0; t < y->tasks; ++t) { /* roots of tasks: threads may be anywhere, so nothing is reused */
+        const sfem_int root = y->task[t + 1] - 1;
+        y->update[root] = shared;
+        shared += y->update_kept[root + 1] - y->update_kept[root];
+    }
     for (base[0] = shared, t = 0; t < y->tasks; ++t) {
         base[t + 1] += base[t];
         for (s = y->task[t]; s < y->task[t + 1] - 1; ++s) y->update[s] += base[t];
@@ -5959,7 +6069,10 @@ struct sfem_ldl {
     double *scale;       /* [3n] s / sqrt|d| of each pivot */
     double *floor;       /* [3n] what a pivot must exceed */
     double *lost;        /* [tasks] the pivot that stopped a task */
-    sfem_int *lost_at;   /* [tasks] its column, or -1 */
+    sfem_int *lost_at;   /* [tasks] its column, or -1; -2: a task below failed */
+    sfem_int *units;     /* [tasks + 1] in order of levels: units of work before each */
+    sfemi_counter *done; /* [tasks + 1] units done; then the crew's counter */
+    sfemi_pace *pace;    /* [3] of factorisations, solves, solves of blocks */
     sfem_int *negative;  /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
     double unit;         /* power of 2 near the root of the largest entry of A */
@@ -5980,7 +6093,9 @@ typedef struct sfemi_solve {
     size_t block;
     double *w, *scratch;
     float *w32, *scratch32;
-    const sfem_int *tasks;
+    sfem_task forward, backward;
+    sfemi_counter *done;
+    sfemi_pace *pace;
 } sfemi_solve;
 
 static size_t sfemi_solve_rows(const sfemi_symbolic *y)
@@ -5992,7 +6107,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
 {
     const sfemi_symbolic *y = ldl->symbolic;
     return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
-           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 2 * (size_t)y->tasks + 64;
 }
 
 /* The tasks of both sweeps, for double and float. */
@@ -6002,7 +6117,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
     {                                                                                                \
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
+        const sfem_int t = index, root = y->task[t + 1] - 1;                                         \
         const size_t n = 3 * q->block; /* numbers to a node */                                       \
         R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
         R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
@@ -6042,7 +6157,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
     {                                                                                                \
         const sfemi_solve *q = (const sfemi_solve *)data;                                            \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
+        const sfem_int t = index, root = y->task[t + 1] - 1, p = y->parent[root];                    \
         const size_t n = 3 * q->block;                                                               \
         R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
         R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
@@ -6069,20 +6184,50 @@ SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scr
                   forward32, backward32, forward8_32, backward8_32)
 #undef SFEMI_SOLVE_TASKS
 
-/* Up the tree and down again, level by level. */
+/* Unit u of a solve: tasks up the tree by levels, then down again; done[] has one flag for each. */
+static void sfemi_solve_unit(void *data, sfem_int u)
+{
+    const sfemi_solve *q = (const sfemi_solve *)data;
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const int up = u < y->tasks;
+    const sfem_int t = y->by_level[up ? u : 2 * y->tasks - 1 - u], root = y->task[t + 1] - 1;
+    sfem_int c;
+    if (up)
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) {
+            if (y->of[c] != t) sfemi_crew_wait(q->done + y->of[c], 1);
+        }
+    else sfemi_crew_wait(q->done + (y->parent[root] < 0 ? t : y->tasks + y->of[y->parent[root]]), 1);
+    (up ? q->forward : q->backward)(data, t);
+    SFEMI_ATOMIC_SET(q->done + (up ? t : y->tasks + t), 1);
+}
+
+/* Up the tree and down again. */
+#define SFEMI_SOLVE_PARALLEL 400000 /* numbers in L from which a solve is worth several threads */
+
 static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
                                sfem_task backward)
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
-    sfem_int l;
-    for (l = 0; l < y->levels; ++l) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
+    const sfem_int threads =
+        y->tasks > 1 && y->nnz > SFEMI_SOLVE_PARALLEL ? sfemi_pace_threads(q->pace, exec) : 1;
+    const double start = exec && exec->threads > 1 ? sfemi_seconds() : 0;
+    sfem_int t;
+    if (threads > 1) {
+        sfemi_crew crew;
+        crew.unit = sfemi_solve_unit;
+        crew.data = q;
+        crew.count = 2 * y->tasks;
+        crew.next = q->done + 2 * y->tasks;
+        memset(q->done, 0, (2 * (size_t)y->tasks + 1) * sizeof *q->done);
+        q->forward = forward;
+        q->backward = backward;
+        SFEMI_ATOMIC_SET(crew.next, 0);
+        sfemi_run(exec, threads, sfemi_crew_work, &crew);
+    } else {
+        for (t = 0; t < y->tasks; ++t) forward(q, t);
+        for (t = y->tasks; t-- > 0;) backward(q, t);
     }
-    for (l = y->levels; l-- > 0;) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
-    }
+    if (start > 0) sfemi_pace_took(q->pace, threads, sfemi_seconds() - start);
 }
 
 /* count <= block right sides; those that are missing are 0 */
@@ -6139,10 +6284,13 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
     memset(&q, 0, sizeof q);
     q.ldl = ldl;
     q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.pace = ldl->pace + (q.block == 1 ? 1 : 2);
     q.w = work;
     q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
     q.w32 = (float *)(void *)q.w;
     q.scratch32 = (float *)(void *)q.scratch;
+    q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
+                                                       SFEMI_SOLVE_SCRATCH);
     while (rhs > 0 && n > 0) {
         const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
         if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
@@ -6161,10 +6309,8 @@ typedef struct sfemi_front {
     sfemi_shape h;
     double *l, *u, *scale;
     double *b; /* what stands at the right of products: l, or its signed copy */
-    const sfem_exec *exec;
     size_t begin, end; /* diagonal tiles of the block of columns at work */
-    int load;
-    sfem_int child;
+    int load;          /* are there children, so that U starts from what they add? */
 } sfemi_front;
 
 static double *sfemi_ldl_update_of(const sfem_ldl *ldl, sfem_int s)
@@ -6180,6 +6326,7 @@ static void sfemi_front_begin(sfemi_front *q)
     const double least = q->ldl->positive ? 4e-15 : 1e-13;
     sfem_int e;
     memset(q->l, 0, sfemi_shape_panel_size(h) * sizeof *q->l);
+    if (q->load) memset(q->u, 0, sfemi_shape_update_size(h) * sizeof *q->u);
     for (e = y->from[q->s]; e < y->from[q->s + 1]; ++e) {
         const sfem_int in = y->into[2 * (size_t)e];
         const double *v = q->a->val + 9 * (size_t)y->source[e];
@@ -6202,15 +6349,14 @@ static void sfemi_front_begin(sfemi_front *q)
 }
 
 /* Adds the rows of one tile of a child's update matrix. */
-static void sfemi_front_add_tile(void *data, sfem_int index)
+static void sfemi_front_add_tile(const sfemi_front *q, sfem_int child, size_t tile)
 {
-    const sfemi_front *q = (const sfemi_front *)data;
     const sfemi_symbolic *y = q->ldl->symbolic;
-    const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, q->child, h->w);
-    const sfem_int *place = y->place + y->start[q->child];
+    const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, child, h->w);
+    const sfem_int *place = y->place + y->start[child];
     const sfem_int pivots = y->first[q->s + 1] - y->first[q->s], below = (sfem_int)((ch.f - ch.k) / 3);
-    const size_t tile = ch.boundary + (size_t)index, hs = sfemi_shape_height(&ch, tile);
-    const double *src = sfemi_ldl_update_of(q->ldl, q->child) + sfemi_shape_update(&ch, tile);
+    const size_t hs = sfemi_shape_height(&ch, tile);
+    const double *src = sfemi_ldl_update_of(q->ldl, child) + sfemi_shape_update(&ch, tile);
     const size_t c0 = ch.boundary * ch.t, d0 = h->boundary * h->t;
     const sfem_int per = (sfem_int)(h->t / 3), shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
     sfem_int a = shift < 0 ? 0 : shift, last = shift + per < below ? shift + per : below, b, inner;
@@ -6258,13 +6404,6 @@ static void sfemi_front_rows(const sfemi_front *q, size_t tile, size_t end)
     }
 }
 
-static void sfemi_front_rows_task(void *data, sfem_int index)
-{
-    const sfemi_front *q = (const sfemi_front *)data;
-    size_t tile = q->end + 4 * (size_t)index, last = tile + 4;
-    for (; tile < last && tile < q->h.tiles; ++tile) sfemi_front_rows(q, tile, q->end);
-}
-
 /* Copies columns of a tile with the signs of their pivots. */
 static void sfemi_front_sign(const sfemi_front *q, size_t tile, size_t begin, size_t end)
 {
@@ -6300,36 +6439,12 @@ static sfem_int sfemi_front_diagonal(const sfemi_front *q, size_t tile, double *
     return -1;
 }
 
-#define SFEMI_FRONT_BLOCK 96 /* columns that are eliminated together */
-
-/* Eliminates the front's k columns; returns the one that is lost, or -1. */
-static sfem_int sfemi_front_eliminate(sfemi_front *q, double *lost)
-{
-    const sfemi_shape *h = &q->h;
-    const size_t block = SFEMI_FRONT_BLOCK / h->t;
-    size_t tile;
-    sfem_int at;
-    for (q->begin = 0; q->begin < h->diagonal; q->begin = q->end) {
-        q->end = q->begin + block < h->diagonal ? q->begin + block : h->diagonal;
-        for (tile = q->begin; tile < q->end; ++tile) {
-            sfemi_front_rows(q, tile, tile);
-            at = sfemi_front_diagonal(q, tile, lost);
-            if (at >= 0) return at;
-        }
-        sfemi_run(q->exec, (sfem_int)((h->tiles - q->end + 3) / 4), sfemi_front_rows_task, q);
-    }
-    if (q->b != q->l)
-        for (tile = h->diagonal; tile < h->tiles; ++tile) sfemi_front_sign(q, tile, 0, h->k);
-    return -1;
-}
-
 /* U -= L21 S L21^T, four tiles of rows, from the last ones on (they are the longest). */
-static void sfemi_front_update_task(void *data, sfem_int index)
+static void sfemi_front_update(const sfemi_front *q, size_t index)
 {
-    const sfemi_front *q = (const sfemi_front *)data;
     const sfemi_ldl_kernels *k = q->ldl->symbolic->kernels;
     const sfemi_shape *h = &q->h;
-    const size_t last = h->tiles - 4 * (size_t)index, c0 = h->boundary * h->t;
+    const size_t last = h->tiles - 4 * index, c0 = h->boundary * h->t;
     const size_t begin = last < h->boundary + 4 ? h->boundary : last - 4;
     size_t tile, j, g;
     for (j = h->boundary; j < last; ++j) {
@@ -6374,6 +6489,8 @@ static void sfemi_front_finish(const sfemi_front *q)
     const sfemi_symbolic *y = q->ldl->symbolic;
     const sfemi_shape *h = &q->h;
     size_t tile;
+    q->ldl->negative[q->s] = 0;
+    for (tile = 0; tile < h->k; ++tile) q->ldl->negative[q->s] += q->scale[tile] < 0;
     if (q->ldl->mixed) {
         const sfemi_shape h32 = sfemi_symbolic_shape(y, q->s, 8);
         float *l32 = q->ldl->l32 + y->panel32[q->s];
@@ -6394,16 +6511,92 @@ static void sfemi_front_finish(const sfemi_front *q)
     }
 }
 
-#define SFEMI_FRONT_PARALLEL 2e7 /* operations from which a front is worth several threads */
+#define SFEMI_FRONT_PARALLEL 1e7 /* operations from which a front is worth several threads */
+#define SFEMI_FRONT_BLOCK 96     /* columns that are eliminated together */
+#define SFEMI_FRONT_CHUNK 4      /* tiles of rows to a unit of work */
 
-/* One front: assemble, eliminate, update. Returns the lost column in the new numbering, or -1. */
-static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int s, double *lost,
-                                   const sfem_exec *exec)
+/* A front is worked off in stages, each of so many units that do not depend on each other: assembly,
+ * for each block of columns its diagonal and then the rows below, update, end. */
+static size_t sfemi_front_chunks(size_t tiles)
+{
+    return (tiles + SFEMI_FRONT_CHUNK - 1) / SFEMI_FRONT_CHUNK;
+}
+
+/* Children are added in turn; each unit adds a few tiles of one child, at most so many. */
+static void sfemi_front_add(const sfemi_front *q, sfem_int child, size_t chunk)
+{
+    const sfemi_shape h = sfemi_symbolic_shape(q->ldl->symbolic, child, q->h.w);
+    size_t tile = h.boundary + chunk * SFEMI_FRONT_CHUNK, last = tile + SFEMI_FRONT_CHUNK;
+    for (; h.f > h.k && tile < last && tile < h.tiles; ++tile) sfemi_front_add_tile(q, child, tile);
+}
+
+static size_t sfemi_front_add_units(const sfemi_front *q, sfem_int child)
+{
+    const sfemi_shape h = sfemi_symbolic_shape(q->ldl->symbolic, child, q->h.w);
+    return h.f > h.k ? sfemi_front_chunks(h.tiles - h.boundary) : 1;
+}
+
+/* The block of columns [begin, end) of diagonal tiles; returns the column that is lost, or -1. */
+static sfem_int sfemi_front_block(const sfemi_front *q, double *lost)
+{
+    size_t tile;
+    for (tile = q->begin; tile < q->end; ++tile) {
+        sfem_int at;
+        sfemi_front_rows(q, tile, tile);
+        at = sfemi_front_diagonal(q, tile, lost);
+        if (at >= 0) return at;
+    }
+    return -1;
+}
+
+static void sfemi_front_below(const sfemi_front *q, size_t chunk)
+{
+    size_t tile = q->end + chunk * SFEMI_FRONT_CHUNK, last = tile + SFEMI_FRONT_CHUNK;
+    for (; tile < last && tile < q->h.tiles; ++tile) {
+        sfemi_front_rows(q, tile, q->end);
+        if (q->b != q->l && q->end == q->h.diagonal && tile >= q->h.diagonal)
+            sfemi_front_sign(q, tile, 0, q->h.k);
+    }
+}
+
+/* Does unit number *unit of the front, if it has so many and do_it is set; else subtracts them. Before
+ * that, *before is set to the units that have to be done by then. Returns the lost column or -1. */
+static sfem_int sfemi_front_unit(sfemi_front *q, size_t unit, int do_it, size_t *before, double *lost)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t block = SFEMI_FRONT_BLOCK / q->h.t;
+    sfem_int c;
+    size_t n;
+    *before = 0;
+#define SFEMI_STAGE(count, work)                                                                     \
+    n = (count);                                                                                     \
+    if (unit < n) {                                                                                  \
+        if (do_it) { work; }                                                                         \
+        return -1;                                                                                   \
+    }                                                                                                \
+    unit -= n;                                                                                       \
+    *before += n;
+    SFEMI_STAGE(1, sfemi_front_begin(q))
+    for (c = y->child[q->s]; c >= 0; c = y->sibling[c]) {
+        SFEMI_STAGE(sfemi_front_add_units(q, c), sfemi_front_add(q, c, unit))
+    }
+    for (q->begin = 0; q->begin < q->h.diagonal; q->begin = q->end) {
+        q->end = q->begin + block < q->h.diagonal ? q->begin + block : q->h.diagonal;
+        SFEMI_STAGE(1, return sfemi_front_block(q, lost))
+        SFEMI_STAGE(sfemi_front_chunks(q->h.tiles - q->end), sfemi_front_below(q, unit))
+    }
+    if (q->h.f > q->h.k) {
+        SFEMI_STAGE(sfemi_front_chunks(q->h.tiles - q->h.boundary), sfemi_front_update(q, unit))
+    }
+    SFEMI_STAGE(1, sfemi_front_finish(q))
+#undef SFEMI_STAGE
+    return -1;
+}
+
+static sfemi_front sfemi_front_of(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s)
 {
     const sfemi_symbolic *y = ldl->symbolic;
     sfemi_front q;
-    sfem_int at;
-    size_t p;
     q.ldl = ldl;
     q.a = a;
     q.s = s;
@@ -6412,20 +6605,31 @@ static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int
     q.u = sfemi_ldl_update_of(ldl, s);
     q.scale = ldl->scale + 3 * (size_t)y->first[s];
     q.b = ldl->positive ? q.l : ldl->signs + y->signs[y->of[s]];
-    q.exec = sfemi_front_flops(y, s) > SFEMI_FRONT_PARALLEL ? exec : NULL;
     q.load = y->child[s] >= 0;
+    q.begin = q.end = 0;
+    return q;
+}
+
+/* All of a front at once. Returns the lost column in the new numbering, or -1. */
+static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s, double *lost)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfemi_front q = sfemi_front_of(ldl, a, s);
+    size_t unit, n, block = SFEMI_FRONT_BLOCK / q.h.t;
+    sfem_int c;
     sfemi_front_begin(&q);
-    if (q.load) memset(q.u, 0, sfemi_shape_update_size(&q.h) * sizeof *q.u);
-    for (q.child = y->child[s]; q.child >= 0; q.child = y->sibling[q.child]) {
-        const sfemi_shape h = sfemi_symbolic_shape(y, q.child, y->kernels->width);
-        if (h.f > h.k) sfemi_run(q.exec, (sfem_int)(h.tiles - h.boundary), sfemi_front_add_tile, &q);
+    for (c = y->child[s]; c >= 0; c = y->sibling[c])
+        for (n = sfemi_front_add_units(&q, c), unit = 0; unit < n; ++unit) sfemi_front_add(&q, c, unit);
+    for (q.begin = 0; q.begin < q.h.diagonal; q.begin = q.end) {
+        q.end = q.begin + block < q.h.diagonal ? q.begin + block : q.h.diagonal;
+        c = sfemi_front_block(&q, lost);
+        if (c >= 0) return c + 3 * y->first[s];
+        for (n = sfemi_front_chunks(q.h.tiles - q.end), unit = 0; unit < n; ++unit)
+            sfemi_front_below(&q, unit);
     }
-    at = sfemi_front_eliminate(&q, lost);
-    if (at >= 0) return at + 3 * y->first[s];
     if (q.h.f > q.h.k)
-        sfemi_run(q.exec, (sfem_int)((q.h.tiles - q.h.boundary + 3) / 4), sfemi_front_update_task, &q);
-    ldl->negative[s] = 0;
-    for (p = 0; p < q.h.k; ++p) ldl->negative[s] += q.scale[p] < 0;
+        for (n = sfemi_front_chunks(q.h.tiles - q.h.boundary), unit = 0; unit < n; ++unit)
+            sfemi_front_update(&q, unit);
     sfemi_front_finish(&q);
     return -1;
 }
@@ -6433,20 +6637,77 @@ static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int
 typedef struct sfemi_factor_job {
     sfem_ldl *ldl;
     const sfem_matrix *a;
-    const sfem_int *tasks;
-    const sfem_exec *exec;
 } sfemi_factor_job;
 
-static void sfemi_factor_task(void *data, sfem_int index)
+/* Is the task one front that is worth cutting into units? */
+static int sfemi_task_is_cut(const sfemi_symbolic *y, sfem_int t)
+{
+    return y->task[t + 1] - y->task[t] == 1 && sfemi_front_flops(y, y->task[t]) > SFEMI_FRONT_PARALLEL;
+}
+
+static void sfemi_factor_task(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int t)
+{
+    sfem_int s = ldl->symbolic->task[t];
+    for (; s < ldl->symbolic->task[t + 1] && ldl->lost_at[t] == -1; ++s)
+        if (ldl->stale[s]) ldl->lost_at[t] = sfemi_front_factor(ldl, a, s, ldl->lost + t);
+}
+
+/* Waits for the tasks below t; marks t if one of them failed. */
+static void sfemi_factor_wait(const sfem_ldl *ldl, sfem_int t)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int c = y->child[y->task[t + 1] - 1];
+    for (; c >= 0; c = y->sibling[c]) {
+        const sfem_int below = y->of[c];
+        if (below == t) continue;
+        sfemi_crew_wait(ldl->done + below, ldl->units[y->at_level[below] + 1] - ldl->units[y->at_level[below]]);
+        if (ldl->lost_at[below] != -1) ldl->lost_at[t] = -2;
+    }
+}
+
+static void sfemi_factor_unit(void *data, sfem_int unit)
 {
     const sfemi_factor_job *job = (const sfemi_factor_job *)data;
-    sfem_ldl *ldl = job->ldl;
-    const sfem_int t = job->tasks[index], end = ldl->symbolic->task[t + 1];
-    sfem_int s = ldl->symbolic->task[t];
-    ldl->lost_at[t] = -1;
-    for (; s < end && ldl->lost_at[t] < 0; ++s)
-        if (ldl->stale[s])
-            ldl->lost_at[t] = sfemi_front_factor(ldl, job->a, s, ldl->lost + t, job->exec);
+    const sfem_ldl *ldl = job->ldl;
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int low = 0, high = y->tasks, t;
+    while (high - low > 1) {
+        const sfem_int middle = low + (high - low) / 2;
+        if (ldl->units[middle] <= unit) low = middle;
+        else high = middle;
+    }
+    t = y->by_level[low];
+    unit -= ldl->units[low];
+    if (unit == 0) sfemi_factor_wait(ldl, t);
+    if (!sfemi_task_is_cut(y, t)) sfemi_factor_task(ldl, job->a, t);
+    else if (ldl->stale[y->task[t]]) {
+        sfemi_front q = sfemi_front_of(ldl, job->a, y->task[t]);
+        size_t before;
+        (void)sfemi_front_unit(&q, (size_t)unit, 0, &before, NULL);
+        sfemi_crew_wait(ldl->done + t, (sfem_int)before);
+        if (ldl->lost_at[t] == -1) {
+            const sfem_int at = sfemi_front_unit(&q, (size_t)unit, 1, &before, ldl->lost + t);
+            if (at >= 0) ldl->lost_at[t] = at + 3 * y->first[q.s];
+        }
+    }
+    (void)SFEMI_ATOMIC_ADD(ldl->done + t, 1);
+}
+
+/* How the work is cut for several threads. */
+static void sfemi_factor_units(const sfem_ldl *ldl)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int k;
+    ldl->units[0] = 0;
+    for (k = 0; k < y->tasks; ++k) {
+        const sfem_int t = y->by_level[k];
+        size_t units = 1;
+        if (sfemi_task_is_cut(y, t)) {
+            sfemi_front q = sfemi_front_of(ldl, NULL, y->task[t]);
+            (void)sfemi_front_unit(&q, (size_t)-1, 0, &units, NULL);
+        }
+        ldl->units[k + 1] = ldl->units[k] + (sfem_int)units;
+    }
 }
 
 static void sfemi_ldl_statistics(sfem_ldl *ldl)
@@ -6474,8 +6735,11 @@ static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error
     memset(&q, 0, sizeof q);
     q.ldl = ldl;
     q.block = 1;
+    q.pace = ldl->pace + 1;
     q.w = r + n;
     q.scratch = q.w + sfemi_solve_rows(ldl->symbolic);
+    q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
+                                                       SFEMI_SOLVE_SCRATCH);
     for (i = 0; i < n; ++i) {
         random = random * 1664525u + 1013904223u;
         x[i] = (double)(int32_t)random * (1. / 2147483648.);
@@ -6520,11 +6784,11 @@ static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, s
 static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    const sfem_int threads = sfemi_threads(&ldl->exec);
     sfemi_factor_job job;
     sfem_status status = SFEM_OK;
-    sfem_int l, k;
-    double most = 0;
+    sfem_int threads, k;
+    int e = 0;
+    double most = 0, start;
     ldl->valid = 0;
     job.ldl = ldl;
     job.a = a;
@@ -6532,19 +6796,29 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
         const double *v = a->val + 9 * ((size_t)a->row[k + 1] - 1);
         if (fabs(v[0]) > most) most = fabs(v[0]);
     }
-    k = 0;
-    if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &k);
-    ldl->unit = ldexp(1.0, k);
-    for (l = 0; l < y->levels; ++l) {
-        const sfem_int count = y->level[l + 1] - y->level[l];
-        const int wide = threads > 1 && count < threads; /* then the fronts themselves are shared out */
-        job.tasks = y->by_level + y->level[l];
-        job.exec = wide ? &ldl->exec : NULL;
-        sfemi_run(wide ? NULL : &ldl->exec, count, sfemi_factor_task, &job);
-        for (k = y->level[l]; k < y->level[l + 1]; ++k)
-            if (ldl->lost_at[y->by_level[k]] >= 0)
-                return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
+    if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &e);
+    if (ldl->mixed && ldl->unit != ldexp(1.0, e)) memset(ldl->stale, 1, (size_t)y->supernodes);
+    ldl->unit = ldexp(1.0, e);
+    for (k = 0; k < y->tasks; ++k) {
+        ldl->lost_at[k] = -1;
+        SFEMI_ATOMIC_SET(ldl->done + k, 0);
     }
+    threads = y->tasks > 1 ? sfemi_pace_threads(ldl->pace, &ldl->exec) : 1;
+    start = ldl->exec.threads > 1 ? sfemi_seconds() : 0;
+    if (threads > 1) {
+        sfemi_crew crew;
+        crew.unit = sfemi_factor_unit;
+        crew.data = &job;
+        crew.count = ldl->units[y->tasks];
+        crew.next = ldl->done + y->tasks;
+        SFEMI_ATOMIC_SET(crew.next, 0);
+        sfemi_run(&ldl->exec, threads, sfemi_crew_work, &crew);
+    } else
+        for (k = 0; k < y->tasks && (k == 0 || ldl->lost_at[y->by_level[k - 1]] == -1); ++k)
+            sfemi_factor_task(ldl, a, y->by_level[k]);
+    if (start > 0) sfemi_pace_took(ldl->pace, threads, sfemi_seconds() - start);
+    for (k = 0; k < y->tasks; ++k)
+        if (ldl->lost_at[y->by_level[k]] >= 0) return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
     sfemi_ldl_statistics(ldl);
     if (!ldl->positive) status = sfemi_ldl_try(ldl, a, err);
     ldl->valid = status == SFEM_OK;
@@ -6579,9 +6853,13 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     SFEMI_NEW(double, ldl->floor, m, n + 1);
     SFEMI_NEW(double, ldl->lost, m, nt + 1);
     SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
+    SFEMI_NEW(sfem_int, ldl->units, m, nt + 1);
+    SFEMI_NEW(sfemi_counter, ldl->done, m, nt + 1);
+    SFEMI_NEW(sfemi_pace, ldl->pace, m, 3);
     SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
     SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
     memset(ldl->stale, 1, ns);
+    sfemi_factor_units(ldl);
     SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
     *out = ldl;
     return SFEM_OK;
@@ -6634,7 +6912,7 @@ SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matri
 {
     const sfem_status status = sfemi_ldl_matches(like, a, err);
     if (status != SFEM_OK) return status;
-    SFEMI_COUNT_UP(&like->symbolic->references);
+    (void)SFEMI_ATOMIC_ADD(&like->symbolic->references, 1);
     return sfemi_ldl_make(like, like->symbolic, a, out, err);
 }
 
@@ -6711,6 +6989,9 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->floor);
     sfemi_delete(&m, ldl->lost);
     sfemi_delete(&m, ldl->lost_at);
+    sfemi_delete(&m, ldl->units);
+    sfemi_delete(&m, ldl->done);
+    sfemi_delete(&m, ldl->pace);
     sfemi_delete(&m, ldl->negative);
     sfemi_delete(&m, ldl->stale);
     sfemi_delete(&m, ldl);
@@ -7024,6 +7305,21 @@ static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real 
     for (i = 3; i < 6; ++i) stress[i] = mu * strain[i];
 }
 
+/* Below this |F| a tet is a point, and all that is left of F is the rounding of G = F - I: R is then I. */
+#define SFEMI_TINY_F       1e-12
+#define SFEMI_TINY_F_MIXED 1e-6 /* G in float */
+
+static void sfemi_element_rotation(const sfem_real f[9], sfem_real point, sfem_real r[9])
+{
+    sfem_real norm2 = 0;
+    int i;
+    for (i = 0; i < 9; ++i) norm2 += f[i] * f[i];
+    if (norm2 < point * point)
+        for (i = 0; i < 9; ++i) r[i] = i % 4 ? 0 : 1;
+    else
+        sfem_polar(f, r, NULL);
+}
+
 /* ---- materials, one at a time: F = I + G, so that small G keep their digits ---- */
 
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu)
@@ -7052,7 +7348,7 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
 {
     sfem_real r[9], trace = 0, square = 0;
     int i;
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, SFEMI_TINY_F, r);
     for (i = 0; i < 9; ++i) {
         const sfem_real d = f[i] - r[i];
         square += d * d;
@@ -7232,7 +7528,7 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
         f[i] = g[i] + m->u[i];
     }
     if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN)
-        sfem_polar(f, m->u, NULL);
+        sfemi_element_rotation(f, SFEMI_TINY_F, m->u);
     else if (law != SFEM_LINEAR)
         sfemi_law_svd(f, m->u, s, m->v);
     sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
@@ -7761,12 +8057,12 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
 #endif
 
 /* R of a lane that the fast way has given up. */
-static void sfemi_lanes_repair(const sfem_real g[9], sfem_real r[9])
+static void sfemi_lanes_repair(const sfem_real g[9], sfem_real point, sfem_real r[9])
 {
     sfem_real f[9];
     int i;
     for (i = 0; i < 9; ++i) f[i] = g[i] + (i % 4 ? 0 : 1);
-    sfem_polar(f, r, NULL);
+    sfemi_element_rotation(f, point, r);
 }
 
 /* Is any of the flags, 0 or 1, not 0? */
@@ -7939,7 +8235,7 @@ static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fus
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         if (w->bad[l] == 0) continue;                                                              \
         for (i = 0; i < 9; ++i) g[i] = w->g[i][l];                                                 \
-        sfemi_lanes_repair(g, r);                                                                  \
+        sfemi_lanes_repair(g, sizeof(T) < sizeof g[0] ? SFEMI_TINY_F_MIXED : SFEMI_TINY_F, r);       \
         for (i = 0; i < 9; ++i) w->r[i][l] = (T)r[i];                                              \
     }                                                                                              \
 }                                                                                                  \
@@ -8414,19 +8710,18 @@ static void sfemi_chunks_fill_blocks(const sfem_model *model, sfemi_chunks *c, s
     const sfem_int first = k * SFEMI_CHUNK_TETS;
     const sfem_int end = k + 1 < c->count ? first + SFEMI_CHUNK_TETS : model->mesh.tets;
     sfemi_block *block = c->block + c->block_start[k];
-    sfem_int law, e, i, blocks, tets, last = first;
+    sfem_int law, e, b, lane, blocks, tets, last = first;
     for (law = 0; law <= SFEM_NEOHOOKEAN; ++law) {
         for (e = first, tets = 0; e < end; ++e) tets += model->law[e] == law;
         blocks = (tets + SFEMI_LANES - 1) / SFEMI_LANES;
-        for (e = first, i = 0; e < end; ++e) {
-            if (model->law[e] != law) continue;
-            sfemi_chunks_fill(model, e, 0, local, block + i % blocks, i / blocks);
-            last = e;
-            ++i;
+        for (e = first, b = lane = 0; tets > 0 && lane < SFEMI_LANES; ++e) {
+            if (e < end && model->law[e] != law) continue;
+            if (e < end) last = e; /* then the lanes that are left */
+            sfemi_chunks_fill(model, last, e >= end, local, block + b, lane);
+            block[b].law = law;
+            if (++b == blocks) b = 0, ++lane;
         }
-        for (; i < blocks * SFEMI_LANES; ++i)
-            sfemi_chunks_fill(model, last, 1, local, block + i % blocks, i / blocks);
-        for (i = 0; i < blocks; ++i) block++->law = law;
+        block += blocks;
     }
 }
 
@@ -8499,7 +8794,7 @@ static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
     const sfem_allocator *al = &model->allocator;
     const sfem_mesh *mesh = &model->mesh;
     sfemi_chunks *c = &model->chunks;
-    sfem_int *mark = NULL, *local = NULL, i, a, b, *place;
+    sfem_int *mark = NULL, *local = NULL;
     sfem_status status = SFEM_OK;
     c->count = (mesh->tets + SFEMI_CHUNK_TETS - 1) / SFEMI_CHUNK_TETS;
     SFEMI_NEW(sfem_int, mark, al, (size_t)mesh->nodes + (size_t)c->count);
@@ -8509,7 +8804,6 @@ static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
     SFEMI_NEW(sfem_int, c->color_start, al, (size_t)c->count + 1);
     SFEMI_NEW(sfem_int, c->color_chunk, al, c->count);
     SFEMI_NEW(sfem_int, c->node_start, al, (size_t)mesh->nodes + 1);
-    SFEMI_NEW(sfem_int, c->place, al, 10 * (size_t)mesh->tets);
     memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
     sfemi_chunks_count(model, c, mark);
     SFEMI_NEW(sfemi_block, c->block, al, c->block_start[c->count]);
@@ -8518,12 +8812,6 @@ static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
     memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
     sfemi_chunks_number(model, c, mark, local);
     sfemi_chunks_color(c, local, mark);
-    for (i = 0, place = c->place; i < mesh->tets; ++i)
-        for (a = 0; a < 4; ++a)
-            for (b = 0; b <= a; ++b) {
-                const sfem_int n = mesh->tet[4 * i + a], m = mesh->tet[4 * i + b];
-                *place++ = sfemi_fem_find(model->row, model->col, n > m ? n : m, n > m ? m : n);
-            }
 done:
     sfemi_delete(al, mark);
     sfemi_delete(al, local);
@@ -8534,6 +8822,7 @@ done:
 static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material *m)
 {
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_int *place = model->chunks.place + 10 * (size_t)e;
     const sfem_real da = m->alpha - model->alpha, db = m->beta - model->beta;
     sfem_real g[4][3], k[9], node;
     int a, b, i;
@@ -8551,6 +8840,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
             sfem_real *d, *kk;
             if (t[a] < t[b]) continue;
             at = sfemi_fem_find(model->row, model->col, t[a], t[b]);
+            place[a > b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a] = at;
             kk = model->stiffness.val + 9 * (size_t)at;
             sfemi_element_block(g[a], g[b], v * model->lambda[e], v * model->mu[e], k);
             for (i = 0; i < 9; ++i) kk[i] += k[i];
@@ -8644,6 +8934,7 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     SFEMI_NEW(sfem_real, model->density, al, mesh->tets);
     SFEMI_NEW(sfem_real, model->volume, al, mesh->tets);
     SFEMI_NEW(unsigned char, model->law, al, mesh->tets);
+    SFEMI_NEW(sfem_int, model->chunks.place, al, 10 * (size_t)mesh->tets);
     if (def->mass == SFEM_MASS_CONSISTENT) SFEMI_NEW(sfem_real, model->block_mass, al, blocks);
     if (def->damping || sfemi_fem_damping_varies(def))
         SFEMI_NEW(sfem_real, model->damping, al, 9 * blocks);
@@ -9069,13 +9360,16 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>factor   the shared factor of a body's system matrix
  *
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
- * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. All bodies of a model with the
+ * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
+ * isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
+ * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. All bodies of a model with the
  * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
  * goes when its last body lets go. A factor never changes after it is made.
  * ============================================================================================ */
 
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
+    int majorant; /* ck times the isotropic majorant in place of K */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -9095,7 +9389,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, size_t nodes)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.precision == key->precision && f->key.ordering == key->ordering &&
+           f->key.majorant == key->majorant && f->key.precision == key->precision && f->key.ordering == key->ordering &&
            memcmp(f->mask, key->mask, nodes) == 0;
 }
 
@@ -9140,6 +9434,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
+            k.majorant = f->key.majorant;
         }
         if (!sfemi_factor_matches(f, &k, nodes)) continue;
         ++f->references;
@@ -9149,13 +9444,67 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     return f;
 }
 
+static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
+{
+    return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0));
+}
+
+/* y = the majorant times x. */
+static void sfemi_factor_multiply_majorant(const sfem_model *model, const sfem_real *x, sfem_real *y)
+{
+    sfem_int e;
+    int a, i, j;
+    memset(y, 0, 3 * (size_t)model->mesh.nodes * sizeof *y);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3], d[3][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (i = 0; i < 3; ++i)
+            for (j = 0; j < 3; ++j) {
+                d[i][j] = 0;
+                for (a = 1; a < 4; ++a)
+                    d[i][j] += g[a][j] * (x[3 * (size_t)t[a] + (size_t)i] - x[3 * (size_t)t[0] + (size_t)i]);
+                d[i][j] *= sfemi_factor_isotropic(model, e);
+            }
+        for (a = 0; a < 4; ++a)
+            for (i = 0; i < 3; ++i) y[3 * (size_t)t[a] + (size_t)i] += sfemi_dot3(d[i], g[a]);
+    }
+}
+
+/* The majorant's scalars [blocks], to be freed, where the key wants it; else NULL. */
+static sfem_status sfemi_factor_majorant(const sfem_model *model, const sfemi_factor_key *key,
+                                         sfem_real **out, sfem_error *err)
+{
+    sfem_real *scalar = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int e;
+    int a, b;
+    *out = NULL;
+    if (!key->majorant) return SFEM_OK;
+    SFEMI_NEW(sfem_real, scalar, &model->allocator, model->row[model->mesh.nodes]);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real g[4][3];
+        sfemi_element_gradients(&model->mesh, e, g);
+        for (a = 0; a < 4; ++a)
+            for (b = 0; b < 4; ++b)
+                if (t[a] >= t[b])
+                    scalar[sfemi_fem_find(model->row, model->col, t[a], t[b])] +=
+                        sfemi_factor_isotropic(model, e) * sfemi_dot3(g[a], g[b]);
+    }
+    *out = scalar;
+done:
+    return status;
+}
+
 /* Block (i, j) of A at place `at` of the pattern, without what couples held axes. */
-static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, sfem_int at, sfem_int i,
-                               sfem_real b[9])
+static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *majorant,
+                               sfem_int at, sfem_int i, sfem_real b[9])
 {
     const sfem_int j = model->col[at];
     int r, c;
-    sfemi_fem_block(model, at, i, f->key.ck, f->key.cm, f->key.cd, b);
+    sfemi_fem_block(model, at, i, majorant ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; majorant && r < 9; r += 4) b[r] += f->key.ck * majorant[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
             if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
@@ -9167,9 +9516,11 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
 {
     const sfem_allocator *al = &model->allocator;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_real *majorant = NULL;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
+    SFEMI_TRY(sfemi_factor_majorant(model, &f->key, &majorant, err));
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
@@ -9181,13 +9532,14 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
             if (number[model->col[at]] == 0) continue;
             col[blocks] = number[model->col[at]] - 1;
-            sfemi_factor_block(model, f, at, f->node[k], a.val + 9 * (size_t)blocks++);
+            sfemi_factor_block(model, f, majorant, at, f->node[k], a.val + 9 * (size_t)blocks++);
         }
         row[k + 1] = blocks;
     }
     *out = a;
 done:
     if (status != SFEM_OK) sfem_matrix_free(&a, al);
+    sfemi_delete(al, majorant);
     sfemi_delete(al, number);
     return status;
 }
@@ -9344,14 +9696,16 @@ typedef struct sfemi_state_head {
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
-    sfem_int current;   /* f, psi, frame and the ledger belong to u */
-    sfem_int rebase;    /* what counts as free has changed: a new ledger */
+    sfem_int current;   /* f, psi and frame belong to u */
+    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
     sfem_int unused;
-    int64_t steps, redone;
-    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger */
+    int64_t steps, redone, descents;
+    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
+    sfem_real energy;                   /* and what it conserves */
 } sfemi_state_head;
 
 /* RESTARTED: as not started, but the loads have their history. */
+enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
@@ -9586,6 +9940,50 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
     if (hold->age < 2) ++hold->age;
 }
 
+/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
+typedef struct sfemi_piece {
+    int held; /* by a pin or a handle: no projection */
+    sfem_real mass, centre[3], inertia_inverse[9];
+    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real sum[4][3];          /* scratch of the energies */
+} sfemi_piece;
+
+typedef struct sfemi_turn {
+    sfem_int pieces;
+    sfem_int *piece_of;  /* [nodes] -1: in no tet */
+    sfemi_piece *piece;  /* [pieces] */
+    sfem_real *rotation; /* [tets][3][3] */
+    sfem_real *work;     /* of sfem_model_forces */
+    sfem_real *v;        /* [nodes][3] scratch */
+    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
+} sfemi_turn;
+
+/* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
+typedef struct sfemi_redo {
+    sfem_factor *factor;
+    sfem_real h;
+    sfemi_grip grip; /* the handles' columns for it */
+} sfemi_redo;
+
+enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
+
+/* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
+enum { SFEMI_MEMORY = 6 };
+
+/* >>guard: scratch of a step, all [nodes][3] unless stated. */
+typedef struct sfemi_guard {
+    sfem_real *u, *w, *f;  /* the step's end */
+    sfem_real *external;   /* the loads as the corrections weigh them */
+    sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
+    sfem_real *unit;       /* frames that do not turn */
+    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
+    sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
+    int pairs;             /* so many so far in this redo */
+    sfem_real psi;         /* at u */
+    int redone;            /* u, w, f come from the redo */
+    int crumpled;          /* which needed the isotropic majorant */
+    sfem_int corrections;  /* made in the last step */
+} sfemi_guard;
 /* What >>implicit works with. */
 typedef struct sfemi_stage {
     sfem_real m1, m0, w1, w0, c1, c2; /* see there */
@@ -9616,36 +10014,6 @@ typedef struct sfemi_implicit {
 } sfemi_implicit;
 
 enum { SFEMI_IMPLICIT_VECTORS = 15 };
-
-/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
-typedef struct sfemi_piece {
-    int held; /* by a pin or a handle: no projection */
-    sfem_real mass, centre[3], inertia_inverse[9];
-    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
-    sfem_real sum[4][3];          /* scratch of the energies */
-} sfemi_piece;
-
-typedef struct sfemi_turn {
-    sfem_int pieces;
-    sfem_int *piece_of;  /* [nodes] -1: in no tet */
-    sfemi_piece *piece;  /* [pieces] */
-    sfem_real *rotation; /* [tets][3][3] */
-    sfem_real *work;     /* of sfem_model_forces */
-    sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
-} sfemi_turn;
-
-/* >>guard: scratch of a step, all [nodes][3] unless stated. */
-typedef struct sfemi_guard {
-    sfem_real *u, *w, *f;  /* the step's end */
-    sfem_real *external;   /* the loads as the corrections weigh them */
-    sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
-    sfem_factor *factor;   /* A with p = 1, for the redo; NULL until one is needed */
-    sfem_real h;           /* what it is for */
-    sfemi_grip grip;       /* the handles' columns for it */
-    sfem_real psi;         /* at u */
-    int redone;            /* u, w, f come from the redo */
-} sfemi_guard;
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
@@ -11319,12 +11687,12 @@ static int sfemi_turn_projects(const sfem_body *b)
     return 0;
 }
 
-/* x = A^-1 x, see above, held axes becoming 0. */
+/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
 static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
     const sfem_int nodes = b->model->mesh.nodes;
-    const int projects = sfemi_turn_projects(b);
+    const int projects = u && sfemi_turn_projects(b);
     sfem_int i, k;
     int c;
     if (projects) {
@@ -11362,7 +11730,8 @@ static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_re
         }
         sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
     }
-    sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
+    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_turn_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -11393,7 +11762,7 @@ static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real
     sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
     sfem_int e, i;
     int a, c;
-    if (b->def.frame == SFEM_FRAME_REST) return;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
     memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
     for (e = 0; e < model->mesh.tets; ++e)
         for (a = 0; a < 4; ++a) {
@@ -11524,26 +11893,34 @@ static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real 
     return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
 }
 
-/* Forces, frames and a new ledger where the state was set from outside. */
-static void sfemi_guard_refresh(sfem_body *b)
+/* Forces and frames where the state was set from outside; the pieces' places. */
+static void sfemi_guard_look(sfem_body *b)
 {
     sfemi_state_head *head = b->state.head;
-    sfemi_guard_energies e;
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+        head->current = 1;
+        head->rebase = SFEMI_NEW_LEDGER;
     }
     sfemi_turn_locate(b, b->state.u);
-    if (head->current && !head->rebase) return;
-    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+}
+
+/* A ledger for steps of h from here, where the present one is void. */
+static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
+{
+    sfemi_state_head *head = b->state.head;
+    sfemi_guard_energies e;
+    sfemi_guard_look(b);
+    if (head->rebase == SFEMI_LEDGER) return;
+    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
     head->budget = head->last = e.ec;
-    if (!head->current) head->scale = 0;
+    if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
-    head->current = 1;
-    head->rebase = 0;
+    head->rebase = SFEMI_LEDGER;
 }
 
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
@@ -11558,7 +11935,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     sfem_int j;
     size_t i;
     b->step = h;
-    sfemi_guard_refresh(b);
+    sfemi_guard_refresh(b, h);
     t = sfemi_pqr_weigh(b, h);
     t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
@@ -11725,6 +12102,7 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
     int k;
     for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
         sfem_real size = 0, change = 0;
+        g->corrections = k + 1;
         for (i = 0; i < n; ++i) {
             const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
             b->zk[i] = b->beta * v;
@@ -11774,6 +12152,7 @@ static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_re
  * constraints, and what is added to it may not leave them. */
 static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
 {
+    sfemi_grip *grip = &b->guard.redo[SFEMI_TURNED].grip;
     sfem_int k;
     int c;
     for (k = 0; k < b->pin_count; ++k)
@@ -11781,14 +12160,14 @@ static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
         }
-    if (!b->guard.grip.count) return;
-    for (k = 0; k < b->guard.grip.count; ++k) { /* hold compares H z with the target's displacement */
-        const sfemi_handle *h = b->state.handle + b->guard.grip.slot[k];
+    if (!grip->count) return;
+    for (k = 0; k < grip->count; ++k) { /* hold compares H z with the target's displacement */
+        const sfemi_handle *h = b->state.handle + grip->slot[k];
         sfem_real rest[3];
         sfemi_grip_mean(h, b->model->mesh.x, rest);
-        for (c = 0; c < 3; ++c) b->guard.grip.lambda[3 * k + c] = h->hold.target[c] - rest[c];
+        for (c = 0; c < 3; ++c) grip->lambda[3 * k + c] = h->hold.target[c] - rest[c];
     }
-    sfemi_guard_hold(b, &b->guard.grip, b->state.frame, z);
+    sfemi_guard_hold(b, grip, b->state.frame, z);
 }
 
 static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
@@ -11817,44 +12196,94 @@ static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
     return sfemi_guard_potential(b, g->u, g->f, psi);
 }
 
-/* dir = -h^2 A1^-1 grad in the frames of z, leaving constraints alone. Returns grad.dir. */
-static sfem_real sfemi_guard_direction(sfem_body *b)
+/* x = h^2 A^-1 x in the frames of z, leaving constraints alone. The isotropic majorant is taken as it is:
+ * only then it bounds Phi. */
+static void sfemi_guard_precondition(sfem_body *b, int kind, sfem_real *x)
+{
+    sfemi_grip *grip = &b->guard.redo[kind].grip;
+    const sfem_real *frame = kind == SFEMI_TURNED ? b->guard.frame : b->guard.unit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_turn_solve(b, b->guard.redo[kind].factor, kind == SFEMI_TURNED ? b->state.u : NULL, frame, x);
+    if (grip->count) {
+        memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
+        sfemi_guard_hold(b, grip, frame, x);
+    }
+    for (i = 0; i < n; ++i) x[i] *= b->step * b->step;
+}
+
+static sfem_real sfemi_guard_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+/* dir, a direction of descent: minus the preconditioned gradient, with the majorant corrected by the pairs
+ * (L-BFGS) [Nocedal 1980; with such a matrix: Liu, Bouaziz, Kavan 2017]. Returns grad.dir. */
+static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real slope = 0;
+    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
+    sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
-    sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    int k;
+    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
-    sfemi_turn_solve(b, g->factor, b->state.u, g->frame, g->dir);
-    if (g->grip.count) {
-        memset(g->grip.lambda, 0, 3 * (size_t)g->grip.count * sizeof *g->grip.lambda);
-        sfemi_guard_hold(b, &g->grip, g->frame, g->dir);
+    for (k = 0; k < count; ++k) { /* from the last on */
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
+        rho[k] = sfemi_guard_dot(s, y, n);
+        part[k] = sfemi_guard_dot(s, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
     }
+    sfemi_guard_precondition(b, kind, g->dir);
+    for (k = count - 1; k >= 0; --k) {
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
+        const sfem_real back = sfemi_guard_dot(y, g->dir, n) / rho[k];
+        for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
+    }
+    for (i = 0; i < n; ++i) g->dir[i] = -g->dir[i];
+    return sfemi_guard_dot(g->grad, g->dir, n);
+}
+
+/* Puts the pair that was begun in its slot in order, if the gradient has changed along the step as it
+ * must. */
+static void sfemi_guard_remember(sfemi_guard *g, size_t n)
+{
+    sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY), *y = s + n;
+    size_t i;
     for (i = 0; i < n; ++i) {
-        g->dir[i] *= -b->step * b->step;
-        slope += g->grad[i] * g->dir[i];
+        s[i] = g->u[i] - s[i];
+        y[i] = g->grad[i] - y[i];
     }
-    return slope;
+    if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n))) ++g->pairs;
 }
 
 /* One step of descent with Armijo's rule; 0 if there is none left to take. */
-static int sfemi_guard_descend(sfem_body *b, sfem_real *phi, sfem_real *psi)
+static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
-    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
-    const sfem_real slope = sfemi_guard_direction(b);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real slope = sfemi_guard_direction(b, kind);
     sfem_real length = 1;
     size_t i;
     int halvings;
-    for (halvings = 0; halvings < 20 && slope < 0; ++halvings, length /= 2) {
+    if (kind == SFEMI_ISOTROPIC) {
+        sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
+        memcpy(s, g->u, n * sizeof *s);
+        memcpy(s + n, g->grad, n * sizeof *s);
+    }
+    for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
         sfem_real value;
-        for (i = 0; i < bytes / sizeof *g->u; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
+        for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
         if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
         *phi = value;
-        memcpy(g->u, g->trial_u, bytes);
-        memcpy(g->f, g->trial_f, bytes);
+        memcpy(g->u, g->trial_u, n * sizeof *g->u);
+        memcpy(g->f, g->trial_f, n * sizeof *g->f);
+        if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
         return 1;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
@@ -11937,6 +12366,7 @@ static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
     sfem_int k;
     int l, c;
@@ -11944,29 +12374,106 @@ static sfem_real sfemi_guard_work(sfem_body *b)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+            work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
     for (k = 0; k < b->grip.count; ++k) {
         const sfemi_handle *h = b->state.handle + b->grip.slot[k];
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += (mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
+                work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
 }
 
-/* Does the step again, by minimisation. Leaves z, w', f, rotations in guard; returns Psi. */
-static sfem_real sfemi_guard_redo(sfem_body *b)
+/* The factor of the redo, and the handles' columns for it. */
+static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *err)
+{
+    sfemi_redo *g = &b->guard.redo[kind];
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
+    sfem_factor *f = NULL;
+    sfemi_factor_key key;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!g->factor || g->h != h) {
+        key = b->factor->key;
+        key.majorant = kind == SFEMI_ISOTROPIC;
+        key.ck = kind == SFEMI_TURNED ? h * h + h * b->beta : h * h;
+        key.cm = kind == SFEMI_TURNED ? r + h * b->alpha : r;
+        key.cd = kind == SFEMI_TURNED && b->model->damping ? h : 0;
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        sfemi_factor_release(b->model, g->factor);
+        g->factor = f;
+        g->h = h;
+        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
+    }
+    if (kind == SFEMI_ISOTROPIC && !b->guard.pair)
+        SFEMI_NEW(sfem_real, b->guard.pair, &b->allocator, 6 * SFEMI_MEMORY * (size_t)b->model->mesh.nodes);
+    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
+    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
+    g->grip.count = b->grip.count;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
+        if (!g->grip.ready[slot])
+            sfemi_grip_columns(g->factor, b->state.handle + slot, b->model->mesh.nodes, 1, g->grip.y[slot],
+                               b->work, &b->exec);
+        g->grip.ready[slot] = 1;
+    }
+done:
+    return status;
+}
+
+/* Lowers Phi, by the turned factor, or where that needs short steps, by the isotropic majorant, until Ec is
+ * in order and a step of descent gains little. */
+static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
+                                        sfem_error *err)
+{
+    enum { LIMIT = 100 };
+    sfemi_guard *g = &b->guard;
+    const sfem_real scale = b->state.head->scale;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real first = 0;
+    sfem_status status = SFEM_OK;
+    int k, kind = SFEMI_TURNED, poor = 0;
+    g->pairs = 0;
+    for (k = 0; k < LIMIT; ++k) {
+        sfem_real norm = 0, before = phi;
+        size_t i;
+        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
+        if (k == 0) first = norm;
+        if (norm == 0 || norm < 1e-6 * first) break;
+        if (sfemi_guard_descend(b, kind, &phi, psi)) {
+            const sfem_real worth = *psi < scale ? *psi : scale;
+            const int turned = kind == SFEMI_TURNED;
+            ++b->state.head->descents;
+            poor = before - phi <= (turned ? .01 : .001) * worth ? poor + 1 : 0;
+            if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
+        } else if (kind == SFEMI_TURNED) {
+            kind = SFEMI_ISOTROPIC;
+            g->crumpled = 1;
+            SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
+        } else {
+            break;
+        }
+    }
+done:
+    return status;
+}
+
+/* Does the step again, by minimisation. Leaves z, w', f, rotations and Psi in guard. */
+static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
 {
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real psi, phi, first = 0, target;
+    sfem_real psi, phi, target;
+    sfem_status status;
     size_t i;
-    int k;
+    g->crumpled = 0;
+    status = sfemi_guard_prepare_redo(b, SFEMI_TURNED, err);
+    if (status != SFEM_OK) return status;
     for (i = 0; i < n; ++i) {
         const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
         g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
@@ -11977,52 +12484,13 @@ static sfem_real sfemi_guard_redo(sfem_body *b)
     head->budget += sfemi_guard_work(b);
     target = head->budget + .01 * head->scale;
     if (head->last > target) target = head->last;
-    for (k = 0; k < 8; ++k) {
-        sfem_real norm = 0;
-        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
-        if (k == 0) first = norm;
-        else if (norm < 1e-6 * first || sfemi_guard_at(b, psi).ec <= target) break;
-        if (!sfemi_guard_descend(b, &phi, &psi)) break;
-    }
+    status = sfemi_guard_minimise(b, phi, target, &psi, err);
+    if (status != SFEM_OK) return status;
     (void)sfemi_guard_at(b, psi);
     sfemi_guard_restore_momentum(b, psi);
     sfemi_guard_slow_down(b, psi, target);
-    return psi;
-}
-
-/* The factor of the redo, and the handles' columns for it. */
-static sfem_status sfemi_guard_prepare_redo(sfem_body *b, sfem_error *err)
-{
-    sfemi_guard *g = &b->guard;
-    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_factor *f = NULL;
-    sfemi_factor_key key;
-    sfem_status status = SFEM_OK;
-    sfem_int i;
-    if (!g->factor || g->h != h) {
-        key = b->factor->key;
-        key.ck = h * h + h * b->beta;
-        key.cm = r + h * b->alpha;
-        key.cd = b->model->damping ? h : 0;
-        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-        sfemi_factor_release(b->model, g->factor);
-        g->factor = f;
-        g->h = h;
-        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
-    }
-    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
-    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
-    g->grip.count = b->grip.count;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
-        if (!g->grip.ready[slot])
-            sfemi_grip_columns(g->factor, b->state.handle + slot, (sfem_int)(n / 3), 1, g->grip.y[slot], b->work,
-                               &b->exec);
-        g->grip.ready[slot] = 1;
-    }
-done:
-    return status;
+    g->psi = psi;
+    return SFEM_OK;
 }
 
 /* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
@@ -12077,7 +12545,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (b->model->node_mass[b->pin[k]] * b->acc[i] + s->f[i]) * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            work += s->f[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
         }
     if (s->head->loaded && s->head->load_age < 2)
         for (i = 0; i < n; ++i)
@@ -12090,7 +12558,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
 static void sfemi_guard_handle_forces(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
-    const sfem_real h2 = b->step * b->step;
+    const sfem_real h2 = b->step * b->step / sfemi_body_coefficients(b, b->p).r;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->grip.count; ++k) {
@@ -12118,6 +12586,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const sfem_real budget = head->budget;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
+    g->corrections = 0;
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
     g->redone = 0;
@@ -12129,9 +12598,11 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     }
     if (g->redone) {
         head->budget = budget;
-        status = sfemi_guard_prepare_redo(b, err);
-        if (status != SFEM_OK) return status;
-        g->psi = sfemi_guard_redo(b);
+        status = sfemi_guard_redo(b, err);
+        if (status != SFEM_OK) {
+            head->budget = budget;
+            return status;
+        }
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
     head->budget = budget;
@@ -12157,10 +12628,14 @@ static void sfemi_guard_finish(sfem_body *b)
             memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
     e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-    energy = redone ? e.ec : e.eb;
+    energy = head->energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
-    moving = e.kinetic + (head->psi + psi) / 2;
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
     head->scale *= exp(-b->step);
+    if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
+        head->scale = 0;
+        head->budget = energy;
+    }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
     head->last = e.ec;
@@ -12210,7 +12685,7 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
-    if ((unsigned)d->frame > SFEM_FRAME_REST)
+    if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
     if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
@@ -12349,12 +12824,14 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
     SFEMI_NEW(sfem_real, b->turn.rotation, al,
-              9 * tets + sfem_model_work_size(b->model) + (10 + 3) * n + n + n / 3 + 3 * n);
+              9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
     b->turn.work = b->turn.rotation + 9 * tets;
     b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
     g->frame = b->turn.sum + 3 * n + n / 3;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->frame + (3 + i) * n;
-    SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->grip, err));
+    g->unit = g->frame + 3 * n;
+    for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
+    for (i = 0; i < SFEMI_REDOS; ++i) SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->redo[i].grip, err));
 done:
     return status;
 }
@@ -12362,12 +12839,16 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    int k;
     sfemi_implicit_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_factor_release(b->model, b->guard.factor);
     sfemi_body_free_grip(b, &b->grip);
-    sfemi_body_free_grip(b, &b->guard.grip);
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        sfemi_body_free_grip(b, &b->guard.redo[k].grip);
+    }
+    sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.rotation);
@@ -12466,7 +12947,7 @@ static void sfemi_body_find_held(sfem_body *b)
         changed |= held != b->turn.piece[k].held;
         b->turn.piece[k].held = held;
     }
-    if (changed) b->state.head->rebase = 1;
+    if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
@@ -12492,8 +12973,8 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
     if (b->turns) sfemi_body_find_held(b);
-    if (b->turns && b->def.no_allocation && !b->def.no_guard)
-        SFEMI_TRY(sfemi_guard_prepare_redo(b, err));
+    for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
     return status;
@@ -12503,7 +12984,8 @@ static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    for (i = 0; b->turns && i < b->def.max_handles; ++i) b->guard.grip.ready[i] = 0;
+    for (i = 0; b->turns && i < b->def.max_handles; ++i)
+        b->guard.redo[SFEMI_TURNED].grip.ready[i] = b->guard.redo[SFEMI_ISOTROPIC].grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
@@ -12586,6 +13068,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cm = k.r + k.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? k.q / 2 * h : 0;
         key.mask = b->mask;
+        key.majorant = b->turns && b->def.frame == SFEM_FRAME_MAJORANT;
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -12613,8 +13096,8 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
         if (status != SFEM_OK) return status;
     }
     b->step = h;
-    if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
-    else if (b->turns) sfemi_guard_predict(b, h);
+    if (b->turns) sfemi_guard_predict(b, h);
+    else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
     b->phase = SFEMI_PREDICTED;
@@ -12767,7 +13250,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
-    b->state.head->rebase = 1;
+    if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
 }
 
@@ -12801,7 +13284,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
-    b->state.head->steps = b->state.head->redone = 0;
+    b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -12870,6 +13353,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes;
+    int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
@@ -12891,8 +13375,10 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->phase = SFEMI_IDLE;
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    sfemi_factor_release(b->model, b->guard.factor);
-    b->guard.factor = NULL;
+    for (k = 0; k < SFEMI_REDOS; ++k) {
+        sfemi_factor_release(b->model, b->guard.redo[k].factor);
+        b->guard.redo[k].factor = NULL;
+    }
     sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
     return SFEM_OK;
@@ -13023,7 +13509,7 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
-        sfemi_guard_refresh(b);
+        sfemi_guard_look(b);
         sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i)
             b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
@@ -13227,18 +13713,24 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
     if (b->turns) {
         e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
-    } else if (b->implicit.memory) {
-        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
-    } else {
+    } else if (sfemi_implicit_linear(model)) {
         sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
         e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    } else {
+        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
     }
     e.load = 0;
     for (i = 0; i < n; ++i)
         e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    if (!running || b->turns || b->def.integrator > SFEM_CENTRAL) return e;
-    if (b->def.integrator == SFEM_NEWMARK) {
+    if (b->turns) {
+        sfemi_guard_look(b);
+        e.conserved = s->head->steps ? s->head->energy
+                                     : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
+    }
+    if (!running || b->turns) return e;
+    if (!sfemi_body_keeps_mean(b)) {
+        if (b->def.integrator != SFEM_NEWMARK) return e;
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
         e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
     } else {
@@ -13270,6 +13762,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.factors_made = b->factors_made;
     info.steps = b->state.head->steps;
     info.redone = b->state.head->redone;
+    info.descents = b->state.head->descents;
+    info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);

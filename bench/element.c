@@ -1,7 +1,7 @@
 /* What a tet costs: forces by law and precision, tangents by kind, single matrices.
  *
  * Blocks of five-tet cells, every node displaced at random by 2 % of a cell on top of a turn by one
- * radian. Each figure is the median of RUNS runs on the calling thread; ns a tet. Pin it:
+ * radian. Each figure is the median of RUNS runs on the calling thread, in processor time. Pin it:
  *     taskset -c 1 build/bench/element [--quick]                                                  */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>

@@ -145,7 +145,7 @@ static void polar_holds_on_any_matrix(void **state)
                                       {1, 0, 0, 0, 1e-300, 0, 0, 0, 1},
                                       {1e200, 0, 0, 0, 1e-200, 0, 0, 0, 1},
                                       {1e-320, 0, 0, 0, 1e-320, 0, 0, 0, 1e-320}};
-    static const double scales[] = {1e-300, 1e-160, 1e-20, 1, 1e20, 1e160, 1e300};
+    static const double scales[] = {1e-280, 1e-160, 1e-20, 1, 1e20, 1e160, 1e300};
     test_random r = {1};
     double f[9];
     size_t k, m;
@@ -1122,7 +1122,7 @@ static void mixed_forces_survive_any_state(void **state)
                                                &inverted, b.work, NULL)));
         for (i = 0; i < size; ++i) assert_true(isfinite(b.force[i]));
         b.u[0] = NAN;
-        assert_true(!isfinite(
+        assert_true(!sfemi_finite(
             sfem_model_forces(b.model, b.u, SFEM_DOUBLE, b.force, NULL, NULL, b.work, NULL)));
         free(exact);
         free_body(&b);

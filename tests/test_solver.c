@@ -936,6 +936,7 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
             sfem_ldl *ldl = NULL;
             sfem_error err;
             size_t i;
+            int round;
             def.x = f.x;
             def.mixed = kind == 1;
             def.positive = kind != 0;
@@ -944,11 +945,14 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
             def.exec.user = &threads;
             assert_int_equal(sfem_ldl_create(&def, &f.a, &ldl, &err), SFEM_OK);
             work = (double *)malloc(sfem_ldl_work_size(ldl, 9) * sizeof *work);
-            for (i = 0; i < 9 * n; ++i) x[i] = sin((double)i);
-            sfem_ldl_solve(ldl, 1, x, work, &def.exec);
-            sfem_ldl_solve(ldl, 8, x + n, work, &def.exec);
-            if (threads == 1) memcpy(y, x, 9 * n * sizeof *x);
-            assert_memory_equal(x, y, 9 * n * sizeof *x);
+            for (round = 0; round < 4; ++round) { /* some calls are done alone, to compare the times */
+                for (i = 0; i < 9 * n; ++i) x[i] = sin((double)i);
+                sfem_ldl_solve(ldl, 1, x, work, &def.exec);
+                sfem_ldl_solve(ldl, 8, x + n, work, &def.exec);
+                if (threads == 1) memcpy(y, x, 9 * n * sizeof *x);
+                assert_memory_equal(x, y, 9 * n * sizeof *x);
+                assert_int_equal(sfem_ldl_refactor(ldl, &f.a, &err), SFEM_OK);
+            }
             sfem_ldl_free(ldl);
             free(work);
         }
