@@ -809,19 +809,23 @@ typedef struct sfem_body sfem_body;
 
 /* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
  * allocated), a solve, and a force for each length that the line search tries. It minimises the
- * incremental potential (Armijo), or where damping has none, brings the work of the residual down; an
- * exact tangent that is not positive definite gives way to the projected one for that iteration. */
+ * incremental potential (Armijo), the work of damping included. An exact tangent that makes no
+ * positive definite matrix gets more mass for that iteration, or gives way to the projected one.
+ * Bodies at ordinary steps take 2 or 3 iterations; violence takes up to 100, and the trapezoidal
+ * rule, which gains energy there, may find no solution at all: SFEM_BACKWARD_EULER does. */
 typedef struct sfem_newton_def {
-    sfem_int iterations; /* at most, >= 1; 20. With 1 the step is semi-implicit: one solve with the tangent
-                          * at its start, never refused, no residual known afterwards */
-    sfem_real tolerance; /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a|, |D(v)|, or
-                          * where the correction drowns in the rounding of positions; >= 0, 1e-8 */
-    sfem_tangent tangent; /* SFEM_TANGENT_EXACT; SFEM_TANGENT_PSD: always the projected one, in D too */
+    sfem_int iterations;  /* at most, >= 1; 20. With 1 the step is semi-implicit: one solve with the
+                           * tangent at its start, never refused, its residual not known */
+    sfem_real tolerance;  /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a|, |D(v)|,
+                           * or where the residual is what rounding of positions makes; >= 0, 1e-8 */
+    sfem_tangent tangent; /* SFEM_TANGENT_EXACT; another is always taken, in D, too, but converges
+                           * linearly: three times as many iterations */
     int no_line_search;
-    int accept_best;     /* where it does not converge, take the iterate of least residual and go on; by
-                          * default the step fails with SFEM_NOT_CONVERGED, the state as it was */
-    sfem_int load_steps; /* statics: loads, pins and handles come in this many steps at first, >= 1; 1. A
-                          * step that fails is halved, down to 1/1024 */
+    int accept_best;      /* where it does not converge, take the iterate of least residual and go
+                           * on; by default the step fails with SFEM_NOT_CONVERGED, the state as it
+                           * was */
+    sfem_int load_steps;  /* statics: loads, pins and handles come in at least so many steps, >= 1; 1.
+                           * One that fails is halved, down to 1/1024 */
 } sfem_newton_def;
 
 typedef struct sfem_newton_info {
@@ -862,8 +866,10 @@ typedef struct sfem_body_def {
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
-    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In the
-                               * implicit methods K is the current K(u) */
+    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In
+                               * the implicit methods K is the current K(u), which brakes a rotation
+                               * at the rate beta_k omega^2; what the tets of a model do not share of
+                               * alpha and beta acts as at rest */
     sfem_real gravity[3];     /* m/s^2 */
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
@@ -888,13 +894,15 @@ SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
  * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
  * a loop, the only function that allocates; set_pins and solve_static do, too. sfem_body_step calls it
- * where it has to.
+ * where it has to. Where Newton's matrix changes, what is made serves steps of any length.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* One step of h seconds: predict, solve, finish. On failure the state is as it was.
- *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE
+ *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE;
+ *           where Newton iterates SFEM_NOT_CONVERGED ("the step did not converge: residual 3e-05
+ *           after 20 iterations") and SFEM_NOT_SPD
  *   cost    one product with K and one solve, O(nnz(L)) */
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
@@ -913,9 +921,12 @@ SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^
  * also where it failed. All zero before. */
 SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
 
-/* Static equilibrium K u = F under the forces, gravity, pins and handles of now; velocity becomes zero.
- * Handles that are nodes count as pins here.
- *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like */
+/* Static equilibrium f(u) = F under the forces, gravity, pins and handles of now; velocity becomes
+ * zero. Handles that are nodes count as pins here. Where all laws are linear that is one solve;
+ * else Newton's iteration from the present u, in steps of the load that are halved where one fails
+ * (sfem_newton_def; sfem_body_newton tells how it went). It may be one equilibrium of several.
+ *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like; SFEM_NOT_CONVERGED (how much of
+ *           the load was reached), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY: the state is as it was */
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
 
 /* Loads. force [nodes][3] (NULL: none) is the load at the end of the next step and stays until changed;
@@ -946,7 +957,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, s
                                           sfem_error *err);
 
 typedef struct sfem_energy {
-    sfem_real kinetic, elastic, load; /* 1/2 v.Mv, 1/2 u.Ku, -(F + Mg).u; J */
+    sfem_real kinetic, elastic, load; /* 1/2 v.Mv, Psi(u), -(F + Mg).u; J */
     sfem_real total;                  /* their sum */
     sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
                           * nonlinear body nearly, without the motion of free pieces' centres of mass: for

@@ -123,12 +123,15 @@ static void amplification(sfem_body *body, double h, int order, double *radius, 
     solve_dense(a, c, order); /* x_{n+order} = sum c_j x_{n+j} */
     b1 = c[1];
     b0 = c[0];
-    if (order == 3) { /* lambda^3 = c2 lambda^2 + c1 lambda + c0: split off the real root, by bisection */
+    if (order ==
+        3) { /* lambda^3 = c2 lambda^2 + c1 lambda + c0: split off the real root, by bisection */
         double low = -2, high = 2;
         for (i = 0; i < 200; ++i) {
             real = (low + high) / 2;
-            if (real * real * real - c[2] * real * real - c[1] * real - c[0] < 0) low = real;
-            else high = real;
+            if (real * real * real - c[2] * real * real - c[1] * real - c[0] < 0)
+                low = real;
+            else
+                high = real;
         }
         b1 = c[2] - real; /* lambda^2 = b1 lambda + b0 */
         b0 = c[1] + real * b1;
@@ -147,13 +150,29 @@ static void radius_period_and_damping_are_those_of_the_table(void **state)
         double radius[4], elongation[4], damping[4];
         double digit[3][4];
     } row[] = {
-        {SFEM_HHT, 3, {.9994, .9938, .962, .838}, {.0254, .0945, .312, 2.71}, {.0011, .0068, .0252, .0656},
+        {SFEM_HHT,
+         3,
+         {.9994, .9938, .962, .838},
+         {.0254, .0945, .312, 2.71},
+         {.0011, .0068, .0252, .0656},
          {{6e-5, 6e-5, 6e-4, 6e-4}, {6e-5, 6e-5, 6e-4, 6e-3}, {6e-5, 6e-5, 6e-5, 6e-5}}},
-        {SFEM_GENERALIZED_ALPHA, 3, {1, .9995, .9953, .930}, {.0216, .0826, .287, 2.74}, {.0001, .0006, .0030, .0272},
+        {SFEM_GENERALIZED_ALPHA,
+         3,
+         {1, .9995, .9953, .930},
+         {.0216, .0826, .287, 2.74},
+         {.0001, .0006, .0030, .0272},
          {{6e-5, 6e-5, 6e-5, 6e-4}, {6e-5, 6e-5, 6e-4, 6e-3}, {6e-5, 6e-5, 6e-5, 6e-5}}},
-        {SFEM_BATHE, 2, {.9998, .9971, .969, .457}, {.0103, .0400, .145, 3.04}, {.0004, .0031, .0182, .316},
+        {SFEM_BATHE,
+         2,
+         {.9998, .9971, .969, .457},
+         {.0103, .0400, .145, 3.04},
+         {.0004, .0031, .0182, .316},
          {{6e-5, 6e-5, 6e-4, 6e-4}, {6e-5, 6e-5, 6e-4, 6e-3}, {6e-5, 6e-5, 6e-5, 6e-4}}},
-        {SFEM_BACKWARD_EULER, 2, {.894, .707, .447, .0995}, {.078, .273, .806, 5.80}, {.241, .441, .727, 1.57},
+        {SFEM_BACKWARD_EULER,
+         2,
+         {.894, .707, .447, .0995},
+         {.078, .273, .806, 5.80},
+         {.241, .441, .727, 1.57},
          {{6e-4, 6e-4, 6e-4, 6e-5}, {6e-4, 6e-4, 6e-4, 6e-3}, {6e-4, 6e-4, 6e-4, 6e-3}}},
     };
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
@@ -226,8 +245,9 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     const double A = u0 - C, B = (v0 - S * nu + xi * w * A) / wd;
     const double e = exp(-xi * w * T);
     const double u = e * (A * cos(wd * T) + B * sin(wd * T)) + C * cos(nu * T) + S * sin(nu * T);
-    const double v = e * ((B * wd - xi * w * A) * cos(wd * T) - (A * wd + xi * w * B) * sin(wd * T)) -
-                     C * nu * sin(nu * T) + S * nu * cos(nu * T);
+    const double v =
+        e * ((B * wd - xi * w * A) * cos(wd * T) - (A * wd + xi * w * B) * sin(wd * T)) -
+        C * nu * sin(nu * T) + S * nu * cos(nu * T);
     const double h = T / steps;
     sfem_real f[12] = {0};
     sfem_body *body;
@@ -279,7 +299,7 @@ static void observed_order_is_two_but_for_backward_euler(void **state)
  * -------------------------------------------------------------------------------------------- */
 
 typedef struct drag {
-    double c;          /* D_i = c |v_i| v_i on each axis; linear: D = c v */
+    double c; /* D_i = c |v_i| v_i on each axis; linear: D = c v */
     int linear, nodes;
     int calls;
 } drag;
@@ -299,14 +319,15 @@ static void drag_tangent(void *user, const sfem_real *v, sfem_matrix *a)
     int c;
     for (i = 0; i < a->n; ++i)
         for (c = 0; c < 3; ++c)
-            a->val[9 * (a->row[i + 1] - 1) + 4 * c] += d->c * (d->linear ? 1 : 2 * fabs(v[3 * i + c]));
+            a->val[9 * (a->row[i + 1] - 1) + 4 * c] +=
+                d->c * (d->linear ? 1 : 2 * fabs(v[3 * i + c]));
 }
 
 /* m v' = -c |v| v has v = v0/(1 + s), u = m/c log(1 + s), s = c v0 t/m. */
 static void quadratic_drag_follows_its_closed_form(void **state)
 {
-    static const sfem_integrator method[] = {SFEM_NEWMARK, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE,
-                                             SFEM_BACKWARD_EULER};
+    static const sfem_integrator method[] = {SFEM_NEWMARK, SFEM_HHT, SFEM_GENERALIZED_ALPHA,
+                                             SFEM_BATHE, SFEM_BACKWARD_EULER};
     oscillator o = make_oscillator(1e-12, SFEM_MASS_LUMPED);
     size_t i;
     int with_tangent, fine, k;
@@ -333,7 +354,8 @@ static void quadratic_drag_follows_its_closed_form(void **state)
                     step(body, T / steps);
                     info = sfem_body_newton(body);
                     assert_true(info.converged);
-                    assert_true(info.iterations <= (method[i] == SFEM_BATHE ? 2 : 1) * (with_tangent ? 4 : 16));
+                    assert_true(info.iterations <=
+                                (method[i] == SFEM_BATHE ? 2 : 1) * (with_tangent ? 4 : 16));
                     if (!with_tangent) assert_int_equal(info.factorisations, 0);
                 }
                 error[fine][0] = fabs(node1(body) - log(1 + s) / 3);
@@ -358,7 +380,8 @@ typedef struct block {
     sfem_int pins[64], pin_count, nodes;
 } block;
 
-static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, double alpha, double beta)
+static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, double alpha,
+                        double beta)
 {
     const sfem_int cells[3] = {nx, ny, nz};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * nz};
@@ -431,7 +454,10 @@ static void newton_on_a_linear_body_is_linear_newmark(void **state)
             def.damping_force.user = &d;
             body[1] = make_body(b.model, &def);
             for (k = 0; k < 200; ++k) {
-                const double h = k < 80 ? 0.01 : k < 150 ? 0.02 : 0.013, t = sfem_body_time(body[0]) + h;
+                const double h = k < 80    ? 0.01
+                                 : k < 150 ? 0.02
+                                           : 0.013,
+                             t = sfem_body_time(body[0]) + h;
                 for (j = 0; j < 3 * b.nodes; ++j) f[j] = k < 30 ? 0 : 0.3 * sin(7 * t + 0.1 * j);
                 for (j = 0; j < 2; ++j) {
                     sfem_real x[3];
@@ -440,8 +466,10 @@ static void newton_on_a_linear_body_is_linear_newmark(void **state)
                         x[c] = sfem_model_mesh(b.model)->x[c] + 0.02 * (1 - cos(5 * t)) * (c + 1);
                     assert_ok(sfem_body_move_pin(body[j], 0, x, &err), err);
                     if (k == 40) {
-                        assert_ok(sfem_body_grab_node(body[j], b.nodes - 1, &handle[j][0], &err), err);
-                        assert_ok(sfem_body_grab_point(body[j], 20, bary, &handle[j][1], &err), err);
+                        assert_ok(sfem_body_grab_node(body[j], b.nodes - 1, &handle[j][0], &err),
+                                  err);
+                        assert_ok(sfem_body_grab_point(body[j], 20, bary, &handle[j][1], &err),
+                                  err);
                     }
                     if (k >= 50 && k < 160) {
                         sfem_body_handle_position(body[j], handle[j][0], x);
@@ -535,14 +563,15 @@ static sfem_body_def clamped(sfem_integrator integrator)
 }
 
 /* |F + M g - f(u)| over |F + M g| on the nodes from `first` on, from the model's own forces. */
-static double out_of_balance(const beam *b, const sfem_body *body, const double g[3], const double *load,
-                             sfem_int first)
+static double out_of_balance(const beam *b, const sfem_body *body, const double g[3],
+                             const double *load, sfem_int first)
 {
     const size_t n = 3 * (size_t)b->nodes;
     sfem_real *f = (sfem_real *)calloc(n + sfem_model_work_size(b->model), sizeof *f);
     double r2 = 0, f2 = 0;
     size_t i;
-    sfem_model_forces(b->model, sfem_body_displacement(body), SFEM_DOUBLE, f, NULL, NULL, f + n, NULL);
+    sfem_model_forces(b->model, sfem_body_displacement(body), SFEM_DOUBLE, f, NULL, NULL, f + n,
+                      NULL);
     for (i = 3 * (size_t)first; i < n; ++i) {
         const double w = sfem_model_node_mass(b->model)[i / 3] * g[i % 3] + (load ? load[i] : 0);
         r2 += (f[i] - w) * (f[i] - w);
@@ -626,7 +655,7 @@ static void a_sagging_cantilever_is_in_equilibrium(void **state)
             assert_true(out_of_balance(&b, body[k], g, NULL, END) < 1e-11);
             assert_true(difference(body[k], body[0], b.nodes, &size) <= 1e-9 * size);
         }
-        assert_true(size > 0.3); /* of a length of .6 */
+        assert_true(size > 0.3);    /* of a length of .6 */
         if (laws[i] != SFEM_STVK) { /* and a step from there stays there */
             step(body[0], 0.01);
             assert_true(difference(body[0], body[1], b.nodes, &size) <= 1e-9 * size);
@@ -641,7 +670,8 @@ static const double turned[9] = {0.36, 0.48, -0.8, -0.8, 0.6, 0, 0.48, 0.64, 0.6
 static void turn(const double *x, double *y)
 {
     int c;
-    for (c = 0; c < 3; ++c) y[c] = turned[3 * c] * x[0] + turned[3 * c + 1] * x[1] + turned[3 * c + 2] * x[2];
+    for (c = 0; c < 3; ++c)
+        y[c] = turned[3 * c] * x[0] + turned[3 * c + 1] * x[1] + turned[3 * c + 2] * x[2];
 }
 
 /* Everything turned: mesh, gravity, velocity; the solution turns, too. */
@@ -663,14 +693,18 @@ static void a_turned_problem_has_the_turned_solution(void **state)
             def.newton.tangent = k == 1 ? SFEM_TANGENT_PSD : SFEM_TANGENT_EXACT;
             for (j = 0; j < 2; ++j) {
                 b[j] = make_beam(laws[i], 4e4, 0.1, 0.002, j ? turned : NULL, standard);
-                if (j) turn(g, def.gravity);
-                else memcpy(def.gravity, g, sizeof g);
+                if (j)
+                    turn(g, def.gravity);
+                else
+                    memcpy(def.gravity, g, sizeof g);
                 body[j] = make_body(b[j].model, &def);
                 v = (sfem_real *)calloc((size_t)(3 * b[j].nodes), sizeof *v);
                 for (s = 0; s < b[j].nodes; ++s) {
                     const double w[3] = {0, sfem_model_mesh(b[0].model)->x[3 * s], 0.3};
-                    if (j) turn(w, v + 3 * s);
-                    else memcpy(v + 3 * s, w, sizeof w);
+                    if (j)
+                        turn(w, v + 3 * s);
+                    else
+                        memcpy(v + 3 * s, w, sizeof w);
                 }
                 assert_ok(sfem_body_set_state(body[j], NULL, v, &err), err);
                 for (s = 0; k < 5 && s < 12; ++s) step(body[j], 0.02);
@@ -768,7 +802,8 @@ static void one_iteration_is_the_semi_implicit_step(void **state)
         const size_t n = 3 * (size_t)b.nodes;
         const double h = 0.02;
         sfem_body_def def = clamped(SFEM_NEWMARK);
-        sfem_real *f = (sfem_real *)calloc(5 * n + sfem_model_work_size(b.model), sizeof *f), *v = f + n;
+        sfem_real *f = (sfem_real *)calloc(5 * n + sfem_model_work_size(b.model), sizeof *f),
+                  *v = f + n;
         sfem_real *a = v + n, *u = a + n, *expected = u + n;
         const sfem_real *mass = sfem_model_node_mass(b.model);
         sfem_matrix k;
@@ -791,7 +826,8 @@ static void one_iteration_is_the_semi_implicit_step(void **state)
             sfem_model_forces(b.model, u, SFEM_DOUBLE, f, NULL, NULL, expected + n, NULL);
             for (j = 0; j < n; ++j) {
                 const sfem_int node = (sfem_int)(j / 3);
-                k.val[9 * (k.row[node + 1] - 1) + 4 * (sfem_int)(j % 3)] += 4 / (h * h) * mass[node];
+                k.val[9 * (k.row[node + 1] - 1) + 4 * (sfem_int)(j % 3)] +=
+                    4 / (h * h) * mass[node];
                 f[j] = mass[node] * (4 / h * v[j] + a[j] + (j % 3 == 2 ? -9.81 : 0)) - f[j];
                 if (node >= END) continue;
                 k.val[9 * (k.row[node + 1] - 1) + 4 * (sfem_int)(j % 3)] += 1e20; /* held */
@@ -954,8 +990,10 @@ static void methods_agree_as_the_step_falls(void **state)
                 for (s = 0; s < (int)(0.4 / h + 0.5); ++s) step(body, h);
                 for (j = 0; j < 3 * b.nodes; ++j) {
                     const double u = sfem_body_displacement(body)[j];
-                    if (fine < 0) reference[j] = u;
-                    else error[fine] = fmax(error[fine], fabs(u - reference[j]));
+                    if (fine < 0)
+                        reference[j] = u;
+                    else
+                        error[fine] = fmax(error[fine], fabs(u - reference[j]));
                     size = fmax(size, fabs(u));
                 }
                 if (methods[k] == SFEM_NEWMARK && fine == 1) {
@@ -1166,7 +1204,8 @@ static void steps_allocate_nothing_once_prepared(void **state)
     for (l = 0; l < 2; ++l)
         for (k = 0; k < 5; ++k) {
             test_memory memory = {0};
-            beam b = make_beam(l ? SFEM_COROTATIONAL : SFEM_LINEAR, 1e5, 0.1, 0.001, NULL, test_allocator(&memory));
+            beam b = make_beam(l ? SFEM_COROTATIONAL : SFEM_LINEAR, 1e5, 0.1, 0.001, NULL,
+                               test_allocator(&memory));
             sfem_body_def def = clamped(methods[k]);
             sfem_body *body;
             sfem_int handle;
@@ -1255,18 +1294,20 @@ static sfem_status attempt_steps(sfem_allocator allocator, void *user, sfem_erro
 
 static void every_allocation_may_fail(void **state)
 {
-    static memory_case cases[] = {{SFEM_LINEAR, SFEM_BATHE, 0},       {SFEM_COROTATIONAL, SFEM_NEWMARK, 0},
-                                  {SFEM_LINEAR, SFEM_BATHE, 1},       {SFEM_COROTATIONAL, SFEM_BATHE, 1},
-                                  {SFEM_NEOHOOKEAN, SFEM_NEWMARK, 1}, {SFEM_LINEAR, SFEM_NEWMARK, 1}};
+    static memory_case cases[] = {
+        {SFEM_LINEAR, SFEM_BATHE, 0},       {SFEM_COROTATIONAL, SFEM_NEWMARK, 0},
+        {SFEM_LINEAR, SFEM_BATHE, 1},       {SFEM_COROTATIONAL, SFEM_BATHE, 1},
+        {SFEM_NEOHOOKEAN, SFEM_NEWMARK, 1}, {SFEM_LINEAR, SFEM_NEWMARK, 1}};
     size_t i;
     (void)state;
-    for (i = 0; i < TEST_COUNT(cases); ++i) assert_true(fail_every_allocation(attempt_steps, cases + i) > 10);
+    for (i = 0; i < TEST_COUNT(cases); ++i)
+        assert_true(fail_every_allocation(attempt_steps, cases + i) > 10);
 }
 
 static void parameters_out_of_range_are_refused(void **state)
 {
-    static const char *const words[] = {"rho_inf", "alpha", "iterations", "tolerance", "tangent", "load_steps",
-                                        "no force", "integrator"};
+    static const char *const words[] = {"rho_inf", "alpha",      "iterations", "tolerance",
+                                        "tangent", "load_steps", "no force",   "integrator"};
     beam b = plain_beam(SFEM_COROTATIONAL, 1e5);
     size_t i;
     (void)state;
