@@ -9943,6 +9943,7 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
 /* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
 typedef struct sfemi_piece {
     int held; /* by a pin or a handle: no projection */
+    sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
     sfem_real sum[4][3];          /* scratch of the energies */
@@ -11538,17 +11539,17 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
  * P^T Q (beta K + rest) Q^T P w, which A bounds. A piece that a handle holds counts as held.
  * ============================================================================================ */
 
-/* Inverse of a symmetric positive semidefinite 3x3 matrix, kept finite where it is singular. */
-static void sfemi_turn_invert(const sfem_real m[9], sfem_real inverse[9])
+/* Inverse of an inertia, kept finite where it is singular; that of a piece crushed to a point, so far below
+ * its inertia at rest that only rounding tells its rotation, becomes zero. */
+static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real inverse[9])
 {
-    const sfem_real trace = m[0] + m[4] + m[8];
     sfem_real a[9], c[9], det;
     int i;
     memcpy(a, m, sizeof a);
-    for (i = 0; i < 9; i += 4) a[i] += 1e-12 * trace;
+    for (i = 0; i < 9; i += 4) a[i] += 1e-12 * (m[0] + m[4] + m[8]);
     sfemi_cofactor3(a, c);
     det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
-    for (i = 0; i < 9; ++i) inverse[i] = det > 0 ? c[i] / det : 0;
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
 }
 
 /* Mass, centre and inertia of every piece at X + u. */
@@ -11588,8 +11589,25 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         if (!t->piece[k].held) {
             sfem_real inertia[9];
             memcpy(inertia, t->piece[k].inertia_inverse, sizeof inertia);
-            sfemi_turn_invert(inertia, t->piece[k].inertia_inverse);
+            sfemi_turn_invert(inertia, t->piece[k].rest, t->piece[k].inertia_inverse);
         }
+}
+
+/* The pieces' sum m |X - centre|^2. */
+static void sfemi_turn_weigh(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    int c;
+    memset(b->guard.u, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->guard.u);
+    sfemi_turn_locate(b, b->guard.u);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
+            const sfem_real r = model->mesh.x[3 * (size_t)i + (size_t)c] - p->centre[c];
+            p->rest += model->node_mass[i] * r * r;
+        }
+    }
 }
 
 /* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
@@ -12861,6 +12879,20 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b);
 }
 
+/* Which pieces are held by pins or handles. */
+static void sfemi_body_find_held(sfem_body *b)
+{
+    sfem_int i, k;
+    int l;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i)
+        for (l = 0; b->state.handle[i].used && l < 4; ++l)
+            if (b->state.handle[i].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
+}
+
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
@@ -12887,6 +12919,8 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    if (b->turns) sfemi_turn_weigh(b);
+    if (b->turns) sfemi_body_find_held(b);
 done:
     return status;
 }
@@ -12930,23 +12964,15 @@ SFEM_DEF void sfem_body_free(sfem_body *body)
     if (body) sfemi_body_destroy(body);
 }
 
-/* Which pieces are held by pins or handles; where that changes, the energies count anew. */
-static void sfemi_body_find_held(sfem_body *b)
+/* After a handle was taken or let go: where that frees or holds a piece, energies count anew. */
+static void sfemi_body_held_changed(sfem_body *b)
 {
-    sfem_int i, k;
-    int l, changed = 0;
-    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = 0;
-    for (i = 0; i < b->pin_count; ++i)
-        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].sum[0][0] = 1;
-    for (i = 0; i < b->grip.count; ++i)
-        for (l = 0; l < 4; ++l)
-            if (b->state.handle[b->grip.slot[i]].weight[l] != 0)
-                b->turn.piece[b->turn.piece_of[b->state.handle[b->grip.slot[i]].node[l]]].sum[0][0] = 1;
-    for (k = 0; k < b->turn.pieces; ++k) {
-        const int held = b->turn.piece[k].sum[0][0] > 0;
-        changed |= held != b->turn.piece[k].held;
-        b->turn.piece[k].held = held;
-    }
+    sfem_int k;
+    int changed = 0;
+    if (!b->turns) return;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
+    sfemi_body_find_held(b);
+    for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
 
@@ -12972,7 +12998,6 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    if (b->turns) sfemi_body_find_held(b);
     for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
         SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
@@ -13336,6 +13361,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
+    if (b->turns) sfemi_body_find_held(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
@@ -13381,6 +13407,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     }
     sfemi_body_forget_columns(b);
     sfemi_body_place_pins(b);
+    sfemi_body_held_changed(b);
     return SFEM_OK;
 done:
     sfemi_delete(al, list);
@@ -13424,6 +13451,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
     b->grip.dirty = 1;
+    sfemi_body_held_changed(b);
     *handle = k;
     return SFEM_OK;
 }
@@ -13468,6 +13496,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
     b->grip.dirty = 1;
+    sfemi_body_held_changed(b);
 }
 
 SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_real force[3])
