@@ -1966,14 +1966,14 @@ typedef struct sfemi_ldl_kernels {
     void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
     void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
                      double *);
-    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *, double *);
+    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *);
     void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
                       double *);
     void (*invert32)(size_t, size_t, float *, const double *);
     void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
     void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
                        float *);
-    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *, float *);
+    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
     void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
                          float *);
 } sfemi_ldl_kernels;
@@ -2647,7 +2647,6 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfem_int t = index, root = y->task[t + 1] - 1;                                         \
         const size_t n = 3 * q->block; /* numbers to a node */                                       \
         R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
         const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
         sfem_int s, c;                                                                               \
         size_t i;                                                                                    \
@@ -2666,11 +2665,8 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
             const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
             const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
             R *x = w + n * (size_t)y->first[s];                                                      \
-            if (q->block == 1)                                                                       \
-                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
-            else                                                                                     \
-                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
-                                      scratch);                                                      \
+            (q->block == 1 ? y->kernels->forward_ : y->kernels->forward8_)(                          \
+                k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w);                     \
             if (q->ldl->negative[s]) {                                                               \
                 const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
                 size_t p;                                                                            \
@@ -4330,55 +4326,79 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, si
     X(6, 3, 0) X(7, 3, 1) X(8, 4, 0) X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
 #endif
 
-/* out(g x 8) += the sum over i of a[i across + r down] y(i, :), r < g = 3/2 W: half a tile's height. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(size_t depth, const SFEMI_R *a,
-                                                                   size_t across, size_t down,
-                                                                   const SFEMI_R *y, SFEMI_R *out)
+/* out(g x 8) = or, with load, += or -= the sum over i of a[i across + r down] y(i, :), where r < g = 3/2
+ * W, half a tile's height. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(int load, int minus, size_t depth,
+                                                                   const SFEMI_R *a, size_t across,
+                                                                   size_t down, const SFEMI_R *y,
+                                                                   SFEMI_R *out)
 {
-#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_DUP(0);
     SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
     size_t i;
+    if (load) {
+#define SFEMI_X(q, r, u) c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+        SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    }
     for (i = 0; i < depth; ++i, a += across, y += 8) {
         const SFEMI_V y0 = SFEMI_LD(y);
 #if SFEMI_W == 4
         const SFEMI_V y1 = SFEMI_LD(y + SFEMI_W);
 #endif
-#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
-        SFEMI_OUTER(SFEMI_X)
+        if (minus) {
+#define SFEMI_X(q, r, u) c##q = SFEMI_FNMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+            SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
+        } else {
+#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+            SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+        }
     }
 #define SFEMI_X(q, r, u) SFEMI_ST(out + 8 * r + SFEMI_W * u, c##q);
     SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
 }
 
+/* to(n x 8) = from, or less what, row by row (memcpy of few rows costs more than the rows). */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_rows)(size_t n, const SFEMI_R *from,
+                                                                  const SFEMI_R *less, SFEMI_R *to)
+{
+    size_t i;
+    for (i = 0; i < 8 * n; i += SFEMI_W)
+        SFEMI_ST(to + i, less ? SFEMI_FNMA(SFEMI_LD(less + i), SFEMI_DUP(1), SFEMI_LD(from + i))
+                              : SFEMI_LD(from + i));
+}
+
 /* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
-                                                          const sfem_int *target, SFEMI_R *w, SFEMI_R *v)
+                                                          const sfem_int *target, SFEMI_R *w)
 {
     const size_t t = 3 * SFEMI_W, g = t / 2;
     size_t begin, i, r;
-    SFEMI_R *y = v; /* -y, the solution with its sign turned: the product is only ever added */
     for (begin = 0; begin < f; begin += t) {
         const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
         const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
         const size_t rows = f - begin < t ? f - begin : t;
+        const SFEMI_V zero = SFEMI_DUP(0);
         SFEMI_R out[3 * SFEMI_W * 8], b[3 * SFEMI_W * 8];
-        memset(out, 0, sizeof out);
-        memcpy(out, x + 8 * begin, 8 * j * sizeof *x);
-        for (r = 0; r < h; r += g)
-            SFEMI_KERNEL(sfemi_ldl_outer)(depth, l + r, h, 1, y, out + 8 * r);
-        l += h * depth;
-        if (j) {
-            memcpy(b, out, 8 * j * sizeof *b);
-            memset(out, 0, 8 * j * sizeof *out);
-            for (r = 0; r < h; r += g) SFEMI_KERNEL(sfemi_ldl_outer)(j, l + r, h, 1, b, out + 8 * r);
+        if (!j) {
+            for (r = 0; r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 1, depth, l + r, h, 1, x, out + 8 * r);
+            l += h * depth;
+        } else {
+            if (j < t) memset(out, 0, sizeof out);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, x + 8 * begin, NULL, out);
+            for (r = 0; depth && r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 1, depth, l + r, h, 1, x, out + 8 * r);
+            l += h * depth;
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, b);
+            for (i = 0; i < 8 * j; i += SFEMI_W) SFEMI_ST(out + i, zero);
+            for (r = 0; r < h; r += g) SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, j, l + r, h, 1, b, out + 8 * r);
             l += h * j;
-            for (i = 0; i < 8 * j; ++i) {
-                x[8 * begin + i] = out[i];
-                y[8 * begin + i] = -out[i];
-            }
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, x + 8 * begin);
         }
         for (i = j; i < rows; i += 3) {
             SFEMI_R *to = w + 24 * (size_t)*target++;
@@ -4395,23 +4415,28 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
     const size_t t = 3 * SFEMI_W, g = t / 2, tiles = (f + t - 1) / t;
     SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
     size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
-    for (i = k; i < f; i += 3) memcpy(v + 8 * i, w + 24 * (size_t)*target++, 24 * sizeof *v);
+    int load = 0;
+    for (i = k; i < f; i += 3) SFEMI_KERNEL(sfemi_ldl_rows)(3, w + 24 * (size_t)*target++, NULL, v + 8 * i);
     memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
-    memset(z, 0, 8 * (k + g) * sizeof *z);
-    for (l += size;; begin -= t, h = t) {
+    for (l += size;; begin -= t, h = t, load = 1) {
         const size_t depth = begin < k ? begin : k;
         SFEMI_R *vt = v + 8 * begin;
         if (begin < k) {
             const size_t j = k - begin < t ? k - begin : t;
             l -= h * j;
-            for (i = 0; i < 8 * j; ++i) vt[i] = x[8 * begin + i] - z[8 * begin + i];
-            memset(part, 0, sizeof part);
-            for (p = 0; p < j; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, part + 8 * p);
-            memcpy(vt, part, 8 * j * sizeof *vt);
-            memcpy(x + 8 * begin, part, 8 * j * sizeof *x);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, x + 8 * begin, load ? z + 8 * begin : NULL, vt);
+            for (p = 0; p < j; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 0, h, l + p * h, 1, h, vt, part + 8 * p);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, part, NULL, vt);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, part, NULL, x + 8 * begin);
         }
         l -= h * depth;
-        for (p = 0; p < depth; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, z + 8 * p);
+        if (load)
+            for (p = 0; p < depth; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, h, l + p * h, 1, h, vt, z + 8 * p);
+        else
+            for (p = 0; p < depth; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 0, h, l + p * h, 1, h, vt, z + 8 * p);
         if (!begin) break;
     }
 }
