@@ -4113,8 +4113,8 @@ SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_i
     SFEMI_NEW(sfem_int, bycol, m, (size_t)count + (size_t)n);
     SFEMI_NEW(sfem_int, byrow, m, (size_t)count + (size_t)n);
     SFEMI_NEW(sfem_int, place, m, (size_t)count + (size_t)n);
-#define SFEMI_I(e) ((e) >= count ? (e) - count : i[e] > j[e] ? i[e] : j[e])
-#define SFEMI_J(e) ((e) >= count ? (e) - count : i[e] > j[e] ? j[e] : i[e])
+#define SFEMI_I(e) ((e) >= count ? (e)-count : i[e] > j[e] ? i[e] : j[e])
+#define SFEMI_J(e) ((e) >= count ? (e)-count : i[e] > j[e] ? j[e] : i[e])
     for (e = 0; e < count + n; ++e) ++start[SFEMI_J(e) + 1];
     for (c = 0; c < n; ++c) start[c + 1] += start[c];
     for (e = 0; e < count + n; ++e) bycol[start[SFEMI_J(e)]++] = e;
@@ -4135,7 +4135,8 @@ SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_i
     SFEMI_NEW(sfem_real, val, m, 9 * (size_t)blocks + 1);
     for (e = 0; e < count + n; ++e) {
         col[place[e]] = SFEMI_J(e);
-        if (e < count && block) sfemi_matrix_add(val + 9 * (size_t)place[e], block + 9 * (size_t)e, i[e] < j[e]);
+        if (e < count && block)
+            sfemi_matrix_add(val + 9 * (size_t)place[e], block + 9 * (size_t)e, i[e] < j[e]);
     }
 #undef SFEMI_I
 #undef SFEMI_J
@@ -4291,7 +4292,8 @@ SFEM_DEF void sfem_matrix_multiply(const sfem_matrix *a, const sfem_real *x, sfe
         job.a = a;
         job.x = x;
         job.y = y;
-        sfemi_run(exec, (a->n + SFEMI_MATRIX_ROWS - 1) / SFEMI_MATRIX_ROWS, sfemi_matrix_gather, &job);
+        sfemi_run(exec, (a->n + SFEMI_MATRIX_ROWS - 1) / SFEMI_MATRIX_ROWS, sfemi_matrix_gather,
+                  &job);
         return;
     }
     for (i = 0; i < a->n; ++i) {
@@ -4381,8 +4383,8 @@ static void sfemi_graph_free(const sfem_allocator *m, sfemi_graph *g)
     memset(g, 0, sizeof *g);
 }
 
-static sfem_status sfemi_graph_create(const sfem_matrix *a, const sfem_allocator *m, sfemi_graph *out,
-                                      sfem_error *err)
+static sfem_status sfemi_graph_create(const sfem_matrix *a, const sfem_allocator *m,
+                                      sfemi_graph *out, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
     sfemi_graph g = {0, NULL, NULL};
@@ -4415,16 +4417,16 @@ done:
  * list of elements and then of variables, an element (an eliminated pivot) a list of variables. */
 typedef struct sfemi_amd {
     sfem_int n, space, used;
-    sfem_int *list;    /* [space] all lists */
-    sfem_int *spare;   /* [space] the other half of the garbage collector */
-    sfem_int *at;      /* [n] where the list starts */
-    sfem_int *length;  /* [n] */
+    sfem_int *list;     /* [space] all lists */
+    sfem_int *spare;    /* [space] the other half of the garbage collector */
+    sfem_int *at;       /* [n] where the list starts */
+    sfem_int *length;   /* [n] */
     sfem_int *elements; /* [n] how many of it are elements */
-    sfem_int *weight;  /* [n] nodes in the variable; 0: absorbed, or not a variable; < 0: in the new
-                        * element just now */
-    sfem_int *degree;  /* [n] approximate external degree; of an element, its weight */
-    sfem_int *mark;    /* [n] of elements: 0 dead, else compared with the stamp */
-    sfem_int *into;    /* [n] variable: the pivot or variable that absorbed it, or -1 */
+    sfem_int *weight; /* [n] nodes in the variable; 0: absorbed, or not a variable; < 0: in the new
+                       * element just now */
+    sfem_int *degree; /* [n] approximate external degree; of an element, its weight */
+    sfem_int *mark;   /* [n] of elements: 0 dead, else compared with the stamp */
+    sfem_int *into;   /* [n] variable: the pivot or variable that absorbed it, or -1 */
     sfem_int *head, *next, *prev; /* [n+1], [n], [n] lists of equal degree */
     sfem_int *hash, *bucket;      /* [n] of a variable; [n] hash lists, through next */
 } sfemi_amd;
@@ -4432,9 +4434,12 @@ typedef struct sfemi_amd {
 static void sfemi_amd_unlink(sfemi_amd *q, sfem_int i)
 {
     const sfem_int before = q->prev[i], after = q->next[i];
-    if (before >= 0) q->next[before] = after;
-    else if (q->head[q->degree[i]] == i) q->head[q->degree[i]] = after;
-    else return; /* not linked: a variable that is not to be eliminated */
+    if (before >= 0)
+        q->next[before] = after;
+    else if (q->head[q->degree[i]] == i)
+        q->head[q->degree[i]] = after;
+    else
+        return; /* not linked: a variable that is not to be eliminated */
     if (after >= 0) q->prev[after] = before;
 }
 
@@ -4502,8 +4507,9 @@ static int sfemi_amd_same(const sfemi_amd *q, sfem_int i, sfem_int j, const sfem
     return 1;
 }
 
-/* Orders the nodes that are not held; those are never eliminated, but count in the degrees of others
- * [Pellegrini, Roman, Amestoy 2000]. order gets the others' numbers, its length is returned in *count. */
+/* Orders the nodes that are not held; those are never eliminated, but count in the degrees of
+ * others [Pellegrini, Roman, Amestoy 2000]. order gets the others' numbers, its length is returned
+ * in *count. */
 static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *held,
                                    const sfem_allocator *m, sfem_int *order, sfem_int *count,
                                    sfem_error *err)
@@ -4512,11 +4518,13 @@ static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *he
     sfemi_amd q;
     sfem_int *pool = NULL, *seen = NULL, *pivots = NULL;
     const sfem_int n = g->n, nnz = n ? g->start[n] : 0;
-    sfem_int i, k, p, live = 0, left = 0, least = 0, stamp = 1, same = 0, made = 0, dense, total = 0;
+    sfem_int i, k, p, live = 0, left = 0, least = 0, stamp = 1, same = 0, made = 0, dense,
+                      total = 0;
     memset(&q, 0, sizeof q);
     q.n = n;
     if (nnz > INT32_MAX / 2 - 2 * n)
-        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld edges overflow the ordering's index", (long)nnz);
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld edges overflow the ordering's index",
+                          (long)nnz);
     q.space = nnz + nnz / 4 + 2 * n + 1;
     SFEMI_NEW(sfem_int, q.list, m, q.space);
     SFEMI_NEW(sfem_int, q.spare, m, q.space);
@@ -4586,7 +4594,8 @@ static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *he
                     degree += extra;
                     hash += (uint32_t)*e;
                     *keep++ = *e;
-                } else q.mark[*e] = 0; /* nothing outside p: absorbed */
+                } else
+                    q.mark[*e] = 0; /* nothing outside p: absorbed */
             }
             q.elements[me] = (sfem_int)(keep - start) + 1;
             {
@@ -4644,7 +4653,8 @@ static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *he
                         q.weight[c] = 0;
                         q.into[c] = b;
                         q.next[last] = q.next[c];
-                    } else last = c;
+                    } else
+                        last = c;
                 }
             }
         }
@@ -4694,14 +4704,14 @@ done:
 }
 
 /* Nested dissection from the coordinates [George 1973; Miller, Teng, Thurston, Vavasis 1997 for the
- * setting]: a set of nodes is cut by the best of planes in 13 directions, the fewest nodes that cover
- * the cut edges are the separator [Koenig 1931], which is then refined by moving single nodes
+ * setting]: a set of nodes is cut by the best of planes in 13 directions, the fewest nodes that
+ * cover the cut edges are the separator [Koenig 1931], which is then refined by moving single nodes
  * [Fiduccia, Mattheyses 1982; Ashcraft, Liu 1997 for separators]. */
-#define SFEMI_DISSECT_LEAF 200 /* sets this small are left to minimum degree */
+#define SFEMI_DISSECT_LEAF       200 /* sets this small are left to minimum degree */
 #define SFEMI_DISSECT_DIRECTIONS 13
-#define SFEMI_DISSECT_WAYS 14 /* and by distance along edges */
-#define SFEMI_DISSECT_TRIALS 3 /* of which so many, the cheapest by count, are tried in full */
-#define SFEMI_DISSECT_BINS 241
+#define SFEMI_DISSECT_WAYS       14 /* and by distance along edges */
+#define SFEMI_DISSECT_TRIALS     3  /* of which so many, the cheapest by count, are tried in full */
+#define SFEMI_DISSECT_BINS       241
 
 typedef struct sfemi_dissect {
     const sfemi_graph *g;
@@ -4713,7 +4723,7 @@ typedef struct sfemi_dissect {
     sfem_int *near[2];     /* [n] of separator nodes: neighbours on either side */
     sfem_int *band;        /* [n] nodes so close to the plane that an edge may be cut */
     float *key;            /* [n] by position in the set */
-    signed char *side, *best; /* [n] by node: 0, 1, or 2 for the separator; 3 for a while */
+    signed char *side, *best;        /* [n] by node: 0, 1, or 2 for the separator; 3 for a while */
     float reach[SFEMI_DISSECT_WAYS]; /* longest edge along each direction */
     sfem_int stamp;
 } sfemi_dissect;
@@ -4721,7 +4731,7 @@ typedef struct sfemi_dissect {
 static const signed char *sfemi_dissect_axis(int direction)
 {
     static const signed char axis[SFEMI_DISSECT_DIRECTIONS][3] = {
-        {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 1, 0}, {1, -1, 0}, {1, 0, 1}, {1, 0, -1},
+        {1, 0, 0}, {0, 1, 0},  {0, 0, 1}, {1, 1, 0},  {1, -1, 0}, {1, 0, 1}, {1, 0, -1},
         {0, 1, 1}, {0, 1, -1}, {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
     return axis[direction];
 }
@@ -4746,8 +4756,8 @@ static void sfemi_dissect_reach(sfemi_dissect *d)
         }
 }
 
-/* mate[] = edges from a node that is far from others, found by two searches; a curled or perforated body
- * is cut better across its length than by a plane. */
+/* mate[] = edges from a node that is far from others, found by two searches; a curled or perforated
+ * body is cut better across its length than by a plane. */
 static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_int m)
 {
     sfem_int k, e, start = set[0], pass, head, tail, next;
@@ -4756,7 +4766,8 @@ static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_i
         for (head = tail = 0, next = 0; tail < m;) {
             if (head == tail) { /* another piece goes on where this one ended */
                 while (tail > 0 && d->mate[set[next]] >= 0) ++next;
-                d->mate[tail > 0 ? set[next] : start] = tail > 0 ? d->mate[d->queue[tail - 1]] + 2 : 0;
+                d->mate[tail > 0 ? set[next] : start] =
+                    tail > 0 ? d->mate[d->queue[tail - 1]] + 2 : 0;
                 d->queue[tail] = tail > 0 ? set[next] : start;
                 ++tail;
             }
@@ -4774,8 +4785,8 @@ static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_i
     }
 }
 
-/* Keys of the set, and the plane that about halves them: keys < cut are side 0. Found from counts in
- * bins, which keep the layers of a lattice together. */
+/* Keys of the set, and the plane that about halves them: keys < cut are side 0. Found from counts
+ * in bins, which keep the layers of a lattice together. */
 static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int m, int direction)
 {
     const signed char *axis = sfemi_dissect_axis(direction % SFEMI_DISSECT_DIRECTIONS);
@@ -4801,8 +4812,8 @@ static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int
     return low + (float)b / scale;
 }
 
-/* The band around the plane, with sides; returns the smaller number of nodes that touch the other side,
- * which covers all cut edges, with a penalty for imbalance; -1 if a side is empty. */
+/* The band around the plane, with sides; returns the smaller number of nodes that touch the other
+ * side, which covers all cut edges, with a penalty for imbalance; -1 if a side is empty. */
 static double sfemi_dissect_count(sfemi_dissect *d, const sfem_int *set, sfem_int m, float cut,
                                   float reach, sfem_int *banded)
 {
@@ -4923,11 +4934,13 @@ static void sfemi_dissect_near(sfemi_dissect *d, sfem_int v)
     }
 }
 
-/* One pass: separator nodes move to a side, which draws their neighbours from the other side into the
- * separator; each node leaves once, and the best state seen is kept. Returns whether it got better. */
+/* One pass: separator nodes move to a side, which draws their neighbours from the other side into
+ * the separator; each node leaves once, and the best state seen is kept. Returns whether it got
+ * better. */
 static int sfemi_dissect_pass(sfemi_dissect *d, const sfem_int *set, sfem_int m, sfem_int *size)
 {
-    sfem_int *sep = d->mate, *log = d->queue, *seen = d->from; /* seen: left the separator already */
+    sfem_int *sep = d->mate, *log = d->queue,
+             *seen = d->from; /* seen: left the separator already */
     sfem_int count = 0, k, e, logged = 0, best_logged = 0, best, moves = 0, first, idle = 0;
     const sfem_int limit = (sfem_int)(0.58 * m);
     for (k = 0; k < m; ++k) {
@@ -4998,7 +5011,8 @@ static int sfemi_dissect_pass(sfemi_dissect *d, const sfem_int *set, sfem_int m,
     return best < first;
 }
 
-/* Cuts set[0..m) in place into side 0, side 1 and separator, of out[] nodes; returns 0 if it cannot. */
+/* Cuts set[0..m) in place into side 0, side 1 and separator, of out[] nodes; returns 0 if it
+ * cannot. */
 static int sfemi_dissect_cut(sfemi_dissect *d, sfem_int *set, sfem_int m, sfem_int *out)
 {
     double cost[SFEMI_DISSECT_WAYS], best = -1;
@@ -5043,7 +5057,8 @@ static int sfemi_dissect_cut(sfemi_dissect *d, sfem_int *set, sfem_int m, sfem_i
     return 1;
 }
 
-/* order[new] = old. The interiors of the smallest sets are ordered by minimum degree, all at once. */
+/* order[new] = old. The interiors of the smallest sets are ordered by minimum degree, all at once.
+ */
 static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
                                        const sfem_allocator *m, sfem_int *order, sfem_error *err)
 {
@@ -5116,8 +5131,8 @@ typedef struct sfemi_tree {
     double flops;
 } sfemi_tree;
 
-/* Numbers the nodes of a forest so that each subtree is contiguous and ends with its root; to[old] =
- * new. head and next are work of [n]. */
+/* Numbers the nodes of a forest so that each subtree is contiguous and ends with its root; to[old]
+ * = new. head and next are work of [n]. */
 static void sfemi_tree_postorder(sfem_int n, const sfem_int *parent, sfem_int *to, sfem_int *head,
                                  sfem_int *next)
 {
@@ -5246,22 +5261,23 @@ done:
 #if defined(__GNUC__)
 #define SFEMI_ATOMICS 1
 typedef int32_t sfemi_counter;
-#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before */
-#define SFEMI_ATOMIC_GET(p) __atomic_load_n((p), __ATOMIC_ACQUIRE)
+#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
+                                                                               */
+#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
 #define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
 #elif defined(_MSC_VER)
-#define SFEMI_ATOMICS 1
+#define SFEMI_ATOMICS          1
 typedef long sfemi_counter;
 long _InterlockedExchangeAdd(long volatile *, long);
 long _InterlockedExchange(long volatile *, long);
 #define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
-#define SFEMI_ATOMIC_GET(p) _InterlockedExchangeAdd((p), 0)
+#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
 #define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
 #else /* no atomics: solvers run on one thread, and factors are made and freed from one */
-#define SFEMI_ATOMICS 0
+#define SFEMI_ATOMICS          0
 typedef long sfemi_counter;
 #define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
-#define SFEMI_ATOMIC_GET(p) (*(p))
+#define SFEMI_ATOMIC_GET(p)    (*(p))
 #define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
 #endif
 
@@ -5280,12 +5296,12 @@ static double sfemi_seconds(void)
 }
 
 /* A crew works off a list of units on several threads in one parallel region: each worker takes the
- * next unit, waits for what it depends on, which stands before it in the list and so has been taken,
- * and does it. So one worker alone can do everything, and nobody waits for a thread that the system
- * has not started.
+ * next unit, waits for what it depends on, which stands before it in the list and so has been
+ * taken, and does it. So one worker alone can do everything, and nobody waits for a thread that the
+ * system has not started.
  *
- * On a busy machine several threads may still take longer than one. A pace compares the two: one call
- * in 64 is done alone, and where the crew was slower it rests, for longer each time. */
+ * On a busy machine several threads may still take longer than one. A pace compares the two: one
+ * call in 64 is done alone, and where the crew was slower it rests, for longer each time. */
 #define SFEMI_CREW 32 /* most workers */
 
 typedef struct sfemi_pace {
@@ -5317,7 +5333,8 @@ static void sfemi_crew_wait(sfemi_counter *counter, sfem_int value)
     while (SFEMI_ATOMIC_GET(counter) < value) {
         if (++spins > 2000) SFEMI_YIELD(); /* who has the unit may need this processor */
 #if SFEMI_X86
-        else __builtin_ia32_pause();
+        else
+            __builtin_ia32_pause();
 #endif
     }
 }
@@ -5341,11 +5358,13 @@ static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
     const sfemi_counter took = units < 1e9 ? (sfemi_counter)units : 1000000000;
     const sfemi_counter alone = SFEMI_ATOMIC_GET(&p->alone), longer = SFEMI_ATOMIC_GET(&p->longer);
     if (seconds <= 0) return;
-    if (threads == 1) SFEMI_ATOMIC_SET(&p->alone, took);
+    if (threads == 1)
+        SFEMI_ATOMIC_SET(&p->alone, took);
     else if (alone && took > alone) {
         SFEMI_ATOMIC_SET(&p->longer, longer < 8 ? 8 : longer < 512 ? 2 * longer : longer);
         SFEMI_ATOMIC_SET(&p->rest, SFEMI_ATOMIC_GET(&p->longer));
-    } else SFEMI_ATOMIC_SET(&p->longer, longer / 2);
+    } else
+        SFEMI_ATOMIC_SET(&p->longer, longer / 2);
 }
 
 /* --- fronts and kernels ---------------------------------------------------------------------- */
@@ -5437,28 +5456,30 @@ typedef struct sfemi_ldl_kernels {
     void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
     void (*invert)(size_t, size_t, double *, const double *);
     void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
-    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
-                     double *);
-    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *, double *);
-    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
-                      double *);
+    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+                     const double *, double *);
+    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+                      const double *, double *);
     void (*invert32)(size_t, size_t, float *, const double *);
     void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
-    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
-                       float *);
-    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *, float *);
-    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
-                         float *);
+    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+                       const float *, float *);
+    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+                         const float *, float *);
 } sfemi_ldl_kernels;
 
 static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 {
-#define SFEMI_TABLE(name, width, p)                                                                  \
-    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,      \
-     sfemi_ldl_add_64_##p, sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p,                        \
-     sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p,               \
-     sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p,                   \
-     sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
+#define SFEMI_TABLE(name, width, p)                                                                \
+    {                                                                                              \
+        name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p, \
+            sfemi_ldl_add_64_##p, sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p,               \
+            sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p,      \
+            sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p,          \
+            sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p                                  \
+    }
     static const sfemi_ldl_kernels table[] = {
         SFEMI_TABLE("portable", 4, 0),
 #if SFEMI_X86
@@ -5472,11 +5493,11 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 
 /* --- symbolic analysis ----------------------------------------------------------------------- */
 
-/* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1] in
- * the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
+/* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1]
+ * in the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
  *
- * Work is cut into tasks, the same for any number of threads: a task is a run of supernodes, either a
- * whole subtree of the elimination tree or one supernode above those. Tasks of equal level do not
+ * Work is cut into tasks, the same for any number of threads: a task is a run of supernodes, either
+ * a whole subtree of the elimination tree or one supernode above those. Tasks of equal level do not
  * depend on each other. */
 typedef struct sfemi_symbolic {
     sfemi_counter references;
@@ -5484,31 +5505,32 @@ typedef struct sfemi_symbolic {
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
     sfem_ordering ordering;
-    sfem_int *order;   /* [n] order[new] = old */
-    sfem_int *inverse; /* [n] */
-    sfem_int *first;   /* [supernodes + 1] */
-    size_t *start;     /* [supernodes + 1] */
-    sfem_int *rows;    /* [start[supernodes]] */
-    sfem_int *place;   /* where in the parent's front each of the rows is, in nodes */
-    sfem_int *target;  /* where in the solve's work array each of the rows is, in nodes */
-    sfem_int *parent;  /* [supernodes] or -1 */
-    sfem_int *child;   /* [supernodes] first child or -1 */
-    sfem_int *sibling; /* [supernodes] next child of the same parent or -1 */
-    size_t *panel;     /* [supernodes + 1] where L starts */
-    size_t *panel32;   /* [supernodes + 1] where its float copy starts */
-    size_t *update;    /* [supernodes] where the update matrix stands in the work memory */
+    sfem_int *order;     /* [n] order[new] = old */
+    sfem_int *inverse;   /* [n] */
+    sfem_int *first;     /* [supernodes + 1] */
+    size_t *start;       /* [supernodes + 1] */
+    sfem_int *rows;      /* [start[supernodes]] */
+    sfem_int *place;     /* where in the parent's front each of the rows is, in nodes */
+    sfem_int *target;    /* where in the solve's work array each of the rows is, in nodes */
+    sfem_int *parent;    /* [supernodes] or -1 */
+    sfem_int *child;     /* [supernodes] first child or -1 */
+    sfem_int *sibling;   /* [supernodes] next child of the same parent or -1 */
+    size_t *panel;       /* [supernodes + 1] where L starts */
+    size_t *panel32;     /* [supernodes + 1] where its float copy starts */
+    size_t *update;      /* [supernodes] where the update matrix stands in the work memory */
     size_t *update_kept; /* [supernodes + 1] the same, if all are kept */
-    size_t *signs;     /* [tasks + 1] where a task's signed copy of a panel stands */
-    sfem_int *from;    /* [supernodes + 1] blocks of A that start in the supernode's columns */
-    sfem_int *source;  /* [blocks] block of A */
-    sfem_int *into;    /* [blocks][2] row and column in nodes in the front; row < 0: ~row, transposed */
-    sfem_int *task;    /* [tasks + 1] first supernode */
-    sfem_int *of;      /* [supernodes] task */
-    sfem_int *buffer;  /* [tasks + 1] where its buffer starts in the solve's work array, in nodes */
-    sfem_int *level;   /* [levels + 1] into by_level */
-    sfem_int *by_level; /* [tasks] */
-    sfem_int *at_level; /* [tasks] its inverse */
-    size_t *scratch;   /* [tasks + 1] the solve's scratch of a task, in rows */
+    size_t *signs;       /* [tasks + 1] where a task's signed copy of a panel stands */
+    sfem_int *from;      /* [supernodes + 1] blocks of A that start in the supernode's columns */
+    sfem_int *source;    /* [blocks] block of A */
+    sfem_int
+        *into; /* [blocks][2] row and column in nodes in the front; row < 0: ~row, transposed */
+    sfem_int *task;   /* [tasks + 1] first supernode */
+    sfem_int *of;     /* [supernodes] task */
+    sfem_int *buffer; /* [tasks + 1] where its buffer starts in the solve's work array, in nodes */
+    sfem_int *level;  /* [levels + 1] into by_level */
+    sfem_int *by_level;                   /* [tasks] */
+    sfem_int *at_level;                   /* [tasks] its inverse */
+    size_t *scratch;                      /* [tasks + 1] the solve's scratch of a task, in rows */
     size_t update_size, update_kept_size; /* in scalars */
     size_t nnz, bytes;
     double flops;
@@ -5553,21 +5575,24 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
     sfemi_delete(&m, y);
 }
 
-/* Is it worth a merged supernode of k columns over m rows to hold so many zeros? */
-static int sfemi_merge_pays(double k, double m, double zeros, double n)
+/* Is it worth a merged supernode of k columns over m rows to hold so many zeros? On small meshes
+ * the calls for each supernode dominate, on large ones the memory that the solve reads (measured).
+ */
+static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n)
 {
-    const double share = zeros / (k * (k + 1) / 2 + k * m);
-    const int small = n < 2500; /* calls dominate: merge more */
-    if (k <= 4) return share < (small ? 0.6 : 0.4);
-    if (k <= 8) return share < (small ? 0.35 : 0.15);
-    if (k <= 16) return share < (small ? 0.2 : 0.08);
-    return share < (small ? 0.08 : 0.03);
+    static const double limit[3][4] = {/* up to 4, 8, 16 and more columns, in nodes */
+                                       {.8, .5, .3, .15},
+                                       {.6, .35, .2, .08},
+                                       {.4, .15, .08, .03}};
+    const double *most = limit[n < 500 ? 0 : n < 2500 ? 1 : 2];
+    return zeros / (k * (k + 1) / 2 + k * m) < most[k <= 4 ? 0 : k <= 8 ? 1 : k <= 16 ? 2 : 3];
 }
 
 /* Supernodes: columns of equal structure [Ashcraft, Grimes 1989], then children merged into parents
  * where that adds few zeros. Renumbers so that each is contiguous; fills order, inverse, first,
  * parent. */
-static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t, sfem_error *err)
+static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t,
+                                             sfem_error *err)
 {
     const sfem_allocator *m = &y->allocator;
     const sfem_int n = t->n;
@@ -5593,7 +5618,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
             width[count] = 0;
             child[count] = -1;
             ++count;
-        } else next[tail[count - 1]] = i;
+        } else
+            next[tail[count - 1]] = i;
         s = count - 1;
         tail[s] = i;
         next[i] = -1;
@@ -5607,7 +5633,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
         sibling[s] = child[parent[s]];
         child[parent[s]] = s;
     }
-    for (s = 0; s < count; ++s) { /* children first; merge the one with the least new zeros, repeat */
+    for (s = 0; s < count;
+         ++s) { /* children first; merge the one with the least new zeros, repeat */
         for (;;) {
             sfem_int c, before = -1, pick = -1, pick_before = -1;
             double least = 0;
@@ -5625,8 +5652,10 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
             head[s] = head[pick];
             width[s] += width[pick];
             width[pick] = 0;
-            if (pick_before < 0) child[s] = sibling[pick];
-            else sibling[pick_before] = sibling[pick];
+            if (pick_before < 0)
+                child[s] = sibling[pick];
+            else
+                sibling[pick_before] = sibling[pick];
             for (c = child[pick]; c >= 0;) { /* its children become those of s */
                 const sfem_int after = sibling[c];
                 parent[c] = s;
@@ -5659,7 +5688,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
     }
     y->first[made] = at;
     for (i = 0; i < count; ++i)
-        if (width[child[i]]) y->parent[of[child[i]]] = parent[child[i]] < 0 ? -1 : of[parent[child[i]]];
+        if (width[child[i]])
+            y->parent[of[child[i]]] = parent[child[i]] < 0 ? -1 : of[parent[child[i]]];
     for (s = made; s-- > 0;) y->child[s] = -1;
     for (s = made; s-- > 0;) {
         y->sibling[s] = -1;
@@ -5782,7 +5812,7 @@ static sfem_status sfemi_symbolic_blocks(sfemi_symbolic *y, const sfem_matrix *a
     SFEMI_NEW(sfem_int, y->into, m, 2 * (size_t)y->blocks + 2);
     for (s = 0; s < y->supernodes; ++s)
         for (i = y->first[s]; i < y->first[s + 1]; ++i) of[i] = s;
-#define SFEMI_LOW(i, k)                                                                              \
+#define SFEMI_LOW(i, k)                                                                            \
     (y->inverse[i] < y->inverse[a->col[k]] ? y->inverse[i] : y->inverse[a->col[k]])
     for (i = 0; i < y->n; ++i)
         for (k = a->row[i]; k < a->row[i + 1]; ++k) ++y->from[of[SFEMI_LOW(i, k)] + 2];
@@ -5864,8 +5894,8 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
         if (y->parent[s] >= 0) weight[y->parent[s]] += weight[s];
     }
     if (total < SFEMI_TASK_LEAST) total *= 2 * SFEMI_TASK_SHARE;
-    /* A task ends with each supernode that is heavy, or whose parent is; light trees are put together,
-     * also with what follows, as they have no rows outside. */
+    /* A task ends with each supernode that is heavy, or whose parent is; light trees are put
+     * together, also with what follows, as they have no rows outside. */
     for (s = 0; s < ns; ++s) {
         const int heavy = weight[s] > total / SFEMI_TASK_SHARE;
         const sfem_int p = y->parent[s];
@@ -5924,7 +5954,8 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
         size_t widest = 0, signs = 0;
         count = 0;
         for (s = y->task[t]; s <= root; ++s) {
-            const sfemi_shape h = sfemi_symbolic_shape(y, s, w), h32 = sfemi_symbolic_shape(y, s, 8);
+            const sfemi_shape h = sfemi_symbolic_shape(y, s, w),
+                              h32 = sfemi_symbolic_shape(y, s, 8);
             const size_t size = sfemi_shape_panel_size(&h), u = sfemi_shape_update_size(&h);
             size_t a, b = y->start[root];
             y->panel[s + 1] = y->panel[s] + size;
@@ -5953,7 +5984,8 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
         }
         y->buffer[t + 1] = y->buffer[t] + (sfem_int)(y->start[root + 1] - y->start[root]);
     }
-    for (t = 0; t < y->tasks; ++t) { /* roots of tasks: threads may be anywhere, so nothing is reused */
+    for (t = 0; t < y->tasks;
+         ++t) { /* roots of tasks: threads may be anywhere, so nothing is reused */
         const sfem_int root = y->task[t + 1] - 1;
         y->update[root] = shared;
         shared += y->update_kept[root + 1] - y->update_kept[root];
@@ -5970,8 +6002,9 @@ done:
     return status;
 }
 
-/* The better of two orderings, or the one asked for. Minimum degree always wins on small meshes, and
- * dissection on large ones unless they are thin, so that one of the two can then be saved (measured). */
+/* The better of two orderings, or the one asked for. Minimum degree always wins on small meshes,
+ * and dissection on large ones unless they are thin, so that one of the two can then be saved
+ * (measured). */
 #define SFEMI_DISSECT_FROM 1500
 #define SFEMI_DISSECT_SURE 8000
 
@@ -5997,7 +6030,8 @@ static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_gra
         SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
     }
     if (def->ordering == SFEM_ORDER_AMD ||
-        (def->ordering == SFEM_ORDER_BEST && (g->n < SFEMI_DISSECT_SURE || best.flops < 20. * g->n * g->n))) {
+        (def->ordering == SFEM_ORDER_BEST &&
+         (g->n < SFEMI_DISSECT_SURE || best.flops < 20. * g->n * g->n))) {
         SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
         SFEMI_TRY(sfemi_tree_create(g, &other, order, m, err));
         if (!best.pool || other.flops < best.flops) {
@@ -6028,7 +6062,8 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     if (def->ordering == SFEM_ORDER_DISSECTION && !def->x)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "nested dissection needs coordinates");
     if (def->x && !sfemi_all_finite(def->x, 3 * (size_t)a->n))
-        return sfemi_fail(err, SFEM_NOT_FINITE, "a coordinate given for the ordering is not finite");
+        return sfemi_fail(err, SFEM_NOT_FINITE,
+                          "a coordinate given for the ordering is not finite");
     SFEMI_NEW(sfemi_symbolic, y, m, 1);
     y->references = 1;
     y->allocator = *m;
@@ -6062,32 +6097,32 @@ struct sfem_ldl {
     sfem_allocator allocator;
     sfem_exec exec;
     int positive, mixed, keep, valid;
-    double *l;           /* all panels */
-    float *l32;          /* the same in float, divided by unit */
-    double *update;      /* update matrices */
-    double *signs;       /* signed copies of panels, unless positive */
-    double *scale;       /* [3n] s / sqrt|d| of each pivot */
-    double *floor;       /* [3n] what a pivot must exceed */
-    double *lost;        /* [tasks] the pivot that stopped a task */
-    sfem_int *lost_at;   /* [tasks] its column, or -1; -2: a task below failed */
-    sfem_int *units;     /* [tasks + 1] in order of levels: units of work before each */
-    sfemi_counter *done; /* [tasks + 1] units done; then the crew's counter */
-    sfemi_pace *pace;    /* [3] of factorisations, solves, solves of blocks */
-    sfem_int *negative;  /* [supernodes] negative pivots */
+    double *l;            /* all panels */
+    float *l32;           /* the same in float, divided by unit */
+    double *update;       /* update matrices */
+    double *signs;        /* signed copies of panels, unless positive */
+    double *scale;        /* [3n] s / sqrt|d| of each pivot */
+    double *floor;        /* [3n] what a pivot must exceed */
+    double *lost;         /* [tasks] the pivot that stopped a task */
+    sfem_int *lost_at;    /* [tasks] its column, or -1; -2: a task below failed */
+    sfem_int *units;      /* [tasks + 1] in order of levels: units of work before each */
+    sfemi_counter *done;  /* [tasks + 1] units done; then the crew's counter */
+    sfemi_pace *pace;     /* [3] of factorisations, solves, solves of blocks */
+    sfem_int *negative;   /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
-    double unit;         /* power of 2 near the root of the largest entry of A */
-    double *probe;       /* unless positive: for a solve that tells whether the factor is any good */
+    double unit;          /* power of 2 near the root of the largest entry of A */
+    double *probe; /* unless positive: for a solve that tells whether the factor is any good */
     double pivot_min, pivot_max, residual;
 };
 
 /* --- solve ----------------------------------------------------------------------------------- */
 
-#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
-#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
+#define SFEMI_SOLVE_BLOCK   8  /* right sides that are solved for together */
+#define SFEMI_SOLVE_ALONE   2  /* up to so many are solved for one by one */
 #define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
 
-/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
- * and scratch for each task; each row of `block` numbers side by side */
+/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows
+ * outside, and scratch for each task; each row of `block` numbers side by side */
 typedef struct sfemi_solve {
     const sfem_ldl *ldl;
     size_t block;
@@ -6111,77 +6146,74 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
 }
 
 /* The tasks of both sweeps, for double and float. */
-#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
-                          backward_, forward8_, backward8_)                                          \
-    static void forward_task(void *data, sfem_int index)                                             \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = index, root = y->task[t + 1] - 1;                                         \
-        const size_t n = 3 * q->block; /* numbers to a node */                                       \
-        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
-        sfem_int s, c;                                                                               \
-        size_t i;                                                                                    \
-        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
-        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
-            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
-            size_t a = y->start[c];                                                                  \
-            if (y->of[c] == t) continue;                                                             \
-            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
-                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
-                                           : buffer + n * (size_t)(y->place[a] - wide);              \
-                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
-            }                                                                                        \
-        }                                                                                            \
-        for (s = y->task[t]; s <= root; ++s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            R *x = w + n * (size_t)y->first[s];                                                      \
-            if (q->block == 1)                                                                       \
-                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
-            else                                                                                     \
-                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
-                                      scratch);                                                      \
-            if (q->ldl->negative[s]) {                                                               \
-                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
-                size_t p;                                                                            \
-                for (p = 0; p < k; ++p)                                                              \
-                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
-                        x[p * q->block + i] = -x[p * q->block + i];                                  \
-            }                                                                                        \
-        }                                                                                            \
-    }                                                                                                \
-    static void backward_task(void *data, sfem_int index)                                            \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = index, root = y->task[t + 1] - 1, p = y->parent[root];                    \
-        const size_t n = 3 * q->block;                                                               \
-        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        size_t a;                                                                                    \
-        sfem_int s;                                                                                  \
-        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
-            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
-            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
-                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
-            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
-        }                                                                                            \
-        for (s = root; s >= y->task[t]; --s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
-                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
-                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
-        }                                                                                            \
+#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,      \
+                          backward_, forward8_, backward8_)                                        \
+    static void forward_task(void *data, sfem_int index)                                           \
+    {                                                                                              \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                          \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                \
+        const sfem_int t = index, root = y->task[t + 1] - 1;                                       \
+        const size_t n = 3 * q->block; /* numbers to a node */                                     \
+        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);         \
+        const sfem_int wide = y->first[root + 1] - y->first[root];                                 \
+        sfem_int s, c;                                                                             \
+        size_t i;                                                                                  \
+        memset(buffer, 0, n *(size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);          \
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */   \
+            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                  \
+            size_t a = y->start[c];                                                                \
+            if (y->of[c] == t) continue;                                                           \
+            for (; a < y->start[c + 1]; ++a, from += n) {                                          \
+                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])        \
+                                           : buffer + n * (size_t)(y->place[a] - wide);            \
+                for (i = 0; i < n; ++i) to[i] += from[i];                                          \
+            }                                                                                      \
+        }                                                                                          \
+        for (s = y->task[t]; s <= root; ++s) {                                                     \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            R *x = w + n * (size_t)y->first[s];                                                    \
+            (q->block == 1 ? y->kernels->forward_ : y->kernels->forward8_)(                        \
+                k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w);                   \
+            if (q->ldl->negative[s]) {                                                             \
+                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                     \
+                size_t p;                                                                          \
+                for (p = 0; p < k; ++p)                                                            \
+                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                 \
+                        x[p * q->block + i] = -x[p * q->block + i];                                \
+            }                                                                                      \
+        }                                                                                          \
+    }                                                                                              \
+    static void backward_task(void *data, sfem_int index)                                          \
+    {                                                                                              \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                          \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                \
+        const sfem_int t = index, root = y->task[t + 1] - 1, p = y->parent[root];                  \
+        const size_t n = 3 * q->block;                                                             \
+        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);               \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                      \
+        size_t a;                                                                                  \
+        sfem_int s;                                                                                \
+        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                       \
+            const sfem_int wide = y->first[p + 1] - y->first[p];                                   \
+            const sfem_int at = y->place[a] < wide                                                 \
+                                    ? y->first[p] + y->place[a]                                    \
+                                    : y->n + y->buffer[y->of[p]] + y->place[a] - wide;             \
+            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                \
+        }                                                                                          \
+        for (s = root; s >= y->task[t]; --s) {                                                     \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                      \
+                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                  \
+                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                 \
+        }                                                                                          \
     }
 
 SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
                   backward, forward8, backward8)
-SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
-                  forward32, backward32, forward8_32, backward8_32)
+SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32,
+                  panel32, forward32, backward32, forward8_32, backward8_32)
 #undef SFEMI_SOLVE_TASKS
 
 /* Unit u of a solve: tasks up the tree by levels, then down again; done[] has one flag for each. */
@@ -6196,7 +6228,8 @@ static void sfemi_solve_unit(void *data, sfem_int u)
         for (c = y->child[root]; c >= 0; c = y->sibling[c]) {
             if (y->of[c] != t) sfemi_crew_wait(q->done + y->of[c], 1);
         }
-    else sfemi_crew_wait(q->done + (y->parent[root] < 0 ? t : y->tasks + y->of[y->parent[root]]), 1);
+    else
+        sfemi_crew_wait(q->done + (y->parent[root] < 0 ? t : y->tasks + y->of[y->parent[root]]), 1);
     (up ? q->forward : q->backward)(data, t);
     SFEMI_ATOMIC_SET(q->done + (up ? t : y->tasks + t), 1);
 }
@@ -6236,6 +6269,23 @@ static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem
     const sfemi_symbolic *y = q->ldl->symbolic;
     const size_t n = 3 * (size_t)y->n, b = q->block;
     size_t i, r, c;
+    if (b == 1) {
+        double *w = q->w;
+        for (i = 0; i < (size_t)y->n; ++i) {
+            const double *from = x + 3 * (size_t)y->order[i];
+            w[3 * i] = from[0];
+            w[3 * i + 1] = from[1];
+            w[3 * i + 2] = from[2];
+        }
+        sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+        for (i = 0; i < (size_t)y->n; ++i) {
+            double *to = x + 3 * (size_t)y->order[i];
+            to[0] = w[3 * i];
+            to[1] = w[3 * i + 1];
+            to[2] = w[3 * i + 2];
+        }
+        return;
+    }
     for (i = 0; i < (size_t)y->n; ++i)
         for (c = 0; c < 3; ++c)
             for (r = 0; r < b; ++r)
@@ -6272,7 +6322,8 @@ static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sf
     for (i = 0; i < (size_t)y->n; ++i)
         for (c = 0; c < 3; ++c)
             for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
+                x[r * n + 3 * (size_t)y->order[i] + c] =
+                    unit[r] * (double)q->w32[(3 * i + c) * b + r];
 }
 
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
@@ -6293,8 +6344,10 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
                                                        SFEMI_SOLVE_SCRATCH);
     while (rhs > 0 && n > 0) {
         const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
-        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
-        else sfemi_solve_some(&q, count, x, exec);
+        if (ldl->mixed)
+            sfemi_solve_some32(&q, count, x, exec);
+        else
+            sfemi_solve_some(&q, count, x, exec);
         x += count * n;
         rhs -= (sfem_int)count;
     }
@@ -6308,7 +6361,7 @@ typedef struct sfemi_front {
     sfem_int s;
     sfemi_shape h;
     double *l, *u, *scale;
-    double *b; /* what stands at the right of products: l, or its signed copy */
+    double *b;         /* what stands at the right of products: l, or its signed copy */
     size_t begin, end; /* diagonal tiles of the block of columns at work */
     int load;          /* are there children, so that U starts from what they add? */
 } sfemi_front;
@@ -6330,7 +6383,8 @@ static void sfemi_front_begin(sfemi_front *q)
     for (e = y->from[q->s]; e < y->from[q->s + 1]; ++e) {
         const sfem_int in = y->into[2 * (size_t)e];
         const double *v = q->a->val + 9 * (size_t)y->source[e];
-        const size_t row = 3 * (size_t)(in < 0 ? ~in : in), col = 3 * (size_t)y->into[2 * (size_t)e + 1];
+        const size_t row = 3 * (size_t)(in < 0 ? ~in : in),
+                     col = 3 * (size_t)y->into[2 * (size_t)e + 1];
         const size_t tile = row / h->t, hd = sfemi_shape_height(h, tile);
         const size_t across = in < 0 ? 3 : 1, down = in < 0 ? 1 : 3;
         double *d = q->l + sfemi_shape_panel(h, tile) + col * hd + (row - tile * h->t);
@@ -6354,11 +6408,13 @@ static void sfemi_front_add_tile(const sfemi_front *q, sfem_int child, size_t ti
     const sfemi_symbolic *y = q->ldl->symbolic;
     const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, child, h->w);
     const sfem_int *place = y->place + y->start[child];
-    const sfem_int pivots = y->first[q->s + 1] - y->first[q->s], below = (sfem_int)((ch.f - ch.k) / 3);
+    const sfem_int pivots = y->first[q->s + 1] - y->first[q->s],
+                   below = (sfem_int)((ch.f - ch.k) / 3);
     const size_t hs = sfemi_shape_height(&ch, tile);
     const double *src = sfemi_ldl_update_of(q->ldl, child) + sfemi_shape_update(&ch, tile);
     const size_t c0 = ch.boundary * ch.t, d0 = h->boundary * h->t;
-    const sfem_int per = (sfem_int)(h->t / 3), shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
+    const sfem_int per = (sfem_int)(h->t / 3),
+                   shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
     sfem_int a = shift < 0 ? 0 : shift, last = shift + per < below ? shift + per : below, b, inner;
     for (inner = 0; inner < a && place[inner] < pivots; ++inner) continue;
     while (a < last) {
@@ -6380,8 +6436,8 @@ static void sfemi_front_add_tile(const sfemi_front *q, sfem_int child, size_t ti
                             from + 3 * (size_t)inner * hs, hs, du - d0 * hd, hd);
         for (b = a; b < stop; ++b) {
             const size_t skip = 3 * (size_t)(b - a);
-            y->kernels->add(1, place + b, 3 * (size_t)(stop - b), from + 3 * (size_t)b * hs + skip, hs,
-                            (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
+            y->kernels->add(1, place + b, 3 * (size_t)(stop - b), from + 3 * (size_t)b * hs + skip,
+                            hs, (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
         }
         a = stop;
     }
@@ -6449,7 +6505,8 @@ static void sfemi_front_update(const sfemi_front *q, size_t index)
     size_t tile, j, g;
     for (j = h->boundary; j < last; ++j) {
         const double *b = q->b + sfemi_shape_panel(h, j);
-        const size_t hb = sfemi_shape_height(h, j), skip = j == h->boundary ? (h->k - c0) / 4 * 4 : 0;
+        const size_t hb = sfemi_shape_height(h, j),
+                     skip = j == h->boundary ? (h->k - c0) / 4 * 4 : 0;
         for (tile = j > begin ? j : begin; tile < last; ++tile) {
             const size_t ha = sfemi_shape_height(h, tile);
             double *u = q->u + sfemi_shape_update(h, tile) + (j * h->t - c0) * ha;
@@ -6470,7 +6527,8 @@ static void sfemi_front_copy32(const sfemi_front *q, const sfemi_shape *h32, flo
         const size_t hd = sfemi_shape_height(h32, tile), n = sfemi_shape_columns(h32, tile);
         memset(out, 0, hd * n * sizeof *out);
         for (i = 0; i < hd && tile * h32->t + i < h->f;) {
-            const size_t row = tile * h32->t + i, from = row / h->t, hs = sfemi_shape_height(h, from);
+            const size_t row = tile * h32->t + i, from = row / h->t,
+                         hs = sfemi_shape_height(h, from);
             const size_t in = row - from * h->t, columns = sfemi_shape_columns(h, from);
             const size_t rows = hs - in < hd - i ? hs - in : hd - i;
             const double *src = q->l + sfemi_shape_panel(h, from) + in;
@@ -6512,11 +6570,11 @@ static void sfemi_front_finish(const sfemi_front *q)
 }
 
 #define SFEMI_FRONT_PARALLEL 1e7 /* operations from which a front is worth several threads */
-#define SFEMI_FRONT_BLOCK 96     /* columns that are eliminated together */
-#define SFEMI_FRONT_CHUNK 4      /* tiles of rows to a unit of work */
+#define SFEMI_FRONT_BLOCK    96  /* columns that are eliminated together */
+#define SFEMI_FRONT_CHUNK    4   /* tiles of rows to a unit of work */
 
-/* A front is worked off in stages, each of so many units that do not depend on each other: assembly,
- * for each block of columns its diagonal and then the rows below, update, end. */
+/* A front is worked off in stages, each of so many units that do not depend on each other:
+ * assembly, for each block of columns its diagonal and then the rows below, update, end. */
 static size_t sfemi_front_chunks(size_t tiles)
 {
     return (tiles + SFEMI_FRONT_CHUNK - 1) / SFEMI_FRONT_CHUNK;
@@ -6559,22 +6617,26 @@ static void sfemi_front_below(const sfemi_front *q, size_t chunk)
     }
 }
 
-/* Does unit number *unit of the front, if it has so many and do_it is set; else subtracts them. Before
- * that, *before is set to the units that have to be done by then. Returns the lost column or -1. */
-static sfem_int sfemi_front_unit(sfemi_front *q, size_t unit, int do_it, size_t *before, double *lost)
+/* Does unit number *unit of the front, if it has so many and do_it is set; else subtracts them.
+ * Before that, *before is set to the units that have to be done by then. Returns the lost column or
+ * -1. */
+static sfem_int sfemi_front_unit(sfemi_front *q, size_t unit, int do_it, size_t *before,
+                                 double *lost)
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
     const size_t block = SFEMI_FRONT_BLOCK / q->h.t;
     sfem_int c;
     size_t n;
     *before = 0;
-#define SFEMI_STAGE(count, work)                                                                     \
-    n = (count);                                                                                     \
-    if (unit < n) {                                                                                  \
-        if (do_it) { work; }                                                                         \
-        return -1;                                                                                   \
-    }                                                                                                \
-    unit -= n;                                                                                       \
+#define SFEMI_STAGE(count, work)                                                                   \
+    n = (count);                                                                                   \
+    if (unit < n) {                                                                                \
+        if (do_it) {                                                                               \
+            work;                                                                                  \
+        }                                                                                          \
+        return -1;                                                                                 \
+    }                                                                                              \
+    unit -= n;                                                                                     \
     *before += n;
     SFEMI_STAGE(1, sfemi_front_begin(q))
     for (c = y->child[q->s]; c >= 0; c = y->sibling[c]) {
@@ -6611,7 +6673,8 @@ static sfemi_front sfemi_front_of(const sfem_ldl *ldl, const sfem_matrix *a, sfe
 }
 
 /* All of a front at once. Returns the lost column in the new numbering, or -1. */
-static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s, double *lost)
+static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s,
+                                   double *lost)
 {
     const sfemi_symbolic *y = ldl->symbolic;
     sfemi_front q = sfemi_front_of(ldl, a, s);
@@ -6619,7 +6682,8 @@ static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sf
     sfem_int c;
     sfemi_front_begin(&q);
     for (c = y->child[s]; c >= 0; c = y->sibling[c])
-        for (n = sfemi_front_add_units(&q, c), unit = 0; unit < n; ++unit) sfemi_front_add(&q, c, unit);
+        for (n = sfemi_front_add_units(&q, c), unit = 0; unit < n; ++unit)
+            sfemi_front_add(&q, c, unit);
     for (q.begin = 0; q.begin < q.h.diagonal; q.begin = q.end) {
         q.end = q.begin + block < q.h.diagonal ? q.begin + block : q.h.diagonal;
         c = sfemi_front_block(&q, lost);
@@ -6642,7 +6706,8 @@ typedef struct sfemi_factor_job {
 /* Is the task one front that is worth cutting into units? */
 static int sfemi_task_is_cut(const sfemi_symbolic *y, sfem_int t)
 {
-    return y->task[t + 1] - y->task[t] == 1 && sfemi_front_flops(y, y->task[t]) > SFEMI_FRONT_PARALLEL;
+    return y->task[t + 1] - y->task[t] == 1 &&
+           sfemi_front_flops(y, y->task[t]) > SFEMI_FRONT_PARALLEL;
 }
 
 static void sfemi_factor_task(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int t)
@@ -6660,7 +6725,8 @@ static void sfemi_factor_wait(const sfem_ldl *ldl, sfem_int t)
     for (; c >= 0; c = y->sibling[c]) {
         const sfem_int below = y->of[c];
         if (below == t) continue;
-        sfemi_crew_wait(ldl->done + below, ldl->units[y->at_level[below] + 1] - ldl->units[y->at_level[below]]);
+        sfemi_crew_wait(ldl->done + below,
+                        ldl->units[y->at_level[below] + 1] - ldl->units[y->at_level[below]]);
         if (ldl->lost_at[below] != -1) ldl->lost_at[t] = -2;
     }
 }
@@ -6673,13 +6739,16 @@ static void sfemi_factor_unit(void *data, sfem_int unit)
     sfem_int low = 0, high = y->tasks, t;
     while (high - low > 1) {
         const sfem_int middle = low + (high - low) / 2;
-        if (ldl->units[middle] <= unit) low = middle;
-        else high = middle;
+        if (ldl->units[middle] <= unit)
+            low = middle;
+        else
+            high = middle;
     }
     t = y->by_level[low];
     unit -= ldl->units[low];
     if (unit == 0) sfemi_factor_wait(ldl, t);
-    if (!sfemi_task_is_cut(y, t)) sfemi_factor_task(ldl, job->a, t);
+    if (!sfemi_task_is_cut(y, t))
+        sfemi_factor_task(ldl, job->a, t);
     else if (ldl->stale[y->task[t]]) {
         sfemi_front q = sfemi_front_of(ldl, job->a, y->task[t]);
         size_t before;
@@ -6759,10 +6828,11 @@ static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error
     }
     ldl->residual = n ? top_r / (top_a * top_x + 1) : 0;
     if (ldl->residual <= 1e-8 && sfemi_finite(top_r)) return SFEM_OK;
-    return sfemi_fail_at(err, SFEM_SINGULAR, (sfem_int)(at / 3), -1,
-                         "the matrix is too close to singular or needs pivoting: a trial solve leaves "
-                         "%g of its right side, most at node %ld",
-                         top_r, (long)(at / 3));
+    return sfemi_fail_at(
+        err, SFEM_SINGULAR, (sfem_int)(at / 3), -1,
+        "the matrix is too close to singular or needs pivoting: a trial solve leaves "
+        "%g of its right side, most at node %ld",
+        top_r, (long)(at / 3));
 }
 
 static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int task,
@@ -6772,12 +6842,14 @@ static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, s
     const sfem_status status = sfemi_matrix_check_values(a, err);
     if (status != SFEM_OK) return status;
     if (ldl->positive)
-        return sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
-                             "the matrix is not positive definite: pivot %g at node %ld, direction %d",
-                             ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
-    return sfemi_fail_at(err, SFEM_SINGULAR, node, -1,
-                         "the matrix is singular or needs pivoting: pivot %g at node %ld, direction %d",
-                         ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+        return sfemi_fail_at(
+            err, SFEM_NOT_SPD, node, -1,
+            "the matrix is not positive definite: pivot %g at node %ld, direction %d",
+            ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+    return sfemi_fail_at(
+        err, SFEM_SINGULAR, node, -1,
+        "the matrix is singular or needs pivoting: pivot %g at node %ld, direction %d",
+        ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
 }
 
 /* Factorises the supernodes that are marked stale. */
@@ -6825,7 +6897,8 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return status;
 }
 
-#define SFEMI_PANEL_SLACK 512 /* numbers after L that the block solve may read: half a tile square */
+#define SFEMI_PANEL_SLACK                                                                          \
+    512 /* numbers after L that the block solve may read: half a tile square */
 
 /* The options of like's or def's; takes over one reference to the analysis, also when it fails. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
@@ -6864,8 +6937,10 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     *out = ldl;
     return SFEM_OK;
 done:
-    if (ldl) sfem_ldl_free(ldl);
-    else sfemi_symbolic_free(y);
+    if (ldl)
+        sfem_ldl_free(ldl);
+    else
+        sfemi_symbolic_free(y);
     return status;
 }
 
@@ -6903,12 +6978,13 @@ static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, 
     if (a->n != ldl->symbolic->n || blocks != ldl->symbolic->blocks)
         return sfemi_fail(err, SFEM_MISMATCH,
                           "the matrix has %ld rows and %ld blocks, the factor's had %ld and %ld",
-                          (long)a->n, (long)blocks, (long)ldl->symbolic->n, (long)ldl->symbolic->blocks);
+                          (long)a->n, (long)blocks, (long)ldl->symbolic->n,
+                          (long)ldl->symbolic->blocks);
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, sfem_ldl **out,
-                                          sfem_error *err)
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a,
+                                          sfem_ldl **out, sfem_error *err)
 {
     const sfem_status status = sfemi_ldl_matches(like, a, err);
     if (status != SFEM_OK) return status;
@@ -6940,8 +7016,10 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
         const sfem_int at = y->inverse[node[i]];
         for (low = 0, high = y->supernodes; high - low > 1;) {
             const sfem_int middle = low + (high - low) / 2;
-            if (y->first[middle] <= at) low = middle;
-            else high = middle;
+            if (y->first[middle] <= at)
+                low = middle;
+            else
+                high = middle;
         }
         for (; low >= 0 && !ldl->stale[low]; low = y->parent[low]) ldl->stale[low] = 1;
     }
@@ -6960,7 +7038,8 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
     info.ordering = y->ordering;
     info.nnz = y->nnz;
     info.flops = y->flops;
-    info.factor_bytes = y->panel[ns] * sizeof(double) + (ldl->mixed ? y->panel32[ns] * sizeof(float) : 0);
+    info.factor_bytes =
+        y->panel[ns] * sizeof(double) + (ldl->mixed ? y->panel32[ns] * sizeof(float) : 0);
     info.analysis_bytes = y->bytes;
     info.work_bytes = (ldl->keep ? y->update_kept_size : y->update_size) * sizeof(double) +
                       2 * n * sizeof(double) + ns * 5 + (size_t)y->tasks * 12 +
@@ -6999,8 +7078,10 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 
 /* --- dense ----------------------------------------------------------------------------------- */
 
-/* Left-looking by columns, four at a time: a(j:n, j) -= sum of a(j:n, p) s_p a(j, p). unit: L D L^T. */
-static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative, double *lost)
+/* Left-looking by columns, four at a time: a(j:n, j) -= sum of a(j:n, p) s_p a(j, p). unit: L D
+ * L^T. */
+static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative,
+                                   double *lost)
 {
     const size_t m = (size_t)n;
     size_t i, j, p;
@@ -7039,7 +7120,8 @@ SFEM_DEF sfem_status sfem_dense_cholesky(sfem_int n, sfem_real *a, sfem_error *e
     at = sfemi_dense_factor(n, a, 0, &negative, &lost);
     if (at < 0) return SFEM_OK;
     return sfemi_fail_at(err, sfemi_finite(lost) ? SFEM_NOT_SPD : SFEM_NOT_FINITE, at / 3, -1,
-                         "the dense matrix is not positive definite: pivot %g in row %ld", lost, (long)at);
+                         "the dense matrix is not positive definite: pivot %g in row %ld", lost,
+                         (long)at);
 }
 
 SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative, sfem_error *err)
@@ -7053,8 +7135,8 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
         return SFEM_OK;
     }
     return sfemi_fail_at(err, sfemi_finite(lost) ? SFEM_SINGULAR : SFEM_NOT_FINITE, at / 3, -1,
-                         "the dense matrix is singular or needs pivoting: pivot %g in row %ld", lost,
-                         (long)at);
+                         "the dense matrix is singular or needs pivoting: pivot %g in row %ld",
+                         lost, (long)at);
 }
 
 static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
@@ -7099,15 +7181,19 @@ SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
 
 SFEM_DEF size_t sfem_cg_work_size(const sfem_cg_def *def, const sfem_matrix *a)
 {
-    return 13 * (size_t)a->n + (def->preconditioner ? sfem_ldl_work_size(def->preconditioner, 1) : 9 * (size_t)a->n) + 8;
+    return 13 * (size_t)a->n +
+           (def->preconditioner ? sfem_ldl_work_size(def->preconditioner, 1) : 9 * (size_t)a->n) +
+           8;
 }
 
-/* Inverse of a symmetric positive definite 3x3 block, of which the lower half is read; 0 if it is not. */
+/* Inverse of a symmetric positive definite 3x3 block, of which the lower half is read; 0 if it is
+ * not. */
 static int sfemi_block_invert(const sfem_real *b, sfem_real *out)
 {
     const sfem_real c0 = b[4] * b[8] - b[7] * b[7], c1 = b[6] * b[7] - b[3] * b[8];
     const sfem_real c2 = b[3] * b[7] - b[4] * b[6], det = b[0] * c0 + b[3] * c1 + b[6] * c2;
-    if (!(b[0] > 0) || !(b[0] * b[4] - b[3] * b[3] > 0) || !(det > 0) || !sfemi_finite(det)) return 0;
+    if (!(b[0] > 0) || !(b[0] * b[4] - b[3] * b[3] > 0) || !(det > 0) || !sfemi_finite(det))
+        return 0;
     out[0] = c0 / det;
     out[1] = out[3] = c1 / det;
     out[2] = out[6] = c2 / det;
@@ -7147,11 +7233,13 @@ static void sfemi_cg_precondition(const sfemi_cg *c)
         return;
     }
     memset(c->z, 0, c->n * sizeof *c->z);
-    for (i = 0; i < c->n / 3; ++i) sfemi_block_times(c->inverse + 9 * i, c->r + 3 * i, c->z + 3 * i);
+    for (i = 0; i < c->n / 3; ++i)
+        sfemi_block_times(c->inverse + 9 * i, c->r + 3 * i, c->z + 3 * i);
 }
 
 SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a, const sfem_real *b,
-                                   sfem_real *x, sfem_real *work, sfem_cg_info *info, sfem_error *err)
+                                   sfem_real *x, sfem_real *work, sfem_cg_info *info,
+                                   sfem_error *err)
 {
     sfemi_cg c;
     sfem_int it = 0, node;
@@ -7172,18 +7260,22 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
                           (long)def->preconditioner->symbolic->n, (long)a->n);
     if (!def->preconditioner)
         for (node = 0; node < a->n; ++node)
-            if (!sfemi_block_invert(a->val + 9 * ((size_t)a->row[node + 1] - 1), c.inverse + 9 * (size_t)node)) {
+            if (!sfemi_block_invert(a->val + 9 * ((size_t)a->row[node + 1] - 1),
+                                    c.inverse + 9 * (size_t)node)) {
                 const sfem_status status = sfemi_matrix_check_values(a, err);
-                return status != SFEM_OK ? status
-                                         : sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
-                                                         "the diagonal block of node %ld is not positive "
-                                                         "definite", (long)node);
+                return status != SFEM_OK
+                           ? status
+                           : sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
+                                           "the diagonal block of node %ld is not positive "
+                                           "definite",
+                                           (long)node);
             }
     norm = sqrt(sfemi_dot(c.n, b, b));
     sfem_matrix_multiply(a, x, c.r, &def->exec);
     for (i = 0; i < c.n; ++i) c.r[i] = b[i] - c.r[i];
     if (!sfemi_finite(norm) || !sfemi_finite(sfemi_dot(c.n, c.r, c.r)))
-        return sfemi_fail(err, SFEM_NOT_FINITE, "the right side, the start or the matrix is not finite");
+        return sfemi_fail(err, SFEM_NOT_FINITE,
+                          "the right side, the start or the matrix is not finite");
     goal = def->tolerance * norm;
     for (;;) {
         sfem_real rr = sqrt(sfemi_dot(c.n, c.r, c.r)), pap, alpha, next;
@@ -7198,10 +7290,11 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
                     info->residual = norm > 0 ? rr / norm : rr;
                     info->converged = rr <= goal;
                 }
-                return rr <= goal ? SFEM_OK
-                                  : sfemi_fail(err, SFEM_NOT_CONVERGED,
-                                               "conjugate gradients: %ld iterations, residual %g of %g",
-                                               (long)it, rr / (norm > 0 ? norm : 1), def->tolerance);
+                return rr <= goal
+                           ? SFEM_OK
+                           : sfemi_fail(err, SFEM_NOT_CONVERGED,
+                                        "conjugate gradients: %ld iterations, residual %g of %g",
+                                        (long)it, rr / (norm > 0 ? norm : 1), def->tolerance);
             }
             rz = 0;
         }
@@ -7210,7 +7303,8 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
         if (rz > 0) {
             const sfem_real beta = next / rz;
             for (i = 0; i < c.n; ++i) c.p[i] = c.z[i] + beta * c.p[i];
-        } else memcpy(c.p, c.z, c.n * sizeof *c.p);
+        } else
+            memcpy(c.p, c.z, c.n * sizeof *c.p);
         rz = next;
         sfem_matrix_multiply(a, c.p, ap, &def->exec);
         pap = sfemi_dot(c.n, c.p, ap);
@@ -13850,44 +13944,44 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #endif
 
 #define SFEMI_PASTE3(a, b, c) a##_##b##_##c
-#define SFEMI_PASTE(a, b, c) SFEMI_PASTE3(a, b, c)
-#define SFEMI_KERNEL(name) SFEMI_PASTE(name, SFEMI_BITS, SFEMI_PATH)
+#define SFEMI_PASTE(a, b, c)  SFEMI_PASTE3(a, b, c)
+#define SFEMI_KERNEL(name)    SFEMI_PASTE(name, SFEMI_BITS, SFEMI_PATH)
 
 #if SFEMI_PATH == 2 && SFEMI_BITS == 64 && !defined(SFEMI_EMULATE_AVX512)
-#define SFEMI_V __m512d
-#define SFEMI_LD(p) _mm512_loadu_pd(p)
-#define SFEMI_ST(p, v) _mm512_storeu_pd(p, v)
-#define SFEMI_DUP(s) _mm512_set1_pd(s)
-#define SFEMI_ADD(a, b) _mm512_add_pd(a, b)
-#define SFEMI_MUL(a, b) _mm512_mul_pd(a, b)
-#define SFEMI_FMA(a, b, c) _mm512_fmadd_pd(a, b, c)
+#define SFEMI_V             __m512d
+#define SFEMI_LD(p)         _mm512_loadu_pd(p)
+#define SFEMI_ST(p, v)      _mm512_storeu_pd(p, v)
+#define SFEMI_DUP(s)        _mm512_set1_pd(s)
+#define SFEMI_ADD(a, b)     _mm512_add_pd(a, b)
+#define SFEMI_MUL(a, b)     _mm512_mul_pd(a, b)
+#define SFEMI_FMA(a, b, c)  _mm512_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
-#define SFEMI_HALF(p) _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
+#define SFEMI_HALF(p)       _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
 #elif SFEMI_PATH >= 1 && SFEMI_BITS == 64 && SFEMI_W == 4
-#define SFEMI_V __m256d
-#define SFEMI_LD(p) _mm256_loadu_pd(p)
-#define SFEMI_ST(p, v) _mm256_storeu_pd(p, v)
-#define SFEMI_DUP(s) _mm256_set1_pd(s)
-#define SFEMI_ADD(a, b) _mm256_add_pd(a, b)
-#define SFEMI_MUL(a, b) _mm256_mul_pd(a, b)
-#define SFEMI_FMA(a, b, c) _mm256_fmadd_pd(a, b, c)
+#define SFEMI_V             __m256d
+#define SFEMI_LD(p)         _mm256_loadu_pd(p)
+#define SFEMI_ST(p, v)      _mm256_storeu_pd(p, v)
+#define SFEMI_DUP(s)        _mm256_set1_pd(s)
+#define SFEMI_ADD(a, b)     _mm256_add_pd(a, b)
+#define SFEMI_MUL(a, b)     _mm256_mul_pd(a, b)
+#define SFEMI_FMA(a, b, c)  _mm256_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_pd(a, b, c)
-#define SFEMI_HALF(p) _mm256_loadu_pd(p)
+#define SFEMI_HALF(p)       _mm256_loadu_pd(p)
 #elif SFEMI_PATH >= 1 && SFEMI_BITS == 32
-#define SFEMI_V __m256
-#define SFEMI_LD(p) _mm256_loadu_ps(p)
-#define SFEMI_ST(p, v) _mm256_storeu_ps(p, v)
-#define SFEMI_DUP(s) _mm256_set1_ps(s)
-#define SFEMI_ADD(a, b) _mm256_add_ps(a, b)
-#define SFEMI_MUL(a, b) _mm256_mul_ps(a, b)
-#define SFEMI_FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
+#define SFEMI_V             __m256
+#define SFEMI_LD(p)         _mm256_loadu_ps(p)
+#define SFEMI_ST(p, v)      _mm256_storeu_ps(p, v)
+#define SFEMI_DUP(s)        _mm256_set1_ps(s)
+#define SFEMI_ADD(a, b)     _mm256_add_ps(a, b)
+#define SFEMI_MUL(a, b)     _mm256_mul_ps(a, b)
+#define SFEMI_FMA(a, b, c)  _mm256_fmadd_ps(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
-#define SFEMI_SUM4(z, out)                                                                           \
-    {                                                                                                \
-        const __m256 a_ = _mm256_hadd_ps(_mm256_loadu_ps(z), _mm256_loadu_ps((z) + 8));              \
-        const __m256 b_ = _mm256_hadd_ps(_mm256_loadu_ps((z) + 16), _mm256_loadu_ps((z) + 24));      \
-        const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                    \
-        _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));    \
+#define SFEMI_SUM4(z, out)                                                                         \
+    {                                                                                              \
+        const __m256 a_ = _mm256_hadd_ps(_mm256_loadu_ps(z), _mm256_loadu_ps((z) + 8));            \
+        const __m256 b_ = _mm256_hadd_ps(_mm256_loadu_ps((z) + 16), _mm256_loadu_ps((z) + 24));    \
+        const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                  \
+        _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));  \
     }
 #elif defined(__GNUC__) && SFEMI_W * SFEMI_BITS == 256 /* two vectors of 16 bytes: SSE2, NEON */
 typedef SFEMI_R SFEMI_KERNEL(sfemi_h) __attribute__((vector_size(16)));
@@ -13909,13 +14003,13 @@ typedef struct SFEMI_KERNEL(sfemi_v) {
 #else
 #define SFEMI_FMAH(x, y, z) ((x) * (y) + (z))
 #endif
-#define SFEMI_PAIR(name, arguments, first, second)                                                   \
-    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                         \
-    {                                                                                                \
-        SFEMI_V r;                                                                                   \
-        r.a = first;                                                                                 \
-        r.b = second;                                                                                \
-        return r;                                                                                    \
+#define SFEMI_PAIR(name, arguments, first, second)                                                 \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                       \
+    {                                                                                              \
+        SFEMI_V r;                                                                                 \
+        r.a = first;                                                                               \
+        r.b = second;                                                                              \
+        return r;                                                                                  \
     }
 SFEMI_PAIR(sfemi_v_load, (const SFEMI_R *p), *(const SFEMI_KERNEL(sfemi_u) *)(const void *)p,
            *(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p + SFEMI_W / 2))
@@ -13950,17 +14044,18 @@ typedef struct SFEMI_KERNEL(sfemi_v) {
 } SFEMI_KERNEL(sfemi_v);
 #define SFEMI_V SFEMI_KERNEL(sfemi_v)
 #ifdef FP_FAST_FMA
-#define SFEMI_FMA1(a, b, c) ((SFEMI_R)(sizeof(SFEMI_R) == 8 ? fma(a, b, c) : fmaf((float)(a), (float)(b), (float)(c))))
+#define SFEMI_FMA1(a, b, c)                                                                        \
+    ((SFEMI_R)(sizeof(SFEMI_R) == 8 ? fma(a, b, c) : fmaf((float)(a), (float)(b), (float)(c))))
 #else
 #define SFEMI_FMA1(a, b, c) ((a) * (b) + (c))
 #endif
-#define SFEMI_LANES(name, arguments, expression)                                                     \
-    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                         \
-    {                                                                                                \
-        SFEMI_V r;                                                                                   \
-        int i;                                                                                       \
-        for (i = 0; i < SFEMI_W; ++i) r.e[i] = (expression);                                         \
-        return r;                                                                                    \
+#define SFEMI_LANES(name, arguments, expression)                                                   \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                       \
+    {                                                                                              \
+        SFEMI_V r;                                                                                 \
+        int i;                                                                                     \
+        for (i = 0; i < SFEMI_W; ++i) r.e[i] = (expression);                                       \
+        return r;                                                                                  \
     }
 SFEMI_LANES(sfemi_v_load, (const SFEMI_R *p), p[i])
 SFEMI_LANES(sfemi_v_dup, (SFEMI_R s), s)
@@ -13974,62 +14069,73 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
 }
 #endif
 #ifndef SFEMI_LD
-#define SFEMI_LD(p) SFEMI_KERNEL(sfemi_v_load)(p)
-#define SFEMI_ST(p, v) SFEMI_KERNEL(sfemi_v_store)(p, v)
-#define SFEMI_DUP(s) SFEMI_KERNEL(sfemi_v_dup)(s)
-#define SFEMI_ADD(a, b) SFEMI_KERNEL(sfemi_v_add)(a, b)
-#define SFEMI_MUL(a, b) SFEMI_KERNEL(sfemi_v_mul)(a, b)
-#define SFEMI_FMA(a, b, c) SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
+#define SFEMI_LD(p)         SFEMI_KERNEL(sfemi_v_load)(p)
+#define SFEMI_ST(p, v)      SFEMI_KERNEL(sfemi_v_store)(p, v)
+#define SFEMI_DUP(s)        SFEMI_KERNEL(sfemi_v_dup)(s)
+#define SFEMI_ADD(a, b)     SFEMI_KERNEL(sfemi_v_add)(a, b)
+#define SFEMI_MUL(a, b)     SFEMI_KERNEL(sfemi_v_mul)(a, b)
+#define SFEMI_FMA(a, b, c)  SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
 #define SFEMI_FNMA(a, b, c) SFEMI_KERNEL(sfemi_v_fnma)(a, b, c)
 #endif
 
 #ifdef SFEMI_HALF
-#define SFEMI_SUM4(z, out)                                                                           \
-    {                                                                                                \
-        const __m256d a_ = _mm256_hadd_pd(SFEMI_HALF(z), SFEMI_HALF((z) + SFEMI_W));                 \
-        const __m256d b_ = _mm256_hadd_pd(SFEMI_HALF((z) + 2 * SFEMI_W), SFEMI_HALF((z) + 3 * SFEMI_W)); \
-        _mm256_storeu_pd(out, _mm256_add_pd(_mm256_permute2f128_pd(a_, b_, 0x21),                    \
-                                            _mm256_blend_pd(a_, b_, 12)));                           \
+#define SFEMI_SUM4(z, out)                                                                         \
+    {                                                                                              \
+        const __m256d a_ = _mm256_hadd_pd(SFEMI_HALF(z), SFEMI_HALF((z) + SFEMI_W));               \
+        const __m256d b_ =                                                                         \
+            _mm256_hadd_pd(SFEMI_HALF((z) + 2 * SFEMI_W), SFEMI_HALF((z) + 3 * SFEMI_W));          \
+        _mm256_storeu_pd(out, _mm256_add_pd(_mm256_permute2f128_pd(a_, b_, 0x21),                  \
+                                            _mm256_blend_pd(a_, b_, 12)));                         \
     }
 #endif
 
 /* --- the factor of one front -----------------------------------------------------------------
  *
- * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors, tile
- * t holding rows [t T, t T + H), T = 3 W; within a tile, columns of H numbers stand one after another.
- * Tiles of L have the columns below min(k, (t+1) T), tiles of the update matrix U those from c0, the
- * start of the tile that holds row k. The last tile is only as high as it needs, in whole vectors. So
- * every operand of every product is contiguous, for the factor as for the solve. */
+ * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors,
+ * tile t holding rows [t T, t T + H), T = 3 W; within a tile, columns of H numbers stand one after
+ * another. Tiles of L have the columns below min(k, (t+1) T), tiles of the update matrix U those
+ * from c0, the start of the tile that holds row k. The last tile is only as high as it needs, in
+ * whole vectors. So every operand of every product is contiguous, for the factor as for the solve.
+ */
 #if SFEMI_BITS == 64
 
-/* c(3W x 4) = (or +=) - a b^T over depth columns; then, if tri, the 4 x 4 triangle of the pivot rows
- * behind b is solved for, column q scaled by r[q]. Only the first nq columns are read and written. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_block)(
-    int nv, size_t depth, const double *a, size_t ha, const double *b, size_t hb, double *c, int nq,
-    int load, int tri, const double *r)
+/* c(3W x 4) = (or +=) - a b^T over depth columns; then, if tri, the 4 x 4 triangle of the pivot
+ * rows behind b is solved for, column q scaled by r[q]. Only the first nq columns are read and
+ * written. */
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_ldl_block)(int nv, size_t depth, const double *a, size_t ha, const double *b,
+                              size_t hb, double *c, int nq, int load, int tri, const double *r)
 {
-    SFEMI_V c00 = SFEMI_DUP(0), c01 = SFEMI_DUP(0), c02 = SFEMI_DUP(0), c10 = SFEMI_DUP(0), c11 = SFEMI_DUP(0), c12 = SFEMI_DUP(0);
-    SFEMI_V c20 = SFEMI_DUP(0), c21 = SFEMI_DUP(0), c22 = SFEMI_DUP(0), c30 = SFEMI_DUP(0), c31 = SFEMI_DUP(0), c32 = SFEMI_DUP(0);
+    SFEMI_V c00 = SFEMI_DUP(0), c01 = SFEMI_DUP(0), c02 = SFEMI_DUP(0), c10 = SFEMI_DUP(0),
+            c11 = SFEMI_DUP(0), c12 = SFEMI_DUP(0);
+    SFEMI_V c20 = SFEMI_DUP(0), c21 = SFEMI_DUP(0), c22 = SFEMI_DUP(0), c30 = SFEMI_DUP(0),
+            c31 = SFEMI_DUP(0), c32 = SFEMI_DUP(0);
     SFEMI_V a0 = SFEMI_DUP(0), a1 = SFEMI_DUP(0), a2 = SFEMI_DUP(0);
     size_t p;
     if (load) {
-#define SFEMI_C(q)                                                                                   \
-    c##q##0 = SFEMI_LD(c + q * ha);                                                                  \
-    if (nv > 1) c##q##1 = SFEMI_LD(c + q * ha + SFEMI_W);                                            \
+#define SFEMI_C(q)                                                                                 \
+    c##q##0 = SFEMI_LD(c + q * ha);                                                                \
+    if (nv > 1) c##q##1 = SFEMI_LD(c + q * ha + SFEMI_W);                                          \
     if (nv > 2) c##q##2 = SFEMI_LD(c + q * ha + 2 * SFEMI_W);
         SFEMI_C(0)
-        if (nq > 1) { SFEMI_C(1) }
-        if (nq > 2) { SFEMI_C(2) }
-        if (nq > 3) { SFEMI_C(3) }
+        if (nq > 1) {
+            SFEMI_C(1)
+        }
+        if (nq > 2) {
+            SFEMI_C(2)
+        }
+        if (nq > 3) {
+            SFEMI_C(3)
+        }
 #undef SFEMI_C
     }
     for (p = 0; p < depth; ++p) {
         a0 = SFEMI_LD(a);
         if (nv > 1) a1 = SFEMI_LD(a + SFEMI_W);
         if (nv > 2) a2 = SFEMI_LD(a + 2 * SFEMI_W);
-#define SFEMI_C(q)                                                                                   \
-    c##q##0 = SFEMI_FNMA(a0, SFEMI_DUP(b[q]), c##q##0);                                              \
-    if (nv > 1) c##q##1 = SFEMI_FNMA(a1, SFEMI_DUP(b[q]), c##q##1);                                  \
+#define SFEMI_C(q)                                                                                 \
+    c##q##0 = SFEMI_FNMA(a0, SFEMI_DUP(b[q]), c##q##0);                                            \
+    if (nv > 1) c##q##1 = SFEMI_FNMA(a1, SFEMI_DUP(b[q]), c##q##1);                                \
     if (nv > 2) c##q##2 = SFEMI_FNMA(a2, SFEMI_DUP(b[q]), c##q##2);
         SFEMI_C(0)
         SFEMI_C(1)
@@ -14040,42 +14146,55 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_block)(
         b += hb;
     }
     if (tri) { /* b is now at the diagonal: b[q + j hb] = s_j L(q, j) */
-#define SFEMI_C(q, j)                                                                                \
-    c##q##0 = SFEMI_FNMA(c##j##0, SFEMI_DUP(b[q + j * hb]), c##q##0);                                \
-    if (nv > 1) c##q##1 = SFEMI_FNMA(c##j##1, SFEMI_DUP(b[q + j * hb]), c##q##1);                    \
+#define SFEMI_C(q, j)                                                                              \
+    c##q##0 = SFEMI_FNMA(c##j##0, SFEMI_DUP(b[q + j * hb]), c##q##0);                              \
+    if (nv > 1) c##q##1 = SFEMI_FNMA(c##j##1, SFEMI_DUP(b[q + j * hb]), c##q##1);                  \
     if (nv > 2) c##q##2 = SFEMI_FNMA(c##j##2, SFEMI_DUP(b[q + j * hb]), c##q##2);
-#define SFEMI_D(q)                                                                                   \
-    c##q##0 = SFEMI_MUL(c##q##0, SFEMI_DUP(r[q]));                                                   \
-    if (nv > 1) c##q##1 = SFEMI_MUL(c##q##1, SFEMI_DUP(r[q]));                                       \
+#define SFEMI_D(q)                                                                                 \
+    c##q##0 = SFEMI_MUL(c##q##0, SFEMI_DUP(r[q]));                                                 \
+    if (nv > 1) c##q##1 = SFEMI_MUL(c##q##1, SFEMI_DUP(r[q]));                                     \
     if (nv > 2) c##q##2 = SFEMI_MUL(c##q##2, SFEMI_DUP(r[q]));
         SFEMI_D(0)
-        if (nq > 1) { SFEMI_C(1, 0) SFEMI_D(1) }
-        if (nq > 2) { SFEMI_C(2, 0) SFEMI_C(2, 1) SFEMI_D(2) }
-        if (nq > 3) { SFEMI_C(3, 0) SFEMI_C(3, 1) SFEMI_C(3, 2) SFEMI_D(3) }
+        if (nq > 1) {
+            SFEMI_C(1, 0) SFEMI_D(1)
+        }
+        if (nq > 2) {
+            SFEMI_C(2, 0) SFEMI_C(2, 1) SFEMI_D(2)
+        }
+        if (nq > 3) {
+            SFEMI_C(3, 0) SFEMI_C(3, 1) SFEMI_C(3, 2) SFEMI_D(3)
+        }
 #undef SFEMI_C
 #undef SFEMI_D
     }
-#define SFEMI_C(q)                                                                                   \
-    SFEMI_ST(c + q * ha, c##q##0);                                                                   \
-    if (nv > 1) SFEMI_ST(c + q * ha + SFEMI_W, c##q##1);                                             \
+#define SFEMI_C(q)                                                                                 \
+    SFEMI_ST(c + q * ha, c##q##0);                                                                 \
+    if (nv > 1) SFEMI_ST(c + q * ha + SFEMI_W, c##q##1);                                           \
     if (nv > 2) SFEMI_ST(c + q * ha + 2 * SFEMI_W, c##q##2);
     SFEMI_C(0)
-    if (nq > 1) { SFEMI_C(1) }
-    if (nq > 2) { SFEMI_C(2) }
-    if (nq > 3) { SFEMI_C(3) }
+    if (nq > 1) {
+        SFEMI_C(1)
+    }
+    if (nq > 2) {
+        SFEMI_C(2)
+    }
+    if (nq > 3) {
+        SFEMI_C(3)
+    }
 #undef SFEMI_C
 }
 
 /* The same for a tile of h rows. */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_update)(size_t h, size_t depth, const double *a,
-                                                        const double *b, size_t hb, double *c, int nq,
-                                                        int load)
+                                                        const double *b, size_t hb, double *c,
+                                                        int nq, int load)
 {
     if (h == 3 * SFEMI_W)
         SFEMI_KERNEL(sfemi_ldl_block)(3, depth, a, 3 * SFEMI_W, b, hb, c, nq, load, 0, NULL);
     else if (h == 2 * SFEMI_W)
         SFEMI_KERNEL(sfemi_ldl_block)(2, depth, a, 2 * SFEMI_W, b, hb, c, nq, load, 0, NULL);
-    else SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, load, 0, NULL);
+    else
+        SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, load, 0, NULL);
 }
 
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_eliminate)(size_t h, size_t depth, const double *a,
@@ -14086,13 +14205,14 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_eliminate)(size_t h, size_t dept
         SFEMI_KERNEL(sfemi_ldl_block)(3, depth, a, 3 * SFEMI_W, b, hb, c, nq, 1, 1, r);
     else if (h == 2 * SFEMI_W)
         SFEMI_KERNEL(sfemi_ldl_block)(2, depth, a, 2 * SFEMI_W, b, hb, c, nq, 1, 1, r);
-    else SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, 1, 1, r);
+    else
+        SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, 1, 1, r);
 }
 
 /* Factorises nq <= 4 columns c of a diagonal tile, whose first pivot is row i of the tile and which
- * are already updated. r[q] = s / sqrt|d| is the sign and scale of each; returns nq, or the number of
- * the column whose pivot d is lost (not above floor[q] in absolute value, or negative though only
- * positive ones are allowed); it is then in *bad. */
+ * are already updated. r[q] = s / sqrt|d| is the sign and scale of each; returns nq, or the number
+ * of the column whose pivot d is lost (not above floor[q] in absolute value, or negative though
+ * only positive ones are allowed); it is then in *bad. */
 static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, double *c, int nq,
                                                        int positive, const double *floor, double *r,
                                                        double *bad)
@@ -14105,8 +14225,8 @@ static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, doubl
             const double *l = c + (size_t)j * h;
             const double w = r[j] < 0 ? -l[i + (size_t)q] : l[i + (size_t)q];
             for (v = 0; v < h; v += SFEMI_W)
-                SFEMI_ST(c + (size_t)q * h + v,
-                         SFEMI_FNMA(SFEMI_LD(l + v), SFEMI_DUP(w), SFEMI_LD(c + (size_t)q * h + v)));
+                SFEMI_ST(c + (size_t)q * h + v, SFEMI_FNMA(SFEMI_LD(l + v), SFEMI_DUP(w),
+                                                           SFEMI_LD(c + (size_t)q * h + v)));
         }
         d = c[i + (size_t)q + (size_t)q * h];
         if (d < 0 && !positive) s = -1;
@@ -14116,18 +14236,17 @@ static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, doubl
         }
         r[q] = s / sqrt(s * d);
         for (v = 0; v < h; v += SFEMI_W)
-            SFEMI_ST(c + (size_t)q * h + v, SFEMI_MUL(SFEMI_LD(c + (size_t)q * h + v), SFEMI_DUP(r[q])));
+            SFEMI_ST(c + (size_t)q * h + v,
+                     SFEMI_MUL(SFEMI_LD(c + (size_t)q * h + v), SFEMI_DUP(r[q])));
     }
     return nq;
 }
 
 /* Adds an update matrix to its parent: len rows of count block columns, column b of src to column
  * place[b] of dst. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count,
-                                                                      const sfem_int *place,
-                                                                      const size_t len,
-                                                                      const double *src, size_t hs,
-                                                                      double *dst, size_t hd)
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count, const sfem_int *place, const size_t len,
+                                 const double *src, size_t hs, double *dst, size_t hd)
 {
     sfem_int b;
     for (b = 0; b < count; ++b) {
@@ -14142,20 +14261,26 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int 
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_int *place, size_t len,
-                                                     const double *src, size_t hs, double *dst,
-                                                     size_t hd)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_int *place,
+                                                     size_t len, const double *src, size_t hs,
+                                                     double *dst, size_t hd)
 {
-    if (len == 3) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 3, src, hs, dst, hd);
-    else if (len == 6) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 6, src, hs, dst, hd);
-    else if (len == 9) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 9, src, hs, dst, hd);
-    else if (len == 12) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
-    else SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
+    if (len == 3)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 3, src, hs, dst, hd);
+    else if (len == 6)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 6, src, hs, dst, hd);
+    else if (len == 9)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 9, src, hs, dst, hd);
+    else if (len == 12)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
+    else
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
 }
 #endif
 
-/* Replaces the n columns of a finished diagonal tile [L11; L21] by [X; -L21 X], X = L11^-1, from the
- * last column back: X(i,j) = -r_j (sum over p > j of X(i,p) L(p,j)), X(j,j) = r_j = 1 / L(j,j). */
+/* Replaces the n columns of a finished diagonal tile [L11; L21] by [X; -L21 X], X = L11^-1, from
+ * the last column back: X(i,j) = -r_j (sum over p > j of X(i,p) L(p,j)), X(j,j) = r_j = 1 / L(j,j).
+ */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEMI_R *c,
                                                         const double *r)
 {
@@ -14168,7 +14293,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
         memset(x, 0, n * sizeof *x);
         for (p = j + 1; p < n; ++p)
             for (v = 0; v < h; v += SFEMI_W)
-                SFEMI_ST(x + v, SFEMI_FMA(SFEMI_LD(c + p * h + v), SFEMI_DUP(l[p]), SFEMI_LD(x + v)));
+                SFEMI_ST(x + v,
+                         SFEMI_FMA(SFEMI_LD(c + p * h + v), SFEMI_DUP(l[p]), SFEMI_LD(x + v)));
         for (v = 0; v < h; v += SFEMI_W)
             SFEMI_ST(c + j * h + v, SFEMI_MUL(SFEMI_LD(x + v), SFEMI_DUP(-rj)));
         c[j * h + j] = rj;
@@ -14176,45 +14302,91 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
 }
 
 /* --- the solve with one front ----------------------------------------------------------------
- * k pivots, f rows, in tiles as above; on the diagonal stand [X; -L21 X] as sfemi_ldl_invert left them,
- * so that a tile's pivots are one product too. */
+ * k pivots, f rows, in tiles as above; on the diagonal stand [X; -L21 X] as sfemi_ldl_invert left
+ * them, so that a tile's pivots are one product too. */
 
 /* c = init - a y over depth columns of a tile of nv vectors; the caller stores it. */
-#define SFEMI_ACCUMULATE(OP, depth, a, y)                                                            \
-    {                                                                                                \
-        size_t p_ = 0;                                                                               \
-        SFEMI_V d0 = SFEMI_DUP(0), d1 = SFEMI_DUP(0), d2 = SFEMI_DUP(0);                                                        \
-        for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                           \
-            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
-            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
-            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
-            d0 = OP(SFEMI_LD((a) + h), SFEMI_DUP((y)[p_ + 1]), d0);                                  \
-            if (nv > 1) d1 = OP(SFEMI_LD((a) + h + SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d1);            \
-            if (nv > 2) d2 = OP(SFEMI_LD((a) + h + 2 * SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d2);        \
-        }                                                                                            \
-        if (p_ < (depth)) {                                                                          \
-            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
-            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
-            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
-            (a) += h;                                                                                \
-        }                                                                                            \
-        c0 = SFEMI_ADD(c0, d0);                                                                      \
-        if (nv > 1) c1 = SFEMI_ADD(c1, d1);                                                          \
-        if (nv > 2) c2 = SFEMI_ADD(c2, d2);                                                          \
+#define SFEMI_ACCUMULATE(OP, depth, a, y)                                                          \
+    {                                                                                              \
+        size_t p_ = 0;                                                                             \
+        SFEMI_V d0 = SFEMI_DUP(0), d1 = SFEMI_DUP(0), d2 = SFEMI_DUP(0);                           \
+        for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                         \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                          \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                  \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);              \
+            d0 = OP(SFEMI_LD((a) + h), SFEMI_DUP((y)[p_ + 1]), d0);                                \
+            if (nv > 1) d1 = OP(SFEMI_LD((a) + h + SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d1);          \
+            if (nv > 2) d2 = OP(SFEMI_LD((a) + h + 2 * SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d2);      \
+        }                                                                                          \
+        if (p_ < (depth)) {                                                                        \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                          \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                  \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);              \
+            (a) += h;                                                                              \
+        }                                                                                          \
+        c0 = SFEMI_ADD(c0, d0);                                                                    \
+        if (nv > 1) c1 = SFEMI_ADD(c1, d1);                                                        \
+        if (nv > 2) c2 = SFEMI_ADD(c2, d2);                                                        \
     }
 
-/* One tile of the forward sweep: out = [0; first j rows solved] with b = out on entry. Only for pivots
- * (j > 0) is out read. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j,
-                                                                          const SFEMI_R *a,
-                                                                          const SFEMI_R *y, SFEMI_R *out)
+/* One tile of the forward sweep: out = [0; first j rows solved] with b = out on entry. Only for
+ * pivots (j > 0) is out read. */
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI_R *a,
+                                     const SFEMI_R *y, SFEMI_R *out)
 {
     static const SFEMI_R step[6 * SFEMI_W] = {
-        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
 #if SFEMI_W == 8
-        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
 #endif
-        1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1
+    };
     const size_t h = (size_t)nv * SFEMI_W;
     SFEMI_V c0 = SFEMI_DUP(0), c1 = SFEMI_DUP(0), c2 = SFEMI_DUP(0);
     if (j) {
@@ -14244,24 +14416,30 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int n
 }
 #undef SFEMI_ACCUMULATE
 
-/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
-                                                         const sfem_int *target, SFEMI_R *w)
+/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added.
+ */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l,
+                                                         SFEMI_R *x, const sfem_int *target,
+                                                         SFEMI_R *w)
 {
     const size_t t = 3 * SFEMI_W;
     size_t begin, i;
     for (begin = 0; begin < f; begin += t) {
         const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
-        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t depth = begin < k ? begin : k,
+                     j = begin < k ? (k - begin < t ? k - begin : t) : 0;
         const size_t rows = f - begin < t ? f - begin : t;
         SFEMI_R out[3 * SFEMI_W];
         if (j) {
             if (j < t) memset(out, 0, sizeof out);
             memcpy(out, x + begin, j * sizeof *x);
         }
-        if (h == t) SFEMI_KERNEL(sfemi_ldl_forward_tile)(3, depth, j, l, x, out);
-        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_forward_tile)(2, depth, j, l, x, out);
-        else SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
+        if (h == t)
+            SFEMI_KERNEL(sfemi_ldl_forward_tile)(3, depth, j, l, x, out);
+        else if (h == 2 * SFEMI_W)
+            SFEMI_KERNEL(sfemi_ldl_forward_tile)(2, depth, j, l, x, out);
+        else
+            SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
         l += h * (depth + j);
         if (j) memcpy(x + begin, out, j * sizeof *x);
         for (i = j; i < rows; i += 3) {
@@ -14274,9 +14452,10 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, con
 }
 
 /* z(W) of each column p = or += the parts of a(:, p) . x, to be added up later. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, size_t depth, int first,
-                                                                       const SFEMI_R *a,
-                                                                       const SFEMI_R *x, SFEMI_R *z)
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, size_t depth,
+                                                                        int first, const SFEMI_R *a,
+                                                                        const SFEMI_R *x,
+                                                                        SFEMI_R *z)
 {
     const size_t h = (size_t)nv * SFEMI_W;
     SFEMI_V x0 = SFEMI_LD(x), x1 = x0, x2 = x0, s;
@@ -14284,42 +14463,52 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, 
     if (nv > 1) x1 = SFEMI_LD(x + SFEMI_W);
     if (nv > 2) x2 = SFEMI_LD(x + 2 * SFEMI_W);
     for (p = 0; p < depth; ++p, a += h, z += SFEMI_W) {
-        if (first) s = SFEMI_MUL(SFEMI_LD(a), x0);
-        else s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
+        if (first)
+            s = SFEMI_MUL(SFEMI_LD(a), x0);
+        else
+            s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
         if (nv > 1) s = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), x1, s);
         if (nv > 2) s = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), x2, s);
         SFEMI_ST(z, s);
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, int first, const SFEMI_R *a,
-                                                      const SFEMI_R *x, SFEMI_R *z)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, int first,
+                                                      const SFEMI_R *a, const SFEMI_R *x,
+                                                      SFEMI_R *z)
 {
     if (first) {
-        if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 1, a, x, z);
-        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(2, depth, 1, a, x, z);
-        else SFEMI_KERNEL(sfemi_ldl_dots_tile)(1, depth, 1, a, x, z);
-    } else SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 0, a, x, z); /* only the last tile is lower */
+        if (h == 3 * SFEMI_W)
+            SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 1, a, x, z);
+        else if (h == 2 * SFEMI_W)
+            SFEMI_KERNEL(sfemi_ldl_dots_tile)(2, depth, 1, a, x, z);
+        else
+            SFEMI_KERNEL(sfemi_ldl_dots_tile)(1, depth, 1, a, x, z);
+    } else
+        SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 0, a, x, z); /* only the last tile is lower */
 }
 
 /* out[p] = the sum of the W parts z of column p. */
 static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_sums)(size_t n, const SFEMI_R *z,
-                                                                  SFEMI_R *out)
+                                                                   SFEMI_R *out)
 {
     size_t p = 0;
 #ifdef SFEMI_SUM4
     for (; p + 4 <= n; p += 4, z += 4 * SFEMI_W) SFEMI_SUM4(z, out + p);
 #endif
     for (; p < n; ++p, z += SFEMI_W)
-        out[p] = SFEMI_W == 8 ? ((z[0] + z[1]) + (z[2] + z[3])) +
-                                    ((z[SFEMI_W - 4] + z[SFEMI_W - 3]) + (z[SFEMI_W - 2] + z[SFEMI_W - 1]))
-                              : (z[0] + z[1]) + (z[2] + z[3]);
+        out[p] = SFEMI_W == 8
+                     ? ((z[0] + z[1]) + (z[2] + z[3])) +
+                           ((z[SFEMI_W - 4] + z[SFEMI_W - 3]) + (z[SFEMI_W - 2] + z[SFEMI_W - 1]))
+                     : (z[0] + z[1]) + (z[2] + z[3]);
 }
 
-/* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size, const SFEMI_R *l,
-                                                          SFEMI_R *x, const sfem_int *target,
-                                                          const SFEMI_R *w, SFEMI_R *v)
+/* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more.
+ */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size,
+                                                          const SFEMI_R *l, SFEMI_R *x,
+                                                          const sfem_int *target, const SFEMI_R *w,
+                                                          SFEMI_R *v)
 {
     const size_t t = 3 * SFEMI_W, tiles = (f + t - 1) / t;
     SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + tiles * t;
@@ -14338,8 +14527,10 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, si
         if (begin < k) {
             const size_t j = k - begin < t ? k - begin : t;
             l -= h * j;
-            if (first) memset(sum, 0, sizeof sum);
-            else SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
+            if (first)
+                memset(sum, 0, sizeof sum);
+            else
+                SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
             for (i = 0; i < j; ++i) vt[i] = x[begin + i] - sum[i];
             SFEMI_KERNEL(sfemi_ldl_dots)(h, j, 1, l, vt, part);
             SFEMI_KERNEL(sfemi_ldl_sums)(j, part, vt);
@@ -14354,62 +14545,93 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, si
 /* --- the same for 8 right sides, which stand side by side ------------------------------------ */
 
 #if SFEMI_W == 8
-#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 1, 0) X(2, 2, 0) X(3, 3, 0) X(4, 4, 0) X(5, 5, 0)             \
-    X(6, 6, 0) X(7, 7, 0) X(8, 8, 0) X(9, 9, 0) X(10, 10, 0) X(11, 11, 0)
+#define SFEMI_OUTER(X)                                                                             \
+    X(0, 0, 0)                                                                                     \
+    X(1, 1, 0) X(2, 2, 0) X(3, 3, 0) X(4, 4, 0) X(5, 5, 0) X(6, 6, 0) X(7, 7, 0) X(8, 8, 0)        \
+        X(9, 9, 0) X(10, 10, 0) X(11, 11, 0)
 #else
-#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 0, 1) X(2, 1, 0) X(3, 1, 1) X(4, 2, 0) X(5, 2, 1)             \
-    X(6, 3, 0) X(7, 3, 1) X(8, 4, 0) X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
+#define SFEMI_OUTER(X)                                                                             \
+    X(0, 0, 0)                                                                                     \
+    X(1, 0, 1) X(2, 1, 0) X(3, 1, 1) X(4, 2, 0) X(5, 2, 1) X(6, 3, 0) X(7, 3, 1) X(8, 4, 0)        \
+        X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
 #endif
 
-/* out(g x 8) += the sum over i of a[i across + r down] y(i, :), r < g = 3/2 W: half a tile's height. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(size_t depth, const SFEMI_R *a,
-                                                                   size_t across, size_t down,
-                                                                   const SFEMI_R *y, SFEMI_R *out)
+/* out(g x 8) = or, with load, += or -= the sum over i of a[i across + r down] y(i, :), where r < g
+ * = 3/2 W, half a tile's height. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(int load, int minus,
+                                                                    size_t depth, const SFEMI_R *a,
+                                                                    size_t across, size_t down,
+                                                                    const SFEMI_R *y, SFEMI_R *out)
 {
-#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_DUP(0);
     SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
     size_t i;
+    if (load) {
+#define SFEMI_X(q, r, u) c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+        SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    }
     for (i = 0; i < depth; ++i, a += across, y += 8) {
         const SFEMI_V y0 = SFEMI_LD(y);
 #if SFEMI_W == 4
         const SFEMI_V y1 = SFEMI_LD(y + SFEMI_W);
 #endif
-#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
-        SFEMI_OUTER(SFEMI_X)
+        if (minus) {
+#define SFEMI_X(q, r, u) c##q = SFEMI_FNMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+            SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
+        } else {
+#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+            SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+        }
     }
 #define SFEMI_X(q, r, u) SFEMI_ST(out + 8 * r + SFEMI_W * u, c##q);
     SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
 }
 
+/* to(n x 8) = from, or less what, row by row (memcpy of few rows costs more than the rows). */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_rows)(size_t n, const SFEMI_R *from,
+                                                                   const SFEMI_R *less, SFEMI_R *to)
+{
+    size_t i;
+    for (i = 0; i < 8 * n; i += SFEMI_W)
+        SFEMI_ST(to + i, less ? SFEMI_FNMA(SFEMI_LD(less + i), SFEMI_DUP(1), SFEMI_LD(from + i))
+                              : SFEMI_LD(from + i));
+}
+
 /* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
-                                                          const sfem_int *target, SFEMI_R *w, SFEMI_R *v)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l,
+                                                          SFEMI_R *x, const sfem_int *target,
+                                                          SFEMI_R *w)
 {
     const size_t t = 3 * SFEMI_W, g = t / 2;
     size_t begin, i, r;
-    SFEMI_R *y = v; /* -y, the solution with its sign turned: the product is only ever added */
     for (begin = 0; begin < f; begin += t) {
         const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
-        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t depth = begin < k ? begin : k,
+                     j = begin < k ? (k - begin < t ? k - begin : t) : 0;
         const size_t rows = f - begin < t ? f - begin : t;
+        const SFEMI_V zero = SFEMI_DUP(0);
         SFEMI_R out[3 * SFEMI_W * 8], b[3 * SFEMI_W * 8];
-        memset(out, 0, sizeof out);
-        memcpy(out, x + 8 * begin, 8 * j * sizeof *x);
-        for (r = 0; r < h; r += g)
-            SFEMI_KERNEL(sfemi_ldl_outer)(depth, l + r, h, 1, y, out + 8 * r);
-        l += h * depth;
-        if (j) {
-            memcpy(b, out, 8 * j * sizeof *b);
-            memset(out, 0, 8 * j * sizeof *out);
-            for (r = 0; r < h; r += g) SFEMI_KERNEL(sfemi_ldl_outer)(j, l + r, h, 1, b, out + 8 * r);
+        if (!j) {
+            for (r = 0; r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 1, depth, l + r, h, 1, x, out + 8 * r);
+            l += h * depth;
+        } else {
+            if (j < t) memset(out, 0, sizeof out);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, x + 8 * begin, NULL, out);
+            for (r = 0; depth && r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 1, depth, l + r, h, 1, x, out + 8 * r);
+            l += h * depth;
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, b);
+            for (i = 0; i < 8 * j; i += SFEMI_W) SFEMI_ST(out + i, zero);
+            for (r = 0; r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, j, l + r, h, 1, b, out + 8 * r);
             l += h * j;
-            for (i = 0; i < 8 * j; ++i) {
-                x[8 * begin + i] = out[i];
-                y[8 * begin + i] = -out[i];
-            }
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, x + 8 * begin);
         }
         for (i = j; i < rows; i += 3) {
             SFEMI_R *to = w + 24 * (size_t)*target++;
@@ -14419,30 +14641,37 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, co
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size, const SFEMI_R *l,
-                                                           SFEMI_R *x, const sfem_int *target,
-                                                           const SFEMI_R *w, SFEMI_R *v)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size,
+                                                           const SFEMI_R *l, SFEMI_R *x,
+                                                           const sfem_int *target, const SFEMI_R *w,
+                                                           SFEMI_R *v)
 {
     const size_t t = 3 * SFEMI_W, g = t / 2, tiles = (f + t - 1) / t;
     SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
     size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
-    for (i = k; i < f; i += 3) memcpy(v + 8 * i, w + 24 * (size_t)*target++, 24 * sizeof *v);
+    int load = 0;
+    for (i = k; i < f; i += 3)
+        SFEMI_KERNEL(sfemi_ldl_rows)(3, w + 24 * (size_t)*target++, NULL, v + 8 * i);
     memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
-    memset(z, 0, 8 * (k + g) * sizeof *z);
-    for (l += size;; begin -= t, h = t) {
+    for (l += size;; begin -= t, h = t, load = 1) {
         const size_t depth = begin < k ? begin : k;
         SFEMI_R *vt = v + 8 * begin;
         if (begin < k) {
             const size_t j = k - begin < t ? k - begin : t;
             l -= h * j;
-            for (i = 0; i < 8 * j; ++i) vt[i] = x[8 * begin + i] - z[8 * begin + i];
-            memset(part, 0, sizeof part);
-            for (p = 0; p < j; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, part + 8 * p);
-            memcpy(vt, part, 8 * j * sizeof *vt);
-            memcpy(x + 8 * begin, part, 8 * j * sizeof *x);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, x + 8 * begin, load ? z + 8 * begin : NULL, vt);
+            for (p = 0; p < j; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 0, h, l + p * h, 1, h, vt, part + 8 * p);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, part, NULL, vt);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, part, NULL, x + 8 * begin);
         }
         l -= h * depth;
-        for (p = 0; p < depth; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, z + 8 * p);
+        if (load)
+            for (p = 0; p < depth; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, h, l + p * h, 1, h, vt, z + 8 * p);
+        else
+            for (p = 0; p < depth; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 0, h, l + p * h, 1, h, vt, z + 8 * p);
         if (!begin) break;
     }
 }

@@ -4,9 +4,10 @@
  *
  * CHOLMOD and METIS take part if compiled with SFEM_BENCH_CHOLMOD (Debian: libsuitesparse-dev,
  * libmetis-dev, libopenblas-dev; link -lcholmod -lmetis -lopenblas). CHOLMOD is taken at its best:
- * supernodal or simplicial, AMD or METIS, whichever is the fastest on the matrix, and with one OpenMP
- * thread, as Debian's build else starts four on one core. All of one row is measured in turns in one
- * process, on one core; medians. A factor's time counts all that it needs for the solves that follow.
+ * supernodal or simplicial, AMD or METIS, whichever is the fastest on the matrix, and with one
+ * OpenMP thread, as Debian's build else starts four on one core. All of one row is measured in
+ * turns in one process, on one core; medians. A factor's time counts all that it needs for the
+ * solves that follow.
  */
 #define _GNU_SOURCE
 #include "softfem.h"
@@ -138,7 +139,8 @@ static void rival_close(rival *r)
     cholmod_finish(&r->c);
 }
 
-/* Operations of L with METIS's ordering of the node graph, counted as the library counts its own. */
+/* Operations of L with METIS's ordering of the node graph, counted as the library counts its own.
+ */
 static double metis_flops(const block_fem *f)
 {
     const sfem_matrix *a = &f->a;
@@ -170,7 +172,8 @@ static double metis_flops(const block_fem *f)
         for (k = a->row[i]; k < a->row[i + 1]; ++k) {
             bi[k] = inverse[i];
             bj[k] = inverse[a->col[k]];
-            if (i == a->col[k]) bv[9 * (size_t)k] = bv[9 * (size_t)k + 4] = bv[9 * (size_t)k + 8] = 1;
+            if (i == a->col[k])
+                bv[9 * (size_t)k] = bv[9 * (size_t)k + 4] = bv[9 * (size_t)k + 8] = 1;
         }
     sfem_matrix_create(a->n, a->row[n], bi, bj, bv, NULL, &permuted, NULL);
     def.ordering = SFEM_ORDER_NATURAL;
@@ -234,7 +237,8 @@ static void row_one(const char *name, const block_fem *f, int passes)
     factor.n = solve.n = solve32.n = solve8.n = factor32.n = rfactor.n = rsolve.n = 0;
     def.x = f->x;
     for (i = 0; i < n; ++i) b[i] = sin(1.3 * (double)i);
-    for (k = 0; k < (f->n > 3000 ? 4 : 10); ++k) { /* the analysis: a new factor less one of a known */
+    for (k = 0; k < (f->n > 3000 ? 4 : 10);
+         ++k) {                /* the analysis: a new factor less one of a known */
         sfem_ldl *like = NULL; /* pattern, both with the memory they take, the least of each */
         sfem_ldl_free(ldl);
         ldl = NULL;
@@ -325,8 +329,8 @@ static void row_one(const char *name, const block_fem *f, int passes)
                1e3 * median(rfactor.v, rfactor.n), 1e6 * median(rsolve.v, rsolve.n), 1e3 * amd,
                median(factor.v, factor.n) / median(rfactor.v, rfactor.n),
                median(solve.v, solve.n) / median(rsolve.v, rsolve.n),
-               median(solve32.v, solve32.n) / median(rsolve.v, rsolve.n),
-               analyse / amd, info.flops / metis_flops(f),
+               median(solve32.v, solve32.n) / median(rsolve.v, rsolve.n), analyse / amd,
+               info.flops / metis_flops(f),
                best_factor == best_solve ? way[best_factor].name : "factor and solve differ");
         rival_close(&r);
 #else
@@ -388,10 +392,10 @@ static void row_two(const char *name, const block_fem *f, int passes)
 static const struct {
     const char *name;
     int tets, nx, ny, nz, five;
-} block[] = {{"540", 540, 12, 3, 3, 1},          {"2.5k", 2500, 20, 5, 5, 1},
-             {"7k", 6860, 28, 7, 7, 1},          {"20k", 20000, 40, 10, 10, 1},
-             {"55k", 54880, 56, 14, 14, 1},      {"160k", 160000, 80, 20, 20, 1},
-             {"6 tets 3k", 3000, 20, 5, 5, 0},   {"6 tets 24k", 24000, 40, 10, 10, 0}};
+} block[] = {{"540", 540, 12, 3, 3, 1},        {"2.5k", 2500, 20, 5, 5, 1},
+             {"7k", 6860, 28, 7, 7, 1},        {"20k", 20000, 40, 10, 10, 1},
+             {"55k", 54880, 56, 14, 14, 1},    {"160k", 160000, 80, 20, 20, 1},
+             {"6 tets 3k", 3000, 20, 5, 5, 0}, {"6 tets 24k", 24000, 40, 10, 10, 0}};
 
 static void rows(void (*row)(const char *, const block_fem *, int), long largest, int most)
 {
@@ -420,11 +424,14 @@ int main(int argc, char **argv)
         CPU_SET(sysconf(_SC_NPROCESSORS_ONLN) > 1 ? 1 : 0, &set);
         sched_setaffinity(0, sizeof set, &set);
         machine();
-        printf("\none core  factor ms, with float copy; solve us, f64, f32, 8 at once / 1; analysis ms;"
-               " MB; flops\n          and CHOLMOD's factor, solve, AMD analysis; ratios of factor, solve"
+        printf("\none core  factor ms, with float copy; solve us, f64, f32, 8 at once / 1; "
+               "analysis ms;"
+               " MB; flops\n          and CHOLMOD's factor, solve, AMD analysis; ratios of factor, "
+               "solve"
                " f64, f32, analysis, flops of L to METIS\n");
 #ifndef SFEM_BENCH_CHOLMOD
-        printf("          without CHOLMOD: install libsuitesparse-dev libmetis-dev libopenblas-dev\n");
+        printf(
+            "          without CHOLMOD: install libsuitesparse-dev libmetis-dev libopenblas-dev\n");
 #endif
         rows(row_one, largest, most);
         return 0;

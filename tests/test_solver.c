@@ -18,8 +18,8 @@ static double noise(uint32_t *state) /* in [-1, 1) */
     return (double)(int32_t)*state / 2147483648.;
 }
 
-/* The sum of graph edges (i, j) of weight -B B^T and, on the diagonal, what makes it definite: block
- * row i gets sign[i] (or +1) times a dominant diagonal. */
+/* The sum of graph edges (i, j) of weight -B B^T and, on the diagonal, what makes it definite:
+ * block row i gets sign[i] (or +1) times a dominant diagonal. */
 static sfem_matrix edges_matrix(sfem_int n, sfem_int edges, const sfem_int *ei, const sfem_int *ej,
                                 const double *sign, uint32_t seed)
 {
@@ -45,7 +45,8 @@ static sfem_matrix edges_matrix(sfem_int n, sfem_int edges, const sfem_int *ei, 
     for (i = 0; i < n; ++i) {
         bi[edges + i] = bj[edges + i] = i;
         for (r = 0; r < 3; ++r)
-            bv[9 * (size_t)(edges + i) + 4 * (size_t)r] = (sign ? sign[i] : 1) * (sum[3 * i + r] + 0.1);
+            bv[9 * (size_t)(edges + i) + 4 * (size_t)r] =
+                (sign ? sign[i] : 1) * (sum[3 * i + r] + 0.1);
     }
     assert_int_equal(sfem_matrix_create(n, count, bi, bj, bv, NULL, &a, &err), SFEM_OK);
     free(bi);
@@ -103,7 +104,8 @@ static double backward_error(const sfem_matrix *a, const double *x, const double
     return e;
 }
 
-/* Factorises, solves for rhs right sides with one factor, and returns the largest backward error. */
+/* Factorises, solves for rhs right sides with one factor, and returns the largest backward error.
+ */
 static double solve_error(const sfem_ldl_def *def, const sfem_matrix *a, sfem_int rhs,
                           sfem_ldl_info *info)
 {
@@ -170,7 +172,8 @@ static void jacobi(size_t n, double *a)
     }
 }
 
-/* Own threads, so that the tests do not depend on OpenMP, nor the thread sanitizer on its runtime. */
+/* Own threads, so that the tests do not depend on OpenMP, nor the thread sanitizer on its runtime.
+ */
 typedef struct crew {
     sfem_int count, next;
     sfem_task task;
@@ -324,7 +327,8 @@ static void wrong_matrices_are_refused_by_name(void **state)
     (void)state;
     assert_int_equal(sfem_matrix_create(3, 2, i, j, NULL, NULL, &a, &err), SFEM_BAD_ARGUMENT);
     assert_non_null(strstr(err.text, "(3, 0)"));
-    assert_int_equal(sfem_matrix_create(-1, 0, NULL, NULL, NULL, NULL, &a, &err), SFEM_BAD_ARGUMENT);
+    assert_int_equal(sfem_matrix_create(-1, 0, NULL, NULL, NULL, NULL, &a, &err),
+                     SFEM_BAD_ARGUMENT);
     assert_int_equal(sfem_matrix_create(INT32_MAX / 3 + 1, 0, NULL, NULL, NULL, NULL, &a, &err),
                      SFEM_TOO_LARGE);
     memset(&a, 0, sizeof a);
@@ -457,7 +461,8 @@ static void indefinite_matrices_that_need_pivoting_are_refused(void **state)
     size_t k;
     (void)state;
     for (k = 0; k < 3; ++k) {
-        double v[27] = {1, 0, 0, 0, 1, 0, 0, 0, 1, 1, 0, 0, 0, 1, 0, 0, 0, 1, 1, 2, 3, 4, 5, 7, 2, 8, 1};
+        double v[27] = {1, 0, 0, 0, 1, 0, 0, 0, 1, 1, 0, 0, 0, 1,
+                        0, 0, 0, 1, 1, 2, 3, 4, 5, 7, 2, 8, 1};
         sfem_ldl_def def = ordered(SFEM_ORDER_NATURAL);
         sfem_ldl *ldl = NULL;
         sfem_matrix a;
@@ -619,10 +624,12 @@ static void the_solution_does_not_depend_on_the_numbering(void **state)
         }
         for (k = 0; k < 3; ++k) c[3 * to[i] + k] = b[3 * i + k] = noise(&seed);
     }
-    assert_int_equal(sfem_matrix_create(f.n, f.a.row[f.n], bi, bj, f.a.val, NULL, &p, &err), SFEM_OK);
+    assert_int_equal(sfem_matrix_create(f.n, f.a.row[f.n], bi, bj, f.a.val, NULL, &p, &err),
+                     SFEM_OK);
     assert_int_equal(sfem_ldl_create(&def, &f.a, &one, &err), SFEM_OK);
     assert_int_equal(sfem_ldl_create(&def, &p, &two, &err), SFEM_OK);
-    work = (double *)malloc((sfem_ldl_work_size(one, 1) + sfem_ldl_work_size(two, 1)) * sizeof *work);
+    work =
+        (double *)malloc((sfem_ldl_work_size(one, 1) + sfem_ldl_work_size(two, 1)) * sizeof *work);
     sfem_ldl_solve(one, 1, b, work, NULL);
     sfem_ldl_solve(two, 1, c, work, NULL);
     for (i = 0; i < f.n; ++i) /* cond(A) is 1e3 here */
@@ -639,8 +646,8 @@ static void the_solution_does_not_depend_on_the_numbering(void **state)
     free(work);
 }
 
-/* Nodes pulled almost into the plane of their neighbours: cond(A) about 1e12, which spoils the solution
- * but not the residual. */
+/* Nodes pulled almost into the plane of their neighbours: cond(A) about 1e12, which spoils the
+ * solution but not the residual. */
 static void slivers_leave_a_small_backward_error(void **state)
 {
     block_fem f = block_fem_create(12, 4, 4, 1), g;
@@ -657,7 +664,8 @@ static void slivers_leave_a_small_backward_error(void **state)
     for (i = 0; i < f.n; ++i) {
         sfem_int e;
         for (e = f.a.row[i]; e < f.a.row[i + 1]; ++e) {
-            const double d = pow(10, -(double)(i * 37 % 7)) * pow(10, -(double)(f.a.col[e] * 37 % 7));
+            const double d =
+                pow(10, -(double)(i * 37 % 7)) * pow(10, -(double)(f.a.col[e] * 37 % 7));
             for (k = 0; k < 9; ++k) g.a.val[9 * (size_t)e + k] = d * f.a.val[9 * (size_t)e + k];
             if (f.a.col[e] == i) {
                 if (d * f.a.val[9 * e] > most) most = d * f.a.val[9 * e];
@@ -702,7 +710,8 @@ static void squashed_cells_leave_a_small_backward_error(void **state)
                 for (c = 0; c < 6; ++c, ++count)
                     for (v = 0; v < 4; ++v) {
                         const sfem_int o = cut6[c][v];
-                        tet[4 * count + v] = i + (o & 1) + X * (j + (o >> 1 & 1) + Y * (k + (o >> 2)));
+                        tet[4 * count + v] =
+                            i + (o & 1) + X * (j + (o >> 1 & 1) + Y * (k + (o >> 2)));
                     }
     g = block_fem_assemble(X * Y * Z, x, count, tet, clamp, 1e6, .45, 1000, 1, 0); /* K alone */
     assert_true(solve_error(&def, &g.a, 1, NULL) < 1e-14);
@@ -732,7 +741,8 @@ static void lost_pivots_name_their_node(void **state)
     assert_int_equal(sfem_ldl_refactor(ldl, &f.a, &err), SFEM_NOT_FINITE);
     assert_int_equal(err.node, node);
     d[4] = before[4];
-    f.a.val[9 * f.a.row[50] + 5] = INFINITY; /* off the diagonal, or it is not the last of its row */
+    f.a.val[9 * f.a.row[50] + 5] =
+        INFINITY; /* off the diagonal, or it is not the last of its row */
     assert_int_equal(sfem_ldl_refactor(ldl, &f.a, &err), SFEM_NOT_FINITE);
     assert_int_equal(err.node, 50);
     sfem_ldl_free(ldl);
@@ -876,7 +886,9 @@ static void every_failing_allocation_is_survived(void **state)
         sfem_error err;
         sfem_status status = SFEM_OUT_OF_MEMORY;
         budget b;
-        def.ordering = kind == 0 ? SFEM_ORDER_BEST : kind == 1 ? SFEM_ORDER_NATURAL : SFEM_ORDER_AMD;
+        def.ordering = kind == 0   ? SFEM_ORDER_BEST
+                       : kind == 1 ? SFEM_ORDER_NATURAL
+                                   : SFEM_ORDER_AMD;
         def.x = f.x;
         def.positive = kind != 2;
         def.mixed = kind == 2;
@@ -928,7 +940,8 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
     for (kind = 0; kind < 3; ++kind) {
         block_fem f = block_fem_create(kind == 1 ? 28 : 36, kind == 1 ? 4 : 9, 9, kind != 2);
         const size_t n = 3 * (size_t)f.n;
-        double *x = (double *)malloc(9 * n * sizeof *x), *y = (double *)malloc(9 * n * sizeof *y), *work;
+        double *x = (double *)malloc(9 * n * sizeof *x), *y = (double *)malloc(9 * n * sizeof *y),
+               *work;
         int threads;
         (void)state;
         for (threads = 1; threads <= 8; threads *= 2) {
@@ -945,7 +958,8 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
             def.exec.user = &threads;
             assert_int_equal(sfem_ldl_create(&def, &f.a, &ldl, &err), SFEM_OK);
             work = (double *)malloc(sfem_ldl_work_size(ldl, 9) * sizeof *work);
-            for (round = 0; round < 4; ++round) { /* some calls are done alone, to compare the times */
+            for (round = 0; round < 4;
+                 ++round) { /* some calls are done alone, to compare the times */
                 for (i = 0; i < 9 * n; ++i) x[i] = sin((double)i);
                 sfem_ldl_solve(ldl, 1, x, work, &def.exec);
                 sfem_ldl_solve(ldl, 8, x + n, work, &def.exec);
@@ -1059,15 +1073,18 @@ static void given_meshes_are_solved(void **state)
                 x = (double *)calloc((size_t)nodes * 3 + 3, sizeof *x);
             } else if (!strncmp(line, "*ELEMENTS", 9)) {
                 part = 2;
-                if (!fgets(line, sizeof line, file) || fscanf(file, "%d %d", &tets, &per) != 2) tets = 0;
+                if (!fgets(line, sizeof line, file) || fscanf(file, "%d %d", &tets, &per) != 2)
+                    tets = 0;
                 tet = (sfem_int *)calloc((size_t)tets * 4 + 4, sizeof *tet);
-            } else if (line[0] == '*') part = 0;
-            else if (part == 1 && sscanf(line, "%d%*[ ,]%lf%*[ ,]%lf%*[ ,]%lf", &id, &p, &q, &r) == 4) {
+            } else if (line[0] == '*')
+                part = 0;
+            else if (part == 1 &&
+                     sscanf(line, "%d%*[ ,]%lf%*[ ,]%lf%*[ ,]%lf", &id, &p, &q, &r) == 4) {
                 x[3 * id - 3] = p;
                 x[3 * id - 2] = q;
                 x[3 * id - 1] = r;
-            } else if (part == 2 &&
-                       sscanf(line, "%d%*[ ,]%d%*[ ,]%d%*[ ,]%d%*[ ,]%d", &id, &a, &b, &c, &g) == 5) {
+            } else if (part == 2 && sscanf(line, "%d%*[ ,]%d%*[ ,]%d%*[ ,]%d%*[ ,]%d", &id, &a, &b,
+                                           &c, &g) == 5) {
                 tet[4 * id - 4] = a - 1;
                 tet[4 * id - 3] = b - 1;
                 tet[4 * id - 2] = c - 1;
@@ -1144,7 +1161,8 @@ static void dense_factors_solve_and_count(void **state)
 
 static void dense_factors_refuse_what_they_cannot_do(void **state)
 {
-    double a[9] = {1, 2, 3, 2, 1, 4, 3, 4, 1}, b[9] = {0, 1, 1, 1, 0, 1, 1, 1, 0}, c[9] = {1, 0, NAN};
+    double a[9] = {1, 2, 3, 2, 1, 4, 3, 4, 1}, b[9] = {0, 1, 1, 1, 0, 1, 1, 1, 0},
+           c[9] = {1, 0, NAN};
     sfem_int negative = 5;
     sfem_error err;
     (void)state;
@@ -1186,7 +1204,8 @@ static void conjugate_gradients_report_what_they_did(void **state)
         assert_true(info.converged && info.residual <= 1e-11);
         assert_true(backward_error(&f.a, x, b) < 1e-11);
         assert_in_range(info.iterations, 1, kind == 0 ? 400 : kind == 1 ? 4 : 2);
-        assert_int_equal(sfem_cg_solve(&def, &f.a, b, x, work, &info, &err), SFEM_OK); /* from there */
+        assert_int_equal(sfem_cg_solve(&def, &f.a, b, x, work, &info, &err),
+                         SFEM_OK); /* from there */
         assert_int_equal(info.iterations, 0);
         free(work);
         sfem_ldl_free(ldl);
@@ -1197,7 +1216,8 @@ static void conjugate_gradients_report_what_they_did(void **state)
     def.max_iterations = 3;
     memset(x, 0, n * sizeof *x);
     assert_int_equal(sfem_cg_solve(&def, &f.a, b, x, work, &info, &err), SFEM_NOT_CONVERGED);
-    assert_true(!info.converged && info.iterations == 3 && info.residual > 1e-11 && info.residual < 1);
+    assert_true(!info.converged && info.iterations == 3 && info.residual > 1e-11 &&
+                info.residual < 1);
     b[4] = NAN;
     assert_int_equal(sfem_cg_solve(&def, &f.a, b, x, work, &info, &err), SFEM_NOT_FINITE);
     b[4] = 1;
