@@ -47,8 +47,9 @@ help: ## print this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
 	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
-run: $(BUILD)/examples/simulate ## simulate a built-in elastic body: figures and a picture
+run: $(BUILD)/examples/simulate $(BUILD)/examples/crush ## simulate an elastic bar, then crush one
 	$(BUILD)/examples/simulate
+	$(BUILD)/examples/crush
 
 test: check check-examples ## build and run every test, and every example once
 

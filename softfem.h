@@ -874,7 +874,8 @@ typedef struct sfem_body_def {
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
-    sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use */
+    sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use; of a body that
+                               * turns up to 4 times that, and 4 times more for each factor of redone steps */
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
     int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
@@ -11943,9 +11944,15 @@ done:
  * the energy in motion over the last second. A step that does is taken back and done again as a
  * minimisation of
  *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
- * by descent with the factor of p = 1, from the better of u and y, until Ec is in order; Phi(z) <= Phi(u)
- * alone implies Psi(z) - L.z <= Ec(u), so the last resort, less velocity, always ends it. Then the
- * motion starts afresh from there. Energy and momentum are kept, angular momentum not wholly.
+ * by descent with the factor of p = 1, from the better of u and y, until Ec is in order and a step gains
+ * less than a hundredth of the energy; Phi(z) <= Phi(u) alone implies Psi(z) - L.z <= Ec(u), so the last
+ * resort, less velocity, always ends it. Then the motion starts afresh from there. Energy and momentum are
+ * kept, angular momentum not wholly.
+ *   In a crumpled body neighbouring tets turn so differently that the turned factor is no guide: the steps
+ * of descent get short, and the body would creep for minutes. Where one is shorter than 1/8, the isotropic
+ * majorant of >>factor takes over, which bounds the corotational Phi so that length 1 lowers it, hastened
+ * by the memory of the last steps (L-BFGS). Bodies crushed to a point, scattered or turned inside out are
+ * back in shape after a few steps at nu = .3; at nu = .49 many scattered ones stay locked in a knot.
  * ============================================================================================ */
 
 typedef struct sfemi_guard_energies {
@@ -13694,7 +13701,7 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         const sfemi_handle *h = b->state.handle + k;
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
-        if (!g->y[k]) SFEMI_NEW(sfem_real, g->y[k], &b->allocator, 9 * (size_t)b->model->mesh.nodes);
+        SFEMI_TRY(sfemi_grip_reserve(b, g, k, err));
         if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
         g->slot[g->count++] = k;
     }
@@ -13876,6 +13883,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_body_info info;
     sfem_int i;
+    int k;
     memset(&info, 0, sizeof info);
     info.nodes = b->model->mesh.nodes;
     info.tets = b->model->mesh.tets;
@@ -13888,8 +13896,14 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.descents = b->state.head->descents;
     info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
-    for (i = 0; i < b->def.max_handles; ++i)
-        if (b->grip.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
+    for (i = 0; i < b->def.max_handles; ++i) {
+        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
+        for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
+            info.body_bytes += 3 * n * (size_t)b->guard.redo[k].grip.parts[i] * sizeof(sfem_real);
+    }
+    if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
+        info.body_bytes += (9 * (size_t)info.tets + sfem_model_work_size(b->model) + n / 3 + 19 * n +
+                            (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);

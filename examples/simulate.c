@@ -10,28 +10,34 @@
  */
 #include "support.h"
 #include "softfem.h"
+#include "elastic.h"
 
 enum { FRAMES = 6, MAX_LOADS = 16 };
 
 static const ex_option table[] = {
     {"MESH", "FILE", NULL, "Gmsh 4.1 ASCII or VTK legacy ASCII; without it a bar of 1 x 0.2 x 0.2 m"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
-    {"--material", "linear", "linear", "the law of the material"},
-    {"--young", "E", "2e6", "Young's modulus, Pa"},
+    {"--material", "linear|corotational|stvk|neohookean", "corotational", "the law of the material"},
+    {"--young", "E", "1.5e5", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--density", "RHO", "1000", "kg/m^3"},
     {"--mass", "lumped|consistent", "lumped", "the mass matrix"},
     {"--rayleigh", "A0,A1", "0,0.002", "damping A0 M + A1 K: 1/s, s"},
     {"--integrator", "pqr|newmark|central", "pqr", "how to step through time"},
-    {"--p", "P", "0.25", "of pqr; -1 lets the library choose; beta of newmark"},
+    {"--p", "P", "-2", "of pqr; -2 lets the library choose, -1 smaller where it may; beta of newmark"},
     {"--q", "Q", "1", "of pqr"},
     {"--r", "R", "1", "of pqr"},
+    {"--frame", "node|piece|rest|majorant", "node", "of pqr: how its factor turns with the body"},
+    {"--guard", "on|off", "on", "of pqr: do steps again that make energy"},
+    {"--corrections", "N", "0", "of pqr: at most so many solves more a step, toward newmark"},
+    {"--tol", "T", "1e-3", "of pqr: corrections stop at this relative change"},
     {"--precision", "double|mixed", "double", "mixed keeps the factor in float"},
     {"--dt", "H", "0.016666666666666666", "time step, s"},
     {"--steps", "N", "120", "time steps"},
     {"--static", NULL, NULL, "solve for rest instead"},
     {"--gravity", "X,Y,Z", "0,0,-9.81", "m/s^2"},
-    {"--fix", "WHERE", NULL, "nodes held, as 'x<0.01'; for the bar that is the default; repeatable"},
+    {"--velocity", "V", NULL, "at the start: 'X,Y,Z', 'spin:WX,WY,WZ' or 'random:SPEED,SEED'; repeatable"},
+    {"--fix", "WHERE", NULL, "nodes held, as 'x<0.01', the default for the bar, or 'none'; repeatable"},
     {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes; repeatable"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
     {"--threads", "N", "1", "threads"},
@@ -98,6 +104,7 @@ static void make_model(run *r)
     def.material.density = ex_real(&r->o, "--density");
     def.material.alpha = rayleigh[0];
     def.material.beta = rayleigh[1];
+    def.material.law = (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
     def.mass = ex_choice(&r->o, "--mass") ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED;
     must(sfem_model_create(&def, &r->model, &err), &err);
 }
@@ -121,7 +128,9 @@ static void make_body(run *r)
     sfem_int i, k, count;
     sfem_error err;
     for (k = 0; k < (given || ex_text(&r->o, "MESH") ? given : 1); ++k) {
-        const ex_selection where = ex_selection_of(given ? ex_nth(&r->o, "--fix", k) : "x<0.01");
+        ex_selection where;
+        if (given && !strcmp(ex_nth(&r->o, "--fix", k), "none")) continue;
+        where = ex_selection_of(given ? ex_nth(&r->o, "--fix", k) : "x<0.01");
         count = select_nodes(r, &where, pins);
         if (count == 0) ex_fail("--fix %s selects no node", ex_nth(&r->o, "--fix", k));
         for (i = 0; i < count; ++i) held[pins[i]] = 1;
@@ -130,7 +139,11 @@ static void make_body(run *r)
         if (held[i]) pins[count++] = i;
     def.integrator = integrator[ex_choice(&r->o, "--integrator")];
     def.p = ex_real(&r->o, "--p");
-    if (def.integrator == SFEM_NEWMARK) def.beta = def.p;
+    if (def.integrator == SFEM_NEWMARK && def.p > 0) def.beta = def.p;
+    def.frame = (sfem_frame)ex_choice(&r->o, "--frame");
+    def.no_guard = ex_choice(&r->o, "--guard");
+    def.corrections = (sfem_int)ex_integer(&r->o, "--corrections");
+    def.correction_tolerance = ex_real(&r->o, "--tol");
     def.q = ex_real(&r->o, "--q");
     def.r = ex_real(&r->o, "--r");
     def.precision = ex_choice(&r->o, "--precision") ? SFEM_MIXED : SFEM_DOUBLE;
@@ -159,6 +172,44 @@ static void add_loads(run *r)
         for (i = 0; i < count; ++i) must(sfem_body_add_node_force(r->body, nodes[i], f, &err), &err);
     }
     free(nodes);
+}
+
+/* Adds one --velocity to v: numbers, or a rotation about the middle of the box, or Gaussian noise. */
+static void add_velocity(const run *r, const char *text, double *v)
+{
+    double lower[3], upper[3], number[3];
+    sfem_int i;
+    int c;
+    ex_bounds(r->mesh.x, r->mesh.nodes, 1, lower, upper);
+    if (!strncmp(text, "random:", 7)) {
+        uint64_t state;
+        ex_numbers("--velocity", text + 7, 2, number);
+        state = (uint64_t)number[1];
+        for (i = 0; i < 3 * r->mesh.nodes; ++i) v[i] += number[0] * ex_gauss(&state);
+        return;
+    }
+    ex_numbers("--velocity", !strncmp(text, "spin:", 5) ? text + 5 : text, 3, number);
+    for (i = 0; i < 3 * r->mesh.nodes; ++i) {
+        if (strncmp(text, "spin:", 5) != 0) {
+            v[i] += number[i % 3];
+            continue;
+        }
+        for (c = 1; c < 3; ++c) { /* w x (x - centre), a product at a time */
+            const int a = (i % 3 + c) % 3, b = (i % 3 + 3 - c) % 3;
+            const double d = r->mesh.x[i - i % 3 + b] - (lower[b] + upper[b]) / 2;
+            v[i] += (c == 1 ? 1 : -1) * number[a] * d;
+        }
+    }
+}
+
+static void set_velocity(run *r)
+{
+    double *v = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *v);
+    sfem_error err;
+    int k;
+    for (k = 0; k < ex_given(&r->o, "--velocity"); ++k) add_velocity(r, ex_nth(&r->o, "--velocity", k), v);
+    if (k > 0) must(sfem_body_set_state(r->body, NULL, v, &err), &err);
+    free(v);
 }
 
 static double length3(const double *a) { return sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
@@ -262,43 +313,20 @@ static void simulate(run *r)
     free(name);
 }
 
-/* Von Mises stress at the nodes: the mean over their tets by volume. */
-static double *nodal_stress(const run *r, const double *x)
-{
-    const size_t n = (size_t)r->mesh.nodes;
-    double *node = (double *)ex_new(n, sizeof *node), *weight = (double *)ex_new(n, sizeof *weight);
-    double *stress = (double *)ex_new((size_t)r->mesh.tets, sizeof *stress);
-    double *u = (double *)ex_new(3 * n, sizeof *u);
-    const sfem_real *volume = sfem_model_tet_volume(r->model);
-    size_t i;
-    int a;
-    for (i = 0; i < 3 * n; ++i) u[i] = x[i] - r->mesh.x[i];
-    sfem_model_stress(r->model, u, NULL, stress);
-    for (i = 0; i < (size_t)r->mesh.tets; ++i)
-        for (a = 0; a < 4; ++a) {
-            node[r->mesh.tet[4 * i + (size_t)a]] += volume[i] * stress[i];
-            weight[r->mesh.tet[4 * i + (size_t)a]] += volume[i];
-        }
-    for (i = 0; i < n; ++i) node[i] = weight[i] > 0 ? node[i] / weight[i] : 0;
-    free(u);
-    free(stress);
-    free(weight);
-    return node;
-}
-
 static void draw(const run *r)
 {
     const double direction[3] = {0.35, -1, 0.3};
     const int across = r->frames > 1 ? 3 : 1, down = (r->frames + across - 1) / across;
     ex_picture *p = ex_picture_new(across > 1 ? 1500 : 1000, across > 1 ? 420 * down : 700);
     ex_style style = ex_default_style();
+    const double mu = ex_real(&r->o, "--young") / (2 + 2 * ex_real(&r->o, "--poisson"));
     double lower[3], upper[3], low, high;
     double *value[FRAMES];
     int k;
     p->bar = 1;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
-        value[k] = nodal_stress(r, r->frame[k]);
+        value[k] = ex_strain_stress(&r->mesh, r->frame[k], ex_choice(&r->o, "--material") > 0, mu);
         ex_range(value[k], r->mesh.nodes, &low, &high);
         style.high = fmax(style.high * (k > 0), high);
     }
@@ -357,6 +385,7 @@ static void report(run *r)
     printf("nnz_factor %lu\n", (unsigned long)info.factor_nnz);
     printf("setup_ms %.3f\n", 1e3 * r->setup);
     printf("step_us %.3f\n", r->steps > 0 ? 1e6 * r->stepping / r->steps : 0);
+    printf("redone %d\n", (int)info.redone);
     printf("energy %.17g\n", sfem_body_energy(r->body).total);
     printf("max_displacement %.17g\n", largest_displacement(r));
 }
@@ -380,6 +409,7 @@ int main(int argc, char **argv)
     make_body(&r);
     r.setup = ex_seconds() - start;
     add_loads(&r);
+    set_velocity(&r);
     choose_probe(&r);
     r.time = (double *)ex_new(5 * ((size_t)r.steps + 1), sizeof *r.time);
     r.tip = r.time + r.steps + 1;

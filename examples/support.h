@@ -6,7 +6,7 @@
  *     time, files   ex_seconds  ex_fail  ex_new  ex_make_directory  ex_path  ex_progress
  *     options       ex_parse  ex_given  ex_text  ex_nth  ex_real  ex_integer  ex_reals  ex_choice
  *     selections    ex_selection_of  ex_selected  ex_load_of
- *     numbers       ex_clamp  ex_apart  ex_nice  ex_short
+ *     numbers       ex_clamp  ex_apart  ex_nice  ex_short  ex_gauss
  */
 #ifndef SFEM_EXAMPLES_SUPPORT_H
 #define SFEM_EXAMPLES_SUPPORT_H
@@ -424,6 +424,20 @@ EX_STATIC void ex_short(char *text, size_t bytes, double x, double span)
     else
         snprintf(text, bytes, "%.*g%s", span > 0 && size > 1e3 * span ? 12 : 5, x / pow(10, 3 * k),
                  prefix[k + 4]);
+}
+
+/* Gaussian noise of variance 1: the sum of twelve uniform numbers by splitmix64 [Steele et al. 2014] */
+EX_STATIC double ex_gauss(uint64_t *state)
+{
+    double sum = -6;
+    int i;
+    for (i = 0; i < 12; ++i) {
+        uint64_t z = (*state += 0x9e3779b97f4a7c15u);
+        z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+        z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+        sum += (double)((z ^ (z >> 31)) >> 11) / 9007199254740992.0;
+    }
+    return sum;
 }
 
 EX_STATIC double ex_nice(double x) /* 1, 2 or 5 times a power of ten, at least x */
