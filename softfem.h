@@ -945,6 +945,9 @@ SFEM_DEF void sfem_body_start(sfem_body *body);
 SFEM_DEF const sfem_real *sfem_body_displacement(const sfem_body *body);
 SFEM_DEF void sfem_body_positions(const sfem_body *body, sfem_real *x);
 SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
+/* The same as floats, for rendering: three for node i at i stride bytes from the first; either may be
+ * NULL. Takes no memory and reads nothing but the state. */
+SFEM_DEF void sfem_body_to_floats(const sfem_body *body, float *x, float *v, size_t stride);
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err);
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
@@ -13397,6 +13400,22 @@ SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
     const sfem_real half = mean ? s->head->h / 2 : 0;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] = s->w[i] + half * s->a[i];
+}
+
+SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t stride)
+{
+    const sfemi_state *s = &b->state;
+    const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
+    const sfem_real half = mean ? s->head->h / 2 : 0;
+    size_t i, at;
+    int c;
+    SFEM_ASSERT(b && stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    for (i = 0; i < (size_t)b->model->mesh.nodes; ++i)
+        for (c = 0, at = 3 * i; c < 3; ++c, ++at) {
+            const size_t to = i * (stride / sizeof(float)) + (size_t)c;
+            if (x) x[to] = (float)(b->model->mesh.x[at] + s->u[at]);
+            if (v) v[to] = (float)(s->w[at] + half * s->a[at]);
+        }
 }
 
 /* Starts the integrator afresh from u and the velocity in w. */
