@@ -41,6 +41,7 @@
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
+ *            >>kernels      inner loops, compiled once for each vector path
  *     TAIL   licence, changes
  *
  * UNITS are the caller's, as long as they are consistent; the comments say SI (m, kg, s, N, Pa).
@@ -477,14 +478,15 @@ SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matri
  * room for two) and may only be refactored again or freed. */
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err);
 
-/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the path from them to the root of the elimination tree, with the very bits of a
- * full refactorisation. Needs def.keep, else does a full one. */
+/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the
+ * path from them to the root of the elimination tree, with the very bits of a full refactorisation.
+ * Needs def.keep, else does a full one. */
 SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
                                              const sfem_int *node, sfem_error *err);
 
 /* Solves A x = b in place for rhs right sides. Const: many threads may solve with one factor, each
- * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but may
- * differ between a right side alone and among others. */
+ * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but
+ * may differ between a right side alone and among others. */
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs); /* in sfem_real */
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n] */,
                              sfem_real *work, const sfem_exec *exec);
@@ -494,7 +496,8 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl); /* NULL is allowed */
 
 /* --- dense matrices: lower half, column-major, a[i + j n], in place ---------------------------
  *
- * Below about 100 scalars they beat the sparse factor, which also has to be analysed. */
+ * For matrices that are full. Of a mesh's they beat the sparse factor only below 35 scalars, or 70 if
+ * its analysis counts too (measured); O(n^3 / 3), O(n^2) for a solve. */
 
 /* A = L L^T. SFEM_NOT_SPD names in err->node the row / 3; a is then partly overwritten. */
 SFEM_DEF sfem_status sfem_dense_cholesky(sfem_int n, sfem_real *a, sfem_error *err);
@@ -5458,6 +5461,8 @@ typedef struct sfemi_ldl_kernels {
                       const double *);
     int (*pivots)(size_t, size_t, double *, int, int, const double *, double *, double *);
     void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
+    void (*dense_minus)(size_t, const double *, size_t, const double *, double *);
+    void (*dense_dots)(size_t, const double *, size_t, const double *, double *);
     void (*invert)(size_t, size_t, double *, const double *);
     void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
     void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
@@ -5477,13 +5482,12 @@ typedef struct sfemi_ldl_kernels {
 static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 {
 #define SFEMI_TABLE(name, width, p)                                                                \
-    {                                                                                              \
-        name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p, \
-            sfemi_ldl_add_64_##p, sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p,               \
-            sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p,      \
-            sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p,          \
-            sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p                                  \
-    }
+    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,    \
+     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p,                      \
+     sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p,                 \
+     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, sfemi_ldl_invert_32_##p,               \
+     sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p,               \
+     sfemi_ldl_backward8_32_##p}
     static const sfemi_ldl_kernels table[] = {
         SFEMI_TABLE("portable", 4, 0),
 #if SFEMI_X86
@@ -7082,26 +7086,25 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 
 /* --- dense ----------------------------------------------------------------------------------- */
 
-/* Left-looking by columns, four at a time: a(j:n, j) -= sum of a(j:n, p) s_p a(j, p). unit: L D
- * L^T. */
+/* Left-looking by columns, eight at a time: a(j:n, j) -= sum of a(j:n, p) d_p a(j, p); d_p = 1 unless
+ * unit, which makes L D L^T. Returns the row of a lost pivot, or -1. */
 static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative,
                                    double *lost)
 {
+    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
     const size_t m = (size_t)n;
-    size_t i, j, p;
+    size_t i, j, p, q;
     *negative = 0;
     for (j = 0; j < m; ++j) {
-        sfem_real *c = a + j * m, d = fabs(c[j]), r;
+        sfem_real *c = a + j * m, d = fabs(c[j]), w[8];
         const double floor = unit ? 1e-14 * d : 4e-15 * d;
-        for (p = 0; p + 4 <= j; p += 4) {
-            const sfem_real *q = a + p * m, *s = q + m, *t = s + m, *u = t + m;
-            const sfem_real w0 = unit ? q[j] * q[p] : q[j], w1 = unit ? s[j] * s[p + 1] : s[j];
-            const sfem_real w2 = unit ? t[j] * t[p + 2] : t[j], w3 = unit ? u[j] * u[p + 3] : u[j];
-            for (i = j; i < m; ++i) c[i] -= (q[i] * w0 + s[i] * w1) + (t[i] * w2 + u[i] * w3);
+        for (p = 0; p + 8 <= j; p += 8) {
+            for (q = 0; q < 8; ++q) w[q] = a[j + (p + q) * m] * (unit ? a[(p + q) * (m + 1)] : 1);
+            k->dense_minus(m - j, a + j + p * m, m, w, c + j);
         }
         for (; p < j; ++p) {
-            const sfem_real *q = a + p * m, w = unit ? q[j] * q[p] : q[j];
-            for (i = j; i < m; ++i) c[i] -= q[i] * w;
+            const sfem_real *l = a + p * m, v = unit ? l[j] * l[p] : l[j];
+            for (i = j; i < m; ++i) c[i] -= l[i] * v;
         }
         d = c[j];
         if (!((unit ? fabs(d) : d) > floor) || !sfemi_finite(d)) {
@@ -7109,9 +7112,9 @@ static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int 
             return (sfem_int)j;
         }
         *negative += d < 0;
-        r = unit ? d : sqrt(d);
-        for (i = j + 1; i < m; ++i) c[i] /= r;
-        c[j] = r;
+        c[j] = unit ? d : sqrt(d);
+        d = 1 / c[j];
+        for (i = j + 1; i < m; ++i) c[i] *= d;
     }
     return -1;
 }
@@ -7145,20 +7148,34 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
 
 static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
 {
+    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
     const size_t m = (size_t)n;
-    size_t i, j;
+    size_t i, j, end;
     for (; rhs > 0; --rhs, x += m) {
-        for (j = 0; j < m; ++j) {
-            const sfem_real *c = a + j * m;
-            const sfem_real v = unit ? x[j] : x[j] / c[j];
-            for (i = j + 1; i < m; ++i) x[i] -= c[i] * v;
-            x[j] = unit ? v / c[j] : v;
+        for (j = 0; j < m; j = end) { /* eight columns, then what they do to the rows below */
+            size_t p;
+            end = j + 8 < m ? j + 8 : m;
+            for (p = j; p < end; ++p) {
+                if (!unit) x[p] /= a[p * (m + 1)];
+                for (i = p + 1; i < end; ++i) x[i] -= a[i + p * m] * x[p];
+            }
+            if (end < m) k->dense_minus(m - end, a + end + j * m, m, x + j, x + end);
         }
-        for (j = m; j-- > 0;) {
-            const sfem_real *c = a + j * m;
-            sfem_real v = x[j];
-            for (i = j + 1; i < m; ++i) v -= c[i] * x[i];
-            x[j] = unit ? v : v / c[j];
+        if (unit)
+            for (j = 0; j < m; ++j) x[j] /= a[j * (m + 1)];
+        for (end = m; end > 0; end = j) { /* four columns, from the last */
+            double dot[4] = {0, 0, 0, 0};
+            size_t p;
+            j = end > 4 ? end - 4 : 0;
+            if (end - j == 4) k->dense_dots(m - end, a + end + j * m, m, x + end, dot);
+            else
+                for (p = j; p < end; ++p)
+                    for (i = end; i < m; ++i) dot[p - j] += a[i + p * m] * x[i];
+            for (p = end; p-- > j;) {
+                x[p] -= dot[p - j];
+                for (i = p + 1; i < end; ++i) x[p] -= a[i + p * m] * x[i];
+                if (!unit) x[p] /= a[p * (m + 1)];
+            }
         }
     }
 }
@@ -14308,6 +14325,55 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_
         SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
     else
         SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
+}
+/* c(n) -= eight columns of a, m apart, times w. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_minus)(size_t n, const double *a, size_t m,
+                                                         const double *w, double *c)
+{
+    size_t i;
+    for (i = 0; i + SFEMI_W <= n; i += SFEMI_W) {
+        const double *p = a + i;
+        SFEMI_V u = SFEMI_FNMA(SFEMI_LD(p), SFEMI_DUP(w[0]), SFEMI_LD(c + i));
+        SFEMI_V v = SFEMI_MUL(SFEMI_LD(p + m), SFEMI_DUP(-w[1]));
+        u = SFEMI_FNMA(SFEMI_LD(p + 2 * m), SFEMI_DUP(w[2]), u);
+        v = SFEMI_FNMA(SFEMI_LD(p + 3 * m), SFEMI_DUP(w[3]), v);
+        u = SFEMI_FNMA(SFEMI_LD(p + 4 * m), SFEMI_DUP(w[4]), u);
+        v = SFEMI_FNMA(SFEMI_LD(p + 5 * m), SFEMI_DUP(w[5]), v);
+        u = SFEMI_FNMA(SFEMI_LD(p + 6 * m), SFEMI_DUP(w[6]), u);
+        v = SFEMI_FNMA(SFEMI_LD(p + 7 * m), SFEMI_DUP(w[7]), v);
+        SFEMI_ST(c + i, SFEMI_ADD(u, v));
+    }
+    for (; i < n; ++i) {
+        const double *p = a + i;
+        c[i] -= (p[0] * w[0] + p[m] * w[1] + (p[2 * m] * w[2] + p[3 * m] * w[3])) +
+                (p[4 * m] * w[4] + p[5 * m] * w[5] + (p[6 * m] * w[6] + p[7 * m] * w[7]));
+    }
+}
+
+/* out[p] = column p of a, m apart, times x, for four columns. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_dots)(size_t n, const double *a, size_t m,
+                                                        const double *x, double *out)
+{
+    SFEMI_V s0 = SFEMI_DUP(0), s1 = SFEMI_DUP(0), s2 = SFEMI_DUP(0), s3 = SFEMI_DUP(0);
+    double part[4 * SFEMI_W];
+    size_t i;
+    int p, q;
+    for (i = 0; i + SFEMI_W <= n; i += SFEMI_W) {
+        s0 = SFEMI_FMA(SFEMI_LD(a + i), SFEMI_LD(x + i), s0);
+        s1 = SFEMI_FMA(SFEMI_LD(a + m + i), SFEMI_LD(x + i), s1);
+        s2 = SFEMI_FMA(SFEMI_LD(a + 2 * m + i), SFEMI_LD(x + i), s2);
+        s3 = SFEMI_FMA(SFEMI_LD(a + 3 * m + i), SFEMI_LD(x + i), s3);
+    }
+    SFEMI_ST(part, s0);
+    SFEMI_ST(part + SFEMI_W, s1);
+    SFEMI_ST(part + 2 * SFEMI_W, s2);
+    SFEMI_ST(part + 3 * SFEMI_W, s3);
+    for (p = 0; p < 4; ++p) {
+        out[p] = 0;
+        for (q = 0; q < SFEMI_W; ++q) out[p] += part[p * SFEMI_W + q];
+    }
+    for (; i < n; ++i)
+        for (p = 0; p < 4; ++p) out[p] += a[(size_t)p * m + i] * x[i];
 }
 #endif
 
