@@ -11965,7 +11965,7 @@ done:
  * minimisation of
  *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
  * by descent with the factor of p = 1, from the better of u and y, until Ec is in order and a step gains
- * less than a hundredth of the energy; Phi(z) <= Phi(u) alone implies Psi(z) - L.z <= Ec(u), so the last
+ * less than .01 S; Phi(z) <= Phi(u) alone implies Psi(z) - L.z <= Ec(u), so the last
  * resort, less velocity, always ends it. Then the motion starts afresh from there. Energy and momentum are
  * kept, angular momentum not wholly.
  *   In a crumpled body neighbouring tets turn so differently that the turned factor is no guide: the steps
@@ -12583,10 +12583,9 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         if (k == 0) first = norm;
         if (norm == 0 || norm < 1e-6 * first) break;
         if (sfemi_guard_descend(b, kind, &phi, psi)) {
-            const sfem_real worth = *psi < scale ? *psi : scale;
             const int turned = kind == SFEMI_TURNED;
             ++b->state.head->descents;
-            poor = before - phi <= (turned ? .01 : .001) * worth ? poor + 1 : 0;
+            poor = before - phi <= (turned ? .01 : .001) * scale ? poor + 1 : 0;
             if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
         } else if (kind == SFEMI_TURNED) {
             kind = SFEMI_ISOTROPIC;
@@ -12625,6 +12624,10 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     if (head->last > target) target = head->last;
     status = sfemi_guard_minimise(b, phi, target, &psi, err);
     if (status != SFEM_OK) return status;
+    if (b->grip.count) { /* what rounding has left of the handles' gaps after so many steps */
+        sfemi_guard_constrain(b, g->u);
+        (void)sfemi_guard_potential(b, g->u, g->f, &psi);
+    }
     (void)sfemi_guard_at(b, psi);
     sfemi_guard_restore_momentum(b, psi);
     sfemi_guard_slow_down(b, psi, target);
