@@ -6014,7 +6014,7 @@ done:
  * and dissection on large ones unless they are thin, so that one of the two can then be saved
  * (measured). */
 #define SFEMI_DISSECT_FROM 1500
-#define SFEMI_DISSECT_SURE 8000
+#define SFEMI_DISSECT_SURE 4000
 
 static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_graph *g,
                                         sfem_ordering *taken, sfemi_tree *out, sfem_error *err)
@@ -6039,7 +6039,7 @@ static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_gra
     }
     if (def->ordering == SFEM_ORDER_AMD ||
         (def->ordering == SFEM_ORDER_BEST &&
-         (g->n < SFEMI_DISSECT_SURE || best.flops < 20. * g->n * g->n))) {
+         (g->n < SFEMI_DISSECT_SURE || best.flops < 30. * g->n * g->n))) {
         SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
         SFEMI_TRY(sfemi_tree_create(g, &other, order, m, err));
         if (!best.pool || other.flops < best.flops) {

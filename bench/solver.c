@@ -221,11 +221,23 @@ static double solve_time(const sfem_ldl *ldl, int rhs, double *x, const double *
     return now() - t;
 }
 
+static void *refuse(size_t bytes, void *user)
+{
+    return bytes > *(const size_t *)user ? NULL : malloc(bytes);
+}
+
+static void release(void *memory, void *user)
+{
+    (void)user;
+    free(memory);
+}
+
 /* Everything on one core. */
 static void row_one(const char *name, const block_fem *f, int passes)
 {
     static times factor, solve, solve32, solve8, factor32, rfactor, rsolve;
-    double created = 0, alike = 0, analyse;
+    double analyse = 0;
+    size_t limit;
     const size_t n = 3 * (size_t)f->n;
     double *b = (double *)malloc(n * sizeof *b), *x = (double *)malloc(8 * n * sizeof *x), *work, t;
     sfem_ldl_def def = sfem_default_ldl_def();
@@ -237,25 +249,22 @@ static void row_one(const char *name, const block_fem *f, int passes)
     factor.n = solve.n = solve32.n = solve8.n = factor32.n = rfactor.n = rsolve.n = 0;
     def.x = f->x;
     for (i = 0; i < n; ++i) b[i] = sin(1.3 * (double)i);
-    for (k = 0; k < (f->n > 3000 ? 4 : 10);
-         ++k) {                /* the analysis: a new factor less one of a known */
-        sfem_ldl *like = NULL; /* pattern, both with the memory they take, the least of each */
-        sfem_ldl_free(ldl);
-        ldl = NULL;
-        t = now();
-        if (sfem_ldl_create(&def, &f->a, &ldl, &err) != SFEM_OK) {
-            printf("%-10s %s\n", name, err.text);
-            goto done;
-        }
-        t = now() - t;
-        if (k == 0 || t < created) created = t;
-        t = now();
-        if (sfem_ldl_create_like(ldl, &f->a, &like, &err) != SFEM_OK) goto done;
-        t = now() - t;
-        if (k == 0 || t < alike) alike = t;
-        sfem_ldl_free(like);
+    if (sfem_ldl_create(&def, &f->a, &ldl, &err) != SFEM_OK) {
+        printf("%-10s %s\n", name, err.text);
+        goto done;
     }
-    analyse = created - alike;
+    limit = sfem_ldl_get_info(ldl).factor_bytes / 2;
+    def.allocator.allocate = refuse;
+    def.allocator.release = release;
+    def.allocator.user = &limit;
+    for (k = 0; k < 7; ++k) { /* the analysis alone: stopped where it asks for the memory of L */
+        sfem_ldl *none = NULL;
+        t = now();
+        if (sfem_ldl_create(&def, &f->a, &none, &err) != SFEM_OUT_OF_MEMORY) goto done;
+        t = now() - t;
+        if (k == 0 || t < analyse) analyse = t;
+    }
+    memset(&def.allocator, 0, sizeof def.allocator);
     def.mixed = 1;
     if (sfem_ldl_create(&def, &f->a, &ldl32, &err) != SFEM_OK) goto done;
     info = sfem_ldl_get_info(ldl);
