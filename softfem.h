@@ -34,10 +34,14 @@
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
- *            >>newmark      implicit Newmark          >>pqr  the (p,q,r) family, central difference
+ *            >>newmark      linear Newmark
+ *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
+ *                           nonlinear statics
+ *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
+ *            >>kernels      inner loops, compiled once for each vector path
  *     TAIL   licence, changes
  *
  * UNITS are the caller's, as long as they are consistent; the comments say SI (m, kg, s, N, Pa).
@@ -418,7 +422,7 @@ SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full /* [3n]
  * triangular with a positive diagonal, S the signs of the pivots, so that L |d|^1/2 of the textbook's
  * L D L^T is what is stored. Positive definite matrices are always safe; of an indefinite one (K -
  * sigma M) the number of negative pivots is its number of negative eigenvalues [Sylvester], and it is
- * refused where a pivot or the growth of L would make that number a guess. */
+ * refused where a pivot drowns in rounding or a trial solve fails: that number would be a guess. */
 
 typedef enum sfem_ordering {
     SFEM_ORDER_BEST,       /* of the following two, what needs fewer operations */
@@ -450,7 +454,7 @@ typedef struct sfem_ldl_info {
     size_t work_bytes;      /* update matrices */
     sfem_int negative;      /* pivots < 0 */
     sfem_real pivot_min, pivot_max; /* of their absolute values */
-    sfem_real growth;       /* max_i (|L| |L|^T)_ii / max |a_ij|: 1 if positive definite */
+    sfem_real residual;     /* unless def.positive: |b - A x| / (|A| |x| + |b|) of a trial solve */
     const char *path;       /* the vector path: "portable", "avx2", "avx512" */
 } sfem_ldl_info;
 
@@ -474,14 +478,15 @@ SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matri
  * room for two) and may only be refactored again or freed. */
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err);
 
-/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the path from them to the root of the elimination tree, with the very bits of a
- * full refactorisation. Needs def.keep, else does a full one. */
+/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the
+ * path from them to the root of the elimination tree, with the very bits of a full refactorisation.
+ * Needs def.keep, else does a full one. */
 SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
                                              const sfem_int *node, sfem_error *err);
 
 /* Solves A x = b in place for rhs right sides. Const: many threads may solve with one factor, each
- * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but may
- * differ between a right side alone and among others. */
+ * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but
+ * may differ between a right side alone and among others. */
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs); /* in sfem_real */
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n] */,
                              sfem_real *work, const sfem_exec *exec);
@@ -491,7 +496,8 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl); /* NULL is allowed */
 
 /* --- dense matrices: lower half, column-major, a[i + j n], in place ---------------------------
  *
- * Below about 100 scalars they beat the sparse factor, which also has to be analysed. */
+ * For matrices that are full. Of a mesh's they beat the sparse factor only below 35 scalars, or 70 if
+ * its analysis counts too (measured); O(n^3 / 3), O(n^2) for a solve. */
 
 /* A = L L^T. SFEM_NOT_SPD names in err->node the row / 3; a is then partly overwritten. */
 SFEM_DEF sfem_status sfem_dense_cholesky(sfem_int n, sfem_real *a, sfem_error *err);
@@ -534,28 +540,29 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
  * >>api-element   materials: energy, stress, tangent; energies in edge lengths
  * ============================================================================================ */
 
-/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda and mu
- * are Lame's parameters; all agree for small strains and are zero, and least, at rest.
+/* Materials, by their energy density Psi(F), Pa, of the deformation gradient F = dx/dX. lambda
+ * and mu are Lame's parameters; all agree for small strains and are zero, and least, at rest.
  *   SFEM_LINEAR         lambda/2 tr(e)^2 + mu e:e, e = (F + F^T)/2 - I. Small rotations only.
- *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper rotation
- *                       [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small strains; any
- *                       rotation; inverted tets recover.
- *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff. Weak in
- *                       compression: below .58 of its length the force on a bar falls (at nu = 0)
- *                       and is zero at length 0; it does not feel a mirror image, so inverted tets
- *                       stay inverted. For large rotations and stretches, not for crushing.
- *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1),
- *                       m = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
+ *   SFEM_COROTATIONAL   lambda/2 tr(S - I)^2 + mu |F - R|^2, F = R S, R the nearest proper
+ *                       rotation [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small
+ *                       strains; any rotation; inverted tets recover.
+ *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff.
+ *                       Weak in compression: below .58 of its length the force on a bar falls
+ *                       (at nu = 0) and is zero at length 0; it does not feel a mirror image,
+ *                       so inverted tets stay inverted. For large rotations and stretches, not
+ *                       for crushing.
+ *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1), m
+ *                       = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
  *                       neo-Hookean of Smith, de Goes, Kim 2018. Any strain, defined through
  *                       inversion; keeps volume best as nu nears 0.5. */
 typedef enum sfem_law { SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN } sfem_law;
 
 /* Derivatives of the stress.
- *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles. SFEM_COROTATIONAL has a
- *                        pole where the two smallest signed singular values of F sum to 0: there the
- *                        sum is kept above 1e-8.
- *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite one, from
- *                        closed forms in singular values [Smith, de Goes, Kim 2019]
+ *   SFEM_TANGENT_EXACT   dP/dF as it is, indefinite where the material buckles.
+ *                        SFEM_COROTATIONAL has a pole where the two smallest signed singular
+ *                        values of F sum to 0: there the sum is kept above 1e-8.
+ *   SFEM_TANGENT_PSD     its negative eigenvalues set to 0: the nearest positive semidefinite
+ *                        one, from closed forms in singular values [Smith, de Goes, Kim 2019]
  *   SFEM_TANGENT_FROZEN  SFEM_COROTATIONAL without the change of R: R k R^T, always positive
  *                        semidefinite; the other laws as with SFEM_TANGENT_PSD */
 typedef enum sfem_tangent {
@@ -564,56 +571,60 @@ typedef enum sfem_tangent {
     SFEM_TANGENT_FROZEN
 } sfem_tangent;
 
-/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in float and
- * everything else in double: half the memory traffic, a residual of a solve of about 4e-7 on good
- * meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a strain of 1e-3. */
+/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in
+ * float and everything else in double: half the memory traffic, a residual of a solve of about
+ * 4e-7 on good meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a
+ * strain of 1e-3. */
 typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
 
 /* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
 
-/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat, inverted
- * or zero; a number that is not finite gives numbers that are not finite. About 0.4 us at most. */
-SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9]);
+/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat,
+ * inverted or zero; a number that is not finite gives numbers that are not finite. Tens of ns,
+ * 0.7 us where R is all but undetermined. */
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9]);
 
 /* P = dPsi/dF, the first Piola-Kirchhoff stress, Pa; returns Psi. */
-SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                   sfem_real p[9]);
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9], sfem_real p[9]);
 
 /* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81]);
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9]);
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
+                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
+                                    sfem_real dp[9]);
 
-/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its energy, J,
- * the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m. force and k may be
- * NULL. */
+/* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its
+ * energy, J, the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m.
+ * force and k may be NULL. */
 SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
                                 const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
                                 sfem_real k[144]);
 
-/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or 1, which
- * stands for whatever the compiler makes of the portable ones. */
+/* Vector width of the kernels that run on this processor, in doubles: 8 (AVX-512), 4 (AVX2), or
+ * 1, which stands for whatever the compiler makes of the portable ones. */
 SFEM_DEF int sfem_vector_width(void);
 
-/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative det F the
- * smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a double smallest
- * singular value of an inverted F) one of the nearest is given, I for F = 0. Never fails on finite F;
- * R is orthogonal and S symmetric to a few rounding errors (of |F|). */
+/* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative
+ * det F the smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a
+ * double smallest singular value of an inverted F) one of the nearest is given, I for F = 0.
+ * Never fails on finite F; R is orthogonal and S symmetric to a few rounding errors (of |F|). */
 SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9]);
 
-/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of det F:
- * one-sided Jacobi, small singular values to their own rounding error. Entries below 1e-150 of the
- * largest count as 0. */
+/* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of
+ * det F: one-sided Jacobi, small singular values to their own rounding error. Entries below
+ * 1e-150 of the largest count as 0. */
 SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9]);
 
-/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared lengths
- * alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest direction n_k, and with
- * it all invariants and every isotropic energy [Mandal, Chaudhuri, Chaudhuri 2023, supplement, Theorem
- * 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12 13 23; dim = 2: triangles in their plane,
- * three edges 01 02 12, in plane strain. Flat tets and triangles have the C of least norm that fits
- * best. */
+/* ENERGIES IN EDGE LENGTHS. The right Cauchy-Green tensor C = F^T F follows from the squared
+ * lengths alone: (d_k/L_k)^2 = n_k.C n_k for each edge k with rest length L_k and rest
+ * direction n_k, and with it all invariants and every isotropic energy [Mandal, Chaudhuri,
+ * Chaudhuri 2023, supplement, Theorem 2.1 and eqs. 1-9]. dim = 3: tets, six edges 01 02 03 12
+ * 13 23; dim = 2: triangles in their plane, three edges 01 02 12, in plane strain. Flat tets
+ * and triangles have the C of least norm that fits best. */
 typedef struct sfem_edge_shape {
     int dim, nodes, edges;
     int rank;          /* edges, or less where flat */
@@ -626,19 +637,21 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
 /* d2 [edges]: squared lengths, m^2, of positions x [nodes][dim]. */
 SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2);
 /* C [dim][dim] of squared lengths. */
-SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c);
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2,
+                                     sfem_real *c);
 /* I_C = tr C, II_C = tr C^2, III_C = det C, and with a fibre a [dim] (NULL: 0) IV_C = a.C a,
  * V_C = a.C^2 a. */
 SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
                                    const sfem_real *fibre, sfem_real invariants[5]);
-/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL. Lengths
- * do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above 1e-8. */
+/* Psi, Pa, of SFEM_STVK or SFEM_NEOHOOKEAN, and slope [edges] = dPsi/d(d_k^2), Pa/m^2, or NULL.
+ * Lengths do not tell a tet from its mirror image: J = sqrt(III_C), in the slope kept above
+ * 1e-8. */
 SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, sfem_real lambda,
                                     sfem_real mu, const sfem_real *d2, sfem_real *slope);
-/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i - x_j), N.
- * The force on node i is its negative. */
-SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
-                               sfem_real *force);
+/* The gradient of volume Psi at positions x [nodes][dim]: force_i = 2 V sum_j slope_ij (x_i -
+ * x_j), N. The force on node i is its negative. */
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
+                               const sfem_real *slope, sfem_real *force);
 
 /* ============================================================================================
  * >>api-model   finite elements: K, M, D, loads, stress
@@ -680,7 +693,7 @@ SFEM_DEF sfem_model_def sfem_default_model_def(void);
  *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
  *           SFEM_TOO_LARGE; the text names the tet or node. A node in no tet has no mass and
  *           stays where it is.
- *   cost    O(tets), about 0.2 us a tet */
+ *   cost    O(tets), about 0.7 us a tet */
 SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err);
 SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; memory goes with the last body */
 
@@ -704,22 +717,26 @@ SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real 
 SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                           const sfem_exec *exec);
 
-/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient, the
- * internal force [nodes][3], N (what the body pushes back with is its negative). A translation changes
- * nothing but rounding of u; forces sum to zero in every tet.
+/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient,
+ * the internal force [nodes][3], N (what the body pushes back with is its negative). A
+ * translation changes nothing but the rounding of u; the forces of a tet sum to zero.
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      about 10 to 20 ns a tet (corotational, AVX2), half a microsecond for a tet where R is all
- *             but undetermined; O(tets) at any u. Not finite u give an energy that is not finite.
- * Allocates nothing; same bits for any number of threads, but not from one vector path to another. */
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19;
+ *             0.7 us for one whose R is all but undetermined. Any finite u will do; others give
+ *             an energy that is not finite.
+ * Allocates nothing. Same bits for any number of threads, but not from one vector width (see
+ * sfem_vector_width) to another. */
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model);
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
-                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
-                                     sfem_real *work, const sfem_exec *exec);
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec);
 
-/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern, such as
- * sfem_model_combine makes. About 1 us a tet; allocates nothing; same bits for any number of threads. */
+/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern,
+ * such as sfem_model_combine makes. 0.2 (linear) to 0.8 us a tet; allocates nothing; same bits for
+ * any number of threads. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
@@ -749,8 +766,26 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *                 [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for
  *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
- *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step */
-typedef enum sfem_integrator { SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL } sfem_integrator;
+ *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
+ * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
+ * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
+ * unconditionally stable for linear bodies, and second order but for the first:
+ *   SFEM_BACKWARD_EULER      first order, damps everything
+ *   SFEM_HHT                 [Hilber, Hughes, Taylor 1977], hht_alpha = .1 damps a little at high Omega
+ *   SFEM_GENERALIZED_ALPHA   [Chung and Hulbert 1993], by rho_inf, the spectral radius at Omega = infinity
+ *   SFEM_BATHE               [Bathe and Baig 2005]: half a step of the trapezoidal rule, then three-point
+ *                            backward differences; two systems a step
+ *   SFEM_NEWMARK             is one of them where the model or its damping is nonlinear [Yuan et al. 2017,
+ *                            algorithm 1] */
+typedef enum sfem_integrator {
+    SFEM_PQR,
+    SFEM_NEWMARK,
+    SFEM_CENTRAL,
+    SFEM_BACKWARD_EULER,
+    SFEM_HHT,
+    SFEM_GENERALIZED_ALPHA,
+    SFEM_BATHE
+} sfem_integrator;
 
 /* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
  * damping a start of fourth order. */
@@ -775,12 +810,58 @@ enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
 typedef struct sfem_body sfem_body;
 
+/* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
+ * allocated), a solve, and a force for each length that the line search tries. It minimises the
+ * incremental potential (Armijo), the work of damping included. An exact tangent that makes no
+ * positive definite matrix gets more mass for that iteration, or gives way to the projected one.
+ * Bodies at ordinary steps take 2 or 3 iterations; violence takes up to 100, and the trapezoidal
+ * rule, which gains energy there, may find no solution at all: SFEM_BACKWARD_EULER does. */
+typedef struct sfem_newton_def {
+    sfem_int iterations;  /* at most, >= 1; 20. With 1 the step is semi-implicit: one solve with the
+                           * tangent at its start, never refused, its residual not known */
+    sfem_real tolerance;  /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a|, |D(v)|,
+                           * or where the residual is what rounding of positions makes; >= 0, 1e-8 */
+    sfem_tangent tangent; /* SFEM_TANGENT_EXACT; another is always taken, in D, too, but converges
+                           * linearly: three times as many iterations */
+    int no_line_search;
+    int accept_best;      /* where it does not converge, take the iterate of least residual and go
+                           * on; by default the step fails with SFEM_NOT_CONVERGED, the state as it
+                           * was */
+    sfem_int load_steps;  /* statics: loads, pins and handles come in at least so many steps, >= 1; 1.
+                           * One that fails is halved, down to 1/1024 */
+} sfem_newton_def;
+
+typedef struct sfem_newton_info {
+    int converged;
+    sfem_int iterations;     /* solves */
+    sfem_int factorisations;
+    sfem_int evaluations;    /* of the forces */
+    sfem_int projected;      /* tangents that had to be projected to be positive definite */
+    sfem_int load_steps;     /* statics */
+    sfem_real residual;      /* relative, see tolerance; the last that was computed */
+} sfem_newton_info;
+
+/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods. Called from the
+ * thread that steps. */
+typedef struct sfem_damping_force {
+    /* adds D(v), N, to force [nodes][3]: it is subtracted from the load, so that v.D(v) >= 0 damps */
+    void (*force)(void *user, const sfem_real *v /* [nodes][3] */, sfem_real *force);
+    /* adds dD/dv, symmetric, to a matrix on K's pattern (zero when it comes); or NULL: the force is then
+     * iterated upon, which converges while h dD/dv stays below the mass, linearly */
+    void (*tangent)(void *user, const sfem_real *v, sfem_matrix *tangent);
+    void *user;
+} sfem_damping_force;
+
 typedef struct sfem_body_def {
     sfem_integrator integrator;
     sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
+    sfem_real rho_inf;        /* of generalized-alpha, 0 to 1; .8 */
+    sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; .1 */
+    sfem_newton_def newton;
+    sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
     int no_guard;             /* take every step as it comes, even if it makes energy */
@@ -788,7 +869,10 @@ typedef struct sfem_body_def {
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
-    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s */
+    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In
+                               * the implicit methods K is the current K(u), which brakes a rotation
+                               * at the rate beta_k omega^2; what the tets of a model do not share of
+                               * alpha and beta acts as at rest */
     sfem_real gravity[3];     /* m/s^2 */
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
@@ -814,13 +898,15 @@ SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
  * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
  * a loop, the only function that allocates; set_pins and solve_static do, too. sfem_body_step calls it
- * where it has to.
+ * where it has to. Where Newton's matrix changes, what is made serves steps of any length.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* One step of h seconds: predict, solve, finish. On failure the state is as it was.
- *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE
+ *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE;
+ *           where Newton iterates SFEM_NOT_CONVERGED ("the step did not converge: residual 3e-05
+ *           after 20 iterations") and SFEM_NOT_SPD
  *   cost    one product with K and one solve, O(nnz(L)) */
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
@@ -832,11 +918,19 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
+                                                               * the method is implicit */
 
-/* Static equilibrium K u = F under the forces, gravity, pins and handles of now; velocity becomes zero.
- * Handles that are nodes count as pins here.
- *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like */
+/* How the last implicit step (SFEM_BATHE: its two systems together) or nonlinear static solution went,
+ * also where it failed. All zero before. */
+SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
+
+/* Static equilibrium f(u) = F under the forces, gravity, pins and handles of now; velocity becomes
+ * zero. Handles that are nodes count as pins here. Where all laws are linear that is one solve;
+ * else Newton's iteration from the present u, in steps of the load that are halved where one fails
+ * (sfem_newton_def; sfem_body_newton tells how it went). It may be one equilibrium of several.
+ *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like; SFEM_NOT_CONVERGED (how much of
+ *           the load was reached), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY: the state is as it was */
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
 
 /* Loads. force [nodes][3] (NULL: none) is the load at the end of the next step and stays until changed;
@@ -854,6 +948,9 @@ SFEM_DEF void sfem_body_start(sfem_body *body);
 SFEM_DEF const sfem_real *sfem_body_displacement(const sfem_body *body);
 SFEM_DEF void sfem_body_positions(const sfem_body *body, sfem_real *x);
 SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
+/* The same as floats, for rendering: three for node i at i stride bytes from the first; either may be
+ * NULL. Takes no memory and reads nothing but the state. */
+SFEM_DEF void sfem_body_to_floats(const sfem_body *body, float *x, float *v, size_t stride);
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err);
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
@@ -867,7 +964,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, s
                                           sfem_error *err);
 
 typedef struct sfem_energy {
-    sfem_real kinetic, elastic, load; /* 1/2 v.Mv, 1/2 u.Ku, -(F + Mg).u; J */
+    sfem_real kinetic, elastic, load; /* 1/2 v.Mv, Psi(u), -(F + Mg).u; J */
     sfem_real total;                  /* their sum */
     sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
                           * nonlinear body nearly, without the motion of free pieces' centres of mass: for
@@ -949,6 +1046,18 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 #else
 #define SFEMI_X86 0
 #endif
+#if defined(__FMA__) && !SFEMI_X86
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+#if defined(__unix__) || defined(__APPLE__)
+#include <sched.h>
+#define SFEMI_YIELD() (void)sched_yield()
+#else
+#define SFEMI_YIELD() (void)0
+#endif
+#include <time.h>
 #ifndef SFEM_SELF
 #define SFEM_SELF "softfem.h"
 #endif
@@ -1094,7 +1203,7 @@ static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *
  * A kernel is a function SFEMI_KERNEL(name) in section >>kernels, marked SFEMI_TARGET; its instances
  * are called name_0, name_1, name_2, and a table of pointers for each path, like sfemi_ldl_kernels,
  * chooses between them. Inside it SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
- * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_SUB, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
+ * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
  * (c - a b). Multiply-adds are explicit, so that the bits depend on the path and on nothing else. */
 static int sfemi_path(void)
 {
@@ -1115,20 +1224,17 @@ static int sfemi_path(void)
 #define SFEMI_INLINE inline
 #endif
 
-/* Instruction sets that hot kernels are compiled for on top of what the compiler was told to use. */
+/* For kernels that vector types would only obscure: loops over lanes that the compiler turns into
+ * vector instructions of the given set. */
 #if SFEMI_X86
-#define SFEMI_X86_PATHS
+#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
+#define SFEMI_AVX512 __attribute__((target("avx512f,avx2,fma")))
 #endif
 
 SFEM_DEF int sfem_vector_width(void)
 {
-#ifdef SFEMI_X86_PATHS
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl"))
-        return 8;
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return 4;
-#endif
-    return 1;
+    static const int width[3] = {1, 4, 8};
+    return width[sfemi_path()];
 }
 
 /* ============================================================================================
@@ -1169,24 +1275,32 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 /* c = a b, a^T b, a b^T. c must be neither. */
 static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j)
-            c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        c[i] = a[i] * b[0] + a[i + 1] * b[3] + a[i + 2] * b[6];
+        c[i + 1] = a[i] * b[1] + a[i + 1] * b[4] + a[i + 2] * b[7];
+        c[i + 2] = a[i] * b[2] + a[i + 1] * b[5] + a[i + 2] * b[8];
+    }
 }
 
 static void sfemi_mul3_tn(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j) c[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j];
+    int i;
+    for (i = 0; i < 3; ++i) {
+        c[3 * i] = a[i] * b[0] + a[3 + i] * b[3] + a[6 + i] * b[6];
+        c[3 * i + 1] = a[i] * b[1] + a[3 + i] * b[4] + a[6 + i] * b[7];
+        c[3 * i + 2] = a[i] * b[2] + a[3 + i] * b[5] + a[6 + i] * b[8];
+    }
 }
 
 static void sfemi_mul3_nt(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
-    int i, j;
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 3; ++j) c[3 * i + j] = sfemi_dot3(a + 3 * i, b + 3 * j);
+    int i;
+    for (i = 0; i < 9; i += 3) {
+        c[i] = sfemi_dot3(a + i, b);
+        c[i + 1] = sfemi_dot3(a + i, b + 3);
+        c[i + 2] = sfemi_dot3(a + i, b + 6);
+    }
 }
 
 /* d(det f)/df; f:c = 3 det f. */
@@ -1197,17 +1311,16 @@ static void sfemi_cofactor3(const sfem_real *f, sfem_real *c)
     sfemi_cross(f, f + 3, c + 6);
 }
 
-/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle that zeroes the
- * off-diagonal entry pq of a symmetric matrix. */
+/* One Jacobi rotation [Jacobi 1846; Rutishauser 1966]: the tangent of the angle, at most 45
+ * degrees, that zeroes the off-diagonal entry pq of a symmetric matrix. */
 static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
 {
-    const sfem_real theta = (qq - pp) / (2 * pq);
-    const sfem_real t = 1 / (fabs(theta) + sqrt(theta * theta + 1));
-    return theta < 0 ? -t : t;
+    const sfem_real d = qq - pp, t = 2 * pq / (fabs(d) + sqrt(d * d + 4 * pq * pq));
+    return d < 0 ? -t : t;
 }
 
-/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric matrix
- * a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
+/* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric
+ * matrix a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
 static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
 {
     sfem_real norm = 0;
@@ -1216,7 +1329,7 @@ static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
         norm += a[i] * a[i];
         v[i] = i % (n + 1) ? 0 : 1;
     }
-    norm = 1e-17 * sqrt(norm);
+    norm = 2e-16 * sqrt(norm); /* the rounding error */
     for (sweep = 0; sweep < 30 && turned; ++sweep) {
         turned = 0;
         for (p = 0; p < n - 1; ++p) {
@@ -1257,9 +1370,10 @@ static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
     }
 }
 
-/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were. Sweeps of
- * it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the start: the singular
- * value decomposition, its small values to their own rounding error [Hestenes 1958]. */
+/* Turns columns p and q of b and v, n x n, so that those of b are orthogonal; 0 if they were.
+ * Sweeps of it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the
+ * start: the singular value decomposition, its small values to their own rounding error
+ * [Hestenes 1958]. */
 static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
 {
     sfem_real pp = 0, qq = 0, pq = 0, t, c, s;
@@ -1283,10 +1397,11 @@ static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
     return 1;
 }
 
-/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none); where
- * nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves enough. */
-static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9], int k,
-                           sfem_real axis[3])
+/* axis = the unit vector along b less its part along the unit vector `before` (NULL: none);
+ * where nothing is left of b, the same of the first of the columns k, k+1, .. of v that leaves
+ * enough. */
+static void sfemi_svd_axis(const sfem_real b[3], const sfem_real *before, const sfem_real v[9],
+                           int k, sfem_real axis[3])
 {
     sfem_real length = 0, size, along;
     int tries, pass, i;
@@ -1325,8 +1440,9 @@ SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[
         v[i] = i % 4 ? 0 : 1;
     }
     if (!(scale > 0)) scale = 1;
-    for (i = 0; i < 9; ++i) b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
-    for (sweep = 0; sweep < 20 && turned; ++sweep) { /* b = f v / scale */
+    for (i = 0; i < 9; ++i)
+        b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
+    for (sweep = 0; sweep < 20 && turned; ++sweep) {           /* b = f v / scale */
         turned = sfemi_svd_turn(3, b, v, 0, 1);
         turned |= sfemi_svd_turn(3, b, v, 0, 2);
         turned |= sfemi_svd_turn(3, b, v, 1, 2);
@@ -1350,9 +1466,10 @@ SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[
 
 /* The nearest rotation R of an ordinary F, or 0. The trace t of S is the largest root of
  *     p(t) = t^4 - 2 |F|^2 t^2 - 8 det F t + |F|^4 - 4 |cof F|^2,
- * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura 2022]. That
- * loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F flat or a little
- * inverted is ordinary, F of rank 1 is not. The root is approached from above by Halley's method, which cannot overshoot. */
+ * whose four roots are real, and R = dt/dF = -(dp/dF)/(dp/dt) [after Lin, Chitalu, Komura
+ * 2022]. That loses the square of t^3 / dp/dt in accuracy, dp/dt = 8 (s1+s2)(s2+s3)(s3+s1): F
+ * flat or a little inverted is ordinary, F of rank 1 is not. The root is approached from above
+ * by Halley's method, which cannot overshoot. */
 static int sfemi_polar_fast(const sfem_real f[9], sfem_real r[9])
 {
     sfem_real c[9], ftf[9], norm2 = 0, cof2 = 0, det, t, step, slope;
@@ -4003,8 +4120,8 @@ SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_i
     SFEMI_NEW(sfem_int, bycol, m, (size_t)count + (size_t)n);
     SFEMI_NEW(sfem_int, byrow, m, (size_t)count + (size_t)n);
     SFEMI_NEW(sfem_int, place, m, (size_t)count + (size_t)n);
-#define SFEMI_I(e) ((e) >= count ? (e) - count : i[e] > j[e] ? i[e] : j[e])
-#define SFEMI_J(e) ((e) >= count ? (e) - count : i[e] > j[e] ? j[e] : i[e])
+#define SFEMI_I(e) ((e) >= count ? (e)-count : i[e] > j[e] ? i[e] : j[e])
+#define SFEMI_J(e) ((e) >= count ? (e)-count : i[e] > j[e] ? j[e] : i[e])
     for (e = 0; e < count + n; ++e) ++start[SFEMI_J(e) + 1];
     for (c = 0; c < n; ++c) start[c + 1] += start[c];
     for (e = 0; e < count + n; ++e) bycol[start[SFEMI_J(e)]++] = e;
@@ -4025,7 +4142,8 @@ SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_i
     SFEMI_NEW(sfem_real, val, m, 9 * (size_t)blocks + 1);
     for (e = 0; e < count + n; ++e) {
         col[place[e]] = SFEMI_J(e);
-        if (e < count && block) sfemi_matrix_add(val + 9 * (size_t)place[e], block + 9 * (size_t)e, i[e] < j[e]);
+        if (e < count && block)
+            sfemi_matrix_add(val + 9 * (size_t)place[e], block + 9 * (size_t)e, i[e] < j[e]);
     }
 #undef SFEMI_I
 #undef SFEMI_J
@@ -4181,7 +4299,8 @@ SFEM_DEF void sfem_matrix_multiply(const sfem_matrix *a, const sfem_real *x, sfe
         job.a = a;
         job.x = x;
         job.y = y;
-        sfemi_run(exec, (a->n + SFEMI_MATRIX_ROWS - 1) / SFEMI_MATRIX_ROWS, sfemi_matrix_gather, &job);
+        sfemi_run(exec, (a->n + SFEMI_MATRIX_ROWS - 1) / SFEMI_MATRIX_ROWS, sfemi_matrix_gather,
+                  &job);
         return;
     }
     for (i = 0; i < a->n; ++i) {
@@ -4271,8 +4390,8 @@ static void sfemi_graph_free(const sfem_allocator *m, sfemi_graph *g)
     memset(g, 0, sizeof *g);
 }
 
-static sfem_status sfemi_graph_create(const sfem_matrix *a, const sfem_allocator *m, sfemi_graph *out,
-                                      sfem_error *err)
+static sfem_status sfemi_graph_create(const sfem_matrix *a, const sfem_allocator *m,
+                                      sfemi_graph *out, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
     sfemi_graph g = {0, NULL, NULL};
@@ -4305,16 +4424,16 @@ done:
  * list of elements and then of variables, an element (an eliminated pivot) a list of variables. */
 typedef struct sfemi_amd {
     sfem_int n, space, used;
-    sfem_int *list;    /* [space] all lists */
-    sfem_int *spare;   /* [space] the other half of the garbage collector */
-    sfem_int *at;      /* [n] where the list starts */
-    sfem_int *length;  /* [n] */
+    sfem_int *list;     /* [space] all lists */
+    sfem_int *spare;    /* [space] the other half of the garbage collector */
+    sfem_int *at;       /* [n] where the list starts */
+    sfem_int *length;   /* [n] */
     sfem_int *elements; /* [n] how many of it are elements */
-    sfem_int *weight;  /* [n] nodes in the variable; 0: absorbed, or not a variable; < 0: in the new
-                        * element just now */
-    sfem_int *degree;  /* [n] approximate external degree; of an element, its weight */
-    sfem_int *mark;    /* [n] of elements: 0 dead, else compared with the stamp */
-    sfem_int *into;    /* [n] variable: the pivot or variable that absorbed it, or -1 */
+    sfem_int *weight; /* [n] nodes in the variable; 0: absorbed, or not a variable; < 0: in the new
+                       * element just now */
+    sfem_int *degree; /* [n] approximate external degree; of an element, its weight */
+    sfem_int *mark;   /* [n] of elements: 0 dead, else compared with the stamp */
+    sfem_int *into;   /* [n] variable: the pivot or variable that absorbed it, or -1 */
     sfem_int *head, *next, *prev; /* [n+1], [n], [n] lists of equal degree */
     sfem_int *hash, *bucket;      /* [n] of a variable; [n] hash lists, through next */
 } sfemi_amd;
@@ -4322,9 +4441,12 @@ typedef struct sfemi_amd {
 static void sfemi_amd_unlink(sfemi_amd *q, sfem_int i)
 {
     const sfem_int before = q->prev[i], after = q->next[i];
-    if (before >= 0) q->next[before] = after;
-    else if (q->head[q->degree[i]] == i) q->head[q->degree[i]] = after;
-    else return; /* not linked: a variable that is not to be eliminated */
+    if (before >= 0)
+        q->next[before] = after;
+    else if (q->head[q->degree[i]] == i)
+        q->head[q->degree[i]] = after;
+    else
+        return; /* not linked: a variable that is not to be eliminated */
     if (after >= 0) q->prev[after] = before;
 }
 
@@ -4392,8 +4514,9 @@ static int sfemi_amd_same(const sfemi_amd *q, sfem_int i, sfem_int j, const sfem
     return 1;
 }
 
-/* Orders the nodes that are not held; those are never eliminated, but count in the degrees of others
- * [Pellegrini, Roman, Amestoy 2000]. order gets the others' numbers, its length is returned in *count. */
+/* Orders the nodes that are not held; those are never eliminated, but count in the degrees of
+ * others [Pellegrini, Roman, Amestoy 2000]. order gets the others' numbers, its length is returned
+ * in *count. */
 static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *held,
                                    const sfem_allocator *m, sfem_int *order, sfem_int *count,
                                    sfem_error *err)
@@ -4402,11 +4525,13 @@ static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *he
     sfemi_amd q;
     sfem_int *pool = NULL, *seen = NULL, *pivots = NULL;
     const sfem_int n = g->n, nnz = n ? g->start[n] : 0;
-    sfem_int i, k, p, live = 0, left = 0, least = 0, stamp = 1, same = 0, made = 0, dense, total = 0;
+    sfem_int i, k, p, live = 0, left = 0, least = 0, stamp = 1, same = 0, made = 0, dense,
+                      total = 0;
     memset(&q, 0, sizeof q);
     q.n = n;
     if (nnz > INT32_MAX / 2 - 2 * n)
-        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld edges overflow the ordering's index", (long)nnz);
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%ld edges overflow the ordering's index",
+                          (long)nnz);
     q.space = nnz + nnz / 4 + 2 * n + 1;
     SFEMI_NEW(sfem_int, q.list, m, q.space);
     SFEMI_NEW(sfem_int, q.spare, m, q.space);
@@ -4476,7 +4601,8 @@ static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *he
                     degree += extra;
                     hash += (uint32_t)*e;
                     *keep++ = *e;
-                } else q.mark[*e] = 0; /* nothing outside p: absorbed */
+                } else
+                    q.mark[*e] = 0; /* nothing outside p: absorbed */
             }
             q.elements[me] = (sfem_int)(keep - start) + 1;
             {
@@ -4534,7 +4660,8 @@ static sfem_status sfemi_order_amd(const sfemi_graph *g, const unsigned char *he
                         q.weight[c] = 0;
                         q.into[c] = b;
                         q.next[last] = q.next[c];
-                    } else last = c;
+                    } else
+                        last = c;
                 }
             }
         }
@@ -4584,14 +4711,14 @@ done:
 }
 
 /* Nested dissection from the coordinates [George 1973; Miller, Teng, Thurston, Vavasis 1997 for the
- * setting]: a set of nodes is cut by the best of planes in 13 directions, the fewest nodes that cover
- * the cut edges are the separator [Koenig 1931], which is then refined by moving single nodes
+ * setting]: a set of nodes is cut by the best of planes in 13 directions, the fewest nodes that
+ * cover the cut edges are the separator [Koenig 1931], which is then refined by moving single nodes
  * [Fiduccia, Mattheyses 1982; Ashcraft, Liu 1997 for separators]. */
-#define SFEMI_DISSECT_LEAF 200 /* sets this small are left to minimum degree */
+#define SFEMI_DISSECT_LEAF       200 /* sets this small are left to minimum degree */
 #define SFEMI_DISSECT_DIRECTIONS 13
-#define SFEMI_DISSECT_WAYS 14 /* and by distance along edges */
-#define SFEMI_DISSECT_TRIALS 3 /* of which so many, the cheapest by count, are tried in full */
-#define SFEMI_DISSECT_BINS 241
+#define SFEMI_DISSECT_WAYS       14 /* and by distance along edges */
+#define SFEMI_DISSECT_TRIALS     3  /* of which so many, the cheapest by count, are tried in full */
+#define SFEMI_DISSECT_BINS       241
 
 typedef struct sfemi_dissect {
     const sfemi_graph *g;
@@ -4603,7 +4730,7 @@ typedef struct sfemi_dissect {
     sfem_int *near[2];     /* [n] of separator nodes: neighbours on either side */
     sfem_int *band;        /* [n] nodes so close to the plane that an edge may be cut */
     float *key;            /* [n] by position in the set */
-    signed char *side, *best; /* [n] by node: 0, 1, or 2 for the separator; 3 for a while */
+    signed char *side, *best;        /* [n] by node: 0, 1, or 2 for the separator; 3 for a while */
     float reach[SFEMI_DISSECT_WAYS]; /* longest edge along each direction */
     sfem_int stamp;
 } sfemi_dissect;
@@ -4611,7 +4738,7 @@ typedef struct sfemi_dissect {
 static const signed char *sfemi_dissect_axis(int direction)
 {
     static const signed char axis[SFEMI_DISSECT_DIRECTIONS][3] = {
-        {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 1, 0}, {1, -1, 0}, {1, 0, 1}, {1, 0, -1},
+        {1, 0, 0}, {0, 1, 0},  {0, 0, 1}, {1, 1, 0},  {1, -1, 0}, {1, 0, 1}, {1, 0, -1},
         {0, 1, 1}, {0, 1, -1}, {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
     return axis[direction];
 }
@@ -4636,8 +4763,8 @@ static void sfemi_dissect_reach(sfemi_dissect *d)
         }
 }
 
-/* mate[] = edges from a node that is far from others, found by two searches; a curled or perforated body
- * is cut better across its length than by a plane. */
+/* mate[] = edges from a node that is far from others, found by two searches; a curled or perforated
+ * body is cut better across its length than by a plane. */
 static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_int m)
 {
     sfem_int k, e, start = set[0], pass, head, tail, next;
@@ -4646,7 +4773,8 @@ static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_i
         for (head = tail = 0, next = 0; tail < m;) {
             if (head == tail) { /* another piece goes on where this one ended */
                 while (tail > 0 && d->mate[set[next]] >= 0) ++next;
-                d->mate[tail > 0 ? set[next] : start] = tail > 0 ? d->mate[d->queue[tail - 1]] + 2 : 0;
+                d->mate[tail > 0 ? set[next] : start] =
+                    tail > 0 ? d->mate[d->queue[tail - 1]] + 2 : 0;
                 d->queue[tail] = tail > 0 ? set[next] : start;
                 ++tail;
             }
@@ -4664,8 +4792,8 @@ static void sfemi_dissect_distance(sfemi_dissect *d, const sfem_int *set, sfem_i
     }
 }
 
-/* Keys of the set, and the plane that about halves them: keys < cut are side 0. Found from counts in
- * bins, which keep the layers of a lattice together. */
+/* Keys of the set, and the plane that about halves them: keys < cut are side 0. Found from counts
+ * in bins, which keep the layers of a lattice together. */
 static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int m, int direction)
 {
     const signed char *axis = sfemi_dissect_axis(direction % SFEMI_DISSECT_DIRECTIONS);
@@ -4691,8 +4819,8 @@ static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int
     return low + (float)b / scale;
 }
 
-/* The band around the plane, with sides; returns the smaller number of nodes that touch the other side,
- * which covers all cut edges, with a penalty for imbalance; -1 if a side is empty. */
+/* The band around the plane, with sides; returns the smaller number of nodes that touch the other
+ * side, which covers all cut edges, with a penalty for imbalance; -1 if a side is empty. */
 static double sfemi_dissect_count(sfemi_dissect *d, const sfem_int *set, sfem_int m, float cut,
                                   float reach, sfem_int *banded)
 {
@@ -4813,11 +4941,13 @@ static void sfemi_dissect_near(sfemi_dissect *d, sfem_int v)
     }
 }
 
-/* One pass: separator nodes move to a side, which draws their neighbours from the other side into the
- * separator; each node leaves once, and the best state seen is kept. Returns whether it got better. */
+/* One pass: separator nodes move to a side, which draws their neighbours from the other side into
+ * the separator; each node leaves once, and the best state seen is kept. Returns whether it got
+ * better. */
 static int sfemi_dissect_pass(sfemi_dissect *d, const sfem_int *set, sfem_int m, sfem_int *size)
 {
-    sfem_int *sep = d->mate, *log = d->queue, *seen = d->from; /* seen: left the separator already */
+    sfem_int *sep = d->mate, *log = d->queue,
+             *seen = d->from; /* seen: left the separator already */
     sfem_int count = 0, k, e, logged = 0, best_logged = 0, best, moves = 0, first, idle = 0;
     const sfem_int limit = (sfem_int)(0.58 * m);
     for (k = 0; k < m; ++k) {
@@ -4888,7 +5018,8 @@ static int sfemi_dissect_pass(sfemi_dissect *d, const sfem_int *set, sfem_int m,
     return best < first;
 }
 
-/* Cuts set[0..m) in place into side 0, side 1 and separator, of out[] nodes; returns 0 if it cannot. */
+/* Cuts set[0..m) in place into side 0, side 1 and separator, of out[] nodes; returns 0 if it
+ * cannot. */
 static int sfemi_dissect_cut(sfemi_dissect *d, sfem_int *set, sfem_int m, sfem_int *out)
 {
     double cost[SFEMI_DISSECT_WAYS], best = -1;
@@ -4933,7 +5064,8 @@ static int sfemi_dissect_cut(sfemi_dissect *d, sfem_int *set, sfem_int m, sfem_i
     return 1;
 }
 
-/* order[new] = old. The interiors of the smallest sets are ordered by minimum degree, all at once. */
+/* order[new] = old. The interiors of the smallest sets are ordered by minimum degree, all at once.
+ */
 static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
                                        const sfem_allocator *m, sfem_int *order, sfem_error *err)
 {
@@ -5006,8 +5138,8 @@ typedef struct sfemi_tree {
     double flops;
 } sfemi_tree;
 
-/* Numbers the nodes of a forest so that each subtree is contiguous and ends with its root; to[old] =
- * new. head and next are work of [n]. */
+/* Numbers the nodes of a forest so that each subtree is contiguous and ends with its root; to[old]
+ * = new. head and next are work of [n]. */
 static void sfemi_tree_postorder(sfem_int n, const sfem_int *parent, sfem_int *to, sfem_int *head,
                                  sfem_int *next)
 {
@@ -5131,6 +5263,117 @@ done:
     return status;
 }
 
+/* --- counters that threads share ------------------------------------------------------------- */
+
+#if defined(__GNUC__)
+#define SFEMI_ATOMICS 1
+typedef int32_t sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
+                                                                               */
+#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
+#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
+#elif defined(_MSC_VER)
+#define SFEMI_ATOMICS          1
+typedef long sfemi_counter;
+long _InterlockedExchangeAdd(long volatile *, long);
+long _InterlockedExchange(long volatile *, long);
+#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
+#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
+#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
+#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
+#define SFEMI_ATOMICS          0
+typedef long sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
+#define SFEMI_ATOMIC_GET(p)    (*(p))
+#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
+#endif
+
+/* Seconds since some moment, or 0 where the language has no such clock. */
+static double sfemi_seconds(void)
+{
+#ifdef _OPENMP
+    return omp_get_wtime();
+#elif defined(TIME_UTC) && !defined(_WIN32)
+    struct timespec t;
+    timespec_get(&t, TIME_UTC);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+#else
+    return 0;
+#endif
+}
+
+/* A crew works off a list of units on several threads in one parallel region: each worker takes the
+ * next unit, waits for what it depends on, which stands before it in the list and so has been
+ * taken, and does it. So one worker alone can do everything, and nobody waits for a thread that the
+ * system has not started.
+ *
+ * On a busy machine several threads may still take longer than one. A pace compares the two: one
+ * call in 64 is done alone, and where the crew was slower it rests, for longer each time. */
+#define SFEMI_CREW 32 /* most workers */
+
+typedef struct sfemi_pace {
+    sfemi_counter calls, rest, longer;
+    sfemi_counter alone; /* microseconds / 4 of the latest call on one thread, or 0 */
+} sfemi_pace;
+
+typedef struct sfemi_crew {
+    void (*unit)(void *data, sfem_int unit);
+    void *data;
+    sfem_int count;
+    sfemi_counter *next;
+} sfemi_crew;
+
+static void sfemi_crew_work(void *data, sfem_int worker)
+{
+    sfemi_crew *c = (sfemi_crew *)data;
+    (void)worker;
+    for (;;) {
+        const sfem_int unit = (sfem_int)SFEMI_ATOMIC_ADD(c->next, 1);
+        if (unit >= c->count) return;
+        c->unit(c->data, unit);
+    }
+}
+
+static void sfemi_crew_wait(sfemi_counter *counter, sfem_int value)
+{
+    int spins = 0;
+    while (SFEMI_ATOMIC_GET(counter) < value) {
+        if (++spins > 2000) SFEMI_YIELD(); /* who has the unit may need this processor */
+#if SFEMI_X86
+        else
+            __builtin_ia32_pause();
+#endif
+    }
+}
+
+/* Threads to use for the next call. */
+static sfem_int sfemi_pace_threads(sfemi_pace *p, const sfem_exec *e)
+{
+    const sfem_int threads = SFEMI_ATOMICS ? sfemi_threads(e) : 1;
+    if (threads == 1) return 1;
+    if (SFEMI_ATOMIC_GET(&p->rest) > 0) {
+        (void)SFEMI_ATOMIC_ADD(&p->rest, -1);
+        return 1;
+    }
+    if (SFEMI_ATOMIC_ADD(&p->calls, 1) % 64 == 1) return 1;
+    return threads < SFEMI_CREW ? threads : SFEMI_CREW;
+}
+
+static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
+{
+    const double units = seconds * 250000 + 1;
+    const sfemi_counter took = units < 1e9 ? (sfemi_counter)units : 1000000000;
+    const sfemi_counter alone = SFEMI_ATOMIC_GET(&p->alone), longer = SFEMI_ATOMIC_GET(&p->longer);
+    if (seconds <= 0) return;
+    if (threads == 1)
+        SFEMI_ATOMIC_SET(&p->alone, took);
+    else if (alone && took > alone) {
+        SFEMI_ATOMIC_SET(&p->longer, longer < 8 ? 8 : longer < 512 ? 2 * longer : longer);
+        SFEMI_ATOMIC_SET(&p->rest, SFEMI_ATOMIC_GET(&p->longer));
+    } else
+        SFEMI_ATOMIC_SET(&p->longer, longer / 2);
+}
+
 /* --- fronts and kernels ---------------------------------------------------------------------- */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
@@ -5218,30 +5461,33 @@ typedef struct sfemi_ldl_kernels {
                       const double *);
     int (*pivots)(size_t, size_t, double *, int, int, const double *, double *, double *);
     void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
+    void (*dense_minus)(size_t, const double *, size_t, const double *, double *);
+    void (*dense_dots)(size_t, const double *, size_t, const double *, double *);
     void (*invert)(size_t, size_t, double *, const double *);
     void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
-    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
-                     double *);
-    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *, double *);
-    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, const double *,
-                      double *);
+    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+                     const double *, double *);
+    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+                      const double *, double *);
     void (*invert32)(size_t, size_t, float *, const double *);
     void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
-    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
-                       float *);
-    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *, float *);
-    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, const float *,
-                         float *);
+    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+                       const float *, float *);
+    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+                         const float *, float *);
 } sfemi_ldl_kernels;
 
 static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 {
-#define SFEMI_TABLE(name, width, p)                                                                  \
-    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,      \
-     sfemi_ldl_add_64_##p, sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p,                        \
-     sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p,               \
-     sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p,                   \
-     sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
+#define SFEMI_TABLE(name, width, p)                                                                \
+    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,    \
+     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p,                      \
+     sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p,                 \
+     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, sfemi_ldl_invert_32_##p,               \
+     sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p,               \
+     sfemi_ldl_backward8_32_##p}
     static const sfemi_ldl_kernels table[] = {
         SFEMI_TABLE("portable", 4, 0),
 #if SFEMI_X86
@@ -5255,55 +5501,44 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 
 /* --- symbolic analysis ----------------------------------------------------------------------- */
 
-#if defined(__GNUC__)
-#define SFEMI_COUNT_UP(p) ((void)__atomic_add_fetch((p), 1, __ATOMIC_RELAXED))
-#define SFEMI_COUNT_DOWN(p) __atomic_sub_fetch((p), 1, __ATOMIC_ACQ_REL)
-#elif defined(_MSC_VER)
-long _InterlockedIncrement(long volatile *);
-long _InterlockedDecrement(long volatile *);
-#define SFEMI_COUNT_UP(p) ((void)_InterlockedIncrement(p))
-#define SFEMI_COUNT_DOWN(p) _InterlockedDecrement(p)
-#else /* no atomics: make and free factors from one thread */
-#define SFEMI_COUNT_UP(p) ((void)++*(p))
-#define SFEMI_COUNT_DOWN(p) (--*(p))
-#endif
-
-/* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1] in
- * the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
+/* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1]
+ * in the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
  *
- * Work is cut into tasks, the same for any number of threads: a task is a run of supernodes, either a
- * whole subtree of the elimination tree or one supernode above those. Tasks of equal level do not
+ * Work is cut into tasks, the same for any number of threads: a task is a run of supernodes, either
+ * a whole subtree of the elimination tree or one supernode above those. Tasks of equal level do not
  * depend on each other. */
 typedef struct sfemi_symbolic {
-    long references; /* atomic */
+    sfemi_counter references;
     sfem_allocator allocator;
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
     sfem_ordering ordering;
-    sfem_int *order;   /* [n] order[new] = old */
-    sfem_int *inverse; /* [n] */
-    sfem_int *first;   /* [supernodes + 1] */
-    size_t *start;     /* [supernodes + 1] */
-    sfem_int *rows;    /* [start[supernodes]] */
-    sfem_int *place;   /* where in the parent's front each of the rows is, in nodes */
-    sfem_int *target;  /* where in the solve's work array each of the rows is, in nodes */
-    sfem_int *parent;  /* [supernodes] or -1 */
-    sfem_int *child;   /* [supernodes] first child or -1 */
-    sfem_int *sibling; /* [supernodes] next child of the same parent or -1 */
-    size_t *panel;     /* [supernodes + 1] where L starts */
-    size_t *panel32;   /* [supernodes + 1] where its float copy starts */
-    size_t *update;    /* [supernodes] where the update matrix stands in the work memory */
+    sfem_int *order;     /* [n] order[new] = old */
+    sfem_int *inverse;   /* [n] */
+    sfem_int *first;     /* [supernodes + 1] */
+    size_t *start;       /* [supernodes + 1] */
+    sfem_int *rows;      /* [start[supernodes]] */
+    sfem_int *place;     /* where in the parent's front each of the rows is, in nodes */
+    sfem_int *target;    /* where in the solve's work array each of the rows is, in nodes */
+    sfem_int *parent;    /* [supernodes] or -1 */
+    sfem_int *child;     /* [supernodes] first child or -1 */
+    sfem_int *sibling;   /* [supernodes] next child of the same parent or -1 */
+    size_t *panel;       /* [supernodes + 1] where L starts */
+    size_t *panel32;     /* [supernodes + 1] where its float copy starts */
+    size_t *update;      /* [supernodes] where the update matrix stands in the work memory */
     size_t *update_kept; /* [supernodes + 1] the same, if all are kept */
-    size_t *signs;     /* [tasks + 1] where a task's signed copy of a panel stands */
-    sfem_int *from;    /* [supernodes + 1] blocks of A that start in the supernode's columns */
-    sfem_int *source;  /* [blocks] block of A */
-    sfem_int *into;    /* [blocks][2] row and column in nodes in the front; row < 0: ~row, transposed */
-    sfem_int *task;    /* [tasks + 1] first supernode */
-    sfem_int *of;      /* [supernodes] task */
-    sfem_int *buffer;  /* [tasks + 1] where its buffer starts in the solve's work array, in nodes */
-    sfem_int *level;   /* [levels + 1] into by_level */
-    sfem_int *by_level; /* [tasks] */
-    size_t *scratch;   /* [tasks + 1] the solve's scratch of a task, in rows */
+    size_t *signs;       /* [tasks + 1] where a task's signed copy of a panel stands */
+    sfem_int *from;      /* [supernodes + 1] blocks of A that start in the supernode's columns */
+    sfem_int *source;    /* [blocks] block of A */
+    sfem_int
+        *into; /* [blocks][2] row and column in nodes in the front; row < 0: ~row, transposed */
+    sfem_int *task;   /* [tasks + 1] first supernode */
+    sfem_int *of;     /* [supernodes] task */
+    sfem_int *buffer; /* [tasks + 1] where its buffer starts in the solve's work array, in nodes */
+    sfem_int *level;  /* [levels + 1] into by_level */
+    sfem_int *by_level;                   /* [tasks] */
+    sfem_int *at_level;                   /* [tasks] its inverse */
+    size_t *scratch;                      /* [tasks + 1] the solve's scratch of a task, in rows */
     size_t update_size, update_kept_size; /* in scalars */
     size_t nnz, bytes;
     double flops;
@@ -5318,7 +5553,7 @@ static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, siz
 static void sfemi_symbolic_free(sfemi_symbolic *y)
 {
     sfem_allocator m;
-    if (!y || SFEMI_COUNT_DOWN(&y->references) > 0) return;
+    if (!y || SFEMI_ATOMIC_ADD(&y->references, -1) > 1) return;
     m = y->allocator;
     sfemi_delete(&m, y->order);
     sfemi_delete(&m, y->inverse);
@@ -5344,24 +5579,28 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
     sfemi_delete(&m, y->buffer);
     sfemi_delete(&m, y->level);
     sfemi_delete(&m, y->by_level);
+    sfemi_delete(&m, y->at_level);
     sfemi_delete(&m, y);
 }
 
-/* Is it worth a merged supernode of k columns over m rows to hold so many zeros? */
-static int sfemi_merge_pays(double k, double m, double zeros, double n)
+/* Is it worth a merged supernode of k columns over m rows to hold so many zeros? On small meshes
+ * the calls for each supernode dominate, on large ones the memory that the solve reads (measured).
+ */
+static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n)
 {
-    const double share = zeros / (k * (k + 1) / 2 + k * m);
-    const int small = n < 900; /* calls dominate: merge more */
-    if (k <= 4) return share < (small ? 0.6 : 0.4);
-    if (k <= 8) return share < (small ? 0.35 : 0.15);
-    if (k <= 16) return share < (small ? 0.2 : 0.08);
-    return share < (small ? 0.08 : 0.03);
+    static const double limit[3][4] = {/* up to 4, 8, 16 and more columns, in nodes */
+                                       {.8, .5, .3, .15},
+                                       {.6, .35, .2, .08},
+                                       {.4, .15, .08, .03}};
+    const double *most = limit[n < 500 ? 0 : n < 2500 ? 1 : 2];
+    return zeros / (k * (k + 1) / 2 + k * m) < most[k <= 4 ? 0 : k <= 8 ? 1 : k <= 16 ? 2 : 3];
 }
 
 /* Supernodes: columns of equal structure [Ashcraft, Grimes 1989], then children merged into parents
  * where that adds few zeros. Renumbers so that each is contiguous; fills order, inverse, first,
  * parent. */
-static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t, sfem_error *err)
+static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t,
+                                             sfem_error *err)
 {
     const sfem_allocator *m = &y->allocator;
     const sfem_int n = t->n;
@@ -5387,7 +5626,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
             width[count] = 0;
             child[count] = -1;
             ++count;
-        } else next[tail[count - 1]] = i;
+        } else
+            next[tail[count - 1]] = i;
         s = count - 1;
         tail[s] = i;
         next[i] = -1;
@@ -5401,7 +5641,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
         sibling[s] = child[parent[s]];
         child[parent[s]] = s;
     }
-    for (s = 0; s < count; ++s) { /* children first; merge the one with the least new zeros, repeat */
+    for (s = 0; s < count;
+         ++s) { /* children first; merge the one with the least new zeros, repeat */
         for (;;) {
             sfem_int c, before = -1, pick = -1, pick_before = -1;
             double least = 0;
@@ -5419,8 +5660,10 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
             head[s] = head[pick];
             width[s] += width[pick];
             width[pick] = 0;
-            if (pick_before < 0) child[s] = sibling[pick];
-            else sibling[pick_before] = sibling[pick];
+            if (pick_before < 0)
+                child[s] = sibling[pick];
+            else
+                sibling[pick_before] = sibling[pick];
             for (c = child[pick]; c >= 0;) { /* its children become those of s */
                 const sfem_int after = sibling[c];
                 parent[c] = s;
@@ -5453,7 +5696,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
     }
     y->first[made] = at;
     for (i = 0; i < count; ++i)
-        if (width[child[i]]) y->parent[of[child[i]]] = parent[child[i]] < 0 ? -1 : of[parent[child[i]]];
+        if (width[child[i]])
+            y->parent[of[child[i]]] = parent[child[i]] < 0 ? -1 : of[parent[child[i]]];
     for (s = made; s-- > 0;) y->child[s] = -1;
     for (s = made; s-- > 0;) {
         y->sibling[s] = -1;
@@ -5576,7 +5820,7 @@ static sfem_status sfemi_symbolic_blocks(sfemi_symbolic *y, const sfem_matrix *a
     SFEMI_NEW(sfem_int, y->into, m, 2 * (size_t)y->blocks + 2);
     for (s = 0; s < y->supernodes; ++s)
         for (i = y->first[s]; i < y->first[s + 1]; ++i) of[i] = s;
-#define SFEMI_LOW(i, k)                                                                              \
+#define SFEMI_LOW(i, k)                                                                            \
     (y->inverse[i] < y->inverse[a->col[k]] ? y->inverse[i] : y->inverse[a->col[k]])
     for (i = 0; i < y->n; ++i)
         for (k = a->row[i]; k < a->row[i + 1]; ++k) ++y->from[of[SFEMI_LOW(i, k)] + 2];
@@ -5610,7 +5854,7 @@ done:
 
 /* Cuts the work into tasks of at most a 16th of it and finds the place of every update matrix. */
 #define SFEMI_TASK_SHARE 16
-#define SFEMI_TASK_LEAST 4e6 /* floating-point operations below which one task does everything */
+#define SFEMI_TASK_LEAST 3e7 /* floating-point operations below which one task does everything */
 
 /* First fit: blocks that live at the same time do not overlap. */
 typedef struct sfemi_slot {
@@ -5658,8 +5902,8 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
         if (y->parent[s] >= 0) weight[y->parent[s]] += weight[s];
     }
     if (total < SFEMI_TASK_LEAST) total *= 2 * SFEMI_TASK_SHARE;
-    /* A task ends with each supernode that is heavy, or whose parent is; light trees are put together,
-     * also with what follows, as they have no rows outside. */
+    /* A task ends with each supernode that is heavy, or whose parent is; light trees are put
+     * together, also with what follows, as they have no rows outside. */
     for (s = 0; s < ns; ++s) {
         const int heavy = weight[s] > total / SFEMI_TASK_SHARE;
         const sfem_int p = y->parent[s];
@@ -5681,9 +5925,13 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
     y->levels = tasks ? top + 1 : 0;
     SFEMI_NEW(sfem_int, y->level, m, (size_t)y->levels + 3);
     SFEMI_NEW(sfem_int, y->by_level, m, (size_t)tasks + 1);
+    SFEMI_NEW(sfem_int, y->at_level, m, (size_t)tasks + 1);
     for (t = 0; t < tasks; ++t) ++y->level[level[t] + 2];
     for (t = 0; t < y->levels; ++t) y->level[t + 2] += y->level[t + 1];
-    for (t = 0; t < tasks; ++t) y->by_level[y->level[level[t] + 1]++] = t;
+    for (t = 0; t < tasks; ++t) {
+        y->at_level[t] = y->level[level[t] + 1]++;
+        y->by_level[y->at_level[t]] = t;
+    }
 done:
     sfemi_delete(m, weight);
     sfemi_delete(m, level);
@@ -5699,7 +5947,7 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
     sfem_status status = SFEM_OK;
     sfemi_slot *slot = NULL;
     size_t shared = 0, *base = NULL;
-    sfem_int s, t, l, k, count = 0;
+    sfem_int s, t, count = 0;
     SFEMI_NEW(sfemi_slot, slot, m, (size_t)ns + 1);
     SFEMI_NEW(size_t, base, m, (size_t)y->tasks + 2);
     SFEMI_NEW(size_t, y->panel, m, (size_t)ns + 1);
@@ -5714,7 +5962,8 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
         size_t widest = 0, signs = 0;
         count = 0;
         for (s = y->task[t]; s <= root; ++s) {
-            const sfemi_shape h = sfemi_symbolic_shape(y, s, w), h32 = sfemi_symbolic_shape(y, s, 8);
+            const sfemi_shape h = sfemi_symbolic_shape(y, s, w),
+                              h32 = sfemi_symbolic_shape(y, s, 8);
             const size_t size = sfemi_shape_panel_size(&h), u = sfemi_shape_update_size(&h);
             size_t a, b = y->start[root];
             y->panel[s + 1] = y->panel[s] + size;
@@ -5743,21 +5992,12 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
         }
         y->buffer[t + 1] = y->buffer[t] + (sfem_int)(y->start[root + 1] - y->start[root]);
     }
-    /* roots of tasks live from their level to their parent's */
-    for (count = 0, l = 0; l < y->levels; ++l)
-        for (k = y->level[l]; k < y->level[l + 1]; ++k) {
-            const sfem_int root = y->task[y->by_level[k] + 1] - 1;
-            const size_t u = y->update_kept[root + 1] - y->update_kept[root];
-            sfem_int until = l;
-            if (!u) continue;
-            for (until = l + 1; until < y->levels; ++until) {
-                const sfem_int *b = y->by_level + y->level[until], *e = y->by_level + y->level[until + 1];
-                while (b < e && *b != y->of[y->parent[root]]) ++b;
-                if (b < e) break;
-            }
-            y->update[root] = sfemi_slot_take(slot, &count, u, l, until);
-            if (y->update[root] + u > shared) shared = y->update[root] + u;
-        }
+    for (t = 0; t < y->tasks;
+         ++t) { /* roots of tasks: threads may be anywhere, so nothing is reused */
+        const sfem_int root = y->task[t + 1] - 1;
+        y->update[root] = shared;
+        shared += y->update_kept[root + 1] - y->update_kept[root];
+    }
     for (base[0] = shared, t = 0; t < y->tasks; ++t) {
         base[t + 1] += base[t];
         for (s = y->task[t]; s < y->task[t + 1] - 1; ++s) y->update[s] += base[t];
@@ -5770,10 +6010,11 @@ done:
     return status;
 }
 
-/* The better of two orderings, or the one asked for. Minimum degree always wins on small meshes, and
- * dissection on large ones unless they are thin, so that one of the two can then be saved (measured). */
+/* The better of two orderings, or the one asked for. Minimum degree always wins on small meshes,
+ * and dissection on large ones unless they are thin, so that one of the two can then be saved
+ * (measured). */
 #define SFEMI_DISSECT_FROM 1500
-#define SFEMI_DISSECT_SURE 8000
+#define SFEMI_DISSECT_SURE 4000
 
 static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_graph *g,
                                         sfem_ordering *taken, sfemi_tree *out, sfem_error *err)
@@ -5797,7 +6038,8 @@ static sfem_status sfemi_symbolic_order(const sfem_ldl_def *def, const sfemi_gra
         SFEMI_TRY(sfemi_tree_create(g, &best, order, m, err));
     }
     if (def->ordering == SFEM_ORDER_AMD ||
-        (def->ordering == SFEM_ORDER_BEST && (g->n < SFEMI_DISSECT_SURE || best.flops < 20. * g->n * g->n))) {
+        (def->ordering == SFEM_ORDER_BEST &&
+         (g->n < SFEMI_DISSECT_SURE || best.flops < 30. * g->n * g->n))) {
         SFEMI_TRY(sfemi_order_amd(g, NULL, m, order, &i, err));
         SFEMI_TRY(sfemi_tree_create(g, &other, order, m, err));
         if (!best.pool || other.flops < best.flops) {
@@ -5828,7 +6070,8 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     if (def->ordering == SFEM_ORDER_DISSECTION && !def->x)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "nested dissection needs coordinates");
     if (def->x && !sfemi_all_finite(def->x, 3 * (size_t)a->n))
-        return sfemi_fail(err, SFEM_NOT_FINITE, "a coordinate given for the ordering is not finite");
+        return sfemi_fail(err, SFEM_NOT_FINITE,
+                          "a coordinate given for the ordering is not finite");
     SFEMI_NEW(sfemi_symbolic, y, m, 1);
     y->references = 1;
     y->allocator = *m;
@@ -5855,26 +6098,270 @@ done:
     return status;
 }
 
-/* --- numeric factor -------------------------------------------------------------------------- */
+/* --- the factor and its solves --------------------------------------------------------------- */
 
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
     sfem_allocator allocator;
     sfem_exec exec;
     int positive, mixed, keep, valid;
-    double *l;           /* all panels */
-    float *l32;          /* the same in float, divided by unit */
-    double *update;      /* update matrices */
-    double *signs;       /* signed copies of panels, unless positive */
-    double *scale;       /* [3n] s / sqrt|d| of each pivot */
-    double *floor;       /* [3n] what a pivot must exceed */
-    double *lost;        /* [tasks] the pivot that stopped a task */
-    sfem_int *lost_at;   /* [tasks] its column, or -1 */
-    sfem_int *negative;  /* [supernodes] negative pivots */
+    double *l;            /* all panels */
+    float *l32;           /* the same in float, divided by unit */
+    double *update;       /* update matrices */
+    double *signs;        /* signed copies of panels, unless positive */
+    double *scale;        /* [3n] s / sqrt|d| of each pivot */
+    double *floor;        /* [3n] what a pivot must exceed */
+    double *lost;         /* [tasks] the pivot that stopped a task */
+    sfem_int *lost_at;    /* [tasks] its column, or -1; -2: a task below failed */
+    sfem_int *units;      /* [tasks + 1] in order of levels: units of work before each */
+    sfemi_counter *done;  /* [tasks + 1] units done; then the crew's counter */
+    sfemi_pace *pace;     /* [3] of factorisations, solves, solves of blocks */
+    sfem_int *negative;   /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
-    double unit;         /* power of 2 near the root of the largest entry of A */
-    double pivot_min, pivot_max, growth;
+    double unit;          /* power of 2 near the root of the largest entry of A */
+    double *probe; /* unless positive: for a solve that tells whether the factor is any good */
+    double pivot_min, pivot_max, residual;
 };
+
+/* --- solve ----------------------------------------------------------------------------------- */
+
+#define SFEMI_SOLVE_BLOCK   8  /* right sides that are solved for together */
+#define SFEMI_SOLVE_ALONE   2  /* up to so many are solved for one by one */
+#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
+
+/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows
+ * outside, and scratch for each task; each row of `block` numbers side by side */
+typedef struct sfemi_solve {
+    const sfem_ldl *ldl;
+    size_t block;
+    double *w, *scratch;
+    float *w32, *scratch32;
+    sfem_task forward, backward;
+    sfemi_counter *done;
+    sfemi_pace *pace;
+} sfemi_solve;
+
+static size_t sfemi_solve_rows(const sfemi_symbolic *y)
+{
+    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
+}
+
+SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
+           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 2 * (size_t)y->tasks + 64;
+}
+
+/* The tasks of both sweeps, for double and float. */
+#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,      \
+                          backward_, forward8_, backward8_)                                        \
+    static void forward_task(void *data, sfem_int index)                                           \
+    {                                                                                              \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                          \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                \
+        const sfem_int t = index, root = y->task[t + 1] - 1;                                       \
+        const size_t n = 3 * q->block; /* numbers to a node */                                     \
+        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);         \
+        const sfem_int wide = y->first[root + 1] - y->first[root];                                 \
+        sfem_int s, c;                                                                             \
+        size_t i;                                                                                  \
+        memset(buffer, 0, n *(size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);          \
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */   \
+            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                  \
+            size_t a = y->start[c];                                                                \
+            if (y->of[c] == t) continue;                                                           \
+            for (; a < y->start[c + 1]; ++a, from += n) {                                          \
+                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])        \
+                                           : buffer + n * (size_t)(y->place[a] - wide);            \
+                for (i = 0; i < n; ++i) to[i] += from[i];                                          \
+            }                                                                                      \
+        }                                                                                          \
+        for (s = y->task[t]; s <= root; ++s) {                                                     \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            R *x = w + n * (size_t)y->first[s];                                                    \
+            (q->block == 1 ? y->kernels->forward_ : y->kernels->forward8_)(                        \
+                k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w);                   \
+            if (q->ldl->negative[s]) {                                                             \
+                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                     \
+                size_t p;                                                                          \
+                for (p = 0; p < k; ++p)                                                            \
+                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                 \
+                        x[p * q->block + i] = -x[p * q->block + i];                                \
+            }                                                                                      \
+        }                                                                                          \
+    }                                                                                              \
+    static void backward_task(void *data, sfem_int index)                                          \
+    {                                                                                              \
+        const sfemi_solve *q = (const sfemi_solve *)data;                                          \
+        const sfemi_symbolic *y = q->ldl->symbolic;                                                \
+        const sfem_int t = index, root = y->task[t + 1] - 1, p = y->parent[root];                  \
+        const size_t n = 3 * q->block;                                                             \
+        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);               \
+        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                      \
+        size_t a;                                                                                  \
+        sfem_int s;                                                                                \
+        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                       \
+            const sfem_int wide = y->first[p + 1] - y->first[p];                                   \
+            const sfem_int at = y->place[a] < wide                                                 \
+                                    ? y->first[p] + y->place[a]                                    \
+                                    : y->n + y->buffer[y->of[p]] + y->place[a] - wide;             \
+            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                \
+        }                                                                                          \
+        for (s = root; s >= y->task[t]; --s) {                                                     \
+            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
+            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                      \
+                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                  \
+                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                 \
+        }                                                                                          \
+    }
+
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8)
+SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32,
+                  panel32, forward32, backward32, forward8_32, backward8_32)
+#undef SFEMI_SOLVE_TASKS
+
+/* Unit u of a solve: tasks up the tree by levels, then down again; done[] has one flag for each. */
+static void sfemi_solve_unit(void *data, sfem_int u)
+{
+    const sfemi_solve *q = (const sfemi_solve *)data;
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const int up = u < y->tasks;
+    const sfem_int t = y->by_level[up ? u : 2 * y->tasks - 1 - u], root = y->task[t + 1] - 1;
+    sfem_int c;
+    if (up)
+        for (c = y->child[root]; c >= 0; c = y->sibling[c]) {
+            if (y->of[c] != t) sfemi_crew_wait(q->done + y->of[c], 1);
+        }
+    else
+        sfemi_crew_wait(q->done + (y->parent[root] < 0 ? t : y->tasks + y->of[y->parent[root]]), 1);
+    (up ? q->forward : q->backward)(data, t);
+    SFEMI_ATOMIC_SET(q->done + (up ? t : y->tasks + t), 1);
+}
+
+/* Up the tree and down again. */
+#define SFEMI_SOLVE_PARALLEL 400000 /* numbers in L from which a solve is worth several threads */
+
+static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
+                               sfem_task backward)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const sfem_int threads =
+        y->tasks > 1 && y->nnz > SFEMI_SOLVE_PARALLEL ? sfemi_pace_threads(q->pace, exec) : 1;
+    const double start = exec && exec->threads > 1 ? sfemi_seconds() : 0;
+    sfem_int t;
+    if (threads > 1) {
+        sfemi_crew crew;
+        crew.unit = sfemi_solve_unit;
+        crew.data = q;
+        crew.count = 2 * y->tasks;
+        crew.next = q->done + 2 * y->tasks;
+        memset(q->done, 0, (2 * (size_t)y->tasks + 1) * sizeof *q->done);
+        q->forward = forward;
+        q->backward = backward;
+        SFEMI_ATOMIC_SET(crew.next, 0);
+        sfemi_run(exec, threads, sfemi_crew_work, &crew);
+    } else {
+        for (t = 0; t < y->tasks; ++t) forward(q, t);
+        for (t = y->tasks; t-- > 0;) backward(q, t);
+    }
+    if (start > 0) sfemi_pace_took(q->pace, threads, sfemi_seconds() - start);
+}
+
+/* count <= block right sides; those that are missing are 0 */
+static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    size_t i, r, c;
+    if (b == 1) {
+        double *w = q->w;
+        for (i = 0; i < (size_t)y->n; ++i) {
+            const double *from = x + 3 * (size_t)y->order[i];
+            w[3 * i] = from[0];
+            w[3 * i + 1] = from[1];
+            w[3 * i + 2] = from[2];
+        }
+        sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+        for (i = 0; i < (size_t)y->n; ++i) {
+            double *to = x + 3 * (size_t)y->order[i];
+            to[0] = w[3 * i];
+            to[1] = w[3 * i + 1];
+            to[2] = w[3 * i + 2];
+        }
+        return;
+    }
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+}
+
+/* The same in float, each right side scaled to 1 lest floats overflow. */
+static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t n = 3 * (size_t)y->n, b = q->block;
+    double unit[SFEMI_SOLVE_BLOCK];
+    size_t i, r, c;
+    for (r = 0; r < count; ++r) {
+        double most = 0;
+        int e = 0;
+        for (i = 0; i < n; ++i)
+            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
+        if (most > 0) (void)frexp(most, &e);
+        unit[r] = ldexp(1.0, -e);
+    }
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < b; ++r)
+                q->w32[(3 * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
+    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
+    for (i = 0; i < (size_t)y->n; ++i)
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < count; ++r)
+                x[r * n + 3 * (size_t)y->order[i] + c] =
+                    unit[r] * (double)q->w32[(3 * i + c) * b + r];
+}
+
+SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
+                             const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    sfemi_solve q;
+    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
+    q.pace = ldl->pace + (q.block == 1 ? 1 : 2);
+    q.w = work;
+    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
+    q.w32 = (float *)(void *)q.w;
+    q.scratch32 = (float *)(void *)q.scratch;
+    q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
+                                                       SFEMI_SOLVE_SCRATCH);
+    while (rhs > 0 && n > 0) {
+        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
+        if (ldl->mixed)
+            sfemi_solve_some32(&q, count, x, exec);
+        else
+            sfemi_solve_some(&q, count, x, exec);
+        x += count * n;
+        rhs -= (sfem_int)count;
+    }
+}
+
+/* --- numeric factor -------------------------------------------------------------------------- */
 
 typedef struct sfemi_front {
     const sfem_ldl *ldl;
@@ -5882,11 +6369,9 @@ typedef struct sfemi_front {
     sfem_int s;
     sfemi_shape h;
     double *l, *u, *scale;
-    double *b; /* what stands at the right of products: l, or its signed copy */
-    const sfem_exec *exec;
+    double *b;         /* what stands at the right of products: l, or its signed copy */
     size_t begin, end; /* diagonal tiles of the block of columns at work */
-    int load;
-    sfem_int child;
+    int load;          /* are there children, so that U starts from what they add? */
 } sfemi_front;
 
 static double *sfemi_ldl_update_of(const sfem_ldl *ldl, sfem_int s)
@@ -5902,10 +6387,12 @@ static void sfemi_front_begin(sfemi_front *q)
     const double least = q->ldl->positive ? 4e-15 : 1e-13;
     sfem_int e;
     memset(q->l, 0, sfemi_shape_panel_size(h) * sizeof *q->l);
+    if (q->load) memset(q->u, 0, sfemi_shape_update_size(h) * sizeof *q->u);
     for (e = y->from[q->s]; e < y->from[q->s + 1]; ++e) {
         const sfem_int in = y->into[2 * (size_t)e];
         const double *v = q->a->val + 9 * (size_t)y->source[e];
-        const size_t row = 3 * (size_t)(in < 0 ? ~in : in), col = 3 * (size_t)y->into[2 * (size_t)e + 1];
+        const size_t row = 3 * (size_t)(in < 0 ? ~in : in),
+                     col = 3 * (size_t)y->into[2 * (size_t)e + 1];
         const size_t tile = row / h->t, hd = sfemi_shape_height(h, tile);
         const size_t across = in < 0 ? 3 : 1, down = in < 0 ? 1 : 3;
         double *d = q->l + sfemi_shape_panel(h, tile) + col * hd + (row - tile * h->t);
@@ -5924,17 +6411,18 @@ static void sfemi_front_begin(sfemi_front *q)
 }
 
 /* Adds the rows of one tile of a child's update matrix. */
-static void sfemi_front_add_tile(void *data, sfem_int index)
+static void sfemi_front_add_tile(const sfemi_front *q, sfem_int child, size_t tile)
 {
-    const sfemi_front *q = (const sfemi_front *)data;
     const sfemi_symbolic *y = q->ldl->symbolic;
-    const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, q->child, h->w);
-    const sfem_int *place = y->place + y->start[q->child];
-    const sfem_int pivots = y->first[q->s + 1] - y->first[q->s], below = (sfem_int)((ch.f - ch.k) / 3);
-    const size_t tile = ch.boundary + (size_t)index, hs = sfemi_shape_height(&ch, tile);
-    const double *src = sfemi_ldl_update_of(q->ldl, q->child) + sfemi_shape_update(&ch, tile);
+    const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, child, h->w);
+    const sfem_int *place = y->place + y->start[child];
+    const sfem_int pivots = y->first[q->s + 1] - y->first[q->s],
+                   below = (sfem_int)((ch.f - ch.k) / 3);
+    const size_t hs = sfemi_shape_height(&ch, tile);
+    const double *src = sfemi_ldl_update_of(q->ldl, child) + sfemi_shape_update(&ch, tile);
     const size_t c0 = ch.boundary * ch.t, d0 = h->boundary * h->t;
-    const sfem_int per = (sfem_int)(h->t / 3), shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
+    const sfem_int per = (sfem_int)(h->t / 3),
+                   shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
     sfem_int a = shift < 0 ? 0 : shift, last = shift + per < below ? shift + per : below, b, inner;
     for (inner = 0; inner < a && place[inner] < pivots; ++inner) continue;
     while (a < last) {
@@ -5956,8 +6444,8 @@ static void sfemi_front_add_tile(void *data, sfem_int index)
                             from + 3 * (size_t)inner * hs, hs, du - d0 * hd, hd);
         for (b = a; b < stop; ++b) {
             const size_t skip = 3 * (size_t)(b - a);
-            y->kernels->add(1, place + b, 3 * (size_t)(stop - b), from + 3 * (size_t)b * hs + skip, hs,
-                            (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
+            y->kernels->add(1, place + b, 3 * (size_t)(stop - b), from + 3 * (size_t)b * hs + skip,
+                            hs, (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
         }
         a = stop;
     }
@@ -5978,13 +6466,6 @@ static void sfemi_front_rows(const sfemi_front *q, size_t tile, size_t end)
             k->eliminate(ha, first + g, a, b + g, sfemi_shape_height(h, j), a + (first + g) * ha,
                          n - g < 4 ? (int)(n - g) : 4, q->scale + first + g);
     }
-}
-
-static void sfemi_front_rows_task(void *data, sfem_int index)
-{
-    const sfemi_front *q = (const sfemi_front *)data;
-    size_t tile = q->end + 4 * (size_t)index, last = tile + 4;
-    for (; tile < last && tile < q->h.tiles; ++tile) sfemi_front_rows(q, tile, q->end);
 }
 
 /* Copies columns of a tile with the signs of their pivots. */
@@ -6022,41 +6503,18 @@ static sfem_int sfemi_front_diagonal(const sfemi_front *q, size_t tile, double *
     return -1;
 }
 
-#define SFEMI_FRONT_BLOCK 96 /* columns that are eliminated together */
-
-/* Eliminates the front's k columns; returns the one that is lost, or -1. */
-static sfem_int sfemi_front_eliminate(sfemi_front *q, double *lost)
-{
-    const sfemi_shape *h = &q->h;
-    const size_t block = SFEMI_FRONT_BLOCK / h->t;
-    size_t tile;
-    sfem_int at;
-    for (q->begin = 0; q->begin < h->diagonal; q->begin = q->end) {
-        q->end = q->begin + block < h->diagonal ? q->begin + block : h->diagonal;
-        for (tile = q->begin; tile < q->end; ++tile) {
-            sfemi_front_rows(q, tile, tile);
-            at = sfemi_front_diagonal(q, tile, lost);
-            if (at >= 0) return at;
-        }
-        sfemi_run(q->exec, (sfem_int)((h->tiles - q->end + 3) / 4), sfemi_front_rows_task, q);
-    }
-    if (q->b != q->l)
-        for (tile = h->diagonal; tile < h->tiles; ++tile) sfemi_front_sign(q, tile, 0, h->k);
-    return -1;
-}
-
 /* U -= L21 S L21^T, four tiles of rows, from the last ones on (they are the longest). */
-static void sfemi_front_update_task(void *data, sfem_int index)
+static void sfemi_front_update(const sfemi_front *q, size_t index)
 {
-    const sfemi_front *q = (const sfemi_front *)data;
     const sfemi_ldl_kernels *k = q->ldl->symbolic->kernels;
     const sfemi_shape *h = &q->h;
-    const size_t last = h->tiles - 4 * (size_t)index, c0 = h->boundary * h->t;
+    const size_t last = h->tiles - 4 * index, c0 = h->boundary * h->t;
     const size_t begin = last < h->boundary + 4 ? h->boundary : last - 4;
     size_t tile, j, g;
     for (j = h->boundary; j < last; ++j) {
         const double *b = q->b + sfemi_shape_panel(h, j);
-        const size_t hb = sfemi_shape_height(h, j), skip = j == h->boundary ? (h->k - c0) / 4 * 4 : 0;
+        const size_t hb = sfemi_shape_height(h, j),
+                     skip = j == h->boundary ? (h->k - c0) / 4 * 4 : 0;
         for (tile = j > begin ? j : begin; tile < last; ++tile) {
             const size_t ha = sfemi_shape_height(h, tile);
             double *u = q->u + sfemi_shape_update(h, tile) + (j * h->t - c0) * ha;
@@ -6077,7 +6535,8 @@ static void sfemi_front_copy32(const sfemi_front *q, const sfemi_shape *h32, flo
         const size_t hd = sfemi_shape_height(h32, tile), n = sfemi_shape_columns(h32, tile);
         memset(out, 0, hd * n * sizeof *out);
         for (i = 0; i < hd && tile * h32->t + i < h->f;) {
-            const size_t row = tile * h32->t + i, from = row / h->t, hs = sfemi_shape_height(h, from);
+            const size_t row = tile * h32->t + i, from = row / h->t,
+                         hs = sfemi_shape_height(h, from);
             const size_t in = row - from * h->t, columns = sfemi_shape_columns(h, from);
             const size_t rows = hs - in < hd - i ? hs - in : hd - i;
             const double *src = q->l + sfemi_shape_panel(h, from) + in;
@@ -6096,6 +6555,8 @@ static void sfemi_front_finish(const sfemi_front *q)
     const sfemi_symbolic *y = q->ldl->symbolic;
     const sfemi_shape *h = &q->h;
     size_t tile;
+    q->ldl->negative[q->s] = 0;
+    for (tile = 0; tile < h->k; ++tile) q->ldl->negative[q->s] += q->scale[tile] < 0;
     if (q->ldl->mixed) {
         const sfemi_shape h32 = sfemi_symbolic_shape(y, q->s, 8);
         float *l32 = q->ldl->l32 + y->panel32[q->s];
@@ -6116,16 +6577,96 @@ static void sfemi_front_finish(const sfemi_front *q)
     }
 }
 
-#define SFEMI_FRONT_PARALLEL 2e7 /* operations from which a front is worth several threads */
+#define SFEMI_FRONT_PARALLEL 1e7 /* operations from which a front is worth several threads */
+#define SFEMI_FRONT_BLOCK    96  /* columns that are eliminated together */
+#define SFEMI_FRONT_CHUNK    4   /* tiles of rows to a unit of work */
 
-/* One front: assemble, eliminate, update. Returns the lost column in the new numbering, or -1. */
-static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int s, double *lost,
-                                   const sfem_exec *exec)
+/* A front is worked off in stages, each of so many units that do not depend on each other:
+ * assembly, for each block of columns its diagonal and then the rows below, update, end. */
+static size_t sfemi_front_chunks(size_t tiles)
+{
+    return (tiles + SFEMI_FRONT_CHUNK - 1) / SFEMI_FRONT_CHUNK;
+}
+
+/* Children are added in turn; each unit adds a few tiles of one child, at most so many. */
+static void sfemi_front_add(const sfemi_front *q, sfem_int child, size_t chunk)
+{
+    const sfemi_shape h = sfemi_symbolic_shape(q->ldl->symbolic, child, q->h.w);
+    size_t tile = h.boundary + chunk * SFEMI_FRONT_CHUNK, last = tile + SFEMI_FRONT_CHUNK;
+    for (; h.f > h.k && tile < last && tile < h.tiles; ++tile) sfemi_front_add_tile(q, child, tile);
+}
+
+static size_t sfemi_front_add_units(const sfemi_front *q, sfem_int child)
+{
+    const sfemi_shape h = sfemi_symbolic_shape(q->ldl->symbolic, child, q->h.w);
+    return h.f > h.k ? sfemi_front_chunks(h.tiles - h.boundary) : 1;
+}
+
+/* The block of columns [begin, end) of diagonal tiles; returns the column that is lost, or -1. */
+static sfem_int sfemi_front_block(const sfemi_front *q, double *lost)
+{
+    size_t tile;
+    for (tile = q->begin; tile < q->end; ++tile) {
+        sfem_int at;
+        sfemi_front_rows(q, tile, tile);
+        at = sfemi_front_diagonal(q, tile, lost);
+        if (at >= 0) return at;
+    }
+    return -1;
+}
+
+static void sfemi_front_below(const sfemi_front *q, size_t chunk)
+{
+    size_t tile = q->end + chunk * SFEMI_FRONT_CHUNK, last = tile + SFEMI_FRONT_CHUNK;
+    for (; tile < last && tile < q->h.tiles; ++tile) {
+        sfemi_front_rows(q, tile, q->end);
+        if (q->b != q->l && q->end == q->h.diagonal && tile >= q->h.diagonal)
+            sfemi_front_sign(q, tile, 0, q->h.k);
+    }
+}
+
+/* Does unit number *unit of the front, if it has so many and do_it is set; else subtracts them.
+ * Before that, *before is set to the units that have to be done by then. Returns the lost column or
+ * -1. */
+static sfem_int sfemi_front_unit(sfemi_front *q, size_t unit, int do_it, size_t *before,
+                                 double *lost)
+{
+    const sfemi_symbolic *y = q->ldl->symbolic;
+    const size_t block = SFEMI_FRONT_BLOCK / q->h.t;
+    sfem_int c;
+    size_t n;
+    *before = 0;
+#define SFEMI_STAGE(count, work)                                                                   \
+    n = (count);                                                                                   \
+    if (unit < n) {                                                                                \
+        if (do_it) {                                                                               \
+            work;                                                                                  \
+        }                                                                                          \
+        return -1;                                                                                 \
+    }                                                                                              \
+    unit -= n;                                                                                     \
+    *before += n;
+    SFEMI_STAGE(1, sfemi_front_begin(q))
+    for (c = y->child[q->s]; c >= 0; c = y->sibling[c]) {
+        SFEMI_STAGE(sfemi_front_add_units(q, c), sfemi_front_add(q, c, unit))
+    }
+    for (q->begin = 0; q->begin < q->h.diagonal; q->begin = q->end) {
+        q->end = q->begin + block < q->h.diagonal ? q->begin + block : q->h.diagonal;
+        SFEMI_STAGE(1, return sfemi_front_block(q, lost))
+        SFEMI_STAGE(sfemi_front_chunks(q->h.tiles - q->end), sfemi_front_below(q, unit))
+    }
+    if (q->h.f > q->h.k) {
+        SFEMI_STAGE(sfemi_front_chunks(q->h.tiles - q->h.boundary), sfemi_front_update(q, unit))
+    }
+    SFEMI_STAGE(1, sfemi_front_finish(q))
+#undef SFEMI_STAGE
+    return -1;
+}
+
+static sfemi_front sfemi_front_of(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s)
 {
     const sfemi_symbolic *y = ldl->symbolic;
     sfemi_front q;
-    sfem_int at;
-    size_t p;
     q.ldl = ldl;
     q.a = a;
     q.s = s;
@@ -6134,20 +6675,33 @@ static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int
     q.u = sfemi_ldl_update_of(ldl, s);
     q.scale = ldl->scale + 3 * (size_t)y->first[s];
     q.b = ldl->positive ? q.l : ldl->signs + y->signs[y->of[s]];
-    q.exec = sfemi_front_flops(y, s) > SFEMI_FRONT_PARALLEL ? exec : NULL;
     q.load = y->child[s] >= 0;
+    q.begin = q.end = 0;
+    return q;
+}
+
+/* All of a front at once. Returns the lost column in the new numbering, or -1. */
+static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int s,
+                                   double *lost)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfemi_front q = sfemi_front_of(ldl, a, s);
+    size_t unit, n, block = SFEMI_FRONT_BLOCK / q.h.t;
+    sfem_int c;
     sfemi_front_begin(&q);
-    if (q.load) memset(q.u, 0, sfemi_shape_update_size(&q.h) * sizeof *q.u);
-    for (q.child = y->child[s]; q.child >= 0; q.child = y->sibling[q.child]) {
-        const sfemi_shape h = sfemi_symbolic_shape(y, q.child, y->kernels->width);
-        if (h.f > h.k) sfemi_run(q.exec, (sfem_int)(h.tiles - h.boundary), sfemi_front_add_tile, &q);
+    for (c = y->child[s]; c >= 0; c = y->sibling[c])
+        for (n = sfemi_front_add_units(&q, c), unit = 0; unit < n; ++unit)
+            sfemi_front_add(&q, c, unit);
+    for (q.begin = 0; q.begin < q.h.diagonal; q.begin = q.end) {
+        q.end = q.begin + block < q.h.diagonal ? q.begin + block : q.h.diagonal;
+        c = sfemi_front_block(&q, lost);
+        if (c >= 0) return c + 3 * y->first[s];
+        for (n = sfemi_front_chunks(q.h.tiles - q.end), unit = 0; unit < n; ++unit)
+            sfemi_front_below(&q, unit);
     }
-    at = sfemi_front_eliminate(&q, lost);
-    if (at >= 0) return at + 3 * y->first[s];
     if (q.h.f > q.h.k)
-        sfemi_run(q.exec, (sfem_int)((q.h.tiles - q.h.boundary + 3) / 4), sfemi_front_update_task, &q);
-    ldl->negative[s] = 0;
-    for (p = 0; p < q.h.k; ++p) ldl->negative[s] += q.scale[p] < 0;
+        for (n = sfemi_front_chunks(q.h.tiles - q.h.boundary), unit = 0; unit < n; ++unit)
+            sfemi_front_update(&q, unit);
     sfemi_front_finish(&q);
     return -1;
 }
@@ -6155,23 +6709,84 @@ static sfem_int sfemi_front_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_int
 typedef struct sfemi_factor_job {
     sfem_ldl *ldl;
     const sfem_matrix *a;
-    const sfem_int *tasks;
-    const sfem_exec *exec;
 } sfemi_factor_job;
 
-static void sfemi_factor_task(void *data, sfem_int index)
+/* Is the task one front that is worth cutting into units? */
+static int sfemi_task_is_cut(const sfemi_symbolic *y, sfem_int t)
 {
-    const sfemi_factor_job *job = (const sfemi_factor_job *)data;
-    sfem_ldl *ldl = job->ldl;
-    const sfem_int t = job->tasks[index], end = ldl->symbolic->task[t + 1];
-    sfem_int s = ldl->symbolic->task[t];
-    ldl->lost_at[t] = -1;
-    for (; s < end && ldl->lost_at[t] < 0; ++s)
-        if (ldl->stale[s])
-            ldl->lost_at[t] = sfemi_front_factor(ldl, job->a, s, ldl->lost + t, job->exec);
+    return y->task[t + 1] - y->task[t] == 1 &&
+           sfemi_front_flops(y, y->task[t]) > SFEMI_FRONT_PARALLEL;
 }
 
-/* What the pivots were: extremes, signs, growth. */
+static void sfemi_factor_task(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int t)
+{
+    sfem_int s = ldl->symbolic->task[t];
+    for (; s < ldl->symbolic->task[t + 1] && ldl->lost_at[t] == -1; ++s)
+        if (ldl->stale[s]) ldl->lost_at[t] = sfemi_front_factor(ldl, a, s, ldl->lost + t);
+}
+
+/* Waits for the tasks below t; marks t if one of them failed. */
+static void sfemi_factor_wait(const sfem_ldl *ldl, sfem_int t)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int c = y->child[y->task[t + 1] - 1];
+    for (; c >= 0; c = y->sibling[c]) {
+        const sfem_int below = y->of[c];
+        if (below == t) continue;
+        sfemi_crew_wait(ldl->done + below,
+                        ldl->units[y->at_level[below] + 1] - ldl->units[y->at_level[below]]);
+        if (ldl->lost_at[below] != -1) ldl->lost_at[t] = -2;
+    }
+}
+
+static void sfemi_factor_unit(void *data, sfem_int unit)
+{
+    const sfemi_factor_job *job = (const sfemi_factor_job *)data;
+    const sfem_ldl *ldl = job->ldl;
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int low = 0, high = y->tasks, t;
+    while (high - low > 1) {
+        const sfem_int middle = low + (high - low) / 2;
+        if (ldl->units[middle] <= unit)
+            low = middle;
+        else
+            high = middle;
+    }
+    t = y->by_level[low];
+    unit -= ldl->units[low];
+    if (unit == 0) sfemi_factor_wait(ldl, t);
+    if (!sfemi_task_is_cut(y, t))
+        sfemi_factor_task(ldl, job->a, t);
+    else if (ldl->stale[y->task[t]]) {
+        sfemi_front q = sfemi_front_of(ldl, job->a, y->task[t]);
+        size_t before;
+        (void)sfemi_front_unit(&q, (size_t)unit, 0, &before, NULL);
+        sfemi_crew_wait(ldl->done + t, (sfem_int)before);
+        if (ldl->lost_at[t] == -1) {
+            const sfem_int at = sfemi_front_unit(&q, (size_t)unit, 1, &before, ldl->lost + t);
+            if (at >= 0) ldl->lost_at[t] = at + 3 * y->first[q.s];
+        }
+    }
+    (void)SFEMI_ATOMIC_ADD(ldl->done + t, 1);
+}
+
+/* How the work is cut for several threads. */
+static void sfemi_factor_units(const sfem_ldl *ldl)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int k;
+    ldl->units[0] = 0;
+    for (k = 0; k < y->tasks; ++k) {
+        const sfem_int t = y->by_level[k];
+        size_t units = 1;
+        if (sfemi_task_is_cut(y, t)) {
+            sfemi_front q = sfemi_front_of(ldl, NULL, y->task[t]);
+            (void)sfemi_front_unit(&q, (size_t)-1, 0, &units, NULL);
+        }
+        ldl->units[k + 1] = ldl->units[k] + (sfem_int)units;
+    }
+}
+
 static void sfemi_ldl_statistics(sfem_ldl *ldl)
 {
     const size_t n = 3 * (size_t)ldl->symbolic->n;
@@ -6186,6 +6801,48 @@ static void sfemi_ldl_statistics(sfem_ldl *ldl)
     ldl->pivot_max = n ? 1 / (low * low) : 0;
 }
 
+/* Without pivoting, small pivots may have blown L up. One solve shows it: refused above 1e-8. */
+static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const size_t n = 3 * (size_t)a->n;
+    double *x = ldl->probe, *r = x + n, top_a = 0, top_x = 0, top_r = 0;
+    size_t i, at = 0;
+    sfemi_solve q;
+    uint32_t random = 1;
+    memset(&q, 0, sizeof q);
+    q.ldl = ldl;
+    q.block = 1;
+    q.pace = ldl->pace + 1;
+    q.w = r + n;
+    q.scratch = q.w + sfemi_solve_rows(ldl->symbolic);
+    q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
+                                                       SFEMI_SOLVE_SCRATCH);
+    for (i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        x[i] = (double)(int32_t)random * (1. / 2147483648.);
+    }
+    sfemi_solve_some(&q, 1, x, &ldl->exec);
+    sfem_matrix_multiply(a, x, r, NULL);
+    for (i = 0; i < 9 * (size_t)ldl->symbolic->blocks; ++i)
+        if (fabs(a->val[i]) > top_a) top_a = fabs(a->val[i]);
+    for (random = 1, i = 0; i < n; ++i) {
+        random = random * 1664525u + 1013904223u;
+        r[i] = fabs(r[i] - (double)(int32_t)random * (1. / 2147483648.));
+        if (fabs(x[i]) > top_x) top_x = fabs(x[i]);
+        if (r[i] > top_r || !sfemi_finite(r[i])) {
+            top_r = r[i];
+            at = i;
+        }
+    }
+    ldl->residual = n ? top_r / (top_a * top_x + 1) : 0;
+    if (ldl->residual <= 1e-8 && sfemi_finite(top_r)) return SFEM_OK;
+    return sfemi_fail_at(
+        err, SFEM_SINGULAR, (sfem_int)(at / 3), -1,
+        "the matrix is too close to singular or needs pivoting: a trial solve leaves "
+        "%g of its right side, most at node %ld",
+        top_r, (long)(at / 3));
+}
+
 static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int task,
                                     sfem_error *err)
 {
@@ -6193,22 +6850,25 @@ static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, s
     const sfem_status status = sfemi_matrix_check_values(a, err);
     if (status != SFEM_OK) return status;
     if (ldl->positive)
-        return sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
-                             "the matrix is not positive definite: pivot %g at node %ld, direction %d",
-                             ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
-    return sfemi_fail_at(err, SFEM_SINGULAR, node, -1,
-                         "the matrix is singular or needs pivoting: pivot %g at node %ld, direction %d",
-                         ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+        return sfemi_fail_at(
+            err, SFEM_NOT_SPD, node, -1,
+            "the matrix is not positive definite: pivot %g at node %ld, direction %d",
+            ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+    return sfemi_fail_at(
+        err, SFEM_SINGULAR, node, -1,
+        "the matrix is singular or needs pivoting: pivot %g at node %ld, direction %d",
+        ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
 }
 
 /* Factorises the supernodes that are marked stale. */
 static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    const sfem_int threads = sfemi_threads(&ldl->exec);
     sfemi_factor_job job;
-    sfem_int l, k;
-    double most = 0;
+    sfem_status status = SFEM_OK;
+    sfem_int threads, k;
+    int e = 0;
+    double most = 0, start;
     ldl->valid = 0;
     job.ldl = ldl;
     job.a = a;
@@ -6216,25 +6876,37 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
         const double *v = a->val + 9 * ((size_t)a->row[k + 1] - 1);
         if (fabs(v[0]) > most) most = fabs(v[0]);
     }
-    k = 0;
-    if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &k);
-    ldl->unit = ldexp(1.0, k);
-    for (l = 0; l < y->levels; ++l) {
-        const sfem_int count = y->level[l + 1] - y->level[l];
-        const int wide = threads > 1 && count < threads; /* then the fronts themselves are shared out */
-        job.tasks = y->by_level + y->level[l];
-        job.exec = wide ? &ldl->exec : NULL;
-        sfemi_run(wide ? NULL : &ldl->exec, count, sfemi_factor_task, &job);
-        for (k = y->level[l]; k < y->level[l + 1]; ++k)
-            if (ldl->lost_at[y->by_level[k]] >= 0)
-                return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
+    if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &e);
+    if (ldl->mixed && ldl->unit != ldexp(1.0, e)) memset(ldl->stale, 1, (size_t)y->supernodes);
+    ldl->unit = ldexp(1.0, e);
+    for (k = 0; k < y->tasks; ++k) {
+        ldl->lost_at[k] = -1;
+        SFEMI_ATOMIC_SET(ldl->done + k, 0);
     }
+    threads = y->tasks > 1 ? sfemi_pace_threads(ldl->pace, &ldl->exec) : 1;
+    start = ldl->exec.threads > 1 ? sfemi_seconds() : 0;
+    if (threads > 1) {
+        sfemi_crew crew;
+        crew.unit = sfemi_factor_unit;
+        crew.data = &job;
+        crew.count = ldl->units[y->tasks];
+        crew.next = ldl->done + y->tasks;
+        SFEMI_ATOMIC_SET(crew.next, 0);
+        sfemi_run(&ldl->exec, threads, sfemi_crew_work, &crew);
+    } else
+        for (k = 0; k < y->tasks && (k == 0 || ldl->lost_at[y->by_level[k - 1]] == -1); ++k)
+            sfemi_factor_task(ldl, a, y->by_level[k]);
+    if (start > 0) sfemi_pace_took(ldl->pace, threads, sfemi_seconds() - start);
+    for (k = 0; k < y->tasks; ++k)
+        if (ldl->lost_at[y->by_level[k]] >= 0) return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
     sfemi_ldl_statistics(ldl);
-    ldl->valid = 1;
-    return SFEM_OK;
+    if (!ldl->positive) status = sfemi_ldl_try(ldl, a, err);
+    ldl->valid = status == SFEM_OK;
+    return status;
 }
 
-#define SFEMI_PANEL_SLACK 512 /* numbers after L that the block solve may read: half a tile square */
+#define SFEMI_PANEL_SLACK                                                                          \
+    512 /* numbers after L that the block solve may read: half a tile square */
 
 /* The options of like's or def's; takes over one reference to the analysis, also when it fails. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
@@ -6257,19 +6929,26 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
     SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
     if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
+    if (!ldl->positive) SFEMI_NEW(double, ldl->probe, m, 2 * n + sfem_ldl_work_size(ldl, 1));
     SFEMI_NEW(double, ldl->scale, m, n + 1);
     SFEMI_NEW(double, ldl->floor, m, n + 1);
     SFEMI_NEW(double, ldl->lost, m, nt + 1);
     SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
+    SFEMI_NEW(sfem_int, ldl->units, m, nt + 1);
+    SFEMI_NEW(sfemi_counter, ldl->done, m, nt + 1);
+    SFEMI_NEW(sfemi_pace, ldl->pace, m, 3);
     SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
     SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
     memset(ldl->stale, 1, ns);
+    sfemi_factor_units(ldl);
     SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
     *out = ldl;
     return SFEM_OK;
 done:
-    if (ldl) sfem_ldl_free(ldl);
-    else sfemi_symbolic_free(y);
+    if (ldl)
+        sfem_ldl_free(ldl);
+    else
+        sfemi_symbolic_free(y);
     return status;
 }
 
@@ -6307,16 +6986,17 @@ static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, 
     if (a->n != ldl->symbolic->n || blocks != ldl->symbolic->blocks)
         return sfemi_fail(err, SFEM_MISMATCH,
                           "the matrix has %ld rows and %ld blocks, the factor's had %ld and %ld",
-                          (long)a->n, (long)blocks, (long)ldl->symbolic->n, (long)ldl->symbolic->blocks);
+                          (long)a->n, (long)blocks, (long)ldl->symbolic->n,
+                          (long)ldl->symbolic->blocks);
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, sfem_ldl **out,
-                                          sfem_error *err)
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a,
+                                          sfem_ldl **out, sfem_error *err)
 {
     const sfem_status status = sfemi_ldl_matches(like, a, err);
     if (status != SFEM_OK) return status;
-    SFEMI_COUNT_UP(&like->symbolic->references);
+    (void)SFEMI_ATOMIC_ADD(&like->symbolic->references, 1);
     return sfemi_ldl_make(like, like->symbolic, a, out, err);
 }
 
@@ -6344,8 +7024,10 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
         const sfem_int at = y->inverse[node[i]];
         for (low = 0, high = y->supernodes; high - low > 1;) {
             const sfem_int middle = low + (high - low) / 2;
-            if (y->first[middle] <= at) low = middle;
-            else high = middle;
+            if (y->first[middle] <= at)
+                low = middle;
+            else
+                high = middle;
         }
         for (; low >= 0 && !ldl->stale[low]; low = y->parent[low]) ldl->stale[low] = 1;
     }
@@ -6364,7 +7046,8 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
     info.ordering = y->ordering;
     info.nnz = y->nnz;
     info.flops = y->flops;
-    info.factor_bytes = y->panel[ns] * sizeof(double) + (ldl->mixed ? y->panel32[ns] * sizeof(float) : 0);
+    info.factor_bytes =
+        y->panel[ns] * sizeof(double) + (ldl->mixed ? y->panel32[ns] * sizeof(float) : 0);
     info.analysis_bytes = y->bytes;
     info.work_bytes = (ldl->keep ? y->update_kept_size : y->update_size) * sizeof(double) +
                       2 * n * sizeof(double) + ns * 5 + (size_t)y->tasks * 12 +
@@ -6373,7 +7056,7 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
     for (s = 0; s < y->supernodes; ++s) info.negative += ldl->negative[s];
     info.pivot_min = ldl->pivot_min;
     info.pivot_max = ldl->pivot_max;
-    info.growth = ldl->growth;
+    info.residual = ldl->residual;
     info.path = y->kernels->name;
     return info;
 }
@@ -6388,220 +7071,40 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->l32);
     sfemi_delete(&m, ldl->update);
     sfemi_delete(&m, ldl->signs);
+    sfemi_delete(&m, ldl->probe);
     sfemi_delete(&m, ldl->scale);
     sfemi_delete(&m, ldl->floor);
     sfemi_delete(&m, ldl->lost);
     sfemi_delete(&m, ldl->lost_at);
+    sfemi_delete(&m, ldl->units);
+    sfemi_delete(&m, ldl->done);
+    sfemi_delete(&m, ldl->pace);
     sfemi_delete(&m, ldl->negative);
     sfemi_delete(&m, ldl->stale);
     sfemi_delete(&m, ldl);
 }
 
-/* --- solve ----------------------------------------------------------------------------------- */
-
-#define SFEMI_SOLVE_BLOCK 8   /* right sides that are solved for together */
-#define SFEMI_SOLVE_ALONE 2   /* up to so many are solved for one by one */
-#define SFEMI_SOLVE_SCRATCH 16 /* numbers for each row of a task's widest front and right side */
-
-/* work: the unknowns in the new numbering, one buffer for each task with what it adds to rows outside,
- * and scratch for each task; each row of `block` numbers side by side */
-typedef struct sfemi_solve {
-    const sfem_ldl *ldl;
-    size_t block;
-    double *w, *scratch;
-    float *w32, *scratch32;
-    const sfem_int *tasks;
-} sfemi_solve;
-
-static size_t sfemi_solve_rows(const sfemi_symbolic *y)
-{
-    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
-}
-
-SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
-{
-    const sfemi_symbolic *y = ldl->symbolic;
-    return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
-           y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 64;
-}
-
-/* The tasks of both sweeps, for double and float. */
-#define SFEMI_SOLVE_TASKS(R, forward_task, backward_task, w_, scratch_, l_, panel_, forward_,        \
-                          backward_, forward8_, backward8_)                                          \
-    static void forward_task(void *data, sfem_int index)                                             \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1;                               \
-        const size_t n = 3 * q->block; /* numbers to a node */                                       \
-        R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);           \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        const sfem_int wide = y->first[root + 1] - y->first[root];                                   \
-        sfem_int s, c;                                                                               \
-        size_t i;                                                                                    \
-        memset(buffer, 0, n * (size_t)(y->buffer[t + 1] - y->buffer[t]) * sizeof *buffer);           \
-        for (c = y->child[root]; c >= 0; c = y->sibling[c]) { /* what other tasks have to add */     \
-            const R *from = w + n * ((size_t)y->n + (size_t)y->buffer[y->of[c]]);                    \
-            size_t a = y->start[c];                                                                  \
-            if (y->of[c] == t) continue;                                                             \
-            for (; a < y->start[c + 1]; ++a, from += n) {                                            \
-                R *to = y->place[a] < wide ? w + n * (size_t)(y->first[root] + y->place[a])          \
-                                           : buffer + n * (size_t)(y->place[a] - wide);              \
-                for (i = 0; i < n; ++i) to[i] += from[i];                                            \
-            }                                                                                        \
-        }                                                                                            \
-        for (s = y->task[t]; s <= root; ++s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            R *x = w + n * (size_t)y->first[s];                                                      \
-            if (q->block == 1)                                                                       \
-                y->kernels->forward_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w); \
-            else                                                                                     \
-                y->kernels->forward8_(k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w, \
-                                      scratch);                                                      \
-            if (q->ldl->negative[s]) {                                                               \
-                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                       \
-                size_t p;                                                                            \
-                for (p = 0; p < k; ++p)                                                              \
-                    for (i = 0; i < q->block && scale[p] < 0; ++i)                                   \
-                        x[p * q->block + i] = -x[p * q->block + i];                                  \
-            }                                                                                        \
-        }                                                                                            \
-    }                                                                                                \
-    static void backward_task(void *data, sfem_int index)                                            \
-    {                                                                                                \
-        const sfemi_solve *q = (const sfemi_solve *)data;                                            \
-        const sfemi_symbolic *y = q->ldl->symbolic;                                                  \
-        const sfem_int t = q->tasks[index], root = y->task[t + 1] - 1, p = y->parent[root];          \
-        const size_t n = 3 * q->block;                                                               \
-        R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);                 \
-        R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                        \
-        size_t a;                                                                                    \
-        sfem_int s;                                                                                  \
-        for (a = y->start[root]; a < y->start[root + 1]; ++a, buffer += n) {                         \
-            const sfem_int wide = y->first[p + 1] - y->first[p];                                     \
-            const sfem_int at = y->place[a] < wide ? y->first[p] + y->place[a]                       \
-                                                   : y->n + y->buffer[y->of[p]] + y->place[a] - wide; \
-            memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                  \
-        }                                                                                            \
-        for (s = root; s >= y->task[t]; --s) {                                                       \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                            \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                                \
-            (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                        \
-                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                    \
-                w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                   \
-        }                                                                                            \
-    }
-
-SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
-                  backward, forward8, backward8)
-SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32, panel32,
-                  forward32, backward32, forward8_32, backward8_32)
-#undef SFEMI_SOLVE_TASKS
-
-/* Up the tree and down again, level by level. */
-static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task forward,
-                               sfem_task backward)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    sfem_int l;
-    for (l = 0; l < y->levels; ++l) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], forward, q);
-    }
-    for (l = y->levels; l-- > 0;) {
-        q->tasks = y->by_level + y->level[l];
-        sfemi_run(exec, y->level[l + 1] - y->level[l], backward, q);
-    }
-}
-
-/* count <= block right sides; those that are missing are 0 */
-static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
-    size_t i, r, c;
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < b; ++r)
-                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
-    sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
-}
-
-/* The same in float, each right side scaled to 1 lest floats overflow. */
-static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
-{
-    const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
-    double unit[SFEMI_SOLVE_BLOCK];
-    size_t i, r, c;
-    for (r = 0; r < count; ++r) {
-        double most = 0;
-        int e = 0;
-        for (i = 0; i < n; ++i)
-            if (fabs(x[r * n + i]) > most) most = fabs(x[r * n + i]);
-        if (most > 0) (void)frexp(most, &e);
-        unit[r] = ldexp(1.0, -e);
-    }
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < b; ++r)
-                q->w32[(3 * i + c) * b + r] =
-                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
-    sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
-    for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
-    for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
-            for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = unit[r] * (double)q->w32[(3 * i + c) * b + r];
-}
-
-SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
-                             const sfem_exec *exec)
-{
-    const size_t n = 3 * (size_t)ldl->symbolic->n;
-    sfemi_solve q;
-    SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
-    memset(&q, 0, sizeof q);
-    q.ldl = ldl;
-    q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
-    q.w = work;
-    q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
-    q.w32 = (float *)(void *)q.w;
-    q.scratch32 = (float *)(void *)q.scratch;
-    while (rhs > 0 && n > 0) {
-        const size_t count = (size_t)rhs < q.block ? (size_t)rhs : q.block;
-        if (ldl->mixed) sfemi_solve_some32(&q, count, x, exec);
-        else sfemi_solve_some(&q, count, x, exec);
-        x += count * n;
-        rhs -= (sfem_int)count;
-    }
-}
-
 /* --- dense ----------------------------------------------------------------------------------- */
 
-/* Left-looking by columns, four at a time: a(j:n, j) -= sum of a(j:n, p) s_p a(j, p). unit: L D L^T. */
-static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative, double *lost)
+/* Left-looking by columns, eight at a time: a(j:n, j) -= sum of a(j:n, p) d_p a(j, p); d_p = 1 unless
+ * unit, which makes L D L^T. Returns the row of a lost pivot, or -1. */
+static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative,
+                                   double *lost)
 {
+    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
     const size_t m = (size_t)n;
-    size_t i, j, p;
+    size_t i, j, p, q;
     *negative = 0;
     for (j = 0; j < m; ++j) {
-        sfem_real *c = a + j * m, d = fabs(c[j]), r;
+        sfem_real *c = a + j * m, d = fabs(c[j]), w[8];
         const double floor = unit ? 1e-14 * d : 4e-15 * d;
-        for (p = 0; p + 4 <= j; p += 4) {
-            const sfem_real *q = a + p * m, *s = q + m, *t = s + m, *u = t + m;
-            const sfem_real w0 = unit ? q[j] * q[p] : q[j], w1 = unit ? s[j] * s[p + 1] : s[j];
-            const sfem_real w2 = unit ? t[j] * t[p + 2] : t[j], w3 = unit ? u[j] * u[p + 3] : u[j];
-            for (i = j; i < m; ++i) c[i] -= (q[i] * w0 + s[i] * w1) + (t[i] * w2 + u[i] * w3);
+        for (p = 0; p + 8 <= j; p += 8) {
+            for (q = 0; q < 8; ++q) w[q] = a[j + (p + q) * m] * (unit ? a[(p + q) * (m + 1)] : 1);
+            k->dense_minus(m - j, a + j + p * m, m, w, c + j);
         }
         for (; p < j; ++p) {
-            const sfem_real *q = a + p * m, w = unit ? q[j] * q[p] : q[j];
-            for (i = j; i < m; ++i) c[i] -= q[i] * w;
+            const sfem_real *l = a + p * m, v = unit ? l[j] * l[p] : l[j];
+            for (i = j; i < m; ++i) c[i] -= l[i] * v;
         }
         d = c[j];
         if (!((unit ? fabs(d) : d) > floor) || !sfemi_finite(d)) {
@@ -6609,9 +7112,9 @@ static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int 
             return (sfem_int)j;
         }
         *negative += d < 0;
-        r = unit ? d : sqrt(d);
-        for (i = j + 1; i < m; ++i) c[i] /= r;
-        c[j] = r;
+        c[j] = unit ? d : sqrt(d);
+        d = 1 / c[j];
+        for (i = j + 1; i < m; ++i) c[i] *= d;
     }
     return -1;
 }
@@ -6624,7 +7127,8 @@ SFEM_DEF sfem_status sfem_dense_cholesky(sfem_int n, sfem_real *a, sfem_error *e
     at = sfemi_dense_factor(n, a, 0, &negative, &lost);
     if (at < 0) return SFEM_OK;
     return sfemi_fail_at(err, sfemi_finite(lost) ? SFEM_NOT_SPD : SFEM_NOT_FINITE, at / 3, -1,
-                         "the dense matrix is not positive definite: pivot %g in row %ld", lost, (long)at);
+                         "the dense matrix is not positive definite: pivot %g in row %ld", lost,
+                         (long)at);
 }
 
 SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative, sfem_error *err)
@@ -6638,26 +7142,40 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
         return SFEM_OK;
     }
     return sfemi_fail_at(err, sfemi_finite(lost) ? SFEM_SINGULAR : SFEM_NOT_FINITE, at / 3, -1,
-                         "the dense matrix is singular or needs pivoting: pivot %g in row %ld", lost,
-                         (long)at);
+                         "the dense matrix is singular or needs pivoting: pivot %g in row %ld",
+                         lost, (long)at);
 }
 
 static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
 {
+    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
     const size_t m = (size_t)n;
-    size_t i, j;
+    size_t i, j, end;
     for (; rhs > 0; --rhs, x += m) {
-        for (j = 0; j < m; ++j) {
-            const sfem_real *c = a + j * m;
-            const sfem_real v = unit ? x[j] : x[j] / c[j];
-            for (i = j + 1; i < m; ++i) x[i] -= c[i] * v;
-            x[j] = unit ? v / c[j] : v;
+        for (j = 0; j < m; j = end) { /* eight columns, then what they do to the rows below */
+            size_t p;
+            end = j + 8 < m ? j + 8 : m;
+            for (p = j; p < end; ++p) {
+                if (!unit) x[p] /= a[p * (m + 1)];
+                for (i = p + 1; i < end; ++i) x[i] -= a[i + p * m] * x[p];
+            }
+            if (end < m) k->dense_minus(m - end, a + end + j * m, m, x + j, x + end);
         }
-        for (j = m; j-- > 0;) {
-            const sfem_real *c = a + j * m;
-            sfem_real v = x[j];
-            for (i = j + 1; i < m; ++i) v -= c[i] * x[i];
-            x[j] = unit ? v : v / c[j];
+        if (unit)
+            for (j = 0; j < m; ++j) x[j] /= a[j * (m + 1)];
+        for (end = m; end > 0; end = j) { /* four columns, from the last */
+            double dot[4] = {0, 0, 0, 0};
+            size_t p;
+            j = end > 4 ? end - 4 : 0;
+            if (end - j == 4) k->dense_dots(m - end, a + end + j * m, m, x + end, dot);
+            else
+                for (p = j; p < end; ++p)
+                    for (i = end; i < m; ++i) dot[p - j] += a[i + p * m] * x[i];
+            for (p = end; p-- > j;) {
+                x[p] -= dot[p - j];
+                for (i = p + 1; i < end; ++i) x[p] -= a[i + p * m] * x[i];
+                if (!unit) x[p] /= a[p * (m + 1)];
+            }
         }
     }
 }
@@ -6684,15 +7202,19 @@ SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
 
 SFEM_DEF size_t sfem_cg_work_size(const sfem_cg_def *def, const sfem_matrix *a)
 {
-    return 13 * (size_t)a->n + (def->preconditioner ? sfem_ldl_work_size(def->preconditioner, 1) : 9 * (size_t)a->n) + 8;
+    return 13 * (size_t)a->n +
+           (def->preconditioner ? sfem_ldl_work_size(def->preconditioner, 1) : 9 * (size_t)a->n) +
+           8;
 }
 
-/* Inverse of a symmetric positive definite 3x3 block, of which the lower half is read; 0 if it is not. */
+/* Inverse of a symmetric positive definite 3x3 block, of which the lower half is read; 0 if it is
+ * not. */
 static int sfemi_block_invert(const sfem_real *b, sfem_real *out)
 {
     const sfem_real c0 = b[4] * b[8] - b[7] * b[7], c1 = b[6] * b[7] - b[3] * b[8];
     const sfem_real c2 = b[3] * b[7] - b[4] * b[6], det = b[0] * c0 + b[3] * c1 + b[6] * c2;
-    if (!(b[0] > 0) || !(b[0] * b[4] - b[3] * b[3] > 0) || !(det > 0) || !sfemi_finite(det)) return 0;
+    if (!(b[0] > 0) || !(b[0] * b[4] - b[3] * b[3] > 0) || !(det > 0) || !sfemi_finite(det))
+        return 0;
     out[0] = c0 / det;
     out[1] = out[3] = c1 / det;
     out[2] = out[6] = c2 / det;
@@ -6732,11 +7254,13 @@ static void sfemi_cg_precondition(const sfemi_cg *c)
         return;
     }
     memset(c->z, 0, c->n * sizeof *c->z);
-    for (i = 0; i < c->n / 3; ++i) sfemi_block_times(c->inverse + 9 * i, c->r + 3 * i, c->z + 3 * i);
+    for (i = 0; i < c->n / 3; ++i)
+        sfemi_block_times(c->inverse + 9 * i, c->r + 3 * i, c->z + 3 * i);
 }
 
 SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a, const sfem_real *b,
-                                   sfem_real *x, sfem_real *work, sfem_cg_info *info, sfem_error *err)
+                                   sfem_real *x, sfem_real *work, sfem_cg_info *info,
+                                   sfem_error *err)
 {
     sfemi_cg c;
     sfem_int it = 0, node;
@@ -6757,18 +7281,22 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
                           (long)def->preconditioner->symbolic->n, (long)a->n);
     if (!def->preconditioner)
         for (node = 0; node < a->n; ++node)
-            if (!sfemi_block_invert(a->val + 9 * ((size_t)a->row[node + 1] - 1), c.inverse + 9 * (size_t)node)) {
+            if (!sfemi_block_invert(a->val + 9 * ((size_t)a->row[node + 1] - 1),
+                                    c.inverse + 9 * (size_t)node)) {
                 const sfem_status status = sfemi_matrix_check_values(a, err);
-                return status != SFEM_OK ? status
-                                         : sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
-                                                         "the diagonal block of node %ld is not positive "
-                                                         "definite", (long)node);
+                return status != SFEM_OK
+                           ? status
+                           : sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
+                                           "the diagonal block of node %ld is not positive "
+                                           "definite",
+                                           (long)node);
             }
     norm = sqrt(sfemi_dot(c.n, b, b));
     sfem_matrix_multiply(a, x, c.r, &def->exec);
     for (i = 0; i < c.n; ++i) c.r[i] = b[i] - c.r[i];
     if (!sfemi_finite(norm) || !sfemi_finite(sfemi_dot(c.n, c.r, c.r)))
-        return sfemi_fail(err, SFEM_NOT_FINITE, "the right side, the start or the matrix is not finite");
+        return sfemi_fail(err, SFEM_NOT_FINITE,
+                          "the right side, the start or the matrix is not finite");
     goal = def->tolerance * norm;
     for (;;) {
         sfem_real rr = sqrt(sfemi_dot(c.n, c.r, c.r)), pap, alpha, next;
@@ -6783,10 +7311,11 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
                     info->residual = norm > 0 ? rr / norm : rr;
                     info->converged = rr <= goal;
                 }
-                return rr <= goal ? SFEM_OK
-                                  : sfemi_fail(err, SFEM_NOT_CONVERGED,
-                                               "conjugate gradients: %ld iterations, residual %g of %g",
-                                               (long)it, rr / (norm > 0 ? norm : 1), def->tolerance);
+                return rr <= goal
+                           ? SFEM_OK
+                           : sfemi_fail(err, SFEM_NOT_CONVERGED,
+                                        "conjugate gradients: %ld iterations, residual %g of %g",
+                                        (long)it, rr / (norm > 0 ? norm : 1), def->tolerance);
             }
             rz = 0;
         }
@@ -6795,7 +7324,8 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
         if (rz > 0) {
             const sfem_real beta = next / rz;
             for (i = 0; i < c.n; ++i) c.p[i] = c.z[i] + beta * c.p[i];
-        } else memcpy(c.p, c.z, c.n * sizeof *c.p);
+        } else
+            memcpy(c.p, c.z, c.n * sizeof *c.p);
         rz = next;
         sfem_matrix_multiply(a, c.p, ap, &def->exec);
         pap = sfemi_dot(c.n, c.p, ap);
@@ -6822,7 +7352,8 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
 
 /* Rows 0..3 of g: the gradients of the four shape functions. Returns the volume. */
 static sfem_real sfemi_element_gradients_of(const sfem_real *x0, const sfem_real *x1,
-                                            const sfem_real *x2, const sfem_real *x3, sfem_real g[4][3])
+                                            const sfem_real *x2, const sfem_real *x3,
+                                            sfem_real g[4][3])
 {
     sfem_real e[3][3], volume6;
     int a, i;
@@ -6844,8 +7375,8 @@ static sfem_real sfemi_element_gradients(const sfem_mesh *mesh, sfem_int tet, sf
 {
     const sfem_int *t = mesh->tet + 4 * (size_t)tet;
     const sfem_real *x = mesh->x;
-    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1], x + 3 * (size_t)t[2],
-                                      x + 3 * (size_t)t[3], g);
+    return sfemi_element_gradients_of(x + 3 * (size_t)t[0], x + 3 * (size_t)t[1],
+                                      x + 3 * (size_t)t[2], x + 3 * (size_t)t[3], g);
 }
 
 /* k = V (lambda ga gb^T + mu gb ga^T + mu (ga.gb) I): the block of nodes a, b of K_e. */
@@ -6890,8 +7421,8 @@ static void sfemi_element_hooke(sfem_real lambda, sfem_real mu, const sfem_real 
 }
 
 /* Below this |F| a tet is a point, and all that is left of F is the rounding of G = F - I: R is then I. */
-#define SFEMI_POINT       1e-12
-#define SFEMI_POINT_MIXED 1e-6 /* G in float */
+#define SFEMI_TINY_F       1e-12
+#define SFEMI_TINY_F_MIXED 1e-6 /* G in float */
 
 static void sfemi_element_rotation(const sfem_real f[9], sfem_real point, sfem_real r[9])
 {
@@ -6914,7 +7445,8 @@ SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambd
 }
 
 /* p = lambda tr(e) I + 2 mu e; returns lambda/2 tr(e)^2 + mu e:e. */
-static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9], sfem_real p[9])
+static sfem_real sfemi_law_hooke(sfem_real lambda, sfem_real mu, const sfem_real e[9],
+                                 sfem_real p[9])
 {
     const sfem_real trace = e[0] + e[4] + e[8];
     sfem_real square = 0;
@@ -6931,7 +7463,7 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
 {
     sfem_real r[9], trace = 0, square = 0;
     int i;
-    sfemi_element_rotation(f, SFEMI_POINT, r);
+    sfemi_element_rotation(f, SFEMI_TINY_F, r);
     for (i = 0; i < 9; ++i) {
         const sfem_real d = f[i] - r[i];
         square += d * d;
@@ -6941,7 +7473,8 @@ static sfem_real sfemi_law_corotational(sfem_real lambda, sfem_real mu, const sf
     return lambda / 2 * trace * trace + mu * square;
 }
 
-static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9], sfem_real p[9])
+static sfem_real sfemi_law_stvk(sfem_real lambda, sfem_real mu, const sfem_real g[9],
+                                sfem_real p[9])
 {
     sfem_real e[9], s[9], gs[9], energy;
     int i, j;
@@ -6975,8 +7508,8 @@ static sfem_real sfemi_law_neohookean(sfem_real lambda, sfem_real mu, const sfem
     return m / 2 * (i - 1.5 * j - log1p(i / 4)) + l / 2 * j * j;
 }
 
-static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
-                                  sfem_real p[9])
+static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                  const sfem_real g[9], sfem_real p[9])
 {
     sfem_real e[9];
     int i, j;
@@ -6984,8 +7517,10 @@ static sfem_real sfemi_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, 
     case SFEM_COROTATIONAL:
         for (i = 0; i < 9; ++i) e[i] = g[i] + (i % 4 ? 0 : 1);
         return sfemi_law_corotational(lambda, mu, e, p);
-    case SFEM_STVK: return sfemi_law_stvk(lambda, mu, g, p);
-    case SFEM_NEOHOOKEAN: return sfemi_law_neohookean(lambda, mu, g, p);
+    case SFEM_STVK:
+        return sfemi_law_stvk(lambda, mu, g, p);
+    case SFEM_NEOHOOKEAN:
+        return sfemi_law_neohookean(lambda, mu, g, p);
     default:
         for (i = 0; i < 3; ++i)
             for (j = 0; j < 3; ++j) e[3 * i + j] = (g[3 * i + j] + g[3 * j + i]) / 2;
@@ -7000,8 +7535,8 @@ static void sfemi_law_less_one(const sfem_real f[9], sfem_real g[9])
     for (i = 0; i < 9; ++i) g[i] = f[i] - (i % 4 ? 0 : 1);
 }
 
-SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                   sfem_real p[9])
+SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9], sfem_real p[9])
 {
     sfem_real g[9];
     SFEM_ASSERT(f && p && (unsigned)law <= SFEM_NEOHOOKEAN);
@@ -7009,7 +7544,8 @@ SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
     return sfemi_law_stress(law, lambda, mu, g, p);
 }
 
-SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9])
+SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real f[9])
 {
     sfem_real p[9];
     return sfem_law_stress(law, lambda, mu, f, p);
@@ -7017,8 +7553,8 @@ SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
 
 /* ---- tangents ----
  *
- * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T alone, and
- * their dP/dF is simple in that frame: with dF~ = U^T dF V,
+ * All laws but the linear one depend on the signed singular values s of F = U diag(s) V^T
+ * alone, and their dP/dF is simple in that frame: with dF~ = U^T dF V,
  *     dP~_ii = sum_j d2Psi/(ds_i ds_j) dF~_jj,    dP~_ij = both dF~_ij + swap dF~_ji,
  * both +- swap the eigenvalues of the symmetric (flip) and skew (twist) change of the pair ij,
  * (Psi_i - Psi_j)/(s_i - s_j) and (Psi_i + Psi_j)/(s_i + s_j), the quotients done by hand
@@ -7032,11 +7568,13 @@ typedef struct sfemi_modes {
 static const int sfemi_law_pair[3][2] = {{1, 2}, {0, 2}, {0, 1}};
 
 /* The law's derivatives at s: a, and flip and twist by pair. */
-static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real s[3],
-                                  sfem_real a[9], sfem_real flip[3], sfem_real twist[3])
+static void sfemi_law_derivatives(sfem_law law, sfem_real lambda, sfem_real mu,
+                                  const sfem_real s[3], sfem_real a[9], sfem_real flip[3],
+                                  sfem_real twist[3])
 {
     const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, det = s[0] * s[1] * s[2];
-    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2, trace = s[0] + s[1] + s[2] - 3;
+    const sfem_real norm2 = sfemi_dot3(s, s), green = (norm2 - 3) / 2,
+                    trace = s[0] + s[1] + s[2] - 3;
     const sfem_real b = l * (det - 1) - .75 * m, c = m * (1 - 1 / (norm2 + 1));
     const sfem_real d = 2 * m / ((norm2 + 1) * (norm2 + 1));
     int k, i, j;
@@ -7069,6 +7607,9 @@ static void sfemi_law_project(sfem_real a[9])
 {
     sfem_real w[3], v[9], copy[9];
     int i, j, k;
+    const sfem_real minor = a[0] * a[4] - a[1] * a[1];
+    sfemi_cofactor3(a, copy);
+    if (a[0] > 0 && minor > 0 && sfemi_dot3(a, copy) > 0) return; /* definite as it is */
     memcpy(copy, a, sizeof copy);
     sfemi_sym_eigen(3, copy, w, v);
     if (w[2] >= 0) return;
@@ -7076,6 +7617,20 @@ static void sfemi_law_project(sfem_real a[9])
         for (j = 0; j < 3; ++j)
             for (k = 0, a[3 * i + j] = 0; k < 3; ++k)
                 if (w[k] > 0) a[3 * i + j] += w[k] * v[3 * i + k] * v[3 * j + k];
+}
+
+/* As sfem_signed_svd, but small s only to the rounding error of the largest: by R and the
+ * eigenvectors of S where F is ordinary. */
+static void sfemi_law_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[3], sfem_real v[9])
+{
+    sfem_real r[9], rtf[9];
+    if (!sfemi_polar_fast(f, r)) {
+        sfem_signed_svd(f, u, s, v);
+        return;
+    }
+    sfemi_mul3_tn(r, f, rtf);
+    sfemi_sym_eigen(3, rtf, s, v);
+    sfemi_mul3(r, v, u);
 }
 
 static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real g[9],
@@ -7088,14 +7643,16 @@ static void sfemi_law_modes(sfem_law law, sfem_real lambda, sfem_real mu, const 
         f[i] = g[i] + m->u[i];
     }
     if (law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN)
-        sfemi_element_rotation(f, SFEMI_POINT, m->u);
-    else if (law != SFEM_LINEAR) sfem_signed_svd(f, m->u, s, m->v);
+        sfemi_element_rotation(f, SFEMI_TINY_F, m->u);
+    else if (law != SFEM_LINEAR)
+        sfemi_law_svd(f, m->u, s, m->v);
     sfemi_law_derivatives(law, lambda, mu, s, m->a, flip, twist);
     if (kind != SFEM_TANGENT_EXACT && law >= SFEM_STVK) sfemi_law_project(m->a);
     for (i = 0; i < 3; ++i) {
         if (kind != SFEM_TANGENT_EXACT) {
-            flip[i] = fmax(flip[i], 0);
-            twist[i] = law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0);
+            flip[i] = fmax(flip[i], 0.0);
+            twist[i] =
+                law == SFEM_COROTATIONAL && kind == SFEM_TANGENT_FROZEN ? 0 : fmax(twist[i], 0.0);
         }
         m->both[i] = (flip[i] + twist[i]) / 2;
         m->swap[i] = (flip[i] - twist[i]) / 2;
@@ -7118,8 +7675,9 @@ static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_
     sfemi_mul3_nt(t, m->v, dp);
 }
 
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
-                                    sfem_tangent kind, const sfem_real df[9], sfem_real dp[9])
+SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
+                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
+                                    sfem_real dp[9])
 {
     sfem_real g[9];
     sfemi_modes modes;
@@ -7145,31 +7703,89 @@ SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, con
     }
 }
 
-/* block = volume ga.(dP/dF).gb, the 3x3 block of two nodes whose shape gradients are, in the frame V,
- * ga and gb. */
-static void sfemi_modes_block(const sfemi_modes *m, sfem_real volume, const sfem_real ga[3],
-                              const sfem_real gb[3], sfem_real block[9])
-{
-    sfem_real x[9], t[9];
-    int k, i, j;
-    for (k = 0; k < 3; ++k) {
-        i = sfemi_law_pair[k][0], j = sfemi_law_pair[k][1];
-        x[4 * k] = volume * (m->a[4 * k] * ga[k] * gb[k] + m->both[j] * ga[i] * gb[i] +
-                             m->both[i] * ga[j] * gb[j]);
-        x[3 * i + j] = volume * (m->a[3 * i + j] * ga[i] * gb[j] + m->swap[k] * ga[j] * gb[i]);
-        x[3 * j + i] = volume * (m->a[3 * i + j] * ga[j] * gb[i] + m->swap[k] * ga[i] * gb[j]);
-    }
-    sfemi_mul3(m->u, x, t);
-    sfemi_mul3_nt(t, m->u, block);
-}
+/* The stiffness of a tet by blocks of its node pairs a >= b, in the order 00 10 11 20 .. 33,
+ * all at once: the pairs are lanes of a vector. */
+#define SFEMI_PAIRS 12 /* ten, and two that are zero */
 
-/* The shape gradients in the frame V. */
-static void sfemi_modes_turn(const sfemi_modes *m, sfem_real g[4][3], sfem_real in_v[4][3])
+typedef struct sfemi_pairs {
+    sfem_real a[3][SFEMI_PAIRS],
+        b[3][SFEMI_PAIRS];       /* shape gradients of both nodes in the frame V */
+    sfem_real x[9][SFEMI_PAIRS]; /* the blocks in the frame U, */
+    sfem_real k[9][SFEMI_PAIRS]; /* and in that of the world */
+} sfemi_pairs;
+
+/* Bit p of swap: pair p wants the block of (b, a) instead of (a, b). */
+static void sfemi_pairs_fill(const sfemi_modes *m, sfem_real g[4][3], unsigned swap, sfemi_pairs *w)
 {
-    int a, i;
+    sfem_real in_v[4][3];
+    int a, b, i, p;
     for (a = 0; a < 4; ++a)
         for (i = 0; i < 3; ++i)
             in_v[a][i] = g[a][0] * m->v[i] + g[a][1] * m->v[3 + i] + g[a][2] * m->v[6 + i];
+    for (a = 0, p = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++p)
+            for (i = 0; i < 3; ++i) {
+                w->a[i][p] = in_v[swap >> p & 1 ? b : a][i];
+                w->b[i][p] = in_v[swap >> p & 1 ? a : b][i];
+            }
+    for (i = 0; i < 3; ++i) w->a[i][10] = w->a[i][11] = w->b[i][10] = w->b[i][11] = 0;
+}
+
+/* x = volume ga.(dP/dF).gb in its entries nn, ij and ji; n, i, j are constants, all different. */
+static SFEMI_INLINE void sfemi_pairs_entries(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w,
+                                             const int n, const int i, const int j)
+{
+    const sfem_real ann = volume * m->a[4 * n], aij = volume * m->a[3 * i + j];
+    const sfem_real swap = volume * m->swap[n], bi = volume * m->both[i], bj = volume * m->both[j];
+    int p;
+    for (p = 0; p < SFEMI_PAIRS; ++p) {
+        const sfem_real an = w->a[n][p], ai = w->a[i][p], aj = w->a[j][p];
+        const sfem_real cn = w->b[n][p], ci = w->b[i][p], cj = w->b[j][p];
+        w->x[4 * n][p] = ann * an * cn + bj * ai * ci + bi * aj * cj;
+        w->x[3 * i + j][p] = aij * ai * cj + swap * aj * ci;
+        w->x[3 * j + i][p] = aij * aj * ci + swap * ai * cj;
+    }
+}
+
+static SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    int p, i;
+    sfemi_pairs_entries(m, volume, w, 0, 1, 2);
+    sfemi_pairs_entries(m, volume, w, 1, 0, 2);
+    sfemi_pairs_entries(m, volume, w, 2, 0, 1);
+    for (i = 0; i < 3; ++i) { /* k = u x u^T, by rows of u x */
+        const sfem_real a = m->u[3 * i], b = m->u[3 * i + 1], c = m->u[3 * i + 2];
+        for (p = 0; p < SFEMI_PAIRS; ++p) {
+            const sfem_real t0 = a * w->x[0][p] + b * w->x[3][p] + c * w->x[6][p];
+            const sfem_real t1 = a * w->x[1][p] + b * w->x[4][p] + c * w->x[7][p];
+            const sfem_real t2 = a * w->x[2][p] + b * w->x[5][p] + c * w->x[8][p];
+            w->k[3 * i][p] = t0 * m->u[0] + t1 * m->u[1] + t2 * m->u[2];
+            w->k[3 * i + 1][p] = t0 * m->u[3] + t1 * m->u[4] + t2 * m->u[5];
+            w->k[3 * i + 2][p] = t0 * m->u[6] + t1 * m->u[7] + t2 * m->u[8];
+        }
+    }
+}
+
+typedef void (*sfemi_pairs_kernel)(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w);
+
+static void sfemi_pairs_portable(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    sfemi_pairs_blocks(m, volume, w);
+}
+
+#if SFEMI_X86
+SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+{
+    sfemi_pairs_blocks(m, volume, w);
+}
+#endif
+
+static sfemi_pairs_kernel sfemi_pairs_pick(void)
+{
+#if SFEMI_X86
+    if (sfemi_path() > 0) return sfemi_pairs_avx2;
+#endif
+    return sfemi_pairs_portable;
 }
 
 /* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
@@ -7179,17 +7795,18 @@ static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const
     int i, j;
     for (i = 0; i < 3; ++i)
         for (j = 0; j < 3; ++j)
-            grad[3 * i + j] = (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] +
-                              (u3[i] - u0[i]) * g[3][j];
+            grad[3 * i + j] =
+                (u1[i] - u0[i]) * g[1][j] + (u2[i] - u0[i]) * g[2][j] + (u3[i] - u0[i]) * g[3][j];
 }
 
 SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real x[12],
                                 const sfem_real u[12], sfem_tangent kind, sfem_real force[12],
                                 sfem_real k[144])
 {
-    sfem_real g[4][3], in_v[4][3], grad[9], p[9], block[9], volume, energy;
+    sfem_real g[4][3], grad[9], p[9], volume, energy;
     sfemi_modes modes;
-    int a, b, i;
+    sfemi_pairs pairs;
+    int a, b, i, n;
     SFEM_ASSERT(x && u && (unsigned)law <= SFEM_NEOHOOKEAN);
     volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, g);
     sfemi_element_deform(u, u + 3, u + 6, u + 9, g, grad);
@@ -7198,12 +7815,14 @@ SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, co
         for (i = 0; i < 3; ++i) force[3 * a + i] = volume * sfemi_dot3(p + 3 * i, g[a]);
     if (!k) return energy;
     sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
-    sfemi_modes_turn(&modes, g, in_v);
-    for (a = 0; a < 4; ++a)
-        for (b = 0; b < 4; ++b) {
-            sfemi_modes_block(&modes, volume, in_v[a], in_v[b], block);
-            for (i = 0; i < 9; ++i) k[12 * (3 * a + i / 3) + 3 * b + i % 3] = block[i];
-        }
+    sfemi_pairs_fill(&modes, g, 0, &pairs);
+    sfemi_pairs_portable(&modes, volume, &pairs);
+    for (a = 0, n = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n)
+            for (i = 0; i < 9; ++i) {
+                k[12 * (3 * a + i / 3) + 3 * b + i % 3] = pairs.k[i][n];
+                k[12 * (3 * b + i % 3) + 3 * a + i / 3] = pairs.k[i][n];
+            }
     return energy;
 }
 
@@ -7230,8 +7849,9 @@ SFEM_DEF void sfem_edge_lengths2(int dim, const sfem_real *x, sfem_real *d2)
     }
 }
 
-/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the product
- * with a symmetric tensor written the same way is n.C n. Zero for an edge without length. */
+/* Row k of q: n n^T of edge k as a vector, entries off the diagonal times sqrt 2, so that the
+ * product with a symmetric tensor written the same way is n.C n. Zero for an edge without
+ * length. */
 static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length2, sfem_real *q)
 {
     const int edges = dim == 3 ? 6 : 3;
@@ -7240,15 +7860,16 @@ static void sfemi_edge_rows(int dim, const sfem_real *x, const sfem_real *length
         const int *end = sfemi_edge_ends(dim, k);
         sfem_real n[3];
         for (i = 0; i < dim; ++i)
-            n[i] = length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
+            n[i] =
+                length2[k] > 0 ? (x[dim * end[0] + i] - x[dim * end[1] + i]) / sqrt(length2[k]) : 0;
         for (i = 0, at = 0; i < dim; ++i) q[edges * k + at++] = n[i] * n[i];
         for (i = 0; i < dim; ++i)
             for (j = i + 1; j < dim; ++j) q[edges * k + at++] = sqrt(2.0) * n[i] * n[j];
     }
 }
 
-/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the sum of
- * v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
+/* w = the pseudo-inverse of q [m][m], which becomes b = q v with orthogonal columns: w is the
+ * sum of v_e b_e^T / |b_e|^2 over those columns e that are not zero. Returns their number. */
 static int sfemi_edge_pseudo_inverse(int m, sfem_real *q, sfem_real *w)
 {
     sfem_real v[36], square[6], largest = 0;
@@ -7280,8 +7901,9 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
     out->dim = dim;
     out->nodes = dim + 1;
     out->edges = dim == 3 ? 6 : 3;
-    out->volume = dim == 3 ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
-                           : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
+    out->volume = dim == 3
+                      ? fabs(sfemi_volume6(x, x + 3, x + 6, x + 9)) / 6
+                      : fabs((x[2] - x[0]) * (x[5] - x[1]) - (x[3] - x[1]) * (x[4] - x[0])) / 2;
     sfem_edge_lengths2(dim, x, length2);
     sfemi_edge_rows(dim, x, length2, q);
     out->rank = sfemi_edge_pseudo_inverse(out->edges, q, w);
@@ -7295,7 +7917,8 @@ SFEM_DEF void sfem_edge_prepare(int dim, const sfem_real *x, sfem_edge_shape *ou
     }
 }
 
-SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2, sfem_real *c)
+SFEM_DEF void sfem_edge_cauchy_green(const sfem_edge_shape *shape, const sfem_real *d2,
+                                     sfem_real *c)
 {
     int i, k;
     SFEM_ASSERT(shape && d2 && c);
@@ -7344,8 +7967,8 @@ SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real
 }
 
 /* dPsi/dC, with C = I + c. */
-static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real c[9],
-                                   sfem_real s[9])
+static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu,
+                                   const sfem_real c[9], sfem_real s[9])
 {
     const sfem_real m = 4 * mu / 3, l = lambda + 5 * mu / 6, i = c[0] + c[4] + c[8];
     sfem_real full[9], e[9], cof[9], third, det, volume, a;
@@ -7360,7 +7983,7 @@ static sfem_real sfemi_edge_stress(sfem_law law, sfem_real lambda, sfem_real mu,
     third = i + (cof[0] + cof[4] + cof[8]) + sfemi_dot3(c, cof); /* III_C - 1 */
     for (k = 0; k < 9; ++k) full[k] = c[k] + (k % 4 ? 0 : 1);
     sfemi_cofactor3(full, cof);
-    det = sqrt(fmax(1 + third, 0));
+    det = sqrt(fmax(1 + third, 0.0));
     volume = third > -1 ? third / (1 + det) : -1; /* J - 1 */
     a = (l * volume - .75 * m) / (2 * fmax(det, 1e-8));
     for (k = 0; k < 9; ++k) s[k] = a * cof[k] + (k % 4 ? 0 : m / 2 * (3 + i) / (4 + i));
@@ -7378,12 +8001,13 @@ SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, 
     energy = sfemi_edge_stress(law, lambda, mu, c, s);
     for (k = 0; slope && k < shape->edges; ++k)
         for (i = 0, slope[k] = 0; i < shape->dim; ++i)
-            for (j = 0; j < shape->dim; ++j) slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
+            for (j = 0; j < shape->dim; ++j)
+                slope[k] += s[3 * i + j] * shape->c[k][shape->dim * i + j];
     return energy;
 }
 
-SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x, const sfem_real *slope,
-                               sfem_real *force)
+SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
+                               const sfem_real *slope, sfem_real *force)
 {
     const int dim = shape->dim;
     int k, i;
@@ -7402,19 +8026,21 @@ SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
 
 /* ---- the same for many tets at once ----
  *
- * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each loop over
- * lanes below is straight-line arithmetic that a compiler turns into vector instructions (gcc from 12 on
- * and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double and float; the paths below it compile
- * that for several instruction sets. `fused` is a constant there: fused multiply-adds are asked for by
- * name, so that the bits of a result depend on the path and on nothing else. */
+ * Tets of one law come in blocks of SFEMI_LANES, the data of a block by lanes, so that each
+ * loop over lanes below is straight-line arithmetic that a compiler turns into vector
+ * instructions (gcc from 12 on and clang at -O2). SFEMI_LANE_KERNELS holds it once, for double
+ * and float; the paths below it compile that for several instruction sets. `fused` is a
+ * constant there: fused multiply-adds are asked for by name, so that the bits of a result
+ * depend on the path and on nothing else. */
 #define SFEMI_LANES 16
 
 typedef struct sfemi_block {
     sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
-    sfem_real lambda[SFEMI_LANES], mu[SFEMI_LANES]; /* times the volume, J; 0 in lanes that fill up */
+    sfem_real lambda[SFEMI_LANES];    /* times the volume, J; 0 in lanes that fill up */
+    sfem_real mu[SFEMI_LANES];
     sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
     sfem_int tet[SFEMI_LANES];
-    sfem_int law, count;              /* count of the lanes are tets, the others copies of the last */
+    sfem_int law, count;              /* so many lanes are tets, the others copies of the last */
     sfem_int pad[14];                 /* to whole cache lines */
 } sfemi_block;
 
@@ -7423,8 +8049,8 @@ typedef struct sfemi_totals {
     sfem_real energy[SFEMI_LANES], inverted[SFEMI_LANES]; /* inverted: tets with det F <= 0 */
 } sfemi_totals;
 
-/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4]; the
- * nearest rotations go to rotation [tets][9], if not NULL. */
+/* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
+ * the nearest rotations go to rotation [tets][9], if not NULL. */
 typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
                                     sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
 
@@ -7437,7 +8063,8 @@ typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, co
 #endif
 
 /* d = u_a - u_0 by lanes, a = 1, 2, 3; and out_a += d, out_0 -= the sum of d. */
-typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u, sfem_real d[9][SFEMI_LANES]);
+typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u,
+                             sfem_real d[9][SFEMI_LANES]);
 typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                               sfem_real *out);
 
@@ -7472,10 +8099,7 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
     }
 }
 
-#ifdef SFEMI_X86_PATHS
-#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
-#define SFEMI_AVX512 __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
-
+#if SFEMI_X86
 /* Rows <-> columns of four vectors of four. */
 SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
 {
@@ -7516,8 +8140,8 @@ SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
     _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
 }
 
-SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
-                                          sfem_real *out)
+SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
+                                          const sfem_real d[9][SFEMI_LANES], sfem_real *out)
 {
     int l, a;
     for (l = 0; l < SFEMI_LANES; l += 4) { /* lanes that fill up add zero */
@@ -7566,21 +8190,30 @@ static SFEMI_INLINE int sfemi_lanes_any(const void *flags, size_t bytes)
     return any != 0;
 }
 
-#define SFEMI_LANE_KERNELS(T, S, STEP, ROUND)                                                      \
-/* a b + c; and with it a0 b0 + a1 b1 + a2 b2 (+ c), a b - c d */                                  \
-static SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                        \
+/* MA = a b + c, DOT = a0 b0 + a1 b1 + a2 b2, DET = a b - c d, rounded as the path does it */
+#define SFEMI_LANE_ARITHMETIC(T, S)                                                                \
+static SFEMI_INLINE T sfemi_ma_##S(const int fused, T a, T b, T c)                                 \
 {                                                                                                  \
     return fused ? SFEMI_FMA_##S(a, b, c) : a * b + c;                                             \
 }                                                                                                  \
-static SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)                  \
+static SFEMI_INLINE T sfemi_dot_##S(const int fused, T a0, T b0, T a1, T b1, T a2, T b2)           \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a0, b0, sfemi_ma_##S(fused, a1, b1, a2 * b2));                      \
 }                                                                                                  \
-static SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                                  \
+static SFEMI_INLINE T sfemi_det_##S(const int fused, T a, T b, T c, T d)                           \
 {                                                                                                  \
     return sfemi_ma_##S(fused, a, b, -(c * d));                                                    \
-}                                                                                                  \
-                                                                                                   \
+}
+SFEMI_LANE_ARITHMETIC(double, d)
+SFEMI_LANE_ARITHMETIC(float, f)
+#define SFEMI_MA_d(a, b, c)                sfemi_ma_d(fused, a, b, c)
+#define SFEMI_MA_f(a, b, c)                sfemi_ma_f(fused, a, b, c)
+#define SFEMI_DOT_d(a0, b0, a1, b1, a2, b2) sfemi_dot_d(fused, a0, b0, a1, b1, a2, b2)
+#define SFEMI_DOT_f(a0, b0, a1, b1, a2, b2) sfemi_dot_f(fused, a0, b0, a1, b1, a2, b2)
+#define SFEMI_DET_d(a, b, c, d)            sfemi_det_d(fused, a, b, c, d)
+#define SFEMI_DET_f(a, b, c, d)            sfemi_det_f(fused, a, b, c, d)
+
+#define SFEMI_LANE_KERNELS(T, S, MA, DOT, DET, STEP, ROUND)                                        \
 typedef struct sfemi_lanes_##S {                                                                   \
     sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
     T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
@@ -7595,46 +8228,49 @@ typedef struct sfemi_lanes_##S {                                                
 } sfemi_lanes_##S;                                                                                 \
                                                                                                    \
 /* G and det F */                                                                                  \
-static SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,             \
-                                         const int fused)                                          \
+static SFEMI_INLINE void sfemi_lanes_deform_##S(sfemi_lanes_##S *w, const sfemi_block *block,      \
+                                                const int fused)                                   \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (i = 0; i < 3; ++i)                                                                        \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T a = (T)w->d[i][l], b = (T)w->d[3 + i][l], c = (T)w->d[6 + i][l];               \
-            w->g[3 * i][l] = sfemi_dot_##S(fused, a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]);\
-            w->g[3 * i + 1][l] = sfemi_dot_##S(fused, a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]);\
-            w->g[3 * i + 2][l] = sfemi_dot_##S(fused, a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]);\
+            w->g[3 * i][l] =                                                                       \
+                DOT(a, (T)block->shape[0][l], b, (T)block->shape[3][l], c, (T)block->shape[6][l]); \
+            w->g[3 * i + 1][l] =                                                                   \
+                DOT(a, (T)block->shape[1][l], b, (T)block->shape[4][l], c, (T)block->shape[7][l]); \
+            w->g[3 * i + 2][l] =                                                                   \
+                DOT(a, (T)block->shape[2][l], b, (T)block->shape[5][l], c, (T)block->shape[8][l]); \
         }                                                                                          \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
         const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
         const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
-        w->det[l] = sfemi_dot_##S(fused, f0, sfemi_det_##S(fused, f4, f8, f5, f7),                 \
-                                  f1, sfemi_det_##S(fused, f5, f6, f3, f8),                        \
-                                  f2, sfemi_det_##S(fused, f3, f7, f4, f6));                       \
+        w->det[l] = DOT(f0, DET(f4, f8, f5, f7),                                                   \
+                                  f1, DET(f5, f6, f3, f8),                                         \
+                                  f2, DET(f3, f7, f4, f6));                                        \
         w->lambda[l] = (T)block->lambda[l];                                                        \
         w->mu[l] = (T)block->mu[l];                                                                \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* F, cof F, |F|^2, the constant of p(t) and a first trace: (|F|^2 + 3)/2 >= sqrt(3 |F|^2) >= t */ \
-static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)                     \
+static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int fused)              \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T f0 = w->g[0][l] + 1, f1 = w->g[1][l], f2 = w->g[2][l];                             \
         const T f3 = w->g[3][l], f4 = w->g[4][l] + 1, f5 = w->g[5][l];                             \
         const T f6 = w->g[6][l], f7 = w->g[7][l], f8 = w->g[8][l] + 1;                             \
-        const T c0 = sfemi_det_##S(fused, f4, f8, f5, f7), c1 = sfemi_det_##S(fused, f5, f6, f3, f8);\
-        const T c2 = sfemi_det_##S(fused, f3, f7, f4, f6), c3 = sfemi_det_##S(fused, f2, f7, f1, f8);\
-        const T c4 = sfemi_det_##S(fused, f0, f8, f2, f6), c5 = sfemi_det_##S(fused, f1, f6, f0, f7);\
-        const T c6 = sfemi_det_##S(fused, f1, f5, f2, f4), c7 = sfemi_det_##S(fused, f2, f3, f0, f5);\
-        const T c8 = sfemi_det_##S(fused, f0, f4, f1, f3);                                         \
-        const T n = sfemi_dot_##S(fused, f0, f0, f1, f1, f2, f2) + sfemi_dot_##S(fused, f3, f3, f4, f4, f5, f5) +\
-                    sfemi_dot_##S(fused, f6, f6, f7, f7, f8, f8);                                  \
-        const T m = sfemi_dot_##S(fused, c0, c0, c1, c1, c2, c2) + sfemi_dot_##S(fused, c3, c3, c4, c4, c5, c5) +\
-                    sfemi_dot_##S(fused, c6, c6, c7, c7, c8, c8);                                  \
+        const T c0 = DET(f4, f8, f5, f7), c1 = DET(f5, f6, f3, f8);                                \
+        const T c2 = DET(f3, f7, f4, f6), c3 = DET(f2, f7, f1, f8);                                \
+        const T c4 = DET(f0, f8, f2, f6), c5 = DET(f1, f6, f0, f7);                                \
+        const T c6 = DET(f1, f5, f2, f4), c7 = DET(f2, f3, f0, f5);                                \
+        const T c8 = DET(f0, f4, f1, f3);                                                          \
+        const T n = DOT(f0, f0, f1, f1, f2, f2) + DOT(f3, f3, f4, f4, f5, f5) +                    \
+                    DOT(f6, f6, f7, f7, f8, f8);                                                   \
+        const T m = DOT(c0, c0, c1, c1, c2, c2) + DOT(c3, c3, c4, c4, c5, c5) +                    \
+                    DOT(c6, c6, c7, c7, c8, c8);                                                   \
         w->c[0][l] = c0, w->c[1][l] = c1, w->c[2][l] = c2;                                         \
         w->c[3][l] = c3, w->c[4][l] = c4, w->c[5][l] = c5;                                         \
         w->c[6][l] = c6, w->c[7][l] = c7, w->c[8][l] = c8;                                         \
@@ -7642,70 +8278,70 @@ static SFEMI_INLINE void sfemi_lanes_quartic_##S(sfemi_lanes_##S *w, const int f
         w->r[3][l] = f3, w->r[4][l] = f4, w->r[5][l] = f5;                                         \
         w->r[6][l] = f6, w->r[7][l] = f7, w->r[8][l] = f8;                                         \
         w->norm2[l] = n;                                                                           \
-        w->constant[l] = sfemi_ma_##S(fused, n, n, -4 * m);                                        \
+        w->constant[l] = MA(n, n, -4 * m);                                                         \
         w->trace[l] = (n + 3) / 2;                                                                 \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* one step of Halley's method for the trace */                                                    \
-static SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_halley_##S(sfemi_lanes_##S *w, const int fused)               \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T t = w->trace[l], n = w->norm2[l], d = w->det[l], t2 = t * t;                       \
-        const T p = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t2 - 2 * n, t, -8 * d), t, w->constant[l]);\
-        const T slope = sfemi_ma_##S(fused, t2 - n, t, -2 * d);                                    \
+        const T p = MA(MA(t2 - 2 * n, t, -8 * d), t, w->constant[l]);                              \
+        const T slope = MA(t2 - n, t, -2 * d);                                                     \
         const T half = (3 * t2 - n) / 2;                                                           \
-        const T step = p * slope / sfemi_det_##S(fused, 4 * slope, slope, p, half);                \
+        const T step = p * slope / DET(4 * slope, slope, p, half);                                 \
                 w->trace[l] = t - step;                                                            \
         w->bad[l] = step <= (T)STEP * (t - step) ? 0 : 1; /* also where step is not a number */    \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* R = F (k0 I + k1 F^T F) + k2 cof F, row by row in place of F */                                 \
-static SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)                    \
+static SFEMI_INLINE void sfemi_lanes_rotation_##S(sfemi_lanes_##S *w, const int fused)             \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T t = w->trace[l], n = w->norm2[l];                                                  \
-        const T slope = sfemi_ma_##S(fused, sfemi_ma_##S(fused, t, t, -n), t, -2 * w->det[l]);     \
+        const T slope = MA(MA(t, t, -n), t, -2 * w->det[l]);                                       \
         const T over = 1 / slope;                                                                  \
         w->bad[l] = slope > (T)ROUND * t * t * t ? w->bad[l] : 1;                                  \
-        w->k[0][l] = sfemi_ma_##S(fused, t, t, n) * over;                                          \
+        w->k[0][l] = MA(t, t, n) * over;                                                           \
         w->k[1][l] = -2 * over;                                                                    \
         w->k[2][l] = 2 * t * over;                                                                 \
     }                                                                                              \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l], f3 = w->r[3][l], f4 = w->r[4][l];\
-        const T f5 = w->r[5][l], f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                \
+        const T f0 = w->r[0][l], f1 = w->r[1][l], f2 = w->r[2][l];                                 \
+        const T f3 = w->r[3][l], f4 = w->r[4][l], f5 = w->r[5][l];                                 \
+        const T f6 = w->r[6][l], f7 = w->r[7][l], f8 = w->r[8][l];                                 \
         const T a = w->k[0][l], b = w->k[1][l];                                                    \
-        w->s[0][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f0, f0, f3, f3, f6, f6), a);      \
-        w->s[1][l] = b * sfemi_dot_##S(fused, f0, f1, f3, f4, f6, f7);                             \
-        w->s[2][l] = b * sfemi_dot_##S(fused, f0, f2, f3, f5, f6, f8);                             \
-        w->s[3][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f1, f1, f4, f4, f7, f7), a);      \
-        w->s[4][l] = b * sfemi_dot_##S(fused, f1, f2, f4, f5, f7, f8);                             \
-        w->s[5][l] = sfemi_ma_##S(fused, b, sfemi_dot_##S(fused, f2, f2, f5, f5, f8, f8), a);      \
+        w->s[0][l] = MA(b, DOT(f0, f0, f3, f3, f6, f6), a);                                        \
+        w->s[1][l] = b * DOT(f0, f1, f3, f4, f6, f7);                                              \
+        w->s[2][l] = b * DOT(f0, f2, f3, f5, f6, f8);                                              \
+        w->s[3][l] = MA(b, DOT(f1, f1, f4, f4, f7, f7), a);                                        \
+        w->s[4][l] = b * DOT(f1, f2, f4, f5, f7, f8);                                              \
+        w->s[5][l] = MA(b, DOT(f2, f2, f5, f5, f8, f8), a);                                        \
     }                                                                                              \
     for (i = 0; i < 9; i += 3)                                                                     \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T x = w->r[i][l], y = w->r[i + 1][l], z = w->r[i + 2][l], b = w->k[2][l];        \
             const T s0 = w->s[0][l], s1 = w->s[1][l], s2 = w->s[2][l];                             \
             const T s3 = w->s[3][l], s4 = w->s[4][l], s5 = w->s[5][l];                             \
-            w->r[i][l] = sfemi_ma_##S(fused, b, w->c[i][l], sfemi_dot_##S(fused, x, s0, y, s1, z, s2));\
-            w->r[i + 1][l] = sfemi_ma_##S(fused, b, w->c[i + 1][l], sfemi_dot_##S(fused, x, s1, y, s3, z, s4));\
-            w->r[i + 2][l] = sfemi_ma_##S(fused, b, w->c[i + 2][l], sfemi_dot_##S(fused, x, s2, y, s4, z, s5));\
+            w->r[i][l] = MA(b, w->c[i][l], DOT(x, s0, y, s1, z, s2));                              \
+            w->r[i + 1][l] = MA(b, w->c[i + 1][l], DOT(x, s1, y, s3, z, s4));                      \
+            w->r[i + 2][l] = MA(b, w->c[i + 2][l], DOT(x, s2, y, s4, z, s5));                      \
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope is\
- * below ROUND t^3 are done again the slow way */                                                  \
-static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                       \
+/* R as in sfemi_polar_fast, until the last step in every lane is below STEP t; lanes whose slope  \
+ * is below ROUND t^3 are done again the slow way */                                               \
+static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fused)                \
 {                                                                                                  \
     sfem_real g[9], r[9];                                                                          \
     int l, i, k;                                                                                   \
     sfemi_lanes_quartic_##S(w, fused);                                                             \
-    sfemi_lanes_halley_##S(w, fused);                                                              \
-    for (k = 0; k < 5; ++k) {                                                                      \
+    for (k = 0; k < 8; ++k) {                                                                      \
         sfemi_lanes_halley_##S(w, fused);                                                          \
         if (!sfemi_lanes_any(w->bad, sizeof w->bad)) break;                                        \
     }                                                                                              \
@@ -7714,134 +8350,141 @@ static SFEMI_INLINE void sfemi_lanes_polar_##S(sfemi_lanes_##S *w, const int fus
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         if (w->bad[l] == 0) continue;                                                              \
         for (i = 0; i < 9; ++i) g[i] = w->g[i][l];                                                 \
-        sfemi_lanes_repair(g, sizeof(T) < sizeof g[0] ? SFEMI_POINT_MIXED : SFEMI_POINT, r);       \
+        sfemi_lanes_repair(g, sizeof(T) < sizeof g[0] ? SFEMI_TINY_F_MIXED : SFEMI_TINY_F, r);       \
         for (i = 0; i < 9; ++i) w->r[i][l] = (T)r[i];                                              \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)                      \
+static SFEMI_INLINE void sfemi_lanes_linear_##S(sfemi_lanes_##S *w, const int fused)               \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
         const T e0 = w->g[0][l], e4 = w->g[4][l], e8 = w->g[8][l], trace = e0 + e4 + e8;           \
-        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l], e5 = w->g[5][l] + w->g[7][l];\
+        const T e1 = w->g[1][l] + w->g[3][l], e2 = w->g[2][l] + w->g[6][l];                        \
+        const T e5 = w->g[5][l] + w->g[7][l];                                                      \
         const T mu = w->mu[l], lt = w->lambda[l] * trace;                                          \
-        w->p[0][l] = sfemi_ma_##S(fused, 2 * mu, e0, lt);                                          \
-        w->p[4][l] = sfemi_ma_##S(fused, 2 * mu, e4, lt);                                          \
-        w->p[8][l] = sfemi_ma_##S(fused, 2 * mu, e8, lt);                                          \
+        w->p[0][l] = MA(2 * mu, e0, lt);                                                           \
+        w->p[4][l] = MA(2 * mu, e4, lt);                                                           \
+        w->p[8][l] = MA(2 * mu, e8, lt);                                                           \
         w->p[1][l] = w->p[3][l] = mu * e1;                                                         \
         w->p[2][l] = w->p[6][l] = mu * e2;                                                         \
         w->p[5][l] = w->p[7][l] = mu * e5;                                                         \
-        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
-                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+        w->energy[l] = MA(lt / 2, trace,                                                           \
+                       mu * (DOT(e0, e0, e4, e4, e8, e8) + DOT(e1, e1, e2, e2, e5, e5) / 2));      \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)                \
+static SFEMI_INLINE void sfemi_lanes_corotational_##S(sfemi_lanes_##S *w, const int fused)         \
 {                                                                                                  \
     int l, i;                                                                                      \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l], r3 = w->r[3][l], r4 = w->r[4][l];\
-        const T r5 = w->r[5][l], r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                \
+        const T r0 = w->r[0][l], r1 = w->r[1][l], r2 = w->r[2][l];                                 \
+        const T r3 = w->r[3][l], r4 = w->r[4][l], r5 = w->r[5][l];                                 \
+        const T r6 = w->r[6][l], r7 = w->r[7][l], r8 = w->r[8][l];                                 \
         const T d0 = w->g[0][l] + (1 - r0), d1 = w->g[1][l] - r1, d2 = w->g[2][l] - r2;            \
         const T d3 = w->g[3][l] - r3, d4 = w->g[4][l] + (1 - r4), d5 = w->g[5][l] - r5;            \
         const T d6 = w->g[6][l] - r6, d7 = w->g[7][l] - r7, d8 = w->g[8][l] + (1 - r8);            \
-        const T trace = sfemi_dot_##S(fused, r0, d0, r1, d1, r2, d2) + sfemi_dot_##S(fused, r3, d3, r4, d4, r5, d5) +\
-                        sfemi_dot_##S(fused, r6, d6, r7, d7, r8, d8);                              \
-        const T square = sfemi_dot_##S(fused, d0, d0, d1, d1, d2, d2) + sfemi_dot_##S(fused, d3, d3, d4, d4, d5, d5) +\
-                         sfemi_dot_##S(fused, d6, d6, d7, d7, d8, d8);                             \
+        const T trace = DOT(r0, d0, r1, d1, r2, d2) + DOT(r3, d3, r4, d4, r5, d5) +                \
+                        DOT(r6, d6, r7, d7, r8, d8);                                               \
+        const T square = DOT(d0, d0, d1, d1, d2, d2) + DOT(d3, d3, d4, d4, d5, d5) +               \
+                         DOT(d6, d6, d7, d7, d8, d8);                                              \
         const T lt = w->lambda[l] * trace;                                                         \
         w->trace[l] = lt;                                                                          \
-        w->energy[l] = sfemi_ma_##S(fused, w->mu[l], square, lt / 2 * trace);                      \
+        w->energy[l] = MA(w->mu[l], square, lt / 2 * trace);                                       \
     }                                                                                              \
     for (i = 0; i < 9; ++i) {                                                                      \
         const T one = i % 4 ? 0 : 1;                                                               \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
             const T r = w->r[i][l], d = w->g[i][l] + (one - r);                                    \
-            w->p[i][l] = sfemi_ma_##S(fused, 2 * w->mu[l], d, w->trace[l] * r);                    \
+            w->p[i][l] = MA(2 * w->mu[l], d, w->trace[l] * r);                                     \
         }                                                                                          \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                        \
+static SFEMI_INLINE void sfemi_lanes_stvk_##S(sfemi_lanes_##S *w, const int fused)                 \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
-        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
-        const T e0 = g0 + sfemi_dot_##S(fused, g0, g0, g3, g3, g6, g6) / 2;                        \
-        const T e4 = g4 + sfemi_dot_##S(fused, g1, g1, g4, g4, g7, g7) / 2;                        \
-        const T e8 = g8 + sfemi_dot_##S(fused, g2, g2, g5, g5, g8, g8) / 2;                        \
-        const T e1 = g1 + g3 + sfemi_dot_##S(fused, g0, g1, g3, g4, g6, g7);                       \
-        const T e2 = g2 + g6 + sfemi_dot_##S(fused, g0, g2, g3, g5, g6, g8);                       \
-        const T e5 = g5 + g7 + sfemi_dot_##S(fused, g1, g2, g4, g5, g7, g8);                       \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l];                                 \
+        const T g3 = w->g[3][l], g4 = w->g[4][l], g5 = w->g[5][l];                                 \
+        const T g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                                 \
+        const T e0 = g0 + DOT(g0, g0, g3, g3, g6, g6) / 2;                                         \
+        const T e4 = g4 + DOT(g1, g1, g4, g4, g7, g7) / 2;                                         \
+        const T e8 = g8 + DOT(g2, g2, g5, g5, g8, g8) / 2;                                         \
+        const T e1 = g1 + g3 + DOT(g0, g1, g3, g4, g6, g7);                                        \
+        const T e2 = g2 + g6 + DOT(g0, g2, g3, g5, g6, g8);                                        \
+        const T e5 = g5 + g7 + DOT(g1, g2, g4, g5, g7, g8);                                        \
         const T mu = w->mu[l], trace = e0 + e4 + e8, lt = w->lambda[l] * trace;                    \
-        const T s0 = sfemi_ma_##S(fused, 2 * mu, e0, lt), s4 = sfemi_ma_##S(fused, 2 * mu, e4, lt);\
-        const T s8 = sfemi_ma_##S(fused, 2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;\
-        w->p[0][l] = s0 + sfemi_dot_##S(fused, g0, s0, g1, s1, g2, s2);                            \
-        w->p[1][l] = s1 + sfemi_dot_##S(fused, g0, s1, g1, s4, g2, s5);                            \
-        w->p[2][l] = s2 + sfemi_dot_##S(fused, g0, s2, g1, s5, g2, s8);                            \
-        w->p[3][l] = s1 + sfemi_dot_##S(fused, g3, s0, g4, s1, g5, s2);                            \
-        w->p[4][l] = s4 + sfemi_dot_##S(fused, g3, s1, g4, s4, g5, s5);                            \
-        w->p[5][l] = s5 + sfemi_dot_##S(fused, g3, s2, g4, s5, g5, s8);                            \
-        w->p[6][l] = s2 + sfemi_dot_##S(fused, g6, s0, g7, s1, g8, s2);                            \
-        w->p[7][l] = s5 + sfemi_dot_##S(fused, g6, s1, g7, s4, g8, s5);                            \
-        w->p[8][l] = s8 + sfemi_dot_##S(fused, g6, s2, g7, s5, g8, s8);                            \
-        w->energy[l] = sfemi_ma_##S(fused, lt / 2, trace,                                          \
-                       mu * (sfemi_dot_##S(fused, e0, e0, e4, e4, e8, e8) + sfemi_dot_##S(fused, e1, e1, e2, e2, e5, e5) / 2));\
+        const T s0 = MA(2 * mu, e0, lt), s4 = MA(2 * mu, e4, lt);                                  \
+        const T s8 = MA(2 * mu, e8, lt), s1 = mu * e1, s2 = mu * e2, s5 = mu * e5;                 \
+        w->p[0][l] = s0 + DOT(g0, s0, g1, s1, g2, s2);                                             \
+        w->p[1][l] = s1 + DOT(g0, s1, g1, s4, g2, s5);                                             \
+        w->p[2][l] = s2 + DOT(g0, s2, g1, s5, g2, s8);                                             \
+        w->p[3][l] = s1 + DOT(g3, s0, g4, s1, g5, s2);                                             \
+        w->p[4][l] = s4 + DOT(g3, s1, g4, s4, g5, s5);                                             \
+        w->p[5][l] = s5 + DOT(g3, s2, g4, s5, g5, s8);                                             \
+        w->p[6][l] = s2 + DOT(g6, s0, g7, s1, g8, s2);                                             \
+        w->p[7][l] = s5 + DOT(g6, s1, g7, s4, g8, s5);                                             \
+        w->p[8][l] = s8 + DOT(g6, s2, g7, s5, g8, s8);                                             \
+        w->energy[l] = MA(lt / 2, trace,                                                           \
+                       mu * (DOT(e0, e0, e4, e4, e8, e8) + DOT(e1, e1, e2, e2, e5, e5) / 2));      \
     }                                                                                              \
 }                                                                                                  \
                                                                                                    \
 /* as sfemi_law_neohookean; k1 = 3/4 m, k2 = m i/(16 + 4 i) */                                     \
-static SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)                  \
+static SFEMI_INLINE void sfemi_lanes_neohookean_##S(sfemi_lanes_##S *w, const int fused)           \
 {                                                                                                  \
     int l;                                                                                         \
     for (l = 0; l < SFEMI_LANES; ++l) {                                                            \
-        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l], g3 = w->g[3][l], g4 = w->g[4][l];\
-        const T g5 = w->g[5][l], g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                \
-        const T c0 = sfemi_det_##S(fused, g4, g8, g5, g7), c1 = sfemi_det_##S(fused, g5, g6, g3, g8);\
-        const T c2 = sfemi_det_##S(fused, g3, g7, g4, g6), c3 = sfemi_det_##S(fused, g2, g7, g1, g8);\
-        const T c4 = sfemi_det_##S(fused, g0, g8, g2, g6), c5 = sfemi_det_##S(fused, g1, g6, g0, g7);\
-        const T c6 = sfemi_det_##S(fused, g1, g5, g2, g4), c7 = sfemi_det_##S(fused, g2, g3, g0, g5);\
-        const T c8 = sfemi_det_##S(fused, g0, g4, g1, g3);                                         \
+        const T g0 = w->g[0][l], g1 = w->g[1][l], g2 = w->g[2][l];                                 \
+        const T g3 = w->g[3][l], g4 = w->g[4][l], g5 = w->g[5][l];                                 \
+        const T g6 = w->g[6][l], g7 = w->g[7][l], g8 = w->g[8][l];                                 \
+        const T c0 = DET(g4, g8, g5, g7), c1 = DET(g5, g6, g3, g8);                                \
+        const T c2 = DET(g3, g7, g4, g6), c3 = DET(g2, g7, g1, g8);                                \
+        const T c4 = DET(g0, g8, g2, g6), c5 = DET(g1, g6, g0, g7);                                \
+        const T c6 = DET(g1, g5, g2, g4), c7 = DET(g2, g3, g0, g5);                                \
+        const T c8 = DET(g0, g4, g1, g3);                                                          \
         const T trace = g0 + g4 + g8;                                                              \
-        const T i = 2 * trace + sfemi_dot_##S(fused, g0, g0, g1, g1, g2, g2) +                     \
-                    sfemi_dot_##S(fused, g3, g3, g4, g4, g5, g5) + sfemi_dot_##S(fused, g6, g6, g7, g7, g8, g8);\
-        const T j = trace + (c0 + c4 + c8) + sfemi_dot_##S(fused, g0, c0, g1, c1, g2, c2);         \
+        const T i = 2 * trace + DOT(g0, g0, g1, g1, g2, g2) +                                      \
+                    DOT(g3, g3, g4, g4, g5, g5) + DOT(g6, g6, g7, g7, g8, g8);                     \
+        const T j = trace + (c0 + c4 + c8) + DOT(g0, c0, g1, c1, g2, c2);                          \
         const T k1 = w->mu[l], lambda = w->lambda[l] + 5 * k1 / 6, k2 = k1 * i / (12 + 3 * i);     \
-        const T a = k1 + k2, b = sfemi_ma_##S(fused, lambda, j, -k1), lj = lambda * j;             \
-        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + sfemi_ma_##S(fused, k2, g0 + 1, lj * (1 + c0 + trace - g0));\
-        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + sfemi_ma_##S(fused, k2, g4 + 1, lj * (1 + c4 + trace - g4));\
-        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + sfemi_ma_##S(fused, k2, g8 + 1, lj * (1 + c8 + trace - g8));\
-        w->p[1][l] = sfemi_ma_##S(fused, a, g1, b * (c1 - g3));                                    \
-        w->p[2][l] = sfemi_ma_##S(fused, a, g2, b * (c2 - g6));                                    \
-        w->p[3][l] = sfemi_ma_##S(fused, a, g3, b * (c3 - g1));                                    \
-        w->p[5][l] = sfemi_ma_##S(fused, a, g5, b * (c5 - g7));                                    \
-        w->p[6][l] = sfemi_ma_##S(fused, a, g6, b * (c6 - g2));                                    \
-        w->p[7][l] = sfemi_ma_##S(fused, a, g7, b * (c7 - g5));                                    \
+        const T a = k1 + k2, b = MA(lambda, j, -k1), lj = lambda * j;                              \
+        w->p[0][l] = k1 * (g0 + g0 - c0 - trace) + MA(k2, g0 + 1, lj * (1 + c0 + trace - g0));     \
+        w->p[4][l] = k1 * (g4 + g4 - c4 - trace) + MA(k2, g4 + 1, lj * (1 + c4 + trace - g4));     \
+        w->p[8][l] = k1 * (g8 + g8 - c8 - trace) + MA(k2, g8 + 1, lj * (1 + c8 + trace - g8));     \
+        w->p[1][l] = MA(a, g1, b * (c1 - g3));                                                     \
+        w->p[2][l] = MA(a, g2, b * (c2 - g6));                                                     \
+        w->p[3][l] = MA(a, g3, b * (c3 - g1));                                                     \
+        w->p[5][l] = MA(a, g5, b * (c5 - g7));                                                     \
+        w->p[6][l] = MA(a, g6, b * (c6 - g2));                                                     \
+        w->p[7][l] = MA(a, g7, b * (c7 - g5));                                                     \
         w->trace[l] = i / 4;                                                                       \
-        w->energy[l] = sfemi_ma_##S(fused, lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));              \
+        w->energy[l] = MA(lj / 2, j, k1 * 2 / 3 * (i - (T)1.5 * j));                               \
     }                                                                                              \
-    for (l = 0; l < SFEMI_LANES; ++l) w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);\
+    for (l = 0; l < SFEMI_LANES; ++l)                                                              \
+        w->energy[l] -= w->mu[l] * 2 / 3 * (T)log1p((double)w->trace[l]);                          \
 }                                                                                                  \
                                                                                                    \
 /* the forces p g_a on nodes 1, 2, 3 */                                                            \
-static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block, const int fused)\
+static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_block *block,      \
+                                                const int fused)                                   \
 {                                                                                                  \
     int l, a;                                                                                      \
     for (a = 0; a < 9; a += 3)                                                                     \
         for (l = 0; l < SFEMI_LANES; ++l) {                                                        \
-            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l], z = (T)block->shape[a + 2][l];\
-            w->d[a][l] = sfemi_dot_##S(fused, w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);        \
-            w->d[a + 1][l] = sfemi_dot_##S(fused, w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);    \
-            w->d[a + 2][l] = sfemi_dot_##S(fused, w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);    \
+            const T x = (T)block->shape[a][l], y = (T)block->shape[a + 1][l];                      \
+            const T z = (T)block->shape[a + 2][l];                                                 \
+            w->d[a][l] = DOT(w->p[0][l], x, w->p[1][l], y, w->p[2][l], z);                         \
+            w->d[a + 1][l] = DOT(w->p[3][l], x, w->p[4][l], y, w->p[5][l], z);                     \
+            w->d[a + 2][l] = DOT(w->p[6][l], x, w->p[7][l], y, w->p[8][l], z);                     \
         }                                                                                          \
 }                                                                                                  \
                                                                                                    \
-static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count, const sfem_real *u,\
-                                         sfem_real *out, sfem_real *rotation, sfemi_totals *totals,\
-                                         const sfemi_gather gather, const sfemi_scatter scatter,   \
-                                         const int fused)                                          \
+static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
+                                                const sfem_real *u, sfem_real *out, sfem_real *rotation,\
+                                                sfemi_totals *totals, const sfemi_gather gather,   \
+                                                const sfemi_scatter scatter, const int fused)      \
 {                                                                                                  \
     sfemi_totals sum;                                                                              \
     sfemi_lanes_##S w;                                                                             \
@@ -7873,12 +8516,12 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
     *totals = sum;                                                                                 \
 }
 
-SFEMI_LANE_KERNELS(double, d, 2e-6, 3e-2)
-SFEMI_LANE_KERNELS(float, f, 2e-3, 6e-2)
+SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
+SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
 #define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,\
-                        sfem_real *rotation, sfemi_totals *totals)                                 \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
+                        sfem_real *out, sfem_real *rotation, sfemi_totals *totals)                 \
 {                                                                                                  \
     sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
                            sfemi_scatter_##PATH, FUSED);                                           \
@@ -7886,7 +8529,7 @@ TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_rea
 
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
-#ifdef SFEMI_X86_PATHS
+#if SFEMI_X86
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
@@ -7897,10 +8540,10 @@ SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
 static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
 {
     const int mixed = precision == SFEM_MIXED;
-#ifdef SFEMI_X86_PATHS
-    switch (sfem_vector_width()) {
-    case 8: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 4: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
     default: break;
     }
 #endif
@@ -7916,10 +8559,10 @@ static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
 
 /* ---- chunks: how forces and tangents are computed on any number of threads ----
  *
- * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and adds
- * into copies of their forces, which are then added up node by node. What a chunk does and the order of
- * every sum are fixed by the mesh. For tangents, chunks without a common node have one colour and add
- * into the matrix at the same time. */
+ * Tets in their order make chunks; a chunk computes with copies of its nodes' displacements and
+ * adds into copies of their forces, which are then added up node by node. What a chunk does and
+ * the order of every sum are fixed by the mesh. For tangents, chunks without a common node have
+ * one colour and add into the matrix at the same time. */
 #define SFEMI_CHUNK_TETS 256
 #define SFEMI_CHUNK_TASK 4     /* chunks a task */
 #define SFEMI_NODE_TASK  2048  /* nodes a task */
@@ -8157,9 +8800,10 @@ static void sfemi_chunks_count(const sfem_model *model, sfemi_chunks *c, sfem_in
     c->copies = c->copy_start[c->count];
 }
 
-/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the chunk. */
-static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, const sfem_int *local,
-                              sfemi_block *block, sfem_int lane)
+/* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the
+ * chunk. */
+static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
+                              const sfem_int *local, sfemi_block *block, sfem_int lane)
 {
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
     sfem_real g[4][3];
@@ -8173,27 +8817,26 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler, c
     if (!filler) block->count = lane + 1;
 }
 
-/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane after
- * lane then adds to different nodes, and need not wait for the last sum. */
+/* The blocks of chunk k, law by law. Neighbours go to the same lane of different blocks: lane
+ * after lane then adds to different nodes, and need not wait for the last sum. */
 static void sfemi_chunks_fill_blocks(const sfem_model *model, sfemi_chunks *c, sfem_int k,
                                      const sfem_int *local)
 {
     const sfem_int first = k * SFEMI_CHUNK_TETS;
     const sfem_int end = k + 1 < c->count ? first + SFEMI_CHUNK_TETS : model->mesh.tets;
     sfemi_block *block = c->block + c->block_start[k];
-    sfem_int law, e, i, blocks, tets, last = first;
+    sfem_int law, e, b, lane, blocks, tets, last = first;
     for (law = 0; law <= SFEM_NEOHOOKEAN; ++law) {
         for (e = first, tets = 0; e < end; ++e) tets += model->law[e] == law;
         blocks = (tets + SFEMI_LANES - 1) / SFEMI_LANES;
-        for (e = first, i = 0; e < end; ++e) {
-            if (model->law[e] != law) continue;
-            sfemi_chunks_fill(model, e, 0, local, block + i % blocks, i / blocks);
-            last = e;
-            ++i;
+        for (e = first, b = lane = 0; tets > 0 && lane < SFEMI_LANES; ++e) {
+            if (e < end && model->law[e] != law) continue;
+            if (e < end) last = e; /* then the lanes that are left */
+            sfemi_chunks_fill(model, last, e >= end, local, block + b, lane);
+            block[b].law = law;
+            if (++b == blocks) b = 0, ++lane;
         }
-        for (; i < blocks * SFEMI_LANES; ++i)
-            sfemi_chunks_fill(model, last, 1, local, block + i % blocks, i / blocks);
-        for (i = 0; i < blocks; ++i) block++->law = law;
+        block += blocks;
     }
 }
 
@@ -8229,8 +8872,10 @@ static sfem_int sfemi_chunks_of(const sfemi_chunks *c, sfem_int copy)
     sfem_int low = 0, high = c->count;
     while (high - low > 1) {
         const sfem_int mid = low + (high - low) / 2;
-        if (c->copy_start[mid] <= copy) low = mid;
-        else high = mid;
+        if (c->copy_start[mid] <= copy)
+            low = mid;
+        else
+            high = mid;
     }
     return low;
 }
@@ -8264,7 +8909,7 @@ static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
     const sfem_allocator *al = &model->allocator;
     const sfem_mesh *mesh = &model->mesh;
     sfemi_chunks *c = &model->chunks;
-    sfem_int *mark = NULL, *local = NULL, i, a, b, *place;
+    sfem_int *mark = NULL, *local = NULL;
     sfem_status status = SFEM_OK;
     c->count = (mesh->tets + SFEMI_CHUNK_TETS - 1) / SFEMI_CHUNK_TETS;
     SFEMI_NEW(sfem_int, mark, al, (size_t)mesh->nodes + (size_t)c->count);
@@ -8274,7 +8919,6 @@ static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
     SFEMI_NEW(sfem_int, c->color_start, al, (size_t)c->count + 1);
     SFEMI_NEW(sfem_int, c->color_chunk, al, c->count);
     SFEMI_NEW(sfem_int, c->node_start, al, (size_t)mesh->nodes + 1);
-    SFEMI_NEW(sfem_int, c->place, al, 10 * (size_t)mesh->tets);
     memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
     sfemi_chunks_count(model, c, mark);
     SFEMI_NEW(sfemi_block, c->block, al, c->block_start[c->count]);
@@ -8283,12 +8927,6 @@ static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
     memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
     sfemi_chunks_number(model, c, mark, local);
     sfemi_chunks_color(c, local, mark);
-    for (i = 0, place = c->place; i < mesh->tets; ++i)
-        for (a = 0; a < 4; ++a)
-            for (b = 0; b <= a; ++b) {
-                const sfem_int n = mesh->tet[4 * i + a], m = mesh->tet[4 * i + b];
-                *place++ = sfemi_fem_find(model->row, model->col, n > m ? n : m, n > m ? m : n);
-            }
 done:
     sfemi_delete(al, mark);
     sfemi_delete(al, local);
@@ -8299,6 +8937,7 @@ done:
 static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material *m)
 {
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_int *place = model->chunks.place + 10 * (size_t)e;
     const sfem_real da = m->alpha - model->alpha, db = m->beta - model->beta;
     sfem_real g[4][3], k[9], node;
     int a, b, i;
@@ -8316,6 +8955,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
             sfem_real *d, *kk;
             if (t[a] < t[b]) continue;
             at = sfemi_fem_find(model->row, model->col, t[a], t[b]);
+            place[a > b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a] = at;
             kk = model->stiffness.val + 9 * (size_t)at;
             sfemi_element_block(g[a], g[b], v * model->lambda[e], v * model->mu[e], k);
             for (i = 0; i < 9; ++i) kk[i] += k[i];
@@ -8409,6 +9049,7 @@ static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *d
     SFEMI_NEW(sfem_real, model->density, al, mesh->tets);
     SFEMI_NEW(sfem_real, model->volume, al, mesh->tets);
     SFEMI_NEW(unsigned char, model->law, al, mesh->tets);
+    SFEMI_NEW(sfem_int, model->chunks.place, al, 10 * (size_t)mesh->tets);
     if (def->mass == SFEM_MASS_CONSISTENT) SFEMI_NEW(sfem_real, model->block_mass, al, blocks);
     if (def->damping || sfemi_fem_damping_varies(def))
         SFEMI_NEW(sfem_real, model->damping, al, 9 * blocks);
@@ -8654,9 +9295,10 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
 }
 
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u, sfem_precision precision,
-                                     sfem_real *force, sfem_real *rotation, sfem_int *inverted,
-                                     sfem_real *work, const sfem_exec *exec)
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
@@ -8687,6 +9329,7 @@ typedef struct sfemi_tangents {
     sfem_tangent kind;
     sfem_real *val;
     const sfem_int *chunk; /* of one colour */
+    sfemi_pairs_kernel kernel;
 } sfemi_tangents;
 
 /* Adds the tangent of a lane's tet. */
@@ -8694,24 +9337,27 @@ static void sfemi_tangents_tet(const sfemi_tangents *job, const sfemi_block *blo
 {
     const sfem_int e = block->tet[lane], *t = job->model->mesh.tet + 4 * (size_t)e;
     const sfem_int *place = job->model->chunks.place + 10 * (size_t)e;
-    sfem_real g[4][3], in_v[4][3], grad[9], k[9];
+    sfem_real g[4][3], grad[9];
+    unsigned swap = 0;
     sfemi_modes modes;
-    int a, b, i;
+    sfemi_pairs pairs;
+    int a, b, i, n;
     for (i = 0; i < 3; ++i) {
         for (a = 1; a < 4; ++a) g[a][i] = block->shape[3 * a - 3 + i][lane];
         g[0][i] = -(g[1][i] + g[2][i] + g[3][i]);
     }
     sfemi_element_deform(job->u + 3 * (size_t)t[0], job->u + 3 * (size_t)t[1],
                          job->u + 3 * (size_t)t[2], job->u + 3 * (size_t)t[3], g, grad);
-    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind, &modes);
-    sfemi_modes_turn(&modes, g, in_v);
-    for (a = 0; a < 4; ++a)
-        for (b = 0; b <= a; ++b) {
-            sfem_real *to = job->val + 9 * (size_t)*place++;
-            const int down = t[a] >= t[b];
-            sfemi_modes_block(&modes, 1, in_v[down ? a : b], in_v[down ? b : a], k);
-            for (i = 0; i < 9; ++i) to[i] += k[i];
-        }
+    sfemi_law_modes((sfem_law)block->law, block->lambda[lane], block->mu[lane], grad, job->kind,
+                    &modes);
+    for (a = 0, n = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n) swap |= (unsigned)(t[a] < t[b]) << n;
+    sfemi_pairs_fill(&modes, g, swap, &pairs);
+    job->kernel(&modes, 1, &pairs);
+    for (n = 0; n < 10; ++n) {
+        sfem_real *to = job->val + 9 * (size_t)place[n];
+        for (i = 0; i < 9; ++i) to[i] += pairs.k[i][n];
+    }
 }
 
 static void sfemi_tangents_chunk(void *data, sfem_int index)
@@ -8721,7 +9367,8 @@ static void sfemi_tangents_chunk(void *data, sfem_int index)
     const sfem_int k = job->chunk[index];
     sfem_int b, lane;
     for (b = c->block_start[k]; b < c->block_start[k + 1]; ++b)
-        for (lane = 0; lane < c->block[b].count; ++lane) sfemi_tangents_tet(job, c->block + b, lane);
+        for (lane = 0; lane < c->block[b].count; ++lane)
+            sfemi_tangents_tet(job, c->block + b, lane);
 }
 
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
@@ -8736,6 +9383,7 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
+    job.kernel = sfemi_pairs_pick();
     memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
     for (n = 0; n < c->colors; ++n) {
         job.chunk = c->color_chunk + c->color_start[n];
@@ -8913,7 +9561,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
 
 static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
 {
-    return model->volume[e] * (2 * model->mu[e] + 3 * (model->lambda[e] > 0 ? model->lambda[e] : 0));
+    return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0.0));
 }
 
 /* y = the majorant times x. */
@@ -9436,7 +10084,7 @@ typedef struct sfemi_redo {
 enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
 
 /* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
-enum { SFEMI_PAIRS = 6 };
+enum { SFEMI_MEMORY = 6 };
 
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
@@ -9445,13 +10093,43 @@ typedef struct sfemi_guard {
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
     sfem_real *unit;       /* frames that do not turn */
     sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
-    sfem_real *pair;       /* [SFEMI_PAIRS][2] of its steps, made with its factor */
+    sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
     sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
+/* What >>implicit works with. */
+typedef struct sfemi_stage {
+    sfem_real m1, m0, w1, w0, c1, c2; /* see there */
+    sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
+    sfem_real end; /* where in the step it ends, in h */
+} sfemi_stage;
+
+typedef struct sfemi_system {
+    sfem_factor *factor;
+    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
+    sfem_int *source;   /* [blocks] their places in K's pattern */
+} sfemi_system;
+
+typedef struct sfemi_implicit {
+    sfem_newton_info info;
+    sfemi_stage stage;
+    sfemi_system system; /* its factor is the body's */
+    sfem_factor *second; /* linear bodies: that of the second of two systems */
+    sfem_matrix tangent; /* K(u): the model's K itself where that is constant */
+    sfem_matrix drag;    /* of the caller's damping, or no values */
+    int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
+    int still;           /* statics: no inertia, no damping */
+    sfem_real share;     /* statics: of the load */
+    sfem_real energy;    /* Psi at the last evaluation */
+    sfem_real *memory;   /* what follows: [nodes][3] each */
+    sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
+    sfem_real *work;     /* of sfem_model_forces */
+} sfemi_implicit;
+
+enum { SFEMI_IMPLICIT_VECTORS = 15 };
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
@@ -9480,6 +10158,7 @@ struct sfem_body {
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+    sfemi_implicit implicit;
 };
 
 enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
@@ -9728,6 +10407,966 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
         }
         sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
     }
+}
+
+/* ============================================================================================
+ * >>implicit   Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
+ *
+ * Every method is one or two stages of one form, in the displacement d = u' - u over the step:
+ *
+ *   m1 M a' + m0 M a + D(w1 v' + w0 v) + f(u + w1 d) = F_w,    v' = c1 d + V,    a' = c2 d + A
+ *
+ * with V, A known: they are algorithm 1 of [Yuan et al. 2017] as meant, with other numbers. At a pin d, v'
+ * and a' are given (see >>newmark); V and A are set so that the two maps hold there, too. Newton's matrix is
+ *
+ *   J = (m1 c2 + w1 c1 alpha) M + w1 (1 + c1 beta) K(u + w1 d) + w1 c1 (rest of D),
+ *
+ * which leaves out how beta K(u) v changes with u. J delta = F - M .. - D - f =: r. Where J is symmetric r is
+ * minus the gradient of Psi(u + w1 d)/w1 + a part that is quadratic in d, so that the change of that
+ * potential over delta is known without cancellation: the first by the energies, the second as the mean
+ * of its slopes at both ends. A nonlinear damping force enters in the same way, to third order.
+ * Handles: multipliers l with H (u + d) = target, by the Schur complement on the factor of the moment.
+ * ============================================================================================ */
+
+/* Do all tets follow Hooke's law in small rotations? */
+static int sfemi_implicit_linear(const sfem_model *model) { return !model->turns; }
+
+static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
+{
+    const sfem_newton_def *n = &d->newton;
+    if (!(d->rho_inf >= 0 && d->rho_inf <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "rho_inf is %g, must be 0 to 1", d->rho_inf);
+    if (!(d->hht_alpha >= 0 && d->hht_alpha <= 1. / 3))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "HHT's alpha is %g, must be 0 to 1/3", d->hht_alpha);
+    if (n->iterations < 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newton's iterations are %d, must be >= 1", (int)n->iterations);
+    if (!(sfemi_finite(n->tolerance) && n->tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newton's tolerance is %g, must be >= 0", n->tolerance);
+    if ((unsigned)n->tangent > SFEM_TANGENT_FROZEN)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no tangent %d", (int)n->tangent);
+    if (n->load_steps < 1 || n->load_steps > 1000000)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "load_steps is %d, must be 1 to 1000000", (int)n->load_steps);
+    if (d->damping_force.tangent && !d->damping_force.force)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping force has a tangent, but no force");
+    if (d->damping_force.force && (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a damping force needs an implicit integrator");
+    return SFEM_OK;
+}
+
+/* Is a step of this body solved here? */
+static int sfemi_implicit_serves(const sfem_body *b)
+{
+    if (b->def.integrator == SFEM_NEWMARK)
+        return !sfemi_implicit_linear(b->model) || b->def.damping_force.force != NULL;
+    return b->def.integrator >= SFEM_BACKWARD_EULER && b->def.integrator <= SFEM_BATHE;
+}
+
+/* Does Newton's matrix never change, so that a shared factor serves? */
+static int sfemi_implicit_constant(const sfem_body *b)
+{
+    return sfemi_implicit_linear(b->model) && !b->def.damping_force.tangent;
+}
+
+/* The energy at u, and its gradient. */
+static sfem_real sfemi_implicit_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real energy = 0;
+    size_t i;
+    if (!sfemi_implicit_linear(b->model))
+        return sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->implicit.work, &b->exec);
+    sfem_matrix_multiply(&b->model->stiffness, u, f, &b->exec);
+    for (i = 0; i < n; ++i) energy += u[i] * f[i];
+    return energy / 2;
+}
+
+/* K(u), to tangent. */
+static void sfemi_implicit_tangent(sfem_body *b, const sfem_real *u, sfem_tangent kind)
+{
+    if (!sfemi_implicit_linear(b->model))
+        sfem_model_tangent(b->model, u, kind, &b->implicit.tangent, &b->exec);
+}
+
+static int sfemi_implicit_damped(const sfem_body *b)
+{
+    return b->alpha != 0 || b->beta != 0 || b->model->damping || b->def.damping_force.force;
+}
+
+/* Room for all that a step or a static solution works on; the tangent is a matrix of its own only where it
+ * changes. */
+static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfemi_implicit *m = &b->implicit;
+    sfem_real *memory = NULL, *tangent = NULL, *drag = NULL, *work = NULL, *at;
+    sfem_status status = SFEM_OK;
+    if (m->memory) return SFEM_OK;
+    SFEMI_NEW(sfem_real, memory, &b->allocator, SFEMI_IMPLICIT_VECTORS * n);
+    if (!sfemi_implicit_linear(model)) {
+        SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
+        SFEMI_NEW(sfem_real, work, &b->allocator, sfem_model_work_size(model));
+    }
+    if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
+    m->tangent = m->drag = model->stiffness;
+    if (tangent) m->tangent.val = tangent;
+    m->drag.val = drag;
+    at = m->memory = memory;
+    m->work = work;
+    m->d = at, at += n;
+    m->best = at, at += n;
+    m->goal = at, at += n;
+    m->vmap = at, at += n;
+    m->amap = at, at += n;
+    m->a0 = at, at += n;
+    m->load = at, at += n;
+    m->f = at, at += n;
+    m->q = at, at += n;
+    m->x = at, at += n;
+    m->v = at, at += n;
+    m->step = at, at += n;
+    m->mid_d = at, at += n;
+    m->mid_v = at, at += n;
+    m->mid_a = at;
+    return SFEM_OK;
+done:
+    sfemi_delete(&b->allocator, work);
+    sfemi_delete(&b->allocator, tangent);
+    sfemi_delete(&b->allocator, memory);
+    return status;
+}
+
+static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
+{
+    sfem_matrix_free(&s->matrix, &b->model->allocator);
+    sfemi_delete(&b->model->allocator, s->source);
+    memset(s, 0, sizeof *s);
+}
+
+static void sfemi_implicit_destroy(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_system_close(b, &m->system);
+    sfemi_factor_release(b->model, m->second);
+    if (m->memory && m->tangent.val != b->model->stiffness.val)
+        sfemi_delete(&b->allocator, m->tangent.val);
+    sfemi_delete(&b->allocator, m->drag.val);
+    sfemi_delete(&b->allocator, m->work);
+    sfemi_delete(&b->allocator, m->memory);
+}
+
+static size_t sfemi_implicit_bytes(const sfem_body *b)
+{
+    const sfemi_implicit *m = &b->implicit;
+    const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
+    size_t reals = 0;
+    if (m->memory) {
+        reals = 3 * SFEMI_IMPLICIT_VECTORS * (size_t)b->model->mesh.nodes;
+        if (m->tangent.val != b->model->stiffness.val) reals += values;
+        if (m->drag.val) reals += values;
+    }
+    if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
+    return reals * sizeof(sfem_real);
+}
+
+/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
+static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
+                                     sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_system s;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
+    ++b->factors_made;
+    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
+    for (k = 0; k < s.factor->free_nodes; ++k)
+        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+    *out = s;
+    return SFEM_OK;
+done:
+    sfemi_factor_release(b->model, s.factor);
+    sfemi_system_close(b, &s);
+    return status;
+}
+
+/* ---- stages ---- */
+
+static int sfemi_implicit_stages(const sfem_body *b) { return b->def.integrator == SFEM_BATHE ? 2 : 1; }
+
+/* The numbers of stage k of a step of h seconds. */
+static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
+{
+    sfem_real beta = b->def.beta, gamma = b->def.gamma, am = 0, af = 0;
+    sfemi_stage s;
+    memset(&s, 0, sizeof s);
+    s.end = 1;
+    if (b->def.integrator == SFEM_HHT) {
+        af = b->def.hht_alpha;
+    } else if (b->def.integrator == SFEM_GENERALIZED_ALPHA) {
+        const sfem_real rho = b->def.rho_inf;
+        am = (2 * rho - 1) / (rho + 1);
+        af = rho / (rho + 1);
+    }
+    if (b->def.integrator != SFEM_NEWMARK) {
+        gamma = 0.5 - am + af;
+        beta = (1 - am + af) * (1 - am + af) / 4;
+    }
+    s.m1 = 1 - am;
+    s.m0 = am;
+    s.w1 = 1 - af;
+    s.w0 = af;
+    if (b->def.integrator == SFEM_BACKWARD_EULER) {
+        s.c1 = 1 / h;
+        s.c2 = 1 / (h * h);
+        s.av = -1 / h;
+        return s;
+    }
+    if (b->def.integrator == SFEM_BATHE && k == 1) {
+        s.c1 = 3 / h; /* v' = (u - 4 u_mid + 3 u')/h, and a' from v alike */
+        s.vd = -4 / h;
+        s.c2 = 9 / (h * h);
+        s.av = 1 / h;
+        s.ad = -12 / (h * h);
+        s.am = -4 / h;
+        return s;
+    }
+    if (b->def.integrator == SFEM_BATHE) {
+        s.end = 0.5;
+        h /= 2;
+    }
+    s.c1 = gamma / (beta * h);
+    s.vv = 1 - gamma / beta;
+    s.va = (1 - gamma / (2 * beta)) * h;
+    s.c2 = 1 / (beta * h * h);
+    s.av = -1 / (beta * h);
+    s.aa = 1 - 1 / (2 * beta);
+    return s;
+}
+
+/* J of a stage at rest position, as a factor's key. */
+static sfemi_factor_key sfemi_implicit_key(const sfem_body *b, int k, sfem_real h)
+{
+    const sfemi_stage s = sfemi_implicit_stage(b, k, h);
+    sfemi_factor_key key;
+    memset(&key, 0, sizeof key);
+    key.ck = s.w1 * (1 + s.c1 * b->beta);
+    key.cm = s.m1 * s.c2 + s.w1 * s.c1 * b->alpha;
+    key.cd = b->model->damping ? s.w1 * s.c1 : 0;
+    key.mask = b->mask;
+    key.precision = b->def.precision;
+    key.ordering = b->def.ordering;
+    return key;
+}
+
+/* The factor for steps of h seconds, a reference for the caller: shared for a constant matrix (and the second
+ * one kept), else the body's own, which serves any h. */
+static sfem_status sfemi_implicit_get_factor(sfem_body *b, sfem_real h, sfem_factor **out, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_factor_key key = sfemi_implicit_key(b, 0, h);
+    sfem_factor *second = NULL;
+    sfemi_system system;
+    sfem_status status;
+    if (sfemi_implicit_constant(b)) {
+        status = sfemi_factor_get(b->model, &key, &b->exec, out, &b->factors_made, err);
+        if (status != SFEM_OK || sfemi_implicit_stages(b) == 1) return status;
+        {
+            const sfemi_factor_key other = sfemi_implicit_key(b, 1, h);
+            status = sfemi_factor_get(b->model, &other, &b->exec, &second, &b->factors_made, err);
+        }
+        if (status != SFEM_OK) {
+            sfemi_factor_release(b->model, *out);
+            return status;
+        }
+        sfemi_factor_release(b->model, m->second);
+        m->second = second;
+        return SFEM_OK;
+    }
+    if (!b->factor) {
+        status = sfemi_system_open(b, &key, &system, err);
+        if (status != SFEM_OK) return status;
+        sfemi_system_close(b, &m->system);
+        m->system = system;
+        *out = system.factor;
+        return SFEM_OK;
+    }
+    *out = b->factor;
+    sfemi_lock(&b->model->lock);
+    ++b->factor->references;
+    sfemi_unlock(&b->model->lock);
+    return SFEM_OK;
+}
+
+/* Place, velocity and acceleration of something held, where the stage ends; x: where it is now. */
+static void sfemi_implicit_hold(const sfem_body *b, const sfemi_hold *hold, const sfem_real *x,
+                                sfem_real place[3], sfem_real v[3], sfem_real a[3])
+{
+    const sfem_real back = (1 - b->implicit.stage.end) * b->step;
+    int c;
+    sfemi_hold_motion(hold, x, b->step, b->state.head->h, v, a);
+    for (c = 0; c < 3; ++c) {
+        place[c] = hold->target[c] - back * (v[c] - back / 2 * a[c]);
+        v[c] -= back * a[c];
+    }
+}
+
+/* V, A, and at pins d itself. */
+static void sfemi_implicit_history(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *v = b->state.w;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (i = 0; i < n; ++i) {
+        m->vmap[i] = s->vv * v[i] + s->va * m->a0[i] + s->vd * m->mid_d[i];
+        m->amap[i] = s->av * v[i] + s->aa * m->a0[i] + s->ad * m->mid_d[i] + s->am * m->mid_v[i];
+        m->goal[i] = 0;
+    }
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        const sfem_real *rest = b->model->mesh.x + at, *u = b->state.u + at;
+        sfem_real x[3], place[3], pv[3], pa[3];
+        for (c = 0; c < 3; ++c) x[c] = rest[c] + u[c];
+        sfemi_implicit_hold(b, b->state.pin + k, x, place, pv, pa);
+        for (c = 0; c < 3; ++c) {
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            i = at + (size_t)c;
+            m->goal[i] = place[c] - rest[c] - u[c];
+            m->vmap[i] = pv[c] - s->c1 * m->goal[i];
+            m->amap[i] = pa[c] - s->c2 * m->goal[i];
+        }
+    }
+}
+
+/* ---- what is balanced ---- */
+
+/* f = f(u), q = M a + D(v), v and a NULL: zero. Returns the energy at u. v may be overwritten. */
+static sfem_real sfemi_implicit_terms(sfem_body *b, const sfem_real *u, const sfem_real *v,
+                                      const sfem_real *a, sfem_real *f, sfem_real *q)
+{
+    const sfem_damping_force *drag = &b->def.damping_force;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real energy = sfemi_implicit_forces(b, u, f);
+    size_t i;
+    b->implicit.tangent_ready = 0;
+    memset(q, 0, n * sizeof *q);
+    if (v && b->beta != 0) {
+        sfemi_implicit_tangent(b, u, b->def.newton.tangent);
+        b->implicit.tangent_ready = 1;
+        sfem_matrix_multiply(&b->implicit.tangent, v, q, &b->exec);
+        for (i = 0; i < n; ++i) q[i] *= b->beta;
+    }
+    if (a) sfemi_fem_add_mass(b->model, 1, a, q);
+    if (v && b->alpha != 0) sfemi_fem_add_mass(b->model, b->alpha, v, q);
+    if (v) sfemi_fem_add_damping_rest(b->model, v, q);
+    if (v && drag->force) drag->force(drag->user, v, q);
+    return energy;
+}
+
+/* load = F+ + share (F - F+) + M g, the load at a time between the start and the end of the step. */
+static void sfemi_implicit_load(const sfem_body *b, sfem_real share, sfem_real *load)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    size_t i;
+    for (i = 0; i < n; ++i) load[i] = b->model->node_mass[i / 3] * s->head->gravity[i % 3];
+    if (!s->head->loaded) return;
+    for (i = 0; i < n; ++i) load[i] += s->force[0][i];
+    if (s->head->load_age >= 2 || share == 0) return;
+    for (i = 0; i < n; ++i) load[i] += share * (s->force[1][i] - s->force[0][i]);
+}
+
+/* r = F - M a - D(v) - f(u) in the present state, under the load at the start (share 1) or end (0) of the
+ * next step. */
+static void sfemi_implicit_balance(sfem_body *b, sfem_real share, const sfem_real *v, const sfem_real *a,
+                                   sfem_real *r)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_implicit_terms(b, b->state.u, v, a, m->f, m->q);
+    sfemi_implicit_load(b, share, r);
+    for (i = 0; i < n; ++i) r[i] -= m->f[i] + m->q[i];
+}
+
+/* ---- Newton ---- */
+
+/* Where Newton's iteration stands. */
+typedef struct sfemi_newton {
+    sfemi_system *system;
+    const char *what;    /* "the step" */
+    sfem_int iterations; /* at most */
+    int once;            /* one solve, whatever comes of it */
+    int ready;           /* d is evaluated */
+    int feasible;        /* pins and handles are where they have to be */
+    sfem_real scale;     /* what |r| is compared with */
+    sfem_real floor_u, floor_d, edge; /* |r| that rounding makes of displacements, see below */
+    sfem_real best;      /* the least relative |r| so far, that of implicit.best */
+} sfemi_newton;
+
+static sfem_real sfemi_implicit_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) sum += a[i] * b[i];
+    return sum;
+}
+
+static sfem_real sfemi_implicit_max(const sfem_real *a, size_t n)
+{
+    sfem_real most = 0;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        if (fabs(a[i]) > most) most = fabs(a[i]);
+    return most;
+}
+
+/* Below what |r| is noise: gradients of displacements carry an error of eps (|u|/edge + 1), so that a
+ * node's force is uncertain by eps K_ii (|u| + edge); inertia by eps M c2 |d|. */
+static void sfemi_newton_floor(sfem_body *b, sfemi_newton *t)
+{
+    const sfem_model *model = b->model;
+    const sfem_real eps = 2.3e-16;
+    sfem_real k2 = 0, m2 = 0, volume = 0;
+    sfem_int i;
+    int c;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real *k = model->stiffness.val + 9 * ((size_t)model->row[i + 1] - 1);
+        for (c = 0; c < 3; ++c) k2 += k[4 * c] * k[4 * c];
+        m2 += 3 * model->node_mass[i] * model->node_mass[i];
+    }
+    for (i = 0; i < model->mesh.tets; ++i) volume += model->volume[i];
+    t->edge = pow(volume / model->mesh.tets, 1. / 3);
+    t->floor_u = eps * sqrt(k2);
+    t->floor_d = b->implicit.still ? 0 : eps * b->implicit.stage.m1 * b->implicit.stage.c2 * sqrt(m2);
+}
+
+/* f and q = M .. + D - F at d, zero on held axes; the scale of r. */
+static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const unsigned char *mask = t->system->factor->mask;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *a = b->zm, most[4] = {0, 0, 0, 0};
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        m->x[i] = b->state.u[i] + s->w1 * m->d[i];
+        if (m->still) continue;
+        m->v[i] = s->w1 * (s->c1 * m->d[i] + m->vmap[i]) + s->w0 * b->state.w[i];
+        a[i] = s->m1 * (s->c2 * m->d[i] + m->amap[i]) + s->m0 * m->a0[i];
+    }
+    m->energy = sfemi_implicit_terms(b, m->x, m->still || !sfemi_implicit_damped(b) ? NULL : m->v, NULL,
+                                     m->f, m->q);
+    memset(b->zk, 0, n * sizeof *b->zk);
+    if (!m->still) sfemi_fem_add_mass(b->model, 1, a, b->zk);
+    for (i = 0; i < n; ++i) {
+        if (mask[i / 3] >> (i % 3) & 1) {
+            m->f[i] = m->q[i] = 0;
+            continue;
+        }
+        most[0] += m->f[i] * m->f[i];
+        most[1] += m->q[i] * m->q[i];
+        most[2] += b->zk[i] * b->zk[i];
+        most[3] += m->load[i] * m->load[i];
+        m->q[i] += b->zk[i] - m->load[i];
+    }
+    for (i = 1; i < 4; ++i)
+        if (most[i] > most[0] || !sfemi_finite(most[i])) most[0] = most[i];
+    t->scale = sqrt(most[0]);
+    ++m->info.evaluations;
+}
+
+static int sfemi_newton_finite(const sfem_body *b, const sfemi_newton *t)
+{
+    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale);
+}
+
+/* The norm of r + H^T l, l in grip.lambda, and whether it will do. */
+static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_grip *g = &b->grip;
+    const unsigned char *mask = t->system->factor->mask;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real floor, norm;
+    sfem_int k;
+    size_t i;
+    int p, c;
+    for (i = 0; i < n; ++i) m->step[i] = -(m->f[i] + m->q[i]);
+    for (k = 0; k < g->count; ++k) {
+        const sfemi_handle *h = b->state.handle + g->slot[k];
+        for (p = 0; p < 4; ++p)
+            for (c = 0; c < 3; ++c)
+                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
+                    m->step[3 * (size_t)h->node[p] + (size_t)c] += h->weight[p] * g->lambda[3 * k + c];
+    }
+    norm = sqrt(sfemi_implicit_dot(m->step, m->step, n));
+    floor = t->floor_u * (sfemi_implicit_max(m->x, n) + t->edge) +
+            t->floor_d * sfemi_implicit_max(m->d, n);
+    m->info.residual = t->scale > 0 ? norm / t->scale : 0;
+    if (!t->feasible) return 0;
+    if (b->def.newton.accept_best && !m->still && m->info.residual < t->best) {
+        t->best = m->info.residual;
+        memcpy(m->best, m->d, n * sizeof *m->d);
+    }
+    return norm <= floor || norm <= b->def.newton.tolerance * t->scale;
+}
+
+/* The stage's J at the last evaluation, plus shift M, into the system's factor. */
+static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tangent kind, sfem_real shift,
+                                       sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const sfem_model *model = b->model;
+    const sfemi_system *y = t->system;
+    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfem_int k, at = 0;
+    sfem_error place;
+    sfem_status status;
+    int r, c;
+    if (!y->matrix.val) return SFEM_OK;
+    if (!m->tangent_ready || kind != b->def.newton.tangent) sfemi_implicit_tangent(b, m->x, kind);
+    m->tangent_ready = kind == b->def.newton.tangent;
+    if (m->drag.val && !m->still) {
+        memset(m->drag.val, 0, values * sizeof *m->drag.val);
+        b->def.damping_force.tangent(b->def.damping_force.user, m->v, &m->drag);
+    }
+    for (k = 0; k < y->matrix.n; ++k) {
+        const sfem_int i = y->factor->node[k];
+        for (; at < y->matrix.row[k + 1]; ++at) {
+            const size_t from = 9 * (size_t)y->source[at];
+            const sfem_int j = model->col[y->source[at]];
+            const int held = y->factor->mask[i] | y->factor->mask[j];
+            const sfem_real mass = model->block_mass ? model->block_mass[y->source[at]]
+                                   : i == j       ? model->node_mass[i]
+                                                  : 0;
+            const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
+            const sfem_real cm = (s->m1 * s->c2 + cd * b->alpha + shift) * mass;
+            sfem_real *to = y->matrix.val + 9 * (size_t)at;
+            for (c = 0; c < 9; ++c) to[c] = ck * m->tangent.val[from + (size_t)c];
+            for (c = 0; c < 9; c += 4) to[c] += cm;
+            if (model->damping && cd != 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[from + (size_t)c];
+            if (m->drag.val && cd != 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * m->drag.val[from + (size_t)c];
+            for (r = 0; held && r < 3; ++r)
+                for (c = 0; c < 3; ++c) {
+                    if (!(y->factor->mask[i] >> r & 1) && !(y->factor->mask[j] >> c & 1)) continue;
+                    if (i != j || r != c) to[3 * r + c] = 0;
+                    else to[3 * r + c] = model->stiffness.val[from + (size_t)(4 * r)];
+                }
+        }
+    }
+    ++m->info.factorisations;
+    if (!y->factor->ldl) return SFEM_OK;
+    status = sfem_ldl_refactor(y->factor->ldl, &y->matrix, &place);
+    if (status == SFEM_OK || !err) return status;
+    if (place.node >= 0) place.node = y->factor->node[place.node];
+    return sfemi_fail_at(err, status, place.node, -1, "%s's matrix is %s at node %d", t->what,
+                         status == SFEM_NOT_SPD ? "not positive definite" : "not finite", (int)place.node);
+}
+
+/* A factor of J. One that is not positive definite gets more of its own mass, which disturbs the other modes
+ * less than projecting every tet, and then the projected K; and where nothing but K is in J (statics), that and
+ * a little mass to make up for flat directions. */
+static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
+{
+    const sfem_tangent kind = project ? SFEM_TANGENT_PSD : b->def.newton.tangent;
+    const sfem_real inertia = b->implicit.still ? 0 : b->implicit.stage.m1 * b->implicit.stage.c2;
+    sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
+    sfem_real shift;
+    int tries;
+    if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
+    if (kind == SFEM_TANGENT_EXACT) {
+        ++b->implicit.info.projected;
+        for (shift = inertia / 8; shift > 0 && shift < inertia && status == SFEM_NOT_SPD; shift *= 4)
+            status = sfemi_newton_factor(b, t, kind, shift, err);
+        if (status == SFEM_NOT_SPD) status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, 0, err);
+    }
+    if (!b->implicit.still || !(b->model->total_mass > 0)) return status;
+    shift = 1e-7 * t->floor_u / 2.3e-16 / b->model->total_mass; /* floor_u is eps |diag K| */
+    for (tries = 0; tries < 3 && status == SFEM_NOT_SPD; ++tries, shift *= 100)
+        status = sfemi_newton_factor(b, t, SFEM_TANGENT_PSD, shift, err);
+    return status;
+}
+
+/* step -= J g, where g is what the held axes still have to go. */
+static void sfemi_newton_lift(sfem_body *b, const sfem_real *g)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_stage *s = &m->stage;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
+    size_t i;
+    sfem_matrix_multiply(&m->tangent, g, b->zk, &b->exec);
+    for (i = 0; i < n; ++i) m->step[i] -= ck * b->zk[i];
+    sfemi_fem_add_mass(b->model, -(s->m1 * s->c2 + cd * b->alpha), g, m->step);
+    if (cd == 0) return;
+    if (b->model->damping) {
+        for (i = 0; i < n; ++i) b->zk[i] = -cd * g[i];
+        sfemi_fem_add_damping_rest(b->model, b->zk, m->step);
+    }
+    if (!m->drag.val) return;
+    sfem_matrix_multiply(&m->drag, g, b->zk, &b->exec);
+    for (i = 0; i < n; ++i) m->step[i] -= cd * b->zk[i];
+}
+
+/* What the handles still have to go, to grip.lambda; the largest of it. */
+static sfem_real sfemi_newton_gap(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        sfem_real rest[3], u[3], d[3], place[3], v[3], a[3];
+        sfemi_grip_mean(h, b->model->mesh.x, rest);
+        sfemi_grip_mean(h, b->state.u, u);
+        sfemi_grip_mean(h, m->d, d);
+        for (c = 0; c < 3; ++c) place[c] = rest[c] + u[c];
+        if (m->still) {
+            for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->hold.target[c] - place[c]);
+            memcpy(place, v, sizeof place);
+        } else {
+            sfemi_implicit_hold(b, &h->hold, place, place, v, a);
+        }
+        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = place[c] - rest[c] - u[c] - d[c];
+    }
+    return sfemi_implicit_max(b->grip.lambda, 3 * (size_t)b->grip.count);
+}
+
+/* Newton's correction, to step; pins and handles go all their way. */
+static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const sfemi_system *y = t->system;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    sfem_real *g = b->acc;
+    int moved = 0;
+    sfem_int k;
+    size_t i;
+    const sfem_status status = sfemi_newton_matrix(b, t, project, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < n; ++i) {
+        const int held = y->factor->mask[i / 3] >> (i % 3) & 1;
+        m->step[i] = -(m->f[i] + m->q[i]);
+        g[i] = held ? m->goal[i] - m->d[i] : 0;
+        moved |= g[i] != 0;
+    }
+    if (moved) sfemi_newton_lift(b, g);
+    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->work, &b->exec);
+    for (i = 0; i < n; ++i)
+        if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
+    ++m->info.iterations;
+    if (!b->grip.count) return SFEM_OK;
+    if (y->matrix.val || m->second) {
+        for (k = 0; k < b->grip.count; ++k)
+            sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
+                               b->grip.y[b->grip.slot[k]], b->work, &b->exec);
+        sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
+    }
+    sfemi_newton_gap(b);
+    sfemi_grip_apply(&b->grip, b->state.handle, nodes, m->step);
+    return SFEM_OK;
+}
+
+/* l.(H step): nothing once the handles are where they belong, but for rounding, which l may make felt. */
+static sfem_real sfemi_newton_handle_work(const sfem_body *b)
+{
+    sfem_real work = 0, mean[3];
+    sfem_int k;
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_grip_mean(b->state.handle + b->grip.slot[k], b->implicit.step, mean);
+        work += sfemi_dot3(mean, b->grip.lambda + 3 * k);
+    }
+    return work;
+}
+
+/* Is the potential low enough at d + length step? drop, slope: minus its slopes at both ends; change: what
+ * it has gained. Where the change drowns in rounding, the slope alone tells [Hager and Zhang 2005]. */
+static int sfemi_newton_suffices(sfem_real change, sfem_real length, sfem_real drop, sfem_real slope,
+                                 sfem_real noise)
+{
+    if (change <= -1e-4 * length * drop) return 1;
+    return fabs(slope) <= 0.9 * drop && change <= noise;
+}
+
+/* Goes along step until that is better. 1: d is the new place and evaluated; 0: d is as it was, but what was
+ * evaluated is not. */
+static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int check = t->feasible && !b->def.newton.no_line_search;
+    const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
+    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
+    const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
+    sfem_real length = 1, gone = 0;
+    size_t i;
+    int tries;
+    for (tries = 0; tries < 20; ++tries) {
+        sfem_real change = 0, next = length / 4;
+        for (i = 0; i < n; ++i) m->d[i] += (length - gone) * m->step[i];
+        gone = length;
+        sfemi_newton_evaluate(b, t);
+        if (sfemi_newton_finite(b, t)) {
+            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - hands;
+            const sfem_real slope = -(q1 + sfemi_implicit_dot(m->f, m->step, n));
+            const sfem_real noise = 1e-10 * (fabs(energy) + fabs(m->energy)) / m->stage.w1;
+            change = (m->energy - energy) / m->stage.w1 + length / 2 * (q0 + q1);
+            if (!check || sfemi_newton_suffices(change, length, drop, slope, noise)) {
+                t->feasible |= length == 1;
+                return 1;
+            }
+            next = length * length * drop / (2 * (change + length * drop)); /* of the parabola */
+            if (!(next < length / 2)) next = length / 2;
+            if (!(next > length / 10)) next = length / 10;
+        }
+        length = next;
+    }
+    for (i = 0; i < n; ++i) m->d[i] -= gone * m->step[i];
+    return 0;
+}
+
+/* One stage, from d on. */
+static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_int before = m->info.iterations;
+    const unsigned char *mask = t->system->factor->mask;
+    sfem_status status;
+    size_t i;
+    int project = 0;
+    sfemi_newton_floor(b, t);
+    if (!t->ready) sfemi_newton_evaluate(b, t);
+    if (!sfemi_newton_finite(b, t))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "%s: a force is not finite", t->what);
+    t->best = 1e300;
+    t->feasible = !(sfemi_newton_gap(b) > 0);
+    for (i = 0; i < n && t->feasible; ++i)
+        t->feasible = !(mask[i / 3] >> (i % 3) & 1) || m->d[i] == m->goal[i];
+    for (i = 0; i < (size_t)b->grip.count; ++i)
+        memcpy(b->grip.lambda + 3 * i, b->state.handle[b->grip.slot[i]].force, 3 * sizeof(sfem_real));
+    m->info.converged = 0;
+    for (;;) {
+        const int enough = sfemi_newton_converged(b, t);
+        if (enough && !t->once) {
+            m->info.converged = 1;
+            return SFEM_OK;
+        }
+        if (m->info.iterations - before >= t->iterations) break;
+        status = sfemi_newton_correct(b, t, project, err);
+        if (status != SFEM_OK) return status;
+        if (t->once) {
+            for (i = 0; i < n; ++i) m->d[i] += m->step[i];
+            if (sfemi_all_finite(m->d, n)) return SFEM_OK;
+            return sfemi_fail(err, SFEM_NOT_FINITE, "%s: the displacement is not finite", t->what);
+        }
+        if (sfemi_newton_search(b, t)) {
+            project = 0;
+        } else {
+            if (project) break;
+            project = 1;
+            sfemi_newton_evaluate(b, t);
+        }
+    }
+    if (b->def.newton.accept_best && !m->still) {
+        if (t->best < 1e300) memcpy(m->d, m->best, n * sizeof *m->d);
+        return SFEM_OK;
+    }
+    return sfemi_fail(err, SFEM_NOT_CONVERGED, "%s did not converge: residual %.3g after %d iterations",
+                      t->what, m->info.residual, (int)(m->info.iterations - before));
+}
+
+/* ---- a step ---- */
+
+static void sfemi_implicit_predict(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_implicit *m = &b->implicit;
+    memset(m->mid_d, 0, n * sizeof *m->mid_d);
+    memset(m->mid_v, 0, n * sizeof *m->mid_v);
+    if (b->state.head->started == SFEMI_RUNNING) {
+        memcpy(m->a0, b->state.a, n * sizeof *m->a0);
+    } else if (b->def.integrator == SFEM_BACKWARD_EULER) {
+        memset(m->a0, 0, n * sizeof *m->a0);
+    } else {
+        memcpy(m->v, b->state.w, n * sizeof *m->v);
+        sfemi_implicit_balance(b, 1, m->v, NULL, b->rhs);
+        sfemi_body_mass_solve(b, m->a0);
+    }
+    sfemi_implicit_load(b, 0, b->rhs);
+}
+
+/* Where to start from: the last place known, or that and v, a from there, whichever has less potential. */
+static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *v = stage ? m->mid_v : b->state.w, *a = stage ? m->mid_a : m->a0;
+    const sfem_real h = b->step * (stage ? 0.5 : m->stage.end);
+    sfem_real energy, q0;
+    size_t i;
+    memcpy(m->d, m->mid_d, n * sizeof *m->d);
+    if (t->once) return;
+    sfemi_newton_evaluate(b, t);
+    energy = m->energy;
+    for (i = 0; i < n; ++i) m->step[i] = h * (v[i] + h / 2 * a[i]);
+    q0 = sfemi_implicit_dot(m->q, m->step, n);
+    for (i = 0; i < n; ++i) m->d[i] += m->step[i];
+    sfemi_newton_evaluate(b, t);
+    q0 += sfemi_implicit_dot(m->q, m->step, n);
+    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0;
+    if (t->ready) return;
+    memcpy(m->d, m->mid_d, n * sizeof *m->d);
+}
+
+/* All stages; leaves the acceleration at the end in acc, and d, v', a' in d, mid_v, mid_a. */
+static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int stages = sfemi_implicit_stages(b);
+    sfem_status status;
+    size_t i;
+    int k;
+    memset(&m->info, 0, sizeof m->info);
+    m->still = 0;
+    m->system.factor = b->factor;
+    for (k = 0; k < stages; ++k) {
+        sfemi_system shared;
+        sfemi_newton t;
+        sfem_real share;
+        memset(&t, 0, sizeof t);
+        memset(&shared, 0, sizeof shared);
+        shared.factor = k ? m->second : b->factor;
+        t.system = m->system.matrix.val ? &m->system : &shared;
+        t.what = "the step";
+        t.iterations = b->def.newton.iterations;
+        t.once = t.iterations == 1 ||
+                 (sfemi_implicit_linear(b->model) && !b->def.damping_force.force);
+        m->stage = sfemi_implicit_stage(b, k, b->step);
+        share = 1 - m->stage.w1 * m->stage.end;
+        memcpy(m->load, b->rhs, n * sizeof *m->load);
+        if (share != 0 && b->state.head->loaded && b->state.head->load_age < 2)
+            for (i = 0; i < n; ++i) m->load[i] += share * (b->state.force[1][i] - b->state.force[0][i]);
+        sfemi_implicit_history(b);
+        sfemi_implicit_guess(b, &t, k);
+        status = sfemi_newton_run(b, &t, err);
+        if (status != SFEM_OK) return status;
+        memcpy(m->mid_d, m->d, n * sizeof *m->d);
+        for (i = 0; i < n; ++i) {
+            m->mid_v[i] = m->stage.c1 * m->d[i] + m->vmap[i];
+            m->mid_a[i] = m->stage.c2 * m->d[i] + m->amap[i];
+        }
+    }
+    if (!sfemi_all_finite(m->mid_a, n))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+    memcpy(b->acc, m->mid_a, n * sizeof *b->acc);
+    return SFEM_OK;
+}
+
+static void sfemi_implicit_finish(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_state *s = &b->state;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (k = 0; k < b->pin_count; ++k) {
+        const size_t at = 3 * (size_t)b->pin[k];
+        sfem_real x[3], v[3], a[3];
+        for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
+        sfemi_hold_motion(s->pin + k, x, b->step, s->head->h, v, a);
+        for (c = 0; c < 3; ++c) {
+            i = at + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            s->u[i] = s->pin[k].target[c] - b->model->mesh.x[i];
+            s->w[i] = v[c];
+            s->a[i] = a[c];
+        }
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) {
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        s->u[i] += m->d[i];
+        s->w[i] = m->mid_v[i];
+        s->a[i] = m->mid_a[i];
+    }
+}
+
+SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->implicit.info;
+}
+
+/* ---- statics ---- */
+
+/* f(u) = F, the held axes of mask at known, and the handles in grip.slot at their targets, from the present u
+ * on; the solution to u. Steps of the load, in which the force that is out of balance at the start
+ * vanishes in proportion and pins and handles go their ways. */
+static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system, const sfem_real *known,
+                                              sfem_real *u, sfem_error *err)
+{
+    sfemi_implicit *m = &b->implicit;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const unsigned char *mask = system->factor->mask;
+    sfem_real reached = 0, part = 1.0 / b->def.newton.load_steps;
+    sfemi_newton t;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    memset(&m->info, 0, sizeof m->info);
+    memset(&m->stage, 0, sizeof m->stage);
+    m->stage.w1 = m->stage.end = 1;
+    m->still = 1;
+    memset(&t, 0, sizeof t);
+    t.system = system;
+    t.what = "the static solution";
+    t.iterations = b->def.newton.iterations > 2 ? b->def.newton.iterations : 20;
+    sfemi_implicit_load(b, 0, m->amap);                            /* F */
+    sfemi_implicit_terms(b, b->state.u, NULL, NULL, m->vmap, m->q); /* f at the start */
+    memset(m->mid_d, 0, n * sizeof *m->mid_d);                     /* where it converged last */
+    while (reached < 1) {
+        if (part > 1 - reached - 1e-9) part = 1 - reached;
+        m->share = part == 1 - reached ? 1 : reached + part;
+        memcpy(m->d, m->mid_d, n * sizeof *m->d);
+        for (i = 0; i < n; ++i) {
+            const int held = mask[i / 3] >> (i % 3) & 1;
+            m->load[i] = m->vmap[i] + m->share * (m->amap[i] - m->vmap[i]);
+            m->goal[i] = held ? m->share * (known[i] - b->state.u[i]) : 0;
+        }
+        status = sfemi_newton_run(b, &t, err);
+        ++m->info.load_steps;
+        if (status == SFEM_OK) {
+            memcpy(m->mid_d, m->d, n * sizeof *m->d);
+            reached = m->share;
+            part = fmin(2 * part, 1.0 / b->def.newton.load_steps);
+        } else if (part < 2.0 / 1024 || status == SFEM_OUT_OF_MEMORY) {
+            break;
+        } else {
+            part /= 2;
+        }
+    }
+    for (i = 0; i < n && status == SFEM_OK; ++i) u[i] = b->state.u[i] + m->mid_d[i];
+    if (status == SFEM_NOT_CONVERGED)
+        return sfemi_fail(err, status,
+                          "the static solution did not converge: residual %.3g after %d iterations, at %.3g "
+                          "of the load",
+                          m->info.residual, (int)m->info.iterations, reached);
+    return status;
 }
 
 /* ============================================================================================
@@ -9997,6 +11636,7 @@ static sfem_real sfemi_pqr_stable_step(const sfem_body *b, sfem_real p)
 static int sfemi_pqr_needs_omega(const sfem_body *b)
 {
     if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
+    if (b->def.integrator > SFEM_CENTRAL) return 0;
     if (b->def.integrator == SFEM_CENTRAL) return 1;
     if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
@@ -10725,21 +12365,21 @@ static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_PAIRS ? g->pairs : SFEMI_PAIRS;
-    sfem_real part[SFEMI_PAIRS], rho[SFEMI_PAIRS];
+    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
+    sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
     int k;
     if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
     for (k = 0; k < count; ++k) { /* from the last on */
-        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_PAIRS), *y = s + n;
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
         rho[k] = sfemi_guard_dot(s, y, n);
         part[k] = sfemi_guard_dot(s, g->dir, n) / rho[k];
         for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
     }
     sfemi_guard_precondition(b, kind, g->dir);
     for (k = count - 1; k >= 0; --k) {
-        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_PAIRS), *y = s + n;
+        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
         const sfem_real back = sfemi_guard_dot(y, g->dir, n) / rho[k];
         for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
     }
@@ -10751,7 +12391,7 @@ static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
  * must. */
 static void sfemi_guard_remember(sfemi_guard *g, size_t n)
 {
-    sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_PAIRS), *y = s + n;
+    sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY), *y = s + n;
     size_t i;
     for (i = 0; i < n; ++i) {
         s[i] = g->u[i] - s[i];
@@ -10770,7 +12410,7 @@ static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real
     size_t i;
     int halvings;
     if (kind == SFEMI_ISOTROPIC) {
-        sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_PAIRS);
+        sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
         memcpy(s, g->u, n * sizeof *s);
         memcpy(s + n, g->grad, n * sizeof *s);
     }
@@ -10908,7 +12548,7 @@ static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *
         for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
     }
     if (kind == SFEMI_ISOTROPIC && !b->guard.pair)
-        SFEMI_NEW(sfem_real, b->guard.pair, &b->allocator, 6 * SFEMI_PAIRS * (size_t)b->model->mesh.nodes);
+        SFEMI_NEW(sfem_real, b->guard.pair, &b->allocator, 6 * SFEMI_MEMORY * (size_t)b->model->mesh.nodes);
     SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
     for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
     g->grip.count = b->grip.count;
@@ -11172,13 +12812,18 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.q = d.r = 1;
     d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
+    d.rho_inf = 0.8;
+    d.hht_alpha = 0.1;
+    d.newton.iterations = 20;
+    d.newton.tolerance = 1e-8;
+    d.newton.load_steps = 1;
     d.max_handles = 16;
     return d;
 }
 
 static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
-    if ((unsigned)d->integrator > SFEM_CENTRAL)
+    if ((unsigned)d->integrator > SFEM_BATHE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
@@ -11205,14 +12850,20 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
-    return SFEM_OK;
+    return sfemi_implicit_check(d, err);
+}
+
+/* Is w the mean velocity over a step, not the velocity? */
+static int sfemi_body_keeps_mean(const sfem_body *b)
+{
+    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
 static uint64_t sfemi_body_key(const sfem_body *b)
 {
     const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
-                              b->def.integrator == SFEM_NEWMARK};
+                              !sfemi_body_keeps_mean(b)};
     const uint64_t hash = sfemi_state_hash(0xcbf29ce484222325u, shape, sizeof shape);
     return sfemi_state_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
@@ -11331,6 +12982,7 @@ static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
     int k;
+    sfemi_implicit_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
     sfemi_body_free_grip(b, &b->grip);
@@ -11390,6 +13042,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
     if (b->turns) sfemi_turn_weigh(b);
     if (b->turns) sfemi_body_find_held(b);
 done:
@@ -11412,7 +13065,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = model->turns && def->integrator != SFEM_NEWMARK;
+    b->turns = model->turns && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
@@ -11462,7 +13115,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
-        if (!g->ready[i])
+        if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
             sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
                                b->work, &b->exec);
         g->ready[i] = 1;
@@ -11503,6 +13156,10 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     sfem_real limit;
     if (sfemi_pqr_needs_omega(b) && b->omega_max == 0) status = sfemi_pqr_find_omega(b, err);
     if (status != SFEM_OK) return status;
+    if (b->def.integrator > SFEM_CENTRAL) {
+        *p = 0;
+        return SFEM_OK;
+    }
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
@@ -11514,9 +13171,29 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     return SFEM_OK;
 }
 
+/* Newton's own factor serves any h. */
+static int sfemi_body_has_factor(const sfem_body *b, sfem_real h)
+{
+    return b->factor && (h == b->h || (b->h > 0 && b->implicit.system.matrix.val));
+}
+
 static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
 {
-    return b->factor && h == b->h && !b->grip.dirty;
+    return sfemi_body_has_factor(b, h) && !b->grip.dirty;
+}
+
+static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
+{
+    sfem_factor *f;
+    sfem_status status = sfemi_implicit_get_factor(b, h, &f, err);
+    if (status != SFEM_OK) return status;
+    sfemi_body_adopt(b, f);
+    b->h = 0; /* until all is there */
+    status = sfemi_body_reserve_work(b, f, 3, err);
+    if (status != SFEM_OK) return status;
+    b->h = h;
+    b->p = p;
+    return sfemi_body_prepare_handles(b, err);
 }
 
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
@@ -11534,6 +13211,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
+        if (sfemi_implicit_serves(b)) return sfemi_body_prepare_implicit(b, h, p, err);
         k = sfemi_body_coefficients(b, p);
         key.ck = k.p * h * h + k.q / 2 * h * b->beta;
         key.cm = k.r + k.q / 2 * h * b->alpha;
@@ -11561,13 +13239,14 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     SFEM_ASSERT(b);
     if (!sfemi_body_is_prepared(b, h)) {
         sfem_status status;
-        if (b->def.no_allocation && !(b->factor && h == b->h)) /* handles have had their room since */
+        if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
     }
     b->step = h;
     if (b->turns) sfemi_guard_predict(b, h);
+    else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
     b->phase = SFEMI_PREDICTED;
@@ -11578,6 +13257,11 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
+    if (sfemi_implicit_serves(b)) {
+        const sfem_status status = sfemi_implicit_solve(b, err);
+        b->phase = status == SFEM_OK ? SFEMI_SOLVED : SFEMI_IDLE;
+        return status;
+    }
     if (!b->turns)
         sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
     if (b->turns) sfemi_guard_solve(b);
@@ -11608,12 +13292,10 @@ static void sfemi_body_finish_linear(sfem_body *b)
     sfem_int i;
     for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
-    if (b->def.integrator == SFEM_NEWMARK) {
-        sfemi_newmark_finish(b);
-        sfemi_newmark_settle_handles(b, g->place);
-    } else {
-        sfemi_pqr_finish(b);
-    }
+    if (sfemi_implicit_serves(b)) sfemi_implicit_finish(b);
+    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_finish(b);
+    else sfemi_pqr_finish(b);
+    if (!sfemi_body_keeps_mean(b)) sfemi_newmark_settle_handles(b, g->place);
     b->state.head->started = SFEMI_RUNNING;
 }
 
@@ -11734,10 +13416,26 @@ SFEM_DEF void sfem_body_positions(const sfem_body *b, sfem_real *x)
 SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    const int mean = b->def.integrator != SFEM_NEWMARK && s->head->started == SFEMI_RUNNING;
+    const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] = s->w[i] + half * s->a[i];
+}
+
+SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t stride)
+{
+    const sfemi_state *s = &b->state;
+    const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
+    const sfem_real half = mean ? s->head->h / 2 : 0;
+    size_t i, at;
+    int c;
+    SFEM_ASSERT(b && stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    for (i = 0; i < (size_t)b->model->mesh.nodes; ++i)
+        for (c = 0, at = 3 * i; c < 3; ++c, ++at) {
+            const size_t to = i * (stride / sizeof(float)) + (size_t)c;
+            if (x) x[to] = (float)(b->model->mesh.x[at] + s->u[at]);
+            if (v) v[to] = (float)(s->w[at] + half * s->a[at]);
+        }
 }
 
 /* Starts the integrator afresh from u and the velocity in w. */
@@ -11965,6 +13663,13 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     sfem_real *v = b->acc;
     size_t i;
     sfem_body_velocities(b, v);
+    if (sfemi_implicit_serves(b)) {
+        memcpy(b->zm, b->state.a, n * sizeof *b->zm);
+        b->phase = SFEMI_IDLE;
+        sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
+        for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+        return;
+    }
     for (i = 0; i < n; ++i) {
         b->zk[i] = b->state.u[i] + b->beta * v[i];
         b->zm[i] = b->state.a[i] + b->alpha * v[i];
@@ -12035,7 +13740,7 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         const sfemi_handle *h = b->state.handle + k;
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
-        if (!g->y[k]) SFEMI_NEW(sfem_real, g->y[k], &b->allocator, 9 * (size_t)b->model->mesh.nodes);
+        SFEMI_TRY(sfemi_grip_reserve(b, g, k, err));
         if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
         g->slot[g->count++] = k;
     }
@@ -12066,7 +13771,8 @@ static void sfemi_body_static_forces(sfem_body *b)
     int c;
     memcpy(b->zk, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zk);
     if (b->zd) memset(b->zd, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zd);
-    sfemi_body_residual(b, load, 0);
+    if (sfemi_implicit_linear(b->model)) sfemi_body_residual(b, load, 0);
+    else sfemi_implicit_balance(b, 0, NULL, NULL, b->rhs);
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
         for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
@@ -12075,6 +13781,32 @@ static void sfemi_body_static_forces(sfem_body *b)
             b->rhs[i] = 0; /* carried */
         }
     }
+}
+
+/* The static solution of a nonlinear model, to acc. */
+static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
+{
+    sfemi_grip *g = &b->grip;
+    sfemi_system system;
+    sfem_status status = SFEM_OK;
+    sfem_int k;
+    memset(&system, 0, sizeof system);
+    SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    SFEMI_TRY(sfemi_system_open(b, key, &system, err));
+    SFEMI_TRY(sfemi_body_reserve_work(b, system.factor, 3, err));
+    SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
+    sfemi_body_static_known(b, b->implicit.best);
+    SFEMI_TRY(sfemi_implicit_equilibrium(b, &system, b->implicit.best, b->acc, err));
+    for (k = 0; k < g->count; ++k)
+        memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
+done:
+    g->count = 0;
+    g->dirty = 1;
+    sfemi_factor_release(b->model, system.factor);
+    sfemi_system_close(b, &system);
+    return status;
 }
 
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
@@ -12094,15 +13826,19 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
-    SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
-    SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
-    sfemi_body_static_known(b, b->zk);
-    memcpy(b->acc, b->zk, n * sizeof *b->acc);
-    if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
-    sfemi_body_residual(b, load, 0);
-    sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
-    SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
+    if (!sfemi_implicit_linear(b->model)) {
+        SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
+    } else {
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
+        SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
+        sfemi_body_static_known(b, b->zk);
+        memcpy(b->acc, b->zk, n * sizeof *b->acc);
+        if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
+        sfemi_body_residual(b, load, 0);
+        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+        SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
+    }
     if (!sfemi_all_finite(b->acc, n)) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "the static solution is not finite");
         goto done;
@@ -12146,9 +13882,11 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
     if (b->turns) {
         e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
-    } else {
+    } else if (sfemi_implicit_linear(model)) {
         sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
         e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
+    } else {
+        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
     }
     e.load = 0;
     for (i = 0; i < n; ++i)
@@ -12160,7 +13898,8 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
                                      : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
     }
     if (!running || b->turns) return e;
-    if (b->def.integrator == SFEM_NEWMARK) {
+    if (!sfemi_body_keeps_mean(b)) {
+        if (b->def.integrator != SFEM_NEWMARK) return e;
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
         e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
     } else {
@@ -12203,7 +13942,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     }
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
         info.body_bytes += (9 * (size_t)info.tets + sfem_model_work_size(b->model) + n / 3 + 19 * n +
-                            (b->guard.pair ? 2 * SFEMI_PAIRS * n : 0)) * sizeof(sfem_real);
+                            (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
@@ -12236,9 +13976,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 
 /* --- vectors ---------------------------------------------------------------------------------
  * Doubles are 4 wide, on AVX-512 8; floats 8 wide on every path. */
-#if SFEMI_PATH == 2
+#if SFEMI_PATH == 2 && !defined(SFEMI_EMULATE_AVX512) /* a test's, for processors without it */
 #define SFEMI_TARGET __attribute__((target("avx512f,avx2,fma")))
-#elif SFEMI_PATH == 1
+#elif SFEMI_PATH >= 1
 #define SFEMI_TARGET __attribute__((target("avx2,fma")))
 #else
 #define SFEMI_TARGET
@@ -12257,83 +13997,122 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 #endif
 
 #define SFEMI_PASTE3(a, b, c) a##_##b##_##c
-#define SFEMI_PASTE(a, b, c) SFEMI_PASTE3(a, b, c)
-#define SFEMI_KERNEL(name) SFEMI_PASTE(name, SFEMI_BITS, SFEMI_PATH)
+#define SFEMI_PASTE(a, b, c)  SFEMI_PASTE3(a, b, c)
+#define SFEMI_KERNEL(name)    SFEMI_PASTE(name, SFEMI_BITS, SFEMI_PATH)
 
-#if SFEMI_PATH == 2 && SFEMI_BITS == 64
-#define SFEMI_V __m512d
-#define SFEMI_LD(p) _mm512_loadu_pd(p)
-#define SFEMI_ST(p, v) _mm512_storeu_pd(p, v)
-#define SFEMI_DUP(s) _mm512_set1_pd(s)
-#define SFEMI_ADD(a, b) _mm512_add_pd(a, b)
-#define SFEMI_SUB(a, b) _mm512_sub_pd(a, b)
-#define SFEMI_MUL(a, b) _mm512_mul_pd(a, b)
-#define SFEMI_FMA(a, b, c) _mm512_fmadd_pd(a, b, c)
+#if SFEMI_PATH == 2 && SFEMI_BITS == 64 && !defined(SFEMI_EMULATE_AVX512)
+#define SFEMI_V             __m512d
+#define SFEMI_LD(p)         _mm512_loadu_pd(p)
+#define SFEMI_ST(p, v)      _mm512_storeu_pd(p, v)
+#define SFEMI_DUP(s)        _mm512_set1_pd(s)
+#define SFEMI_ADD(a, b)     _mm512_add_pd(a, b)
+#define SFEMI_MUL(a, b)     _mm512_mul_pd(a, b)
+#define SFEMI_FMA(a, b, c)  _mm512_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm512_fnmadd_pd(a, b, c)
-#define SFEMI_HALF(p) _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
-#elif SFEMI_PATH >= 1 && SFEMI_BITS == 64
-#define SFEMI_V __m256d
-#define SFEMI_LD(p) _mm256_loadu_pd(p)
-#define SFEMI_ST(p, v) _mm256_storeu_pd(p, v)
-#define SFEMI_DUP(s) _mm256_set1_pd(s)
-#define SFEMI_ADD(a, b) _mm256_add_pd(a, b)
-#define SFEMI_SUB(a, b) _mm256_sub_pd(a, b)
-#define SFEMI_MUL(a, b) _mm256_mul_pd(a, b)
-#define SFEMI_FMA(a, b, c) _mm256_fmadd_pd(a, b, c)
+#define SFEMI_HALF(p)       _mm256_add_pd(_mm256_loadu_pd(p), _mm256_loadu_pd((p) + 4))
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 64 && SFEMI_W == 4
+#define SFEMI_V             __m256d
+#define SFEMI_LD(p)         _mm256_loadu_pd(p)
+#define SFEMI_ST(p, v)      _mm256_storeu_pd(p, v)
+#define SFEMI_DUP(s)        _mm256_set1_pd(s)
+#define SFEMI_ADD(a, b)     _mm256_add_pd(a, b)
+#define SFEMI_MUL(a, b)     _mm256_mul_pd(a, b)
+#define SFEMI_FMA(a, b, c)  _mm256_fmadd_pd(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_pd(a, b, c)
-#define SFEMI_HALF(p) _mm256_loadu_pd(p)
-#elif SFEMI_PATH >= 1
-#define SFEMI_V __m256
-#define SFEMI_LD(p) _mm256_loadu_ps(p)
-#define SFEMI_ST(p, v) _mm256_storeu_ps(p, v)
-#define SFEMI_DUP(s) _mm256_set1_ps(s)
-#define SFEMI_ADD(a, b) _mm256_add_ps(a, b)
-#define SFEMI_SUB(a, b) _mm256_sub_ps(a, b)
-#define SFEMI_MUL(a, b) _mm256_mul_ps(a, b)
-#define SFEMI_FMA(a, b, c) _mm256_fmadd_ps(a, b, c)
+#define SFEMI_HALF(p)       _mm256_loadu_pd(p)
+#elif SFEMI_PATH >= 1 && SFEMI_BITS == 32
+#define SFEMI_V             __m256
+#define SFEMI_LD(p)         _mm256_loadu_ps(p)
+#define SFEMI_ST(p, v)      _mm256_storeu_ps(p, v)
+#define SFEMI_DUP(s)        _mm256_set1_ps(s)
+#define SFEMI_ADD(a, b)     _mm256_add_ps(a, b)
+#define SFEMI_MUL(a, b)     _mm256_mul_ps(a, b)
+#define SFEMI_FMA(a, b, c)  _mm256_fmadd_ps(a, b, c)
 #define SFEMI_FNMA(a, b, c) _mm256_fnmadd_ps(a, b, c)
-#define SFEMI_SUM4(z, out)                                                                           \
-    {                                                                                                \
-        const __m256 a_ = _mm256_hadd_ps(_mm256_loadu_ps(z), _mm256_loadu_ps((z) + 8));              \
-        const __m256 b_ = _mm256_hadd_ps(_mm256_loadu_ps((z) + 16), _mm256_loadu_ps((z) + 24));      \
-        const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                    \
-        _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));    \
+#define SFEMI_SUM4(z, out)                                                                         \
+    {                                                                                              \
+        const __m256 a_ = _mm256_hadd_ps(_mm256_loadu_ps(z), _mm256_loadu_ps((z) + 8));            \
+        const __m256 b_ = _mm256_hadd_ps(_mm256_loadu_ps((z) + 16), _mm256_loadu_ps((z) + 24));    \
+        const __m256 c_ = _mm256_hadd_ps(a_, b_);                                                  \
+        _mm_storeu_ps(out, _mm_add_ps(_mm256_castps256_ps128(c_), _mm256_extractf128_ps(c_, 1)));  \
     }
-#elif defined(__GNUC__) && !defined(FP_FAST_FMA) /* two or more registers to a vector */
-typedef SFEMI_R SFEMI_KERNEL(sfemi_v) __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R))));
-typedef SFEMI_R SFEMI_KERNEL(sfemi_u)
-    __attribute__((vector_size(SFEMI_W * sizeof(SFEMI_R)), aligned(sizeof(SFEMI_R)), may_alias));
+#elif defined(__GNUC__) && SFEMI_W * SFEMI_BITS == 256 /* two vectors of 16 bytes: SSE2, NEON */
+typedef SFEMI_R SFEMI_KERNEL(sfemi_h) __attribute__((vector_size(16)));
+typedef SFEMI_R SFEMI_KERNEL(sfemi_u) __attribute__((vector_size(16), aligned(4), may_alias));
+typedef struct SFEMI_KERNEL(sfemi_v) {
+    SFEMI_KERNEL(sfemi_h) a, b;
+} SFEMI_KERNEL(sfemi_v);
 #define SFEMI_V SFEMI_KERNEL(sfemi_v)
-#define SFEMI_LD(p) (*(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p))
-#define SFEMI_ST(p, v) (*(SFEMI_KERNEL(sfemi_u) *)(void *)(p) = (v))
-#define SFEMI_DUP(s) (s) /* only as an operand */
-#define SFEMI_ADD(a, b) ((a) + (b))
-#define SFEMI_SUB(a, b) ((a) - (b))
-#define SFEMI_MUL(a, b) ((a) * (b))
-#define SFEMI_FMA(a, b, c) ((a) * (b) + (c))
-#define SFEMI_FNMA(a, b, c) ((c) - (a) * (b))
+#define SFEMI_H SFEMI_KERNEL(sfemi_h)
+/* a processor with multiply-add always uses it here, lest the compiler choose */
+#if defined(__FMA__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_pd(x, y, z)
+#elif defined(__FMA__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) _mm_fmadd_ps(x, y, z)
+#elif defined(__aarch64__) && SFEMI_BITS == 64
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f64(z, x, y)
+#elif defined(__aarch64__)
+#define SFEMI_FMAH(x, y, z) (SFEMI_H) vfmaq_f32(z, x, y)
+#else
+#define SFEMI_FMAH(x, y, z) ((x) * (y) + (z))
+#endif
+#define SFEMI_PAIR(name, arguments, first, second)                                                 \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                       \
+    {                                                                                              \
+        SFEMI_V r;                                                                                 \
+        r.a = first;                                                                               \
+        r.b = second;                                                                              \
+        return r;                                                                                  \
+    }
+SFEMI_PAIR(sfemi_v_load, (const SFEMI_R *p), *(const SFEMI_KERNEL(sfemi_u) *)(const void *)p,
+           *(const SFEMI_KERNEL(sfemi_u) *)(const void *)(p + SFEMI_W / 2))
+static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(sfemi_v_dup)(SFEMI_R s)
+{
+#if SFEMI_BITS == 64
+    const SFEMI_H h = {s, s};
+#else
+    const SFEMI_H h = {s, s, s, s};
+#endif
+    SFEMI_V r;
+    r.a = r.b = h;
+    return r;
+}
+SFEMI_PAIR(sfemi_v_add, (SFEMI_V x, SFEMI_V y), x.a + y.a, x.b + y.b)
+SFEMI_PAIR(sfemi_v_mul, (SFEMI_V x, SFEMI_V y), x.a *y.a, x.b *y.b)
+SFEMI_PAIR(sfemi_v_fma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(x.a, y.a, z.a),
+           SFEMI_FMAH(x.b, y.b, z.b))
+SFEMI_PAIR(sfemi_v_fnma, (SFEMI_V x, SFEMI_V y, SFEMI_V z), SFEMI_FMAH(-x.a, y.a, z.a),
+           SFEMI_FMAH(-x.b, y.b, z.b))
+static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
+{
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)p = v.a;
+    *(SFEMI_KERNEL(sfemi_u) *)(void *)(p + SFEMI_W / 2) = v.b;
+}
+#undef SFEMI_PAIR
+#undef SFEMI_FMAH
+#undef SFEMI_H
 #else /* plain C; a processor with multiply-add always uses it, lest the compiler choose */
 typedef struct SFEMI_KERNEL(sfemi_v) {
     SFEMI_R e[SFEMI_W];
 } SFEMI_KERNEL(sfemi_v);
 #define SFEMI_V SFEMI_KERNEL(sfemi_v)
 #ifdef FP_FAST_FMA
-#define SFEMI_FMA1(a, b, c) ((SFEMI_R)(sizeof(SFEMI_R) == 8 ? fma(a, b, c) : fmaf((float)(a), (float)(b), (float)(c))))
+#define SFEMI_FMA1(a, b, c)                                                                        \
+    ((SFEMI_R)(sizeof(SFEMI_R) == 8 ? fma(a, b, c) : fmaf((float)(a), (float)(b), (float)(c))))
 #else
 #define SFEMI_FMA1(a, b, c) ((a) * (b) + (c))
 #endif
-#define SFEMI_LANES(name, arguments, expression)                                                     \
-    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                         \
-    {                                                                                                \
-        SFEMI_V r;                                                                                   \
-        int i;                                                                                       \
-        for (i = 0; i < SFEMI_W; ++i) r.e[i] = (expression);                                         \
-        return r;                                                                                    \
+#define SFEMI_LANES(name, arguments, expression)                                                   \
+    static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                       \
+    {                                                                                              \
+        SFEMI_V r;                                                                                 \
+        int i;                                                                                     \
+        for (i = 0; i < SFEMI_W; ++i) r.e[i] = (expression);                                       \
+        return r;                                                                                  \
     }
 SFEMI_LANES(sfemi_v_load, (const SFEMI_R *p), p[i])
 SFEMI_LANES(sfemi_v_dup, (SFEMI_R s), s)
 SFEMI_LANES(sfemi_v_add, (SFEMI_V a, SFEMI_V b), a.e[i] + b.e[i])
-SFEMI_LANES(sfemi_v_sub, (SFEMI_V a, SFEMI_V b), a.e[i] - b.e[i])
 SFEMI_LANES(sfemi_v_mul, (SFEMI_V a, SFEMI_V b), a.e[i] * b.e[i])
 SFEMI_LANES(sfemi_v_fma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(a.e[i], b.e[i], c.e[i]))
 SFEMI_LANES(sfemi_v_fnma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(-a.e[i], b.e[i], c.e[i]))
@@ -12341,63 +14120,75 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
 {
     memcpy(p, v.e, sizeof v.e);
 }
-#define SFEMI_LD(p) SFEMI_KERNEL(sfemi_v_load)(p)
-#define SFEMI_ST(p, v) SFEMI_KERNEL(sfemi_v_store)(p, v)
-#define SFEMI_DUP(s) SFEMI_KERNEL(sfemi_v_dup)(s)
-#define SFEMI_ADD(a, b) SFEMI_KERNEL(sfemi_v_add)(a, b)
-#define SFEMI_SUB(a, b) SFEMI_KERNEL(sfemi_v_sub)(a, b)
-#define SFEMI_MUL(a, b) SFEMI_KERNEL(sfemi_v_mul)(a, b)
-#define SFEMI_FMA(a, b, c) SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
+#endif
+#ifndef SFEMI_LD
+#define SFEMI_LD(p)         SFEMI_KERNEL(sfemi_v_load)(p)
+#define SFEMI_ST(p, v)      SFEMI_KERNEL(sfemi_v_store)(p, v)
+#define SFEMI_DUP(s)        SFEMI_KERNEL(sfemi_v_dup)(s)
+#define SFEMI_ADD(a, b)     SFEMI_KERNEL(sfemi_v_add)(a, b)
+#define SFEMI_MUL(a, b)     SFEMI_KERNEL(sfemi_v_mul)(a, b)
+#define SFEMI_FMA(a, b, c)  SFEMI_KERNEL(sfemi_v_fma)(a, b, c)
 #define SFEMI_FNMA(a, b, c) SFEMI_KERNEL(sfemi_v_fnma)(a, b, c)
 #endif
 
 #ifdef SFEMI_HALF
-#define SFEMI_SUM4(z, out)                                                                           \
-    {                                                                                                \
-        const __m256d a_ = _mm256_hadd_pd(SFEMI_HALF(z), SFEMI_HALF((z) + SFEMI_W));                 \
-        const __m256d b_ = _mm256_hadd_pd(SFEMI_HALF((z) + 2 * SFEMI_W), SFEMI_HALF((z) + 3 * SFEMI_W)); \
-        _mm256_storeu_pd(out, _mm256_add_pd(_mm256_permute2f128_pd(a_, b_, 0x21),                    \
-                                            _mm256_blend_pd(a_, b_, 12)));                           \
+#define SFEMI_SUM4(z, out)                                                                         \
+    {                                                                                              \
+        const __m256d a_ = _mm256_hadd_pd(SFEMI_HALF(z), SFEMI_HALF((z) + SFEMI_W));               \
+        const __m256d b_ =                                                                         \
+            _mm256_hadd_pd(SFEMI_HALF((z) + 2 * SFEMI_W), SFEMI_HALF((z) + 3 * SFEMI_W));          \
+        _mm256_storeu_pd(out, _mm256_add_pd(_mm256_permute2f128_pd(a_, b_, 0x21),                  \
+                                            _mm256_blend_pd(a_, b_, 12)));                         \
     }
 #endif
 
 /* --- the factor of one front -----------------------------------------------------------------
  *
- * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors, tile
- * t holding rows [t T, t T + H), T = 3 W; within a tile, columns of H numbers stand one after another.
- * Tiles of L have the columns below min(k, (t+1) T), tiles of the update matrix U those from c0, the
- * start of the tile that holds row k. The last tile is only as high as it needs, in whole vectors. So
- * every operand of every product is contiguous, for the factor as for the solve. */
+ * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors,
+ * tile t holding rows [t T, t T + H), T = 3 W; within a tile, columns of H numbers stand one after
+ * another. Tiles of L have the columns below min(k, (t+1) T), tiles of the update matrix U those
+ * from c0, the start of the tile that holds row k. The last tile is only as high as it needs, in
+ * whole vectors. So every operand of every product is contiguous, for the factor as for the solve.
+ */
 #if SFEMI_BITS == 64
 
-/* c(3W x 4) = (or +=) - a b^T over depth columns; then, if tri, the 4 x 4 triangle of the pivot rows
- * behind b is solved for, column q scaled by r[q]. Only the first nq columns are read and written. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_block)(
-    int nv, size_t depth, const double *a, size_t ha, const double *b, size_t hb, double *c, int nq,
-    int load, int tri, const double *r)
+/* c(3W x 4) = (or +=) - a b^T over depth columns; then, if tri, the 4 x 4 triangle of the pivot
+ * rows behind b is solved for, column q scaled by r[q]. Only the first nq columns are read and
+ * written. */
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_ldl_block)(int nv, size_t depth, const double *a, size_t ha, const double *b,
+                              size_t hb, double *c, int nq, int load, int tri, const double *r)
 {
-    SFEMI_V c00 = {0}, c01 = {0}, c02 = {0}, c10 = {0}, c11 = {0}, c12 = {0};
-    SFEMI_V c20 = {0}, c21 = {0}, c22 = {0}, c30 = {0}, c31 = {0}, c32 = {0};
-    SFEMI_V a0 = {0}, a1 = {0}, a2 = {0};
+    SFEMI_V c00 = SFEMI_DUP(0), c01 = SFEMI_DUP(0), c02 = SFEMI_DUP(0), c10 = SFEMI_DUP(0),
+            c11 = SFEMI_DUP(0), c12 = SFEMI_DUP(0);
+    SFEMI_V c20 = SFEMI_DUP(0), c21 = SFEMI_DUP(0), c22 = SFEMI_DUP(0), c30 = SFEMI_DUP(0),
+            c31 = SFEMI_DUP(0), c32 = SFEMI_DUP(0);
+    SFEMI_V a0 = SFEMI_DUP(0), a1 = SFEMI_DUP(0), a2 = SFEMI_DUP(0);
     size_t p;
     if (load) {
-#define SFEMI_C(q)                                                                                   \
-    c##q##0 = SFEMI_LD(c + q * ha);                                                                  \
-    if (nv > 1) c##q##1 = SFEMI_LD(c + q * ha + SFEMI_W);                                            \
+#define SFEMI_C(q)                                                                                 \
+    c##q##0 = SFEMI_LD(c + q * ha);                                                                \
+    if (nv > 1) c##q##1 = SFEMI_LD(c + q * ha + SFEMI_W);                                          \
     if (nv > 2) c##q##2 = SFEMI_LD(c + q * ha + 2 * SFEMI_W);
         SFEMI_C(0)
-        if (nq > 1) { SFEMI_C(1) }
-        if (nq > 2) { SFEMI_C(2) }
-        if (nq > 3) { SFEMI_C(3) }
+        if (nq > 1) {
+            SFEMI_C(1)
+        }
+        if (nq > 2) {
+            SFEMI_C(2)
+        }
+        if (nq > 3) {
+            SFEMI_C(3)
+        }
 #undef SFEMI_C
     }
     for (p = 0; p < depth; ++p) {
         a0 = SFEMI_LD(a);
         if (nv > 1) a1 = SFEMI_LD(a + SFEMI_W);
         if (nv > 2) a2 = SFEMI_LD(a + 2 * SFEMI_W);
-#define SFEMI_C(q)                                                                                   \
-    c##q##0 = SFEMI_FNMA(a0, SFEMI_DUP(b[q]), c##q##0);                                              \
-    if (nv > 1) c##q##1 = SFEMI_FNMA(a1, SFEMI_DUP(b[q]), c##q##1);                                  \
+#define SFEMI_C(q)                                                                                 \
+    c##q##0 = SFEMI_FNMA(a0, SFEMI_DUP(b[q]), c##q##0);                                            \
+    if (nv > 1) c##q##1 = SFEMI_FNMA(a1, SFEMI_DUP(b[q]), c##q##1);                                \
     if (nv > 2) c##q##2 = SFEMI_FNMA(a2, SFEMI_DUP(b[q]), c##q##2);
         SFEMI_C(0)
         SFEMI_C(1)
@@ -12408,42 +14199,55 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_block)(
         b += hb;
     }
     if (tri) { /* b is now at the diagonal: b[q + j hb] = s_j L(q, j) */
-#define SFEMI_C(q, j)                                                                                \
-    c##q##0 = SFEMI_FNMA(c##j##0, SFEMI_DUP(b[q + j * hb]), c##q##0);                                \
-    if (nv > 1) c##q##1 = SFEMI_FNMA(c##j##1, SFEMI_DUP(b[q + j * hb]), c##q##1);                    \
+#define SFEMI_C(q, j)                                                                              \
+    c##q##0 = SFEMI_FNMA(c##j##0, SFEMI_DUP(b[q + j * hb]), c##q##0);                              \
+    if (nv > 1) c##q##1 = SFEMI_FNMA(c##j##1, SFEMI_DUP(b[q + j * hb]), c##q##1);                  \
     if (nv > 2) c##q##2 = SFEMI_FNMA(c##j##2, SFEMI_DUP(b[q + j * hb]), c##q##2);
-#define SFEMI_D(q)                                                                                   \
-    c##q##0 = SFEMI_MUL(c##q##0, SFEMI_DUP(r[q]));                                                   \
-    if (nv > 1) c##q##1 = SFEMI_MUL(c##q##1, SFEMI_DUP(r[q]));                                       \
+#define SFEMI_D(q)                                                                                 \
+    c##q##0 = SFEMI_MUL(c##q##0, SFEMI_DUP(r[q]));                                                 \
+    if (nv > 1) c##q##1 = SFEMI_MUL(c##q##1, SFEMI_DUP(r[q]));                                     \
     if (nv > 2) c##q##2 = SFEMI_MUL(c##q##2, SFEMI_DUP(r[q]));
         SFEMI_D(0)
-        if (nq > 1) { SFEMI_C(1, 0) SFEMI_D(1) }
-        if (nq > 2) { SFEMI_C(2, 0) SFEMI_C(2, 1) SFEMI_D(2) }
-        if (nq > 3) { SFEMI_C(3, 0) SFEMI_C(3, 1) SFEMI_C(3, 2) SFEMI_D(3) }
+        if (nq > 1) {
+            SFEMI_C(1, 0) SFEMI_D(1)
+        }
+        if (nq > 2) {
+            SFEMI_C(2, 0) SFEMI_C(2, 1) SFEMI_D(2)
+        }
+        if (nq > 3) {
+            SFEMI_C(3, 0) SFEMI_C(3, 1) SFEMI_C(3, 2) SFEMI_D(3)
+        }
 #undef SFEMI_C
 #undef SFEMI_D
     }
-#define SFEMI_C(q)                                                                                   \
-    SFEMI_ST(c + q * ha, c##q##0);                                                                   \
-    if (nv > 1) SFEMI_ST(c + q * ha + SFEMI_W, c##q##1);                                             \
+#define SFEMI_C(q)                                                                                 \
+    SFEMI_ST(c + q * ha, c##q##0);                                                                 \
+    if (nv > 1) SFEMI_ST(c + q * ha + SFEMI_W, c##q##1);                                           \
     if (nv > 2) SFEMI_ST(c + q * ha + 2 * SFEMI_W, c##q##2);
     SFEMI_C(0)
-    if (nq > 1) { SFEMI_C(1) }
-    if (nq > 2) { SFEMI_C(2) }
-    if (nq > 3) { SFEMI_C(3) }
+    if (nq > 1) {
+        SFEMI_C(1)
+    }
+    if (nq > 2) {
+        SFEMI_C(2)
+    }
+    if (nq > 3) {
+        SFEMI_C(3)
+    }
 #undef SFEMI_C
 }
 
 /* The same for a tile of h rows. */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_update)(size_t h, size_t depth, const double *a,
-                                                        const double *b, size_t hb, double *c, int nq,
-                                                        int load)
+                                                        const double *b, size_t hb, double *c,
+                                                        int nq, int load)
 {
     if (h == 3 * SFEMI_W)
         SFEMI_KERNEL(sfemi_ldl_block)(3, depth, a, 3 * SFEMI_W, b, hb, c, nq, load, 0, NULL);
     else if (h == 2 * SFEMI_W)
         SFEMI_KERNEL(sfemi_ldl_block)(2, depth, a, 2 * SFEMI_W, b, hb, c, nq, load, 0, NULL);
-    else SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, load, 0, NULL);
+    else
+        SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, load, 0, NULL);
 }
 
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_eliminate)(size_t h, size_t depth, const double *a,
@@ -12454,13 +14258,14 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_eliminate)(size_t h, size_t dept
         SFEMI_KERNEL(sfemi_ldl_block)(3, depth, a, 3 * SFEMI_W, b, hb, c, nq, 1, 1, r);
     else if (h == 2 * SFEMI_W)
         SFEMI_KERNEL(sfemi_ldl_block)(2, depth, a, 2 * SFEMI_W, b, hb, c, nq, 1, 1, r);
-    else SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, 1, 1, r);
+    else
+        SFEMI_KERNEL(sfemi_ldl_block)(1, depth, a, SFEMI_W, b, hb, c, nq, 1, 1, r);
 }
 
 /* Factorises nq <= 4 columns c of a diagonal tile, whose first pivot is row i of the tile and which
- * are already updated. r[q] = s / sqrt|d| is the sign and scale of each; returns nq, or the number of
- * the column whose pivot d is lost (not above floor[q] in absolute value, or negative though only
- * positive ones are allowed); it is then in *bad. */
+ * are already updated. r[q] = s / sqrt|d| is the sign and scale of each; returns nq, or the number
+ * of the column whose pivot d is lost (not above floor[q] in absolute value, or negative though
+ * only positive ones are allowed); it is then in *bad. */
 static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, double *c, int nq,
                                                        int positive, const double *floor, double *r,
                                                        double *bad)
@@ -12473,8 +14278,8 @@ static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, doubl
             const double *l = c + (size_t)j * h;
             const double w = r[j] < 0 ? -l[i + (size_t)q] : l[i + (size_t)q];
             for (v = 0; v < h; v += SFEMI_W)
-                SFEMI_ST(c + (size_t)q * h + v,
-                         SFEMI_FNMA(SFEMI_LD(l + v), SFEMI_DUP(w), SFEMI_LD(c + (size_t)q * h + v)));
+                SFEMI_ST(c + (size_t)q * h + v, SFEMI_FNMA(SFEMI_LD(l + v), SFEMI_DUP(w),
+                                                           SFEMI_LD(c + (size_t)q * h + v)));
         }
         d = c[i + (size_t)q + (size_t)q * h];
         if (d < 0 && !positive) s = -1;
@@ -12484,18 +14289,17 @@ static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, doubl
         }
         r[q] = s / sqrt(s * d);
         for (v = 0; v < h; v += SFEMI_W)
-            SFEMI_ST(c + (size_t)q * h + v, SFEMI_MUL(SFEMI_LD(c + (size_t)q * h + v), SFEMI_DUP(r[q])));
+            SFEMI_ST(c + (size_t)q * h + v,
+                     SFEMI_MUL(SFEMI_LD(c + (size_t)q * h + v), SFEMI_DUP(r[q])));
     }
     return nq;
 }
 
 /* Adds an update matrix to its parent: len rows of count block columns, column b of src to column
  * place[b] of dst. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count,
-                                                                      const sfem_int *place,
-                                                                      const size_t len,
-                                                                      const double *src, size_t hs,
-                                                                      double *dst, size_t hd)
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count, const sfem_int *place, const size_t len,
+                                 const double *src, size_t hs, double *dst, size_t hd)
 {
     sfem_int b;
     for (b = 0; b < count; ++b) {
@@ -12510,20 +14314,75 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int 
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_int *place, size_t len,
-                                                     const double *src, size_t hs, double *dst,
-                                                     size_t hd)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_int *place,
+                                                     size_t len, const double *src, size_t hs,
+                                                     double *dst, size_t hd)
 {
-    if (len == 3) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 3, src, hs, dst, hd);
-    else if (len == 6) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 6, src, hs, dst, hd);
-    else if (len == 9) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 9, src, hs, dst, hd);
-    else if (len == 12) SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
-    else SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
+    if (len == 3)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 3, src, hs, dst, hd);
+    else if (len == 6)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 6, src, hs, dst, hd);
+    else if (len == 9)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 9, src, hs, dst, hd);
+    else if (len == 12)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
+    else
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
+}
+/* c(n) -= eight columns of a, m apart, times w. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_minus)(size_t n, const double *a, size_t m,
+                                                         const double *w, double *c)
+{
+    size_t i;
+    for (i = 0; i + SFEMI_W <= n; i += SFEMI_W) {
+        const double *p = a + i;
+        SFEMI_V u = SFEMI_FNMA(SFEMI_LD(p), SFEMI_DUP(w[0]), SFEMI_LD(c + i));
+        SFEMI_V v = SFEMI_MUL(SFEMI_LD(p + m), SFEMI_DUP(-w[1]));
+        u = SFEMI_FNMA(SFEMI_LD(p + 2 * m), SFEMI_DUP(w[2]), u);
+        v = SFEMI_FNMA(SFEMI_LD(p + 3 * m), SFEMI_DUP(w[3]), v);
+        u = SFEMI_FNMA(SFEMI_LD(p + 4 * m), SFEMI_DUP(w[4]), u);
+        v = SFEMI_FNMA(SFEMI_LD(p + 5 * m), SFEMI_DUP(w[5]), v);
+        u = SFEMI_FNMA(SFEMI_LD(p + 6 * m), SFEMI_DUP(w[6]), u);
+        v = SFEMI_FNMA(SFEMI_LD(p + 7 * m), SFEMI_DUP(w[7]), v);
+        SFEMI_ST(c + i, SFEMI_ADD(u, v));
+    }
+    for (; i < n; ++i) {
+        const double *p = a + i;
+        c[i] -= (p[0] * w[0] + p[m] * w[1] + (p[2 * m] * w[2] + p[3 * m] * w[3])) +
+                (p[4 * m] * w[4] + p[5 * m] * w[5] + (p[6 * m] * w[6] + p[7 * m] * w[7]));
+    }
+}
+
+/* out[p] = column p of a, m apart, times x, for four columns. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_dots)(size_t n, const double *a, size_t m,
+                                                        const double *x, double *out)
+{
+    SFEMI_V s0 = SFEMI_DUP(0), s1 = SFEMI_DUP(0), s2 = SFEMI_DUP(0), s3 = SFEMI_DUP(0);
+    double part[4 * SFEMI_W];
+    size_t i;
+    int p, q;
+    for (i = 0; i + SFEMI_W <= n; i += SFEMI_W) {
+        s0 = SFEMI_FMA(SFEMI_LD(a + i), SFEMI_LD(x + i), s0);
+        s1 = SFEMI_FMA(SFEMI_LD(a + m + i), SFEMI_LD(x + i), s1);
+        s2 = SFEMI_FMA(SFEMI_LD(a + 2 * m + i), SFEMI_LD(x + i), s2);
+        s3 = SFEMI_FMA(SFEMI_LD(a + 3 * m + i), SFEMI_LD(x + i), s3);
+    }
+    SFEMI_ST(part, s0);
+    SFEMI_ST(part + SFEMI_W, s1);
+    SFEMI_ST(part + 2 * SFEMI_W, s2);
+    SFEMI_ST(part + 3 * SFEMI_W, s3);
+    for (p = 0; p < 4; ++p) {
+        out[p] = 0;
+        for (q = 0; q < SFEMI_W; ++q) out[p] += part[p * SFEMI_W + q];
+    }
+    for (; i < n; ++i)
+        for (p = 0; p < 4; ++p) out[p] += a[(size_t)p * m + i] * x[i];
 }
 #endif
 
-/* Replaces the n columns of a finished diagonal tile [L11; L21] by [X; -L21 X], X = L11^-1, from the
- * last column back: X(i,j) = -r_j (sum over p > j of X(i,p) L(p,j)), X(j,j) = r_j = 1 / L(j,j). */
+/* Replaces the n columns of a finished diagonal tile [L11; L21] by [X; -L21 X], X = L11^-1, from
+ * the last column back: X(i,j) = -r_j (sum over p > j of X(i,p) L(p,j)), X(j,j) = r_j = 1 / L(j,j).
+ */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEMI_R *c,
                                                         const double *r)
 {
@@ -12536,7 +14395,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
         memset(x, 0, n * sizeof *x);
         for (p = j + 1; p < n; ++p)
             for (v = 0; v < h; v += SFEMI_W)
-                SFEMI_ST(x + v, SFEMI_FMA(SFEMI_LD(c + p * h + v), SFEMI_DUP(l[p]), SFEMI_LD(x + v)));
+                SFEMI_ST(x + v,
+                         SFEMI_FMA(SFEMI_LD(c + p * h + v), SFEMI_DUP(l[p]), SFEMI_LD(x + v)));
         for (v = 0; v < h; v += SFEMI_W)
             SFEMI_ST(c + j * h + v, SFEMI_MUL(SFEMI_LD(x + v), SFEMI_DUP(-rj)));
         c[j * h + j] = rj;
@@ -12544,47 +14404,93 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_invert)(size_t h, size_t n, SFEM
 }
 
 /* --- the solve with one front ----------------------------------------------------------------
- * k pivots, f rows, in tiles as above; on the diagonal stand [X; -L21 X] as sfemi_ldl_invert left them,
- * so that a tile's pivots are one product too. */
+ * k pivots, f rows, in tiles as above; on the diagonal stand [X; -L21 X] as sfemi_ldl_invert left
+ * them, so that a tile's pivots are one product too. */
 
 /* c = init - a y over depth columns of a tile of nv vectors; the caller stores it. */
-#define SFEMI_ACCUMULATE(OP, depth, a, y)                                                            \
-    {                                                                                                \
-        size_t p_ = 0;                                                                               \
-        SFEMI_V d0 = {0}, d1 = {0}, d2 = {0};                                                        \
-        for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                           \
-            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
-            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
-            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
-            d0 = OP(SFEMI_LD((a) + h), SFEMI_DUP((y)[p_ + 1]), d0);                                  \
-            if (nv > 1) d1 = OP(SFEMI_LD((a) + h + SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d1);            \
-            if (nv > 2) d2 = OP(SFEMI_LD((a) + h + 2 * SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d2);        \
-        }                                                                                            \
-        if (p_ < (depth)) {                                                                          \
-            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                            \
-            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                    \
-            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);                \
-            (a) += h;                                                                                \
-        }                                                                                            \
-        c0 = SFEMI_ADD(c0, d0);                                                                      \
-        if (nv > 1) c1 = SFEMI_ADD(c1, d1);                                                          \
-        if (nv > 2) c2 = SFEMI_ADD(c2, d2);                                                          \
+#define SFEMI_ACCUMULATE(OP, depth, a, y)                                                          \
+    {                                                                                              \
+        size_t p_ = 0;                                                                             \
+        SFEMI_V d0 = SFEMI_DUP(0), d1 = SFEMI_DUP(0), d2 = SFEMI_DUP(0);                           \
+        for (; p_ + 2 <= (depth); p_ += 2, (a) += 2 * h) {                                         \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                          \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                  \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);              \
+            d0 = OP(SFEMI_LD((a) + h), SFEMI_DUP((y)[p_ + 1]), d0);                                \
+            if (nv > 1) d1 = OP(SFEMI_LD((a) + h + SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d1);          \
+            if (nv > 2) d2 = OP(SFEMI_LD((a) + h + 2 * SFEMI_W), SFEMI_DUP((y)[p_ + 1]), d2);      \
+        }                                                                                          \
+        if (p_ < (depth)) {                                                                        \
+            c0 = OP(SFEMI_LD(a), SFEMI_DUP((y)[p_]), c0);                                          \
+            if (nv > 1) c1 = OP(SFEMI_LD((a) + SFEMI_W), SFEMI_DUP((y)[p_]), c1);                  \
+            if (nv > 2) c2 = OP(SFEMI_LD((a) + 2 * SFEMI_W), SFEMI_DUP((y)[p_]), c2);              \
+            (a) += h;                                                                              \
+        }                                                                                          \
+        c0 = SFEMI_ADD(c0, d0);                                                                    \
+        if (nv > 1) c1 = SFEMI_ADD(c1, d1);                                                        \
+        if (nv > 2) c2 = SFEMI_ADD(c2, d2);                                                        \
     }
 
-/* One tile of the forward sweep: out = [0; first j rows solved] with b = out on entry. Only for pivots
- * (j > 0) is out read. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j,
-                                                                          const SFEMI_R *a,
-                                                                          const SFEMI_R *y, SFEMI_R *out)
+/* One tile of the forward sweep: out = [0; first j rows solved] with b = out on entry. Only for
+ * pivots (j > 0) is out read. */
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI_R *a,
+                                     const SFEMI_R *y, SFEMI_R *out)
 {
     static const SFEMI_R step[6 * SFEMI_W] = {
-        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
 #if SFEMI_W == 8
-        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
 #endif
-        1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1,
+        1
+    };
     const size_t h = (size_t)nv * SFEMI_W;
-    SFEMI_V c0 = {0}, c1 = {0}, c2 = {0};
+    SFEMI_V c0 = SFEMI_DUP(0), c1 = SFEMI_DUP(0), c2 = SFEMI_DUP(0);
     if (j) {
         c0 = SFEMI_LD(out);
         if (nv > 1) c1 = SFEMI_LD(out + SFEMI_W);
@@ -12612,24 +14518,30 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward_tile)(int n
 }
 #undef SFEMI_ACCUMULATE
 
-/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
-                                                         const sfem_int *target, SFEMI_R *w)
+/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added.
+ */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l,
+                                                         SFEMI_R *x, const sfem_int *target,
+                                                         SFEMI_R *w)
 {
     const size_t t = 3 * SFEMI_W;
     size_t begin, i;
     for (begin = 0; begin < f; begin += t) {
         const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
-        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t depth = begin < k ? begin : k,
+                     j = begin < k ? (k - begin < t ? k - begin : t) : 0;
         const size_t rows = f - begin < t ? f - begin : t;
         SFEMI_R out[3 * SFEMI_W];
         if (j) {
             if (j < t) memset(out, 0, sizeof out);
             memcpy(out, x + begin, j * sizeof *x);
         }
-        if (h == t) SFEMI_KERNEL(sfemi_ldl_forward_tile)(3, depth, j, l, x, out);
-        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_forward_tile)(2, depth, j, l, x, out);
-        else SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
+        if (h == t)
+            SFEMI_KERNEL(sfemi_ldl_forward_tile)(3, depth, j, l, x, out);
+        else if (h == 2 * SFEMI_W)
+            SFEMI_KERNEL(sfemi_ldl_forward_tile)(2, depth, j, l, x, out);
+        else
+            SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
         l += h * (depth + j);
         if (j) memcpy(x + begin, out, j * sizeof *x);
         for (i = j; i < rows; i += 3) {
@@ -12642,9 +14554,10 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, con
 }
 
 /* z(W) of each column p = or += the parts of a(:, p) . x, to be added up later. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, size_t depth, int first,
-                                                                       const SFEMI_R *a,
-                                                                       const SFEMI_R *x, SFEMI_R *z)
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, size_t depth,
+                                                                        int first, const SFEMI_R *a,
+                                                                        const SFEMI_R *x,
+                                                                        SFEMI_R *z)
 {
     const size_t h = (size_t)nv * SFEMI_W;
     SFEMI_V x0 = SFEMI_LD(x), x1 = x0, x2 = x0, s;
@@ -12652,42 +14565,52 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots_tile)(int nv, 
     if (nv > 1) x1 = SFEMI_LD(x + SFEMI_W);
     if (nv > 2) x2 = SFEMI_LD(x + 2 * SFEMI_W);
     for (p = 0; p < depth; ++p, a += h, z += SFEMI_W) {
-        if (first) s = SFEMI_MUL(SFEMI_LD(a), x0);
-        else s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
+        if (first)
+            s = SFEMI_MUL(SFEMI_LD(a), x0);
+        else
+            s = SFEMI_FMA(SFEMI_LD(a), x0, SFEMI_LD(z));
         if (nv > 1) s = SFEMI_FMA(SFEMI_LD(a + SFEMI_W), x1, s);
         if (nv > 2) s = SFEMI_FMA(SFEMI_LD(a + 2 * SFEMI_W), x2, s);
         SFEMI_ST(z, s);
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, int first, const SFEMI_R *a,
-                                                      const SFEMI_R *x, SFEMI_R *z)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_dots)(size_t h, size_t depth, int first,
+                                                      const SFEMI_R *a, const SFEMI_R *x,
+                                                      SFEMI_R *z)
 {
     if (first) {
-        if (h == 3 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 1, a, x, z);
-        else if (h == 2 * SFEMI_W) SFEMI_KERNEL(sfemi_ldl_dots_tile)(2, depth, 1, a, x, z);
-        else SFEMI_KERNEL(sfemi_ldl_dots_tile)(1, depth, 1, a, x, z);
-    } else SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 0, a, x, z); /* only the last tile is lower */
+        if (h == 3 * SFEMI_W)
+            SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 1, a, x, z);
+        else if (h == 2 * SFEMI_W)
+            SFEMI_KERNEL(sfemi_ldl_dots_tile)(2, depth, 1, a, x, z);
+        else
+            SFEMI_KERNEL(sfemi_ldl_dots_tile)(1, depth, 1, a, x, z);
+    } else
+        SFEMI_KERNEL(sfemi_ldl_dots_tile)(3, depth, 0, a, x, z); /* only the last tile is lower */
 }
 
 /* out[p] = the sum of the W parts z of column p. */
 static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_sums)(size_t n, const SFEMI_R *z,
-                                                                  SFEMI_R *out)
+                                                                   SFEMI_R *out)
 {
     size_t p = 0;
 #ifdef SFEMI_SUM4
     for (; p + 4 <= n; p += 4, z += 4 * SFEMI_W) SFEMI_SUM4(z, out + p);
 #endif
     for (; p < n; ++p, z += SFEMI_W)
-        out[p] = SFEMI_W == 8 ? ((z[0] + z[1]) + (z[2] + z[3])) +
-                                    ((z[SFEMI_W - 4] + z[SFEMI_W - 3]) + (z[SFEMI_W - 2] + z[SFEMI_W - 1]))
-                              : (z[0] + z[1]) + (z[2] + z[3]);
+        out[p] = SFEMI_W == 8
+                     ? ((z[0] + z[1]) + (z[2] + z[3])) +
+                           ((z[SFEMI_W - 4] + z[SFEMI_W - 3]) + (z[SFEMI_W - 2] + z[SFEMI_W - 1]))
+                     : (z[0] + z[1]) + (z[2] + z[3]);
 }
 
-/* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size, const SFEMI_R *l,
-                                                          SFEMI_R *x, const sfem_int *target,
-                                                          const SFEMI_R *w, SFEMI_R *v)
+/* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more.
+ */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size,
+                                                          const SFEMI_R *l, SFEMI_R *x,
+                                                          const sfem_int *target, const SFEMI_R *w,
+                                                          SFEMI_R *v)
 {
     const size_t t = 3 * SFEMI_W, tiles = (f + t - 1) / t;
     SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + tiles * t;
@@ -12706,8 +14629,10 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, si
         if (begin < k) {
             const size_t j = k - begin < t ? k - begin : t;
             l -= h * j;
-            if (first) memset(sum, 0, sizeof sum);
-            else SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
+            if (first)
+                memset(sum, 0, sizeof sum);
+            else
+                SFEMI_KERNEL(sfemi_ldl_sums)(j, z + begin * SFEMI_W, sum);
             for (i = 0; i < j; ++i) vt[i] = x[begin + i] - sum[i];
             SFEMI_KERNEL(sfemi_ldl_dots)(h, j, 1, l, vt, part);
             SFEMI_KERNEL(sfemi_ldl_sums)(j, part, vt);
@@ -12722,62 +14647,93 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, si
 /* --- the same for 8 right sides, which stand side by side ------------------------------------ */
 
 #if SFEMI_W == 8
-#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 1, 0) X(2, 2, 0) X(3, 3, 0) X(4, 4, 0) X(5, 5, 0)             \
-    X(6, 6, 0) X(7, 7, 0) X(8, 8, 0) X(9, 9, 0) X(10, 10, 0) X(11, 11, 0)
+#define SFEMI_OUTER(X)                                                                             \
+    X(0, 0, 0)                                                                                     \
+    X(1, 1, 0) X(2, 2, 0) X(3, 3, 0) X(4, 4, 0) X(5, 5, 0) X(6, 6, 0) X(7, 7, 0) X(8, 8, 0)        \
+        X(9, 9, 0) X(10, 10, 0) X(11, 11, 0)
 #else
-#define SFEMI_OUTER(X) X(0, 0, 0) X(1, 0, 1) X(2, 1, 0) X(3, 1, 1) X(4, 2, 0) X(5, 2, 1)             \
-    X(6, 3, 0) X(7, 3, 1) X(8, 4, 0) X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
+#define SFEMI_OUTER(X)                                                                             \
+    X(0, 0, 0)                                                                                     \
+    X(1, 0, 1) X(2, 1, 0) X(3, 1, 1) X(4, 2, 0) X(5, 2, 1) X(6, 3, 0) X(7, 3, 1) X(8, 4, 0)        \
+        X(9, 4, 1) X(10, 5, 0) X(11, 5, 1)
 #endif
 
-/* out(g x 8) += the sum over i of a[i across + r down] y(i, :), r < g = 3/2 W: half a tile's height. */
-static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(size_t depth, const SFEMI_R *a,
-                                                                   size_t across, size_t down,
-                                                                   const SFEMI_R *y, SFEMI_R *out)
+/* out(g x 8) = or, with load, += or -= the sum over i of a[i across + r down] y(i, :), where r < g
+ * = 3/2 W, half a tile's height. */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_outer)(int load, int minus,
+                                                                    size_t depth, const SFEMI_R *a,
+                                                                    size_t across, size_t down,
+                                                                    const SFEMI_R *y, SFEMI_R *out)
 {
-#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+#define SFEMI_X(q, r, u) SFEMI_V c##q = SFEMI_DUP(0);
     SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
     size_t i;
+    if (load) {
+#define SFEMI_X(q, r, u) c##q = SFEMI_LD(out + 8 * r + SFEMI_W * u);
+        SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+    }
     for (i = 0; i < depth; ++i, a += across, y += 8) {
         const SFEMI_V y0 = SFEMI_LD(y);
 #if SFEMI_W == 4
         const SFEMI_V y1 = SFEMI_LD(y + SFEMI_W);
 #endif
-#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
-        SFEMI_OUTER(SFEMI_X)
+        if (minus) {
+#define SFEMI_X(q, r, u) c##q = SFEMI_FNMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+            SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
+        } else {
+#define SFEMI_X(q, r, u) c##q = SFEMI_FMA(y##u, SFEMI_DUP(a[r * down]), c##q);
+            SFEMI_OUTER(SFEMI_X)
+#undef SFEMI_X
+        }
     }
 #define SFEMI_X(q, r, u) SFEMI_ST(out + 8 * r + SFEMI_W * u, c##q);
     SFEMI_OUTER(SFEMI_X)
 #undef SFEMI_X
 }
 
+/* to(n x 8) = from, or less what, row by row (memcpy of few rows costs more than the rows). */
+static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_rows)(size_t n, const SFEMI_R *from,
+                                                                   const SFEMI_R *less, SFEMI_R *to)
+{
+    size_t i;
+    for (i = 0; i < 8 * n; i += SFEMI_W)
+        SFEMI_ST(to + i, less ? SFEMI_FNMA(SFEMI_LD(less + i), SFEMI_DUP(1), SFEMI_LD(from + i))
+                              : SFEMI_LD(from + i));
+}
+
 /* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l, SFEMI_R *x,
-                                                          const sfem_int *target, SFEMI_R *w, SFEMI_R *v)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l,
+                                                          SFEMI_R *x, const sfem_int *target,
+                                                          SFEMI_R *w)
 {
     const size_t t = 3 * SFEMI_W, g = t / 2;
     size_t begin, i, r;
-    SFEMI_R *y = v; /* -y, the solution with its sign turned: the product is only ever added */
     for (begin = 0; begin < f; begin += t) {
         const size_t h = f - begin < t ? (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W : t;
-        const size_t depth = begin < k ? begin : k, j = begin < k ? (k - begin < t ? k - begin : t) : 0;
+        const size_t depth = begin < k ? begin : k,
+                     j = begin < k ? (k - begin < t ? k - begin : t) : 0;
         const size_t rows = f - begin < t ? f - begin : t;
+        const SFEMI_V zero = SFEMI_DUP(0);
         SFEMI_R out[3 * SFEMI_W * 8], b[3 * SFEMI_W * 8];
-        memset(out, 0, sizeof out);
-        memcpy(out, x + 8 * begin, 8 * j * sizeof *x);
-        for (r = 0; r < h; r += g)
-            SFEMI_KERNEL(sfemi_ldl_outer)(depth, l + r, h, 1, y, out + 8 * r);
-        l += h * depth;
-        if (j) {
-            memcpy(b, out, 8 * j * sizeof *b);
-            memset(out, 0, 8 * j * sizeof *out);
-            for (r = 0; r < h; r += g) SFEMI_KERNEL(sfemi_ldl_outer)(j, l + r, h, 1, b, out + 8 * r);
+        if (!j) {
+            for (r = 0; r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 1, depth, l + r, h, 1, x, out + 8 * r);
+            l += h * depth;
+        } else {
+            if (j < t) memset(out, 0, sizeof out);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, x + 8 * begin, NULL, out);
+            for (r = 0; depth && r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 1, depth, l + r, h, 1, x, out + 8 * r);
+            l += h * depth;
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, b);
+            for (i = 0; i < 8 * j; i += SFEMI_W) SFEMI_ST(out + i, zero);
+            for (r = 0; r < h; r += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, j, l + r, h, 1, b, out + 8 * r);
             l += h * j;
-            for (i = 0; i < 8 * j; ++i) {
-                x[8 * begin + i] = out[i];
-                y[8 * begin + i] = -out[i];
-            }
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, x + 8 * begin);
         }
         for (i = j; i < rows; i += 3) {
             SFEMI_R *to = w + 24 * (size_t)*target++;
@@ -12787,30 +14743,37 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, co
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size, const SFEMI_R *l,
-                                                           SFEMI_R *x, const sfem_int *target,
-                                                           const SFEMI_R *w, SFEMI_R *v)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size,
+                                                           const SFEMI_R *l, SFEMI_R *x,
+                                                           const sfem_int *target, const SFEMI_R *w,
+                                                           SFEMI_R *v)
 {
     const size_t t = 3 * SFEMI_W, g = t / 2, tiles = (f + t - 1) / t;
     SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
     size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
-    for (i = k; i < f; i += 3) memcpy(v + 8 * i, w + 24 * (size_t)*target++, 24 * sizeof *v);
+    int load = 0;
+    for (i = k; i < f; i += 3)
+        SFEMI_KERNEL(sfemi_ldl_rows)(3, w + 24 * (size_t)*target++, NULL, v + 8 * i);
     memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
-    memset(z, 0, 8 * (k + g) * sizeof *z);
-    for (l += size;; begin -= t, h = t) {
+    for (l += size;; begin -= t, h = t, load = 1) {
         const size_t depth = begin < k ? begin : k;
         SFEMI_R *vt = v + 8 * begin;
         if (begin < k) {
             const size_t j = k - begin < t ? k - begin : t;
             l -= h * j;
-            for (i = 0; i < 8 * j; ++i) vt[i] = x[8 * begin + i] - z[8 * begin + i];
-            memset(part, 0, sizeof part);
-            for (p = 0; p < j; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, part + 8 * p);
-            memcpy(vt, part, 8 * j * sizeof *vt);
-            memcpy(x + 8 * begin, part, 8 * j * sizeof *x);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, x + 8 * begin, load ? z + 8 * begin : NULL, vt);
+            for (p = 0; p < j; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 0, h, l + p * h, 1, h, vt, part + 8 * p);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, part, NULL, vt);
+            SFEMI_KERNEL(sfemi_ldl_rows)(j, part, NULL, x + 8 * begin);
         }
         l -= h * depth;
-        for (p = 0; p < depth; p += g) SFEMI_KERNEL(sfemi_ldl_outer)(h, l + p * h, 1, h, vt, z + 8 * p);
+        if (load)
+            for (p = 0; p < depth; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, h, l + p * h, 1, h, vt, z + 8 * p);
+        else
+            for (p = 0; p < depth; p += g)
+                SFEMI_KERNEL(sfemi_ldl_outer)(0, 0, h, l + p * h, 1, h, vt, z + 8 * p);
         if (!begin) break;
     }
 }
@@ -12824,7 +14787,6 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
 #undef SFEMI_ST
 #undef SFEMI_DUP
 #undef SFEMI_ADD
-#undef SFEMI_SUB
 #undef SFEMI_MUL
 #undef SFEMI_FMA
 #undef SFEMI_FNMA

@@ -1,7 +1,7 @@
 /* What a tet costs: forces by law and precision, tangents by kind, single matrices.
  *
  * Blocks of five-tet cells, every node displaced at random by 2 % of a cell on top of a turn by one
- * radian. Each figure is the median of RUNS runs on the calling thread; ns a tet. Pin it:
+ * radian. Each figure is the median of RUNS runs on the calling thread, in processor time. Pin it:
  *     taskset -c 1 build/bench/element [--quick]                                                  */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
@@ -115,7 +115,8 @@ static void free_scene(scene *b)
     free(b->work);
 }
 
-static double time_forces(scene *b, sfem_precision precision, sfem_real *rotation, sfem_int *inverted)
+static double time_forces(scene *b, sfem_precision precision, sfem_real *rotation,
+                          sfem_int *inverted)
 {
     const int repeat = 1 + 200000 / b->tets;
     double t[RUNS];
@@ -124,7 +125,8 @@ static double time_forces(scene *b, sfem_precision precision, sfem_real *rotatio
     for (run = 0; run < RUNS; ++run) {
         t[run] = now();
         for (k = 0; k < repeat; ++k)
-            sfem_model_forces(b->model, b->u, precision, b->force, rotation, inverted, b->work, NULL);
+            sfem_model_forces(b->model, b->u, precision, b->force, rotation, inverted, b->work,
+                              NULL);
         t[run] = (now() - t[run]) / repeat / b->tets * 1e9;
     }
     return median(t);
@@ -187,14 +189,18 @@ static void forces_by_strain(int quick)
     int i;
     printf("\ncorotational forces by state       double    mixed   mixed's error   inverted\n");
     for (i = 0; i < (quick ? 1 : 8); ++i) {
-        scene b = make_scene(cells, SFEM_COROTATIONAL, i < 5 ? strain[i] : 0.02, i < 5 ? 0 : every[i - 5]);
+        scene b = make_scene(cells, SFEM_COROTATIONAL, i < 5 ? strain[i] : 0.02,
+                             i < 5 ? 0 : every[i - 5]);
         const double d = time_forces(&b, SFEM_DOUBLE, NULL, &inverted);
         double m;
         memcpy(b.exact, b.force, 3 * (size_t)b.nodes * sizeof *b.force);
         m = time_forces(&b, SFEM_MIXED, NULL, NULL);
-        if (i < 5) printf("  nodes moved by %-7g of a cell", strain[i]);
-        else printf("  one node in %-3d thrown far off", every[i - 5]);
-        printf(" %8.1f %8.1f   %.1e        %5.1f %%\n", d, m, force_error(&b), 100.0 * inverted / b.tets);
+        if (i < 5)
+            printf("  nodes moved by %-7g of a cell", strain[i]);
+        else
+            printf("  one node in %-3d thrown far off", every[i - 5]);
+        printf(" %8.1f %8.1f   %.1e        %5.1f %%\n", d, m, force_error(&b),
+               100.0 * inverted / b.tets);
         free_scene(&b);
     }
 }
@@ -232,8 +238,10 @@ static void single(void)
         for (run = 0; run < RUNS; ++run) {
             t[run] = now();
             for (i = 0; i < COUNT; ++i) {
-                if (what < 2) sfem_polar(f[i], r, NULL);
-                else sfem_signed_svd(f[i], u, s, v);
+                if (what < 2)
+                    sfem_polar(f[i], r, NULL);
+                else
+                    sfem_signed_svd(f[i], u, s, v);
                 sum += what < 2 ? r[0] : s[0];
             }
             t[run] = (now() - t[run]) / COUNT * 1e9;

@@ -23,14 +23,16 @@ static const ex_option table[] = {
     {"--density", "RHO", "1000", "kg/m^3"},
     {"--mass", "lumped|consistent", "lumped", "the mass matrix"},
     {"--rayleigh", "A0,A1", "0,0.002", "damping A0 M + A1 K: 1/s, s"},
-    {"--integrator", "pqr|newmark|central", "pqr", "how to step through time"},
+    {"--integrator", "pqr|newmark|central|be|hht|genalpha|bathe", "pqr", "how to step through time"},
     {"--p", "P", "-2", "of pqr; -2 lets the library choose, -1 smaller where it may; beta of newmark"},
     {"--q", "Q", "1", "of pqr"},
     {"--r", "R", "1", "of pqr"},
     {"--frame", "node|piece|rest|majorant", "node", "of pqr: how its factor turns with the body"},
     {"--guard", "on|off", "on", "of pqr: do steps again that make energy"},
     {"--corrections", "N", "0", "of pqr: at most so many solves more a step, toward newmark"},
-    {"--tol", "T", "1e-3", "of pqr: corrections stop at this relative change"},
+    {"--newton", "N", "20", "implicit methods: at most so many iterations a step; 1: semi-implicit"},
+    {"--tol", "T", NULL, "corrections stop at this relative change (1e-3), Newton at this residual (1e-8)"},
+    {"--rho-inf", "R", "0.8", "of genalpha: what is left of the fastest modes a step"},
     {"--precision", "double|mixed", "double", "mixed keeps the factor in float"},
     {"--dt", "H", "0.016666666666666666", "time step, s"},
     {"--steps", "N", "120", "time steps"},
@@ -120,7 +122,8 @@ static sfem_int select_nodes(const run *r, const ex_selection *where, sfem_int *
 /* 3. What holds the body. */
 static void make_body(run *r)
 {
-    static const sfem_integrator integrator[3] = {SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL};
+    static const sfem_integrator integrator[] = {
+        SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL, SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE};
     sfem_body_def def = sfem_default_body_def();
     sfem_int *pins = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *pins);
     const int given = ex_given(&r->o, "--fix");
@@ -143,7 +146,10 @@ static void make_body(run *r)
     def.frame = (sfem_frame)ex_choice(&r->o, "--frame");
     def.no_guard = ex_choice(&r->o, "--guard");
     def.corrections = (sfem_int)ex_integer(&r->o, "--corrections");
-    def.correction_tolerance = ex_real(&r->o, "--tol");
+    def.newton.iterations = (sfem_int)ex_integer(&r->o, "--newton");
+    def.newton.accept_best = def.newton.iterations == 1; /* one iteration is never told to converge */
+    if (ex_text(&r->o, "--tol")) def.correction_tolerance = def.newton.tolerance = ex_real(&r->o, "--tol");
+    def.rho_inf = ex_real(&r->o, "--rho-inf");
     def.q = ex_real(&r->o, "--q");
     def.r = ex_real(&r->o, "--r");
     def.precision = ex_choice(&r->o, "--precision") ? SFEM_MIXED : SFEM_DOUBLE;

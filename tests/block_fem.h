@@ -1,6 +1,6 @@
 /* A block of nx x ny x nz cells of five or six linear tetrahedra with one face clamped, and its
- * A = K h^2/4 + M: the matrices that the tests and benches of the solver work on. Assembled here from
- * scratch, so as not to depend on what is tested. */
+ * A = K h^2/4 + M: the matrices that the tests and benches of the solver work on. Assembled here
+ * from scratch, so as not to depend on what is tested. */
 #ifndef BLOCK_FEM_H
 #define BLOCK_FEM_H
 
@@ -11,7 +11,7 @@
 
 typedef struct block_fem {
     sfem_int n, tets;
-    double *x;   /* [n][3] of the nodes that are not clamped */
+    double *x;     /* [n][3] of the nodes that are not clamped */
     sfem_matrix a; /* K h^2/4 + M */
     sfem_matrix m; /* lumped mass, diagonal, on the same pattern */
 } block_fem;
@@ -30,9 +30,9 @@ static int block_fem_invert(const double *a, double *b) /* 3x3, returns 0 if sin
 }
 
 /* K and lumped M of tets on nodes; nodes with clamp[i] are left out. map gets the new numbers. */
-static block_fem block_fem_assemble(sfem_int nodes, const double *x, sfem_int tets, const sfem_int *tet,
-                                    const unsigned char *clamp, double e, double nu, double rho,
-                                    double k_factor, double m_factor)
+static block_fem block_fem_assemble(sfem_int nodes, const double *x, sfem_int tets,
+                                    const sfem_int *tet, const unsigned char *clamp, double e,
+                                    double nu, double rho, double k_factor, double m_factor)
 {
     const double lambda = e * nu / ((1 + nu) * (1 - 2 * nu)), mu = e / (2 * (1 + nu));
     block_fem f;
@@ -56,7 +56,8 @@ static block_fem block_fem_assemble(sfem_int nodes, const double *x, sfem_int te
             for (i = 0; i < 3; ++i) d[3 * a + i] = x[3 * v[a + 1] + i] - x[3 * v[0] + i];
         block_fem_invert(d, g); /* rows: directions, columns: edges */
         volume = fabs(d[0] * (d[4] * d[8] - d[5] * d[7]) - d[1] * (d[3] * d[8] - d[5] * d[6]) +
-                      d[2] * (d[3] * d[7] - d[4] * d[6])) / 6;
+                      d[2] * (d[3] * d[7] - d[4] * d[6])) /
+                 6;
         for (i = 0; i < 3; ++i) {
             grad[0][i] = 0;
             for (a = 0; a < 3; ++a) {
@@ -76,8 +77,8 @@ static block_fem block_fem_assemble(sfem_int nodes, const double *x, sfem_int te
                 for (i = 0; i < 3; ++i)
                     for (j = 0; j < 3; ++j)
                         k[3 * i + j] = k_factor * volume *
-                                       (lambda * grad[a][i] * grad[b][j] + mu * grad[a][j] * grad[b][i] +
-                                        (i == j) * mu * dot);
+                                       (lambda * grad[a][i] * grad[b][j] +
+                                        mu * grad[a][j] * grad[b][i] + (i == j) * mu * dot);
                 if (a == b)
                     for (i = 0; i < 3; ++i) {
                         m[4 * i] = rho * volume / 4;
@@ -100,7 +101,8 @@ static block_fem block_fem_create(sfem_int nx, sfem_int ny, sfem_int nz, int fiv
 {
     static const int corner[8][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 0},
                                      {0, 0, 1}, {1, 0, 1}, {0, 1, 1}, {1, 1, 1}};
-    static const int cut5[5][4] = {{0, 1, 2, 4}, {1, 3, 2, 7}, {1, 4, 7, 5}, {2, 7, 4, 6}, {1, 2, 4, 7}};
+    static const int cut5[5][4] = {
+        {0, 1, 2, 4}, {1, 3, 2, 7}, {1, 4, 7, 5}, {2, 7, 4, 6}, {1, 2, 4, 7}};
     static const int cut6[6][4] = {{0, 1, 3, 7}, {0, 3, 2, 7}, {0, 2, 6, 7},
                                    {0, 6, 4, 7}, {0, 4, 5, 7}, {0, 5, 1, 7}};
     const sfem_int nodes = (nx + 1) * (ny + 1) * (nz + 1), per = five ? 5 : 6;
@@ -127,7 +129,8 @@ static block_fem block_fem_create(sfem_int nx, sfem_int ny, sfem_int nz, int fiv
                     for (v = 0; v < 4; ++v) {
                         const int *o = corner[five ? cut5[c][v] : cut6[c][v]];
                         sfem_int p = i + o[0], q = j + o[1], r = k + o[2];
-                        if (five && (i + j + k) % 2) p = i + 1 - o[0]; /* every other cell mirrored */
+                        if (five && (i + j + k) % 2)
+                            p = i + 1 - o[0]; /* every other cell mirrored */
                         tet[4 * count + v] = p + (nx + 1) * (q + (ny + 1) * r);
                     }
     f = block_fem_assemble(nodes, x, count, tet, clamp, 1e6, .45, 1000, h * h / 4, 1);

@@ -870,6 +870,34 @@ static void a_saved_state_continues_bit_for_bit(void **state)
     sfem_model_free(b.model);
 }
 
+static void floats_for_rendering_are_the_positions_and_velocities(void **state)
+{
+    block b = make_block(2, 1, 1, SFEM_MASS_LUMPED, 0, 0, NULL);
+    sfem_body_def def = sfem_default_body_def();
+    sfem_real x[64 * 3], v[64 * 3];
+    float vertex[64][8], velocity[64][8]; /* three of eight are ours */
+    sfem_body *body;
+    sfem_int i;
+    int c;
+    (void)state;
+    def.gravity[1] = -9.81;
+    body = block_body(&b, def);
+    for (i = 0; i < 5; ++i) step(body, 0.01);
+    sfem_body_positions(body, x);
+    sfem_body_velocities(body, v);
+    for (i = 0; i < b.nodes; ++i)
+        for (c = 0; c < 8; ++c) vertex[i][c] = velocity[i][c] = 77;
+    sfem_body_to_floats(body, vertex[0], NULL, sizeof vertex[0]);
+    sfem_body_to_floats(body, NULL, velocity[0], sizeof velocity[0]);
+    for (i = 0; i < b.nodes; ++i)
+        for (c = 0; c < 8; ++c) {
+            assert_near(vertex[i][c], c < 3 ? (double)(float)x[3 * i + c] : 77, 0, 0);
+            assert_near(velocity[i][c], c < 3 ? (double)(float)v[3 * i + c] : 77, 0, 0);
+        }
+    sfem_body_free(body);
+    sfem_model_free(b.model);
+}
+
 static void bad_definitions_are_refused(void **state)
 {
     block b = make_block(1, 1, 1, SFEM_MASS_LUMPED, 0, 0, NULL);
@@ -1064,6 +1092,7 @@ int main(void)
         cmocka_unit_test(a_hundred_bodies_share_one_factor),
         cmocka_unit_test(without_allocation_an_unprepared_step_says_so),
         cmocka_unit_test(a_saved_state_continues_bit_for_bit),
+        cmocka_unit_test(floats_for_rendering_are_the_positions_and_velocities),
         cmocka_unit_test(bad_definitions_are_refused),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(any_number_of_threads_gives_the_same_bits),

@@ -1,0 +1,462 @@
+/* The sparse solver against CHOLMOD, one core and two, on blocks of 540 to 160 000 tetrahedra.
+ *
+ *   bench/solver [largest number of tets] [most passes]
+ *
+ * CHOLMOD and METIS take part if compiled with SFEM_BENCH_CHOLMOD (Debian: libsuitesparse-dev,
+ * libmetis-dev, libopenblas-dev; link -lcholmod -lmetis -lopenblas). CHOLMOD is taken at its best:
+ * supernodal or simplicial, AMD or METIS, whichever is the fastest on the matrix, and with one
+ * OpenMP thread, as Debian's build else starts four on one core. All of one row is measured in
+ * turns in one process, on one core; medians. A factor's time counts all that it needs for the
+ * solves that follow.
+ */
+#define _GNU_SOURCE
+#include "softfem.h"
+#include "../tests/block_fem.h"
+#include <sched.h>
+#include <stdio.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+#ifdef SFEM_BENCH_CHOLMOD
+#include <suitesparse/cholmod.h>
+#include <metis.h>
+#endif
+
+enum { MOST = 400 };
+
+static double now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static int compare(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double median(double *v, int n)
+{
+    qsort(v, (size_t)n, sizeof *v, compare);
+    return n ? v[n / 2] : 0;
+}
+
+static void machine(void)
+{
+    char line[256];
+    FILE *f = fopen("/proc/cpuinfo", "r");
+    while (f && fgets(line, sizeof line, f))
+        if (!strncmp(line, "model name", 10)) {
+            printf("machine   %s", strchr(line, ':') + 2);
+            break;
+        }
+    if (f) fclose(f);
+    printf("cores     %ld\ncompiler  %s\n", sysconf(_SC_NPROCESSORS_ONLN), __VERSION__);
+#ifdef SFEM_BENCH_FLAGS
+    printf("flags     %s\n", SFEM_BENCH_FLAGS);
+#endif
+}
+
+#ifdef SFEM_BENCH_CHOLMOD
+typedef struct rival {
+    cholmod_common c;
+    cholmod_sparse *a;
+    cholmod_factor *l;
+    cholmod_dense *b, *x, *y, *e;
+    double analyse;
+} rival;
+
+static cholmod_sparse *rival_matrix(const sfem_matrix *m, cholmod_common *c)
+{
+    const size_t count = sfem_matrix_csr_count(m), n = 3 * (size_t)m->n;
+    int *row = (int *)malloc((n + 1) * sizeof *row), *col = (int *)malloc(count * sizeof *col);
+    double *val = (double *)malloc(count * sizeof *val);
+    cholmod_sparse *a;
+    size_t i, at = 0;
+    int k;
+    sfem_matrix_to_csr(m, row, col, val, NULL);
+    a = cholmod_allocate_sparse(n, n, count, 1, 1, 1, CHOLMOD_REAL, c); /* upper by columns */
+    for (i = 0; i < n; ++i) {
+        ((int *)a->p)[i] = (int)at;
+        for (k = row[i]; k < row[i + 1]; ++k)
+            if (col[k] <= (int)i) {
+                ((int *)a->i)[at] = col[k];
+                ((double *)a->x)[at++] = val[k];
+            }
+    }
+    ((int *)a->p)[n] = (int)at;
+    free(row);
+    free(col);
+    free(val);
+    return a;
+}
+
+static void rival_open(rival *r, const sfem_matrix *m, const double *b, int method, int mode,
+                       int factor)
+{
+    double t;
+    size_t i;
+    memset(r, 0, sizeof *r);
+    cholmod_start(&r->c);
+    r->c.nmethods = 1;
+    r->c.method[0].ordering = method;
+    r->c.postorder = 1;
+    r->c.supernodal = mode;
+    r->c.final_ll = 1;
+    r->a = rival_matrix(m, &r->c);
+    t = now();
+    r->l = cholmod_analyze(r->a, &r->c);
+    r->analyse = now() - t;
+    if (factor) cholmod_factorize(r->a, r->l, &r->c);
+    r->b = cholmod_allocate_dense(r->a->nrow, 1, r->a->nrow, CHOLMOD_REAL, &r->c);
+    for (i = 0; i < r->a->nrow; ++i) ((double *)r->b->x)[i] = b[i];
+}
+
+static double rival_factor(rival *r)
+{
+    const double t = now();
+    cholmod_factorize(r->a, r->l, &r->c);
+    return now() - t;
+}
+
+static double rival_solve(rival *r)
+{
+    const double t = now();
+    cholmod_solve2(CHOLMOD_A, r->l, r->b, NULL, &r->x, NULL, &r->y, &r->e, &r->c);
+    return now() - t;
+}
+
+static void rival_close(rival *r)
+{
+    cholmod_free_dense(&r->b, &r->c);
+    cholmod_free_dense(&r->x, &r->c);
+    cholmod_free_dense(&r->y, &r->c);
+    cholmod_free_dense(&r->e, &r->c);
+    cholmod_free_factor(&r->l, &r->c);
+    cholmod_free_sparse(&r->a, &r->c);
+    cholmod_finish(&r->c);
+}
+
+/* Operations of L with METIS's ordering of the node graph, counted as the library counts its own.
+ */
+static double metis_flops(const block_fem *f)
+{
+    const sfem_matrix *a = &f->a;
+    idx_t n = a->n, *start = (idx_t *)calloc((size_t)n + 2, sizeof *start), *adj, *perm, *inverse;
+    sfem_int i, k, *bi, *bj;
+    sfem_matrix permuted;
+    double flops, *bv = NULL;
+    sfem_ldl_def def = sfem_default_ldl_def();
+    sfem_ldl *ldl = NULL;
+    for (i = 0; i < n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) {
+            ++start[i + 2];
+            ++start[a->col[k] + 2];
+        }
+    for (i = 0; i < n; ++i) start[i + 2] += start[i + 1];
+    adj = (idx_t *)malloc(((size_t)start[n + 1] + 1) * sizeof *adj);
+    for (i = 0; i < n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) {
+            adj[start[i + 1]++] = a->col[k];
+            adj[start[a->col[k] + 1]++] = i;
+        }
+    perm = (idx_t *)malloc((size_t)n * sizeof *perm);
+    inverse = (idx_t *)malloc((size_t)n * sizeof *inverse);
+    METIS_NodeND(&n, start, adj, NULL, NULL, perm, inverse);
+    bi = (sfem_int *)malloc((size_t)a->row[n] * sizeof *bi);
+    bj = (sfem_int *)malloc((size_t)a->row[n] * sizeof *bj);
+    bv = (double *)calloc((size_t)a->row[n] * 9, sizeof *bv);
+    for (i = 0; i < n; ++i)
+        for (k = a->row[i]; k < a->row[i + 1]; ++k) {
+            bi[k] = inverse[i];
+            bj[k] = inverse[a->col[k]];
+            if (i == a->col[k])
+                bv[9 * (size_t)k] = bv[9 * (size_t)k + 4] = bv[9 * (size_t)k + 8] = 1;
+        }
+    sfem_matrix_create(a->n, a->row[n], bi, bj, bv, NULL, &permuted, NULL);
+    def.ordering = SFEM_ORDER_NATURAL;
+    sfem_ldl_create(&def, &permuted, &ldl, NULL);
+    flops = sfem_ldl_get_info(ldl).flops;
+    sfem_ldl_free(ldl);
+    sfem_matrix_free(&permuted, NULL);
+    free(bi);
+    free(bj);
+    free(bv);
+    free(perm);
+    free(inverse);
+    free(start);
+    free(adj);
+    return flops;
+}
+#endif
+
+typedef struct times {
+    double v[MOST];
+    int n;
+} times;
+
+static void take(times *t, double v)
+{
+    if (t->n < MOST) t->v[t->n++] = v;
+}
+
+static double factor_time(sfem_ldl *ldl, const sfem_matrix *a)
+{
+    const double t = now();
+    sfem_ldl_refactor(ldl, a, NULL);
+    return now() - t;
+}
+
+static double solve_time(const sfem_ldl *ldl, int rhs, double *x, const double *b, double *work,
+                         const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)sfem_ldl_get_info(ldl).n;
+    double t;
+    int r;
+    for (r = 0; r < rhs; ++r) memcpy(x + (size_t)r * n, b, n * sizeof *x);
+    t = now();
+    sfem_ldl_solve(ldl, rhs, x, work, exec);
+    return now() - t;
+}
+
+static void *refuse(size_t bytes, void *user)
+{
+    return bytes > *(const size_t *)user ? NULL : malloc(bytes);
+}
+
+static void release(void *memory, void *user)
+{
+    (void)user;
+    free(memory);
+}
+
+/* Everything on one core. */
+static void row_one(const char *name, const block_fem *f, int passes)
+{
+    static times factor, solve, solve32, solve8, factor32, rfactor, rsolve;
+    double analyse = 0;
+    size_t limit;
+    const size_t n = 3 * (size_t)f->n;
+    double *b = (double *)malloc(n * sizeof *b), *x = (double *)malloc(8 * n * sizeof *x), *work, t;
+    sfem_ldl_def def = sfem_default_ldl_def();
+    sfem_ldl *ldl = NULL, *ldl32 = NULL;
+    sfem_ldl_info info;
+    sfem_error err;
+    size_t i;
+    int k;
+    factor.n = solve.n = solve32.n = solve8.n = factor32.n = rfactor.n = rsolve.n = 0;
+    def.x = f->x;
+    for (i = 0; i < n; ++i) b[i] = sin(1.3 * (double)i);
+    if (sfem_ldl_create(&def, &f->a, &ldl, &err) != SFEM_OK) {
+        printf("%-10s %s\n", name, err.text);
+        goto done;
+    }
+    limit = sfem_ldl_get_info(ldl).factor_bytes / 2;
+    def.allocator.allocate = refuse;
+    def.allocator.release = release;
+    def.allocator.user = &limit;
+    for (k = 0; k < 7; ++k) { /* the analysis alone: stopped where it asks for the memory of L */
+        sfem_ldl *none = NULL;
+        t = now();
+        if (sfem_ldl_create(&def, &f->a, &none, &err) != SFEM_OUT_OF_MEMORY) goto done;
+        t = now() - t;
+        if (k == 0 || t < analyse) analyse = t;
+    }
+    memset(&def.allocator, 0, sizeof def.allocator);
+    def.mixed = 1;
+    if (sfem_ldl_create(&def, &f->a, &ldl32, &err) != SFEM_OK) goto done;
+    info = sfem_ldl_get_info(ldl);
+    work = (double *)malloc(sfem_ldl_work_size(ldl, 8) * sizeof *work);
+    {
+#ifdef SFEM_BENCH_CHOLMOD
+        static const struct {
+            int method, mode;
+            const char *name;
+        } way[3] = {{CHOLMOD_AMD, CHOLMOD_SUPERNODAL, "AMD, supernodal"},
+                    {CHOLMOD_METIS, CHOLMOD_SUPERNODAL, "METIS, supernodal"},
+                    {CHOLMOD_AMD, CHOLMOD_SIMPLICIAL, "AMD, simplicial"}};
+        int best_factor = -1, best_solve = -1, w;
+        double least = 0, least_solve = 0, amd = 0;
+        rival r;
+        for (k = 0; k < 5; ++k) {
+            rival_open(&r, &f->a, b, CHOLMOD_AMD, CHOLMOD_SUPERNODAL, 0);
+            if (k == 0 || r.analyse < amd) amd = r.analyse;
+            rival_close(&r);
+        }
+        for (w = 0; w < (f->n > 3000 ? 2 : 3); ++w) { /* which is its best? */
+            double tf = 1e9, ts = 1e9;
+            rival_open(&r, &f->a, b, way[w].method, way[w].mode, 1);
+            for (k = 0; k < 5 && (k < 2 || f->n < 20000); ++k) {
+                t = rival_factor(&r);
+                if (t < tf) tf = t;
+                t = rival_solve(&r);
+                if (t < ts) ts = t;
+            }
+            if (best_factor < 0 || tf < least) {
+                least = tf;
+                best_factor = w;
+            }
+            if (best_solve < 0 || ts < least_solve) {
+                least_solve = ts;
+                best_solve = w;
+            }
+            rival_close(&r);
+        }
+        rival_open(&r, &f->a, b, way[best_factor].method, way[best_factor].mode, 1);
+#endif
+        for (k = 0; k < passes; ++k) {
+#ifdef SFEM_BENCH_CHOLMOD
+            take(&rfactor, rival_factor(&r));
+#endif
+            take(&factor, factor_time(ldl, &f->a));
+            take(&factor32, factor_time(ldl32, &f->a));
+        }
+#ifdef SFEM_BENCH_CHOLMOD
+        if (best_solve != best_factor) {
+            rival_close(&r);
+            rival_open(&r, &f->a, b, way[best_solve].method, way[best_solve].mode, 1);
+        }
+#endif
+        for (k = 0; k < 3 * passes; ++k) {
+#ifdef SFEM_BENCH_CHOLMOD
+            take(&rsolve, rival_solve(&r));
+#endif
+            take(&solve, solve_time(ldl, 1, x, b, work, NULL));
+            take(&solve32, solve_time(ldl32, 1, x, b, work, NULL));
+            if (k % 3 == 0) take(&solve8, solve_time(ldl, 8, x, b, work, NULL));
+        }
+        printf("%-9s %8.3f %8.3f %9.1f %9.1f %6.2f %8.2f %7.1f %8.3g %-5s", name,
+               1e3 * median(factor.v, factor.n), 1e3 * median(factor32.v, factor32.n),
+               1e6 * median(solve.v, solve.n), 1e6 * median(solve32.v, solve32.n),
+               median(solve8.v, solve8.n) / median(solve.v, solve.n), 1e3 * analyse,
+               1e-6 * (double)info.bytes, info.flops,
+               info.ordering == SFEM_ORDER_AMD ? "AMD" : "cuts");
+#ifdef SFEM_BENCH_CHOLMOD
+        printf(" | %8.3f %9.1f %8.2f | %5.2f %5.2f %5.2f %5.2f %5.2f  %s\n",
+               1e3 * median(rfactor.v, rfactor.n), 1e6 * median(rsolve.v, rsolve.n), 1e3 * amd,
+               median(factor.v, factor.n) / median(rfactor.v, rfactor.n),
+               median(solve.v, solve.n) / median(rsolve.v, rsolve.n),
+               median(solve32.v, solve32.n) / median(rsolve.v, rsolve.n), analyse / amd,
+               info.flops / metis_flops(f),
+               best_factor == best_solve ? way[best_factor].name : "factor and solve differ");
+        rival_close(&r);
+#else
+        printf("\n");
+#endif
+        fflush(stdout);
+    }
+    free(work);
+done:
+    sfem_ldl_free(ldl);
+    sfem_ldl_free(ldl32);
+    free(b);
+    free(x);
+}
+
+/* Two threads against one, and whether the bits agree. */
+static void row_two(const char *name, const block_fem *f, int passes)
+{
+    static times factor[2], solve[2];
+    const size_t n = 3 * (size_t)f->n;
+    double *b = (double *)malloc(n * sizeof *b), *x[2], *work[2];
+    sfem_ldl_def def = sfem_default_ldl_def();
+    sfem_ldl *ldl[2] = {NULL, NULL};
+    sfem_exec exec;
+    size_t i;
+    int k, p;
+    def.x = f->x;
+    memset(&exec, 0, sizeof exec);
+    for (i = 0; i < n; ++i) b[i] = sin(1.3 * (double)i);
+    for (p = 0; p < 2; ++p) {
+        factor[p].n = solve[p].n = 0;
+        def.exec.threads = p + 1;
+        x[p] = (double *)malloc(n * sizeof **x);
+        if (sfem_ldl_create(&def, &f->a, &ldl[p], NULL) != SFEM_OK) return;
+        work[p] = (double *)malloc(sfem_ldl_work_size(ldl[p], 1) * sizeof **work);
+    }
+    for (k = 0; k < passes; ++k)
+        for (p = 0; p < 2; ++p) take(&factor[p], factor_time(ldl[p], &f->a));
+    for (k = 0; k < 3 * passes; ++k)
+        for (p = 0; p < 2; ++p) {
+            exec.threads = p + 1;
+            take(&solve[p], solve_time(ldl[p], 1, x[p], b, work[p], &exec));
+        }
+    printf("%-9s %8.3f %8.3f %6.2f   %9.1f %9.1f %6.2f   %s\n", name,
+           1e3 * median(factor[0].v, factor[0].n), 1e3 * median(factor[1].v, factor[1].n),
+           median(factor[0].v, factor[0].n) / median(factor[1].v, factor[1].n),
+           1e6 * median(solve[0].v, solve[0].n), 1e6 * median(solve[1].v, solve[1].n),
+           median(solve[0].v, solve[0].n) / median(solve[1].v, solve[1].n),
+           memcmp(x[0], x[1], n * sizeof **x) ? "BITS DIFFER" : "same bits");
+    fflush(stdout);
+    for (p = 0; p < 2; ++p) {
+        sfem_ldl_free(ldl[p]);
+        free(x[p]);
+        free(work[p]);
+    }
+    free(b);
+}
+
+static const struct {
+    const char *name;
+    int tets, nx, ny, nz, five;
+} block[] = {{"540", 540, 12, 3, 3, 1},        {"2.5k", 2500, 20, 5, 5, 1},
+             {"7k", 6860, 28, 7, 7, 1},        {"20k", 20000, 40, 10, 10, 1},
+             {"55k", 54880, 56, 14, 14, 1},    {"160k", 160000, 80, 20, 20, 1},
+             {"6 tets 3k", 3000, 20, 5, 5, 0}, {"6 tets 24k", 24000, 40, 10, 10, 0}};
+
+static void rows(void (*row)(const char *, const block_fem *, int), long largest, int most)
+{
+    size_t i;
+    for (i = 0; i < sizeof block / sizeof *block; ++i) {
+        block_fem f;
+        int passes = (int)(4e6 / block[i].tets / (1 + block[i].tets / 2e4));
+        if (block[i].tets > largest) continue;
+        f = block_fem_create(block[i].nx, block[i].ny, block[i].nz, block[i].five);
+        if (passes > MOST / 3) passes = MOST / 3;
+        if (passes > most) passes = most;
+        row(block[i].name, &f, passes < 3 ? 3 : passes);
+        block_fem_free(&f);
+    }
+}
+
+int main(int argc, char **argv)
+{
+    const long largest = argc > 1 ? atol(argv[1]) : 60000;
+    const int most = argc > 2 ? atoi(argv[2]) : 100;
+    pid_t child;
+    /* one core: OpenMP reads its limits when the program starts, so start it again */
+    if (argc > 3) {
+        cpu_set_t set;
+        CPU_ZERO(&set);
+        CPU_SET(sysconf(_SC_NPROCESSORS_ONLN) > 1 ? 1 : 0, &set);
+        sched_setaffinity(0, sizeof set, &set);
+        machine();
+        printf("\none core  factor ms, with float copy; solve us, f64, f32, 8 at once / 1; "
+               "analysis ms;"
+               " MB; flops\n          and CHOLMOD's factor, solve, AMD analysis; ratios of factor, "
+               "solve"
+               " f64, f32, analysis, flops of L to METIS\n");
+#ifndef SFEM_BENCH_CHOLMOD
+        printf(
+            "          without CHOLMOD: install libsuitesparse-dev libmetis-dev libopenblas-dev\n");
+#endif
+        rows(row_one, largest, most);
+        return 0;
+    }
+    child = fork();
+    if (child == 0) {
+        char a[32], b[32];
+        setenv("OMP_THREAD_LIMIT", "1", 1);
+        setenv("OPENBLAS_NUM_THREADS", "1", 1);
+        sprintf(a, "%ld", largest);
+        sprintf(b, "%d", most);
+        execl("/proc/self/exe", argv[0], a, b, "one", (char *)NULL);
+        _exit(1);
+    }
+    waitpid(child, NULL, 0);
+    printf("\ntwo cores factor ms with 1 and 2 threads, gain; solve us likewise\n");
+    rows(row_two, largest, most);
+    return 0;
+}
