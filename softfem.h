@@ -14102,7 +14102,7 @@ typedef struct SFEMI_KERNEL(sfemi_v) {
 #else
 #define SFEMI_FMA1(a, b, c) ((a) * (b) + (c))
 #endif
-#define SFEMI_LANES(name, arguments, expression)                                                   \
+#define SFEMI_BY_LANE(name, arguments, expression)                                                   \
     static SFEMI_INLINE SFEMI_V SFEMI_KERNEL(name) arguments                                       \
     {                                                                                              \
         SFEMI_V r;                                                                                 \
@@ -14110,12 +14110,12 @@ typedef struct SFEMI_KERNEL(sfemi_v) {
         for (i = 0; i < SFEMI_W; ++i) r.e[i] = (expression);                                       \
         return r;                                                                                  \
     }
-SFEMI_LANES(sfemi_v_load, (const SFEMI_R *p), p[i])
-SFEMI_LANES(sfemi_v_dup, (SFEMI_R s), s)
-SFEMI_LANES(sfemi_v_add, (SFEMI_V a, SFEMI_V b), a.e[i] + b.e[i])
-SFEMI_LANES(sfemi_v_mul, (SFEMI_V a, SFEMI_V b), a.e[i] * b.e[i])
-SFEMI_LANES(sfemi_v_fma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(a.e[i], b.e[i], c.e[i]))
-SFEMI_LANES(sfemi_v_fnma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(-a.e[i], b.e[i], c.e[i]))
+SFEMI_BY_LANE(sfemi_v_load, (const SFEMI_R *p), p[i])
+SFEMI_BY_LANE(sfemi_v_dup, (SFEMI_R s), s)
+SFEMI_BY_LANE(sfemi_v_add, (SFEMI_V a, SFEMI_V b), a.e[i] + b.e[i])
+SFEMI_BY_LANE(sfemi_v_mul, (SFEMI_V a, SFEMI_V b), a.e[i] * b.e[i])
+SFEMI_BY_LANE(sfemi_v_fma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(a.e[i], b.e[i], c.e[i]))
+SFEMI_BY_LANE(sfemi_v_fnma, (SFEMI_V a, SFEMI_V b, SFEMI_V c), SFEMI_FMA1(-a.e[i], b.e[i], c.e[i]))
 static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
 {
     memcpy(p, v.e, sizeof v.e);
