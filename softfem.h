@@ -17,7 +17,7 @@
  *     sfem_factor  L D L^T of A = r M + (q/2) h D + p h^2 K: made when first needed, shared, counted
  *     sfem_body    what moves: state, pins, handles, integrator; one block of it can be saved
  *
- * A program of 15 lines is examples/hello.c.
+ * A whole program is examples/hello.c.
  *
  * CONTENTS (search for the marker)
  *
@@ -14801,7 +14801,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
 
 /* ============================================================================================
  * CHANGES
- *   0.1.0   meshes, linear bodies, Newmark, (p,q,r), central difference, handles
+ *   0.1.0   meshes, sparse solver, linear and nonlinear bodies, (p,q,r), Newmark and its kin, handles
  *
  * LICENCE, at your choice
  *
