@@ -1,6 +1,6 @@
 /* The sparse solver against CHOLMOD, one core and two, on blocks of 540 to 160 000 tetrahedra.
  *
- *   bench/solver [largest number of tets] [most passes]
+ *   bench/solver [largest number of tets] [most passes] [mesh files]
  *
  * CHOLMOD and METIS take part if compiled with SFEM_BENCH_CHOLMOD (Debian: libsuitesparse-dev,
  * libmetis-dev, libopenblas-dev; link -lcholmod -lmetis -lopenblas). CHOLMOD is taken at its best:
@@ -406,19 +406,55 @@ static const struct {
              {"55k", 54880, 56, 14, 14, 1},    {"160k", 160000, 80, 20, 20, 1},
              {"6 tets 3k", 3000, 20, 5, 5, 0}, {"6 tets 24k", 24000, 40, 10, 10, 0}};
 
-static void rows(void (*row)(const char *, const block_fem *, int), long largest, int most)
+static int passes_of(sfem_int tets, int most)
+{
+    int passes = (int)(4e6 / tets / (1 + tets / 2e4));
+    if (passes > MOST / 3) passes = MOST / 3;
+    if (passes > most) passes = most;
+    return passes < 3 ? 3 : passes;
+}
+
+/* A mesh from a file, held at the end of its longest side. */
+static void given(void (*row)(const char *, const block_fem *, int), const char *path, int most)
+{
+    const char *name = strrchr(path, '/') ? strrchr(path, '/') + 1 : path;
+    sfem_mesh_report report;
+    unsigned char *clamp;
+    sfem_error err;
+    sfem_mesh mesh;
+    block_fem f;
+    sfem_int i;
+    int k, axis = 0;
+    if (sfem_mesh_read(path, NULL, &mesh, &err) || sfem_mesh_check(&mesh, &report, &err)) {
+        printf("%.12s: %s\n", name, err.text);
+        return;
+    }
+    for (k = 1; k < 3; ++k)
+        if (report.box[1][k] - report.box[0][k] > report.box[1][axis] - report.box[0][axis]) axis = k;
+    clamp = (unsigned char *)malloc((size_t)mesh.nodes);
+    memset(clamp, 1, (size_t)mesh.nodes); /* nodes of no tet are left out */
+    for (i = 0; i < 4 * mesh.tets; ++i) {
+        const double x = mesh.x[3 * mesh.tet[i] + axis] - report.box[0][axis];
+        clamp[mesh.tet[i]] = x < .02 * (report.box[1][axis] - report.box[0][axis]);
+    }
+    f = block_fem_assemble(mesh.nodes, mesh.x, mesh.tets, mesh.tet, clamp, 1e6, .45, 1000, 1. / 14400, 1);
+    row(name, &f, passes_of(mesh.tets, most));
+    block_fem_free(&f);
+    free(clamp);
+    sfem_mesh_free(&mesh);
+}
+
+static void rows(void (*row)(const char *, const block_fem *, int), long largest, int most, char **mesh)
 {
     size_t i;
     for (i = 0; i < sizeof block / sizeof *block; ++i) {
         block_fem f;
-        int passes = (int)(4e6 / block[i].tets / (1 + block[i].tets / 2e4));
         if (block[i].tets > largest) continue;
         f = block_fem_create(block[i].nx, block[i].ny, block[i].nz, block[i].five);
-        if (passes > MOST / 3) passes = MOST / 3;
-        if (passes > most) passes = most;
-        row(block[i].name, &f, passes < 3 ? 3 : passes);
+        row(block[i].name, &f, passes_of(block[i].tets, most));
         block_fem_free(&f);
     }
+    while (*mesh) given(row, *mesh++, most);
 }
 
 int main(int argc, char **argv)
@@ -427,7 +463,7 @@ int main(int argc, char **argv)
     const int most = argc > 2 ? atoi(argv[2]) : 100;
     pid_t child;
     /* one core: OpenMP reads its limits when the program starts, so start it again */
-    if (argc > 3) {
+    if (getenv("SFEM_BENCH_ONE_CORE")) {
         cpu_set_t set;
         CPU_ZERO(&set);
         CPU_SET(sysconf(_SC_NPROCESSORS_ONLN) > 1 ? 1 : 0, &set);
@@ -442,21 +478,19 @@ int main(int argc, char **argv)
         printf(
             "          without CHOLMOD: install libsuitesparse-dev libmetis-dev libopenblas-dev\n");
 #endif
-        rows(row_one, largest, most);
+        rows(row_one, largest, most, argv + (argc > 3 ? 3 : argc));
         return 0;
     }
     child = fork();
     if (child == 0) {
-        char a[32], b[32];
         setenv("OMP_THREAD_LIMIT", "1", 1);
         setenv("OPENBLAS_NUM_THREADS", "1", 1);
-        sprintf(a, "%ld", largest);
-        sprintf(b, "%d", most);
-        execl("/proc/self/exe", argv[0], a, b, "one", (char *)NULL);
+        setenv("SFEM_BENCH_ONE_CORE", "1", 1);
+        execv("/proc/self/exe", argv);
         _exit(1);
     }
     waitpid(child, NULL, 0);
     printf("\ntwo cores factor ms with 1 and 2 threads, gain; solve us likewise\n");
-    rows(row_two, largest, most);
+    rows(row_two, largest, most, argv + (argc > 3 ? 3 : argc));
     return 0;
 }
