@@ -64,15 +64,17 @@ examples: $(EXAMPLE_PROGRAMS) ## build every example
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
 	@BUILD=$(BUILD)/strict sh tests/strict.sh
 
+# without the emulation of the widest vectors, which would take as long as all the rest
 asan: ## the tests under address and undefined-behaviour sanitizers
 	$(MAKE) check BUILD=$(BUILD)/asan OPENMP=0 CFLAGS='-O1 -g' \
+	    TESTS='$(filter-out test_solver_wide,$(TESTS))' \
 	    INSTRUMENT='-fsanitize=address,undefined -fno-sanitize-recover=all'
 
 tsan: ## the tests named after threads under the thread sanitizer (all: FILTER='*')
 ifneq ($(THREADED)$(FILTER),)
 	$(MAKE) check BUILD=$(BUILD)/tsan OPENMP=0 CFLAGS='-O1 -g' INSTRUMENT=-fsanitize=thread \
 	    FILTER='$(or $(FILTER),*thread*)' \
-	    $(if $(FILTER),,TESTS='$(patsubst tests/%.c,%,$(THREADED))')
+	    $(if $(FILTER),,TESTS='$(filter-out test_solver_wide,$(patsubst tests/%.c,%,$(THREADED)))')
 else
 	@echo 'no test is named after threads'
 endif
