@@ -398,6 +398,48 @@ static void row_two(const char *name, const block_fem *f, int passes)
     free(b);
 }
 
+/* Small bodies: the sparse factor, analysis included, beside the dense one; medians, us. */
+static void dense_rows(void)
+{
+    static const int cells[][2] = {{1, 1}, {2, 1}, {4, 1}, {6, 1}, {8, 1}, {5, 2}, {9, 2}};
+    double t[4][MOST];
+    size_t i;
+    printf("\ndense     scalars  sparse factor, solve  dense factor, solve, us\n");
+    for (i = 0; i < sizeof cells / sizeof *cells; ++i) {
+        block_fem f = block_fem_create(cells[i][0], cells[i][1], cells[i][1], 1);
+        const size_t n = 3 * (size_t)f.n;
+        double *a = (double *)malloc(n * n * sizeof *a), *x = (double *)calloc(n, sizeof *x), *work;
+        sfem_ldl_def def = sfem_default_ldl_def();
+        sfem_ldl *ldl = NULL;
+        int k, j;
+        def.x = f.x;
+        for (k = 0; k < 100; ++k) {
+            double start = now();
+            sfem_ldl_free(ldl);
+            if (sfem_ldl_create(&def, &f.a, &ldl, NULL)) return;
+            t[0][k] = now() - start;
+            work = (double *)malloc((sfem_ldl_work_size(ldl, 1) + 1) * sizeof *work);
+            start = now();
+            for (j = 0; j < 20; ++j) sfem_ldl_solve(ldl, 1, x, work, NULL);
+            t[1][k] = (now() - start) / 20;
+            free(work);
+            start = now();
+            sfem_matrix_to_dense(&f.a, a);
+            if (sfem_dense_cholesky((sfem_int)n, a, NULL)) return;
+            t[2][k] = now() - start;
+            start = now();
+            for (j = 0; j < 20; ++j) sfem_dense_cholesky_solve((sfem_int)n, a, 1, x);
+            t[3][k] = (now() - start) / 20;
+        }
+        printf("          %7d  %13.2f  %5.2f  %12.2f  %5.2f\n", (int)n, 1e6 * median(t[0], 100),
+               1e6 * median(t[1], 100), 1e6 * median(t[2], 100), 1e6 * median(t[3], 100));
+        sfem_ldl_free(ldl);
+        block_fem_free(&f);
+        free(a);
+        free(x);
+    }
+}
+
 static const struct {
     const char *name;
     int tets, nx, ny, nz, five;
@@ -479,6 +521,7 @@ int main(int argc, char **argv)
             "          without CHOLMOD: install libsuitesparse-dev libmetis-dev libopenblas-dev\n");
 #endif
         rows(row_one, largest, most, argv + (argc > 3 ? 3 : argc));
+        dense_rows();
         return 0;
     }
     child = fork();
