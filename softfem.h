@@ -971,7 +971,7 @@ typedef struct sfem_energy {
                           * its guarded steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
                           * - F.(u+u-)/2, after a step done again 1/2 w.r M w + E - F.u; for a linear body
                           * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
-                          * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a's counterpart */
+                          * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a */
 } sfem_energy;
 SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
 
