@@ -23,7 +23,9 @@
  *
  *     API    >>api-base     status, errors, memory, threads       >>api-mesh    >>api-meshio
  *            >>api-matrix   sparse and dense matrices, solvers    >>api-element >>api-model
- *            >>api-body
+ *            >>api-damage   fracture on the edge graph            >>api-body
+ *            >>api-modes    eigenvalues and modes                 >>api-reduced modal bodies, warping
+ *            >>api-link     modal motion over a lossy link
  *     IMPL   >>base         status, allocation, threads, vector paths
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
@@ -31,6 +33,7 @@
  *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
  *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
+ *            >>damage       edge form of the tet, damage laws, criterion, pieces
  *            >>factor       the shared factor of a body's system matrix
  *            >>state        what of a body changes, in one block of memory
  *            >>handle       pins and handles set, moved and released while the body runs
@@ -41,6 +44,9 @@
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>body         the pipeline that a user calls: create, prepare, step, read
+ *            >>modes        block Lanczos, proof by inertia
+ *            >>reduced      modal bodies: oscillators, warping, handles
+ *            >>link         packets of accelerations, key frames
  *            >>kernels      inner loops, compiled once for each vector path
  *     TAIL   licence, changes
  *
@@ -757,6 +763,10 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
 
 /* ============================================================================================
+ * >>api-damage   fracture on the edge graph
+ * ============================================================================================ */
+
+/* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
 
@@ -1015,6 +1025,18 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, con
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
+
+/* ============================================================================================
+ * >>api-modes   eigenvalues and modes
+ * ============================================================================================ */
+
+/* ============================================================================================
+ * >>api-reduced   modal bodies: oscillators, warping, handles
+ * ============================================================================================ */
+
+/* ============================================================================================
+ * >>api-link   modal motion over a lossy link
+ * ============================================================================================ */
 
 #ifdef __cplusplus
 }
@@ -9472,6 +9494,10 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
 }
 
 /* ============================================================================================
+ * >>damage   edge form of the tet, damage laws, criterion, pieces
+ * ============================================================================================ */
+
+/* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
  *
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
@@ -13960,6 +13986,18 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     sfemi_unlock(&b->model->lock);
     return info;
 }
+
+/* ============================================================================================
+ * >>modes   eigenvalues and modes
+ * ============================================================================================ */
+
+/* ============================================================================================
+ * >>reduced   modal bodies: oscillators, warping, handles
+ * ============================================================================================ */
+
+/* ============================================================================================
+ * >>link   packets of accelerations, key frames
+ * ============================================================================================ */
 
 #ifdef __cplusplus
 }
