@@ -10098,6 +10098,7 @@ typedef struct sfemi_turn {
     sfem_real *work;     /* of sfem_model_forces */
     sfem_real *v;        /* [nodes][3] scratch */
     sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
+    sfem_real *still;    /* [nodes][3] zeros where no law turns, else NULL */
 } sfemi_turn;
 
 /* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
@@ -10167,7 +10168,7 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    int turns;             /* a nonlinear law: >>turn and >>guard apply */
+    int turns;             /* a nonlinear law or damage: >>turn and >>guard apply */
     sfemi_state state;
     sfemi_grip grip;
     sfemi_turn turn;
@@ -11693,6 +11694,13 @@ static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real in
     for (i = 0; i < 9; ++i) inverse[i] = det > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
 }
 
+/* Where rigid motions are taken: at X + u, or at X where all laws are linear. What costs no energy there,
+ * and what K does not see, are the infinitesimal rotations of the rest pose. */
+static const sfem_real *sfemi_turn_pose(const sfem_body *b, const sfem_real *u)
+{
+    return b->turn.still ? b->turn.still : u;
+}
+
 /* Mass, centre and inertia of every piece at X + u. */
 static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
 {
@@ -11701,6 +11709,7 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
     int c;
+    u = sfemi_turn_pose(b, u);
     for (k = 0; k < t->pieces; ++k) {
         t->piece[k].mass = 0;
         memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
@@ -11740,8 +11749,9 @@ static void sfemi_turn_weigh(sfem_body *b)
     const sfem_model *model = b->model;
     sfem_int i;
     int c;
-    memset(b->guard.u, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->guard.u);
-    sfemi_turn_locate(b, b->guard.u);
+    memset(b->turn.v, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->turn.v);
+    sfemi_turn_locate(b, b->turn.v);
+    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = 0;
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
@@ -11758,6 +11768,7 @@ static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_rea
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
     int c;
+    u = sfemi_turn_pose(b, u);
     for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = t->piece + t->piece_of[i];
@@ -11806,6 +11817,7 @@ static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real sc
     const sfem_model *model = b->model;
     sfem_int i;
     int c;
+    u = sfemi_turn_pose(b, u);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
         const size_t at = 3 * (size_t)i;
@@ -11921,7 +11933,7 @@ static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real
     sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
     sfem_int e, i;
     int a, c;
-    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT || !model->turns) return;
     memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
     for (e = 0; e < model->mesh.tets; ++e)
         for (a = 0; a < 4; ++a) {
