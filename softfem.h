@@ -9849,6 +9849,16 @@ typedef struct sfemi_state_head {
 enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
+/* What has come and gone of the energy of a body that may break. */
+typedef struct sfemi_books {
+    sfem_real start, now;   /* kinetic and elastic energy in the middle of the first step and the last, J */
+    sfem_real work, damped, released, guarded; /* since then */
+    sfem_real surface;      /* c Gc a of all that broke */
+    sfem_real scale;        /* the largest of all of these so far */
+    int64_t breaks;         /* edges broken since the body was whole */
+    int64_t open;           /* start is known */
+} sfemi_books;
+
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
  * the mean velocity over the last step for (p,q,r). */
 typedef struct sfemi_state {
@@ -9859,18 +9869,23 @@ typedef struct sfemi_state {
     sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
+    sfemi_books *books;    /* these two only where the body may break */
+    sfem_real *zeta;       /* [reals] of >>damage: what is left of each edge */
 } sfemi_state;
 
 /* reals a node: u, w, a and three loads; f, f_past and frame besides */
 static size_t sfemi_state_reals(sfem_int nodes, int turns) { return (turns ? 33 : 18) * (size_t)nodes; }
 
-static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles)
+/* zeta: how many reals of damage, 0 where the body cannot break */
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles, size_t zeta)
 {
     return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns) * sizeof(sfem_real) +
-           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
+           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle) +
+           (zeta ? sizeof(sfemi_books) + zeta * sizeof(sfem_real) : 0);
 }
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins)
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins,
+                                sfem_int handles, size_t zeta)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -9885,6 +9900,8 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->frame = turns ? at + 8 * n : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
+    s->books = zeta ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
+    s->zeta = zeta ? (sfem_real *)(void *)(s->books + 1) : NULL;
 }
 
 /* FNV-1a [Fowler, Noll, Vo 1991]. */
