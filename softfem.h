@@ -766,6 +766,134 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
 
+/* A body breaks along the edges of its mesh. Every edge k carries a zeta_k, 1 intact .. 0 broken, and
+ * a tet knows of damage by the zeta of its six edges alone: nodes, pattern and factor stay as they are.
+ * [after Mandal, Chaudhuri, Chaudhuri 2023, supplement, eqs. 10-20, its edge strains taken along rest
+ * directions]. The six edges of a tet: 01 02 03 12 13 23, d_ij = x_i - x_j, strain > 0 is tension. With
+ * edge strains e = T eps, S = T^-T Ce T^-1, the energy of an intact tet is V/2 e.S e, that of a damaged
+ * one V/2 e.S_d e. */
+typedef enum sfem_damage_law {
+    SFEM_DAMAGE_CONDENSED, /* a broken edge carries no force: the compliance S^-1 grows by
+                            * (1-z)/(z S_kk) on its diagonal, S_d its inverse, less what has z = 0. Never
+                            * stiffer than intact, so that any p >= 1/4 and any old factor stay stable */
+    SFEM_DAMAGE_ZSZ        /* Z S Z, Z = diag(zeta) [eqs. 18-20]: a broken edge feels no strain. Stiffens
+                            * a tet up to lambda times, see sfem_damage_stiffening: p >= lambda/4 */
+} sfem_damage_law;
+
+/* What an edge is measured by. w_k = sum_e V_e s_k^2/(2 S_d,kk), s = S_d e, is the energy that its
+ * breaking releases at once; a_k = sum_e V_e/(2 L_k) its dual area, the sum of which over the edges that
+ * cross a plane is 3/2 of the plane's area (1.1 to 2.1 by orientation and mesh). */
+typedef enum sfem_damage_criterion {
+    SFEM_BREAK_ENERGY, /* w_k >= share Gc a_k, in tension: independent of mesh size */
+    SFEM_BREAK_STRESS, /* mean over its tets of n.sigma n >= strength, Pa; the finer the mesh, the less
+                        * energy a crack takes */
+    SFEM_BREAK_STRAIN, /* (l - L)/L >= strength, a number */
+    SFEM_BREAK_DUCTILE /* zeta falls from 1 to 0 while the largest strain so far grows from soften[0] to
+                        * soften[1] */
+} sfem_damage_criterion;
+
+/* A factor > 0 of an edge's toughness and strength; x its midpoint at rest, n its direction. Called when
+ * the graph is built, once for each edge i < j. */
+typedef sfem_real (*sfem_toughness)(const sfem_real x[3], const sfem_real n[3], sfem_int i, sfem_int j,
+                                    void *user);
+
+typedef struct sfem_damage_def {
+    sfem_damage_law law;
+    sfem_damage_criterion criterion;
+    sfem_real toughness;         /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
+                                  * breaks for another reason; then it may be 0 */
+    sfem_real share;             /* of Gc that is booked at breaks; 0 means 2/3, the inverse of the 3/2
+                                  * above. About as much again is released as the body relaxes */
+    sfem_real strength;          /* Pa, or a strain */
+    sfem_real soften[2];         /* strains, 0 <= soften[0] < soften[1] */
+    sfem_real rankine;           /* Pa; > 0: an edge breaks only where the largest principal stress of
+                                  * one of its tets is above this, too */
+    sfem_real weibull;           /* > 0: factors of mean 1 from a Weibull distribution of this modulus
+                                  * (50 uniform, 10 ceramics, 3 scattered) multiply toughness and strength */
+    uint64_t seed;               /* the same seed and mesh give the same factors */
+    sfem_real direction[3];      /* with direction_factor > 0: an edge along this direction has that factor, */
+    sfem_real direction_factor;  /* one across it 1, between 1 + (factor - 1) cos^2 */
+    sfem_toughness factor;       /* or NULL */
+    void *factor_user;
+    const sfem_real *tet_factor; /* [tets] > 0, or NULL; an edge takes the mean over its tets by V_e */
+    const sfem_real *region_factor; /* [region_count] > 0, or NULL, by the mesh's region of a tet */
+    sfem_int region_count;
+    const unsigned char *unbreakable; /* [tets] or NULL: edges of tets marked 1 never break */
+    const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
+    sfem_int line_count;
+    sfem_real line_factor;       /* 0 means 1 */
+    int line_only;               /* no other edges break, except by a blade */
+    int closure;                 /* a broken edge carries compression again: p >= 1/2; SFEM_DAMAGE_CONDENSED */
+    sfem_real upright[2];        /* below J = upright[0] a damaged tet that still hangs together resists as
+                                  * an intact corotational one, which no edge length tells from its mirror
+                                  * image; between the two the energies are blended; 0, 0 means .05, .25 */
+} sfem_damage_def;
+
+SFEM_DEF sfem_damage_def sfem_default_damage_def(void); /* condensed, energy, Gc 100 J/m^2, share 2/3 */
+
+/* The edge form of one tet. T is invertible unless the tet is flat: |det T| = (6V)^4/prod L^2. */
+typedef struct sfem_damage_tet {
+    sfem_real volume, lambda, mu;
+    sfem_real x[12];         /* [4][3] rest positions */
+    sfem_real length[6];     /* L_k */
+    sfem_real n[6][3];       /* (X_i - X_j)/L_k */
+    sfem_real gradient[4][3]; /* of the shape functions */
+    sfem_real t[36];         /* T [6][6]: e = T eps; eps xx yy zz xy xz yz with engineering shear */
+    sfem_real t_inverse[36]; /* [6][6] */
+    sfem_real s[36];         /* S [6][6], Pa; (S^-1)_kk = 1/Young for every edge of every tet */
+} sfem_damage_tet;
+
+/* x [4][3], m, right-handed and not flat. */
+SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                                  sfem_damage_tet *out);
+/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6] =
+ * (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
+SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
+                                    sfem_real *b);
+/* S_d [6][6], Pa, of zeta [6] in [0, 1]; from zeta alone, so that healing is as good as breaking. */
+SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
+                                  const sfem_real zeta[6], sfem_real s_d[36]);
+/* The same for one edge more: S_d of zeta[edge] = from becomes that of to < from, by a rank-1 update,
+ * SFEM_DAMAGE_CONDENSED only. Edges in any order give the same but for rounding. */
+SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
+                                sfem_real s_d[36]);
+/* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of that,
+ * k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l - L)/L in
+ * current lengths, which agrees for small strains, is blind to rotations, has forces along the edges, and
+ * so keeps both momenta; k is then its exact tangent, or with SFEM_TANGENT_PSD (FROZEN) the part that
+ * is positive semidefinite. Does not see inversion. */
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
+                                      sfem_real *k);
+/* The largest eigenvalue lambda of (k_damaged, k_intact) that any zeta gives: 1 if condensed, for
+ * SFEM_DAMAGE_ZSZ that of the worst of 62 patterns, at nu = .3 1.13 for a regular tet, 4.8 for Kuhn's. */
+SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law);
+
+/* Why an edge broke. */
+typedef enum sfem_break_reason {
+    SFEM_BROKE_CRITERION,
+    SFEM_BROKE_LONE, /* the only intact link between its nodes in every tet around it: a stray fibre */
+    SFEM_BROKE_BLADE
+} sfem_break_reason;
+
+typedef struct sfem_break {
+    sfem_int node[2];       /* of the edge */
+    sfem_break_reason reason;
+    sfem_real x[3];         /* its midpoint, m, at rest */
+    sfem_real area, price;  /* a_k, m^2; share Gc a_k with its factors, J: the surface that was made */
+    sfem_real released;     /* J, what the integrator's invariant fell by, >= 0 */
+} sfem_break;
+
+/* A connected component over intact edges. */
+typedef struct sfem_piece {
+    sfem_int nodes, first;  /* how many; the lowest, by which pieces are ordered */
+    sfem_real mass;         /* kg, of its nodes */
+    sfem_real centre[3];    /* m, of mass */
+    sfem_real momentum[3];  /* kg m/s */
+    sfem_real angular[3];   /* kg m^2/s about the centre */
+    sfem_real box[2][3];    /* m */
+} sfem_piece;
+
 /* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
@@ -9496,6 +9624,453 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
 /* ============================================================================================
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
+
+/* zeta lives on the edges of the mesh, which are the blocks below the diagonal of K's pattern. All that
+ * a damaged tet needs (S_d, whether it hangs together) is computed from its six zetas directly, never by
+ * updating, so that a state that was saved and loaded goes on with the same bits.
+ *
+ * Compliance first: S^-1_kl = ((1+nu)(n_k.n_l)^2 - nu)/Y is W W^T, row k of W the isotropic and deviatoric
+ * parts of n_k n_k^T over the square roots of their moduli. Condensing takes rows out, partial damage adds
+ * columns, and S_d = R^-1 R^-T, R of the QR decomposition of what is left: never indefinite, and with
+ * the condition of W, the square root of that of S, which is (edge/height)^4 in slivers.
+ *
+ * In a body that turns, damaged tets are masked out of the vector kernels' blocks (a copy of its own)
+ * rather than subtracted: across an open crack the intact force would be 1e2 .. 1e10 times Y, and only
+ * its rounding would be left. A linear body subtracts: K u rounds by as much in any case. */
+
+static const int sfemi_damage_place[6] = {1, 3, 6, 4, 7, 8}; /* of edges among the blocks a >= b */
+
+static void sfemi_damage_shape(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                               sfem_damage_tet *out)
+{
+    int k, i;
+    memcpy(out->x, x, sizeof out->x);
+    out->lambda = lambda;
+    out->mu = mu;
+    out->volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, out->gradient);
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        sfemi_sub3(x + 3 * end[0], x + 3 * end[1], out->n[k]);
+        out->length[k] = sqrt(sfemi_dot3(out->n[k], out->n[k]));
+        for (i = 0; i < 3; ++i) out->n[k][i] /= out->length[k];
+    }
+}
+
+/* eps of unit strain of edge k alone: -L^2 (ga gb^T + gb ga^T)/2, for d.E d = L^2 e and sum X_a g_a^T = I
+ * give E = -1/2 sum_ab (d_ab.E d_ab) ga gb^T. The factor -L^2/2 is left to the caller. */
+static sfem_real sfemi_damage_unit(const sfem_damage_tet *tet, int k, const sfem_real **ga,
+                                   const sfem_real **gb)
+{
+    const int *end = sfemi_edge_ends(3, k);
+    *ga = tet->gradient[end[0]];
+    *gb = tet->gradient[end[1]];
+    return -tet->length[k] * tet->length[k];
+}
+
+/* S_kl of the intact tet. */
+static sfem_real sfemi_damage_entry(const sfem_damage_tet *tet, int k, int l)
+{
+    const sfem_real *a, *b, *c, *d;
+    const sfem_real p = sfemi_damage_unit(tet, k, &a, &b), q = sfemi_damage_unit(tet, l, &c, &d);
+    return p * q *
+           (tet->lambda * sfemi_dot3(a, b) * sfemi_dot3(c, d) +
+            tet->mu * (sfemi_dot3(a, c) * sfemi_dot3(b, d) + sfemi_dot3(a, d) * sfemi_dot3(b, c)));
+}
+
+SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                                  sfem_damage_tet *out)
+{
+    int k, l, i;
+    SFEM_ASSERT(x && out);
+    memset(out, 0, sizeof *out);
+    sfemi_damage_shape(x, lambda, mu, out);
+    for (k = 0; k < 6; ++k) {
+        const sfem_real *n = out->n[k], *a, *b;
+        const sfem_real p = sfemi_damage_unit(out, k, &a, &b);
+        sfem_real *t = out->t + 6 * k;
+        for (i = 0; i < 3; ++i) {
+            t[i] = n[i] * n[i];
+            out->t_inverse[6 * i + k] = p * a[i] * b[i];
+        }
+        t[3] = n[0] * n[1], t[4] = n[0] * n[2], t[5] = n[1] * n[2];
+        out->t_inverse[18 + k] = p * (a[0] * b[1] + a[1] * b[0]);
+        out->t_inverse[24 + k] = p * (a[0] * b[2] + a[2] * b[0]);
+        out->t_inverse[30 + k] = p * (a[1] * b[2] + a[2] * b[1]);
+        for (l = 0; l < 6; ++l) out->s[6 * k + l] = sfemi_damage_entry(out, k, l);
+    }
+}
+
+SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
+                                    sfem_real *b)
+{
+    sfem_real dl[72], de[36];
+    int k, i, r, c;
+    SFEM_ASSERT(tet);
+    memset(dl, 0, sizeof dl);
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        for (i = 0; i < 3; ++i) {
+            dl[6 * (3 * end[0] + i) + k] = tet->n[k][i];
+            dl[6 * (3 * end[1] + i) + k] = -tet->n[k][i];
+        }
+        for (i = 0; i < 6; ++i) de[6 * k + i] = tet->t_inverse[6 * i + k] / tet->length[k];
+    }
+    if (a1) memcpy(a1, dl, sizeof dl);
+    if (a2) memcpy(a2, de, sizeof de);
+    if (!b) return;
+    for (r = 0; r < 6; ++r)
+        for (c = 0; c < 12; ++c)
+            for (k = 0, b[12 * r + c] = 0; k < 6; ++k)
+                b[12 * r + c] += de[6 * k + r] * dl[6 * c + k];
+}
+
+/* W [6][6], S^-1 = W W^T: n n^T in an orthonormal basis of the deviators, and its trace. */
+static void sfemi_damage_root(const sfem_damage_tet *tet, sfem_real w[6][6])
+{
+    const sfem_real deviator = 1 / sqrt(2 * tet->mu);
+    const sfem_real bulk = 1 / sqrt(3 * (3 * tet->lambda + 2 * tet->mu));
+    int k;
+    for (k = 0; k < 6; ++k) {
+        const sfem_real *n = tet->n[k];
+        w[k][0] = deviator * (n[0] * n[0] - n[1] * n[1]) / sqrt(2.0);
+        w[k][1] = deviator * (n[0] * n[0] + n[1] * n[1] - 2 * n[2] * n[2]) / sqrt(6.0);
+        w[k][2] = deviator * sqrt(2.0) * n[0] * n[1];
+        w[k][3] = deviator * sqrt(2.0) * n[0] * n[2];
+        w[k][4] = deviator * sqrt(2.0) * n[1] * n[2];
+        w[k][5] = bulk;
+    }
+}
+
+/* s = (S^-1 + diag(c))^-1 on the edges with c >= 0, zero in the rows and columns of the others. */
+static void sfemi_damage_condense(const sfem_damage_tet *tet, const sfem_real c[6], sfem_real s[36])
+{
+    sfem_real w[6][6], q[6][12], r[6][6], inverse[6][6];
+    int of[6], m = 0, k, l, i;
+    sfemi_damage_root(tet, w);
+    memset(q, 0, sizeof q);
+    memset(r, 0, sizeof r);
+    memset(inverse, 0, sizeof inverse);
+    memset(s, 0, 36 * sizeof *s);
+    for (k = 0; k < 6; ++k) {
+        if (c[k] < 0) continue;
+        memcpy(q[m], w[k], sizeof w[k]);
+        q[m][6 + m] = sqrt(c[k]);
+        of[m++] = k;
+    }
+    for (k = 0; k < m; ++k) { /* modified Gram-Schmidt: R is as good as Householder's [Bjorck 1967] */
+        for (l = 0; l < k; ++l) {
+            for (i = 0; i < 12; ++i) r[l][k] += q[l][i] * q[k][i];
+            for (i = 0; i < 12; ++i) q[k][i] -= r[l][k] * q[l][i];
+        }
+        for (i = 0; i < 12; ++i) r[k][k] += q[k][i] * q[k][i];
+        r[k][k] = sqrt(r[k][k]) + 1e-300;
+        for (i = 0; i < 12; ++i) q[k][i] /= r[k][k];
+    }
+    for (k = 0; k < m; ++k) { /* R^-1, column by column */
+        inverse[k][k] = 1 / r[k][k];
+        for (l = k - 1; l >= 0; --l) {
+            for (i = l + 1; i <= k; ++i) inverse[l][k] -= r[l][i] * inverse[i][k];
+            inverse[l][k] /= r[l][l];
+        }
+    }
+    for (k = 0; k < m; ++k)
+        for (l = 0; l <= k; ++l) {
+            sfem_real sum = 0;
+            for (i = k; i < m; ++i) sum += inverse[k][i] * inverse[l][i];
+            s[6 * of[k] + of[l]] = s[6 * of[l] + of[k]] = sum;
+        }
+}
+
+/* The compliance that zeta adds to edge k, -1 for infinite. */
+static sfem_real sfemi_damage_added(const sfem_damage_tet *tet, int k, sfem_real zeta)
+{
+    if (!(zeta > 0)) return -1;
+    return zeta < 1 ? (1 - zeta) / (zeta * sfemi_damage_entry(tet, k, k)) : 0;
+}
+
+SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
+                                  const sfem_real zeta[6], sfem_real s_d[36])
+{
+    sfem_real c[6];
+    int k, l;
+    SFEM_ASSERT(tet && zeta && s_d);
+    for (k = 0; k < 6; ++k)
+        c[k] = law == SFEM_DAMAGE_ZSZ ? 0 : sfemi_damage_added(tet, k, zeta[k]);
+    sfemi_damage_condense(tet, c, s_d);
+    if (law != SFEM_DAMAGE_ZSZ) return;
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l) s_d[6 * k + l] *= zeta[k] * zeta[l];
+}
+
+SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
+                                sfem_real s_d[36])
+{
+    sfem_real column[6], scale;
+    int k, l;
+    SFEM_ASSERT(tet && s_d && edge >= 0 && edge < 6 && from > to && to >= 0);
+    for (k = 0; k < 6; ++k) column[k] = s_d[6 * k + edge];
+    scale = (from - to) / (from * to * sfemi_damage_entry(tet, edge, edge) + (from - to) * column[edge]);
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l)
+            s_d[6 * k + l] -= column[k] * column[l] * scale;
+    for (k = 0; k < 6 && to == 0; ++k) s_d[6 * k + edge] = s_d[6 * edge + k] = 0;
+}
+
+/* e, and where wanted the unit vectors m along which u_i and -u_j lengthen each edge, and l. */
+static void sfemi_damage_strains(const sfem_damage_tet *tet, int small, const sfem_real u[12],
+                                 sfem_real e[6], sfem_real m[6][3], sfem_real length[6])
+{
+    int k, i;
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        const sfem_real rest = tet->length[k], *n = tet->n[k];
+        sfem_real du[3], d[3], square = 0;
+        sfemi_sub3(u + 3 * end[0], u + 3 * end[1], du);
+        if (small) {
+            e[k] = sfemi_dot3(n, du) / rest;
+            memcpy(m[k], n, sizeof m[k]);
+            length[k] = rest;
+            continue;
+        }
+        for (i = 0; i < 3; ++i) {
+            d[i] = rest * n[i] + du[i];
+            square += (2 * rest * n[i] + du[i]) * du[i]; /* l^2 - L^2, small strains to their digits */
+        }
+        length[k] = sqrt(sfemi_dot3(d, d));
+        e[k] = square / ((length[k] + rest) * rest);
+        for (i = 0; i < 3; ++i) m[k][i] = length[k] > 0 ? d[i] / length[k] : 0;
+    }
+}
+
+/* k += V b^T S_d b + the geometric part, b_k = m_k/L_k on the edge's nodes. */
+static void sfemi_damage_add_tangent(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                     sfem_tangent kind, const sfem_real s[6], sfem_real m[6][3],
+                                     const sfem_real length[6], sfem_real k[144])
+{
+    int p, q, a, b, i, j;
+    for (p = 0; p < 6; ++p)
+        for (q = 0; q < 6; ++q) {
+            const sfem_real c = tet->volume * s_d[6 * p + q] / (tet->length[p] * tet->length[q]);
+            for (a = 0; c != 0 && a < 2; ++a)
+                for (b = 0; b < 2; ++b)
+                    for (i = 0; i < 3; ++i)
+                        for (j = 0; j < 3; ++j)
+                            k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, q)[b] + j] +=
+                                (a == b ? c : -c) * m[p][i] * m[q][j];
+        }
+    for (p = 0; !small && p < 6; ++p) {
+        sfem_real c = tet->volume * s[p] / tet->length[p];
+        if ((kind != SFEM_TANGENT_EXACT && c < 0) || !(length[p] > 0)) continue;
+        c /= length[p];
+        for (a = 0; a < 2; ++a)
+            for (b = 0; b < 2; ++b)
+                for (i = 0; i < 3; ++i)
+                    for (j = 0; j < 3; ++j)
+                        k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, p)[b] + j] +=
+                            (a == b ? c : -c) * ((i == j) - m[p][i] * m[p][j]);
+    }
+}
+
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
+                                      sfem_real *k)
+{
+    sfem_real e[6], s[6], m[6][3], length[6], energy = 0;
+    int p, q, i;
+    SFEM_ASSERT(tet && s_d && u);
+    sfemi_damage_strains(tet, small, u, e, m, length);
+    if (force) memset(force, 0, 12 * sizeof *force);
+    for (p = 0; p < 6; ++p) {
+        for (q = 0, s[p] = 0; q < 6; ++q) s[p] += s_d[6 * p + q] * e[q];
+        energy += tet->volume * s[p] * e[p] / 2;
+        for (i = 0; force && i < 3; ++i) {
+            const int *end = sfemi_edge_ends(3, p);
+            const sfem_real f = tet->volume * s[p] / tet->length[p] * m[p][i];
+            force[3 * end[0] + i] += f;
+            force[3 * end[1] + i] -= f;
+        }
+    }
+    if (!k) return energy;
+    memset(k, 0, 144 * sizeof *k);
+    sfemi_damage_add_tangent(tet, s_d, small, kind, s, m, length, k);
+    return energy;
+}
+
+/* Zeroing the strains of some edges is a projection, the other edges' the complementary one, and in the
+ * norm of S both are equally long [Szyld 2006]: of the 62 patterns 31 remain, and since the least energy
+ * of x on the edges I is x.(S^-1_II)^-1 x, lambda is the largest eigenvalue of S^-1_II S_II. */
+SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law)
+{
+    sfem_real w[6][6], a[6][6], s[6][6], worst = 1;
+    int mask, k, l, i;
+    SFEM_ASSERT(tet);
+    if (law != SFEM_DAMAGE_ZSZ) return 1;
+    sfemi_damage_root(tet, w);
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l) {
+            for (i = 0, a[k][l] = 0; i < 6; ++i) a[k][l] += w[k][i] * w[l][i];
+            s[k][l] = sfemi_damage_entry(tet, k, l);
+        }
+    for (mask = 1; mask < 63; ++mask) {
+        sfem_real c[3][3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}, b[9], value[3], vector[9];
+        int of[6], m = 0, p, q;
+        for (k = 0; k < 6; ++k)
+            if (mask >> k & 1) of[m++] = k;
+        if (m > 3 || (m == 3 && mask & 1)) continue;
+        for (k = 0; k < m; ++k) /* S_II = C C^T */
+            for (l = 0; l <= k; ++l) {
+                sfem_real sum = s[of[k]][of[l]];
+                for (i = 0; i < l; ++i) sum -= c[k][i] * c[l][i];
+                c[k][l] = k == l ? sqrt(fmax(sum, 0.0)) : sum / fmax(c[l][l], 1e-300);
+            }
+        for (p = 0; p < m; ++p) /* C^T S^-1_II C */
+            for (q = 0; q < m; ++q)
+                for (k = 0, b[m * p + q] = 0; k < m; ++k)
+                    for (l = 0; l < m; ++l) b[m * p + q] += c[k][p] * a[of[k]][of[l]] * c[l][q];
+        sfemi_sym_eigen(m, b, value, vector);
+        worst = fmax(worst, value[0]);
+    }
+    return worst;
+}
+
+/* ---- the graph: what does not change while a body breaks; shared by bodies of one definition ---- */
+
+enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
+
+typedef struct sfemi_bonds {
+    sfem_allocator allocator;
+    const sfem_model *model; /* kept alive by the body */
+    sfem_damage_def def;     /* its arrays are NULL: they are in what follows */
+    sfem_int edges, degree;  /* degree: most tets round an edge */
+    sfem_int *end;           /* [edges][2] nodes i < j, by j, then i */
+    sfem_real *length;       /* [edges] L, m */
+    sfem_int *tet_edge;      /* [tets][6] */
+    sfem_int *tet_start;     /* [edges+1] tets of an edge: */
+    sfem_int *edge_tet;      /* [6 tets] 6 tet + place, ascending */
+    sfem_int *node_start;    /* [nodes+1] edges of a node: */
+    sfem_int *node_edge;     /* [2 edges] ascending */
+    sfem_real *area;         /* [edges] a, m^2 */
+    sfem_real *price;        /* [edges] share Gc a and all factors, J */
+    sfem_real *factor;       /* [edges] of strength and of strains */
+    sfem_real *quiet;        /* [tets] no edge of it breaks while sum e^2 is below this in all its tets */
+    unsigned char *never;    /* [edges] SFEMI_NEVER: unbreakable, SFEMI_BLADE_ONLY */
+    sfem_real stiffening;    /* the largest of sfem_damage_stiffening: p >= stiffening/4 */
+} sfemi_bonds;
+
+/* ---- the damage of a body ----
+ *
+ * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
+ * derived: sfemi_damage_refresh makes it anew. */
+enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
+enum { SFEMI_INTACT, SFEMI_HURT, SFEMI_LOOSE }; /* loose: its intact edges do not connect its nodes */
+
+typedef struct sfemi_damage {
+    sfem_allocator allocator;
+    const sfemi_bonds *bonds;
+    sfem_real *account;      /* [SFEMI_ACCOUNTS] J, J, edges, breaks put off */
+    sfem_real *zeta;         /* [edges] */
+    sfem_real *peak;         /* [edges] largest strain so far; NULL unless ductile */
+    unsigned char *mark;     /* [edges] 1: a blade has crossed it, it breaks as soon as it may */
+    /* derived */
+    sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
+    unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
+    sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
+    sfemi_block *block;      /* a copy of the model's blocks with damaged tets masked; NULL: linear body */
+    sfem_int *lane;          /* [model tets] block times SFEMI_LANES + lane, or NULL */
+    sfem_int pieces;         /* connected components over intact edges, by lowest node */
+    sfem_int *piece_of;      /* [nodes], -1: in no tet */
+    /* the last round */
+    sfem_int events;
+    sfem_break *event;       /* [edges] */
+    sfem_int *event_edge;    /* [edges] */
+    /* scratch */
+    sfem_real *force, *energy; /* [model tets][12], [model tets] */
+    sfem_real *strain;       /* [edges] at the midpoint */
+    sfem_real *stress;       /* [model tets][6] s */
+    sfem_real *weight;       /* [model tets][6] w_k or V n.sigma n */
+    sfem_real *ratio;        /* [edges] criterion over its limit */
+    sfem_real *most;         /* [nodes] largest ratio of a node's edges */
+    unsigned char *hot, *near_hot; /* [model tets], [edges] */
+    sfem_real *local;        /* [degree][60] S_d, and forces at both ends, of a break that is tried */
+    sfem_int *fresh, fresh_count; /* [model tets] tets newly damaged */
+    sfem_int *stamp, *queue; /* [nodes], [2 nodes] */
+    sfem_int *merge;         /* [model tets] */
+} sfemi_damage;
+
+/* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
+ *     a0 (dPsi(u0)) + a1 (dPsi(u1)) - ac (u1-u0).d(f(u1)-f(u0)),   d: after less before:
+ * (1/2, 1/2, 1/4) for (p,1,1) with any constant A and for Newmark(p,1/2); (0, 1, 0) judges Psi at the
+ * end alone; (1/2, 1/2, (1/2-p)/2) is what the guard's ledger sees. */
+typedef struct sfemi_damage_step {
+    const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
+    sfem_real a0, a1, ac;
+    sfem_real *f0, *f1;       /* [nodes][3] internal forces there, brought up to date; or NULL */
+    const sfem_exec *exec;
+} sfemi_damage_step;
+
+typedef struct sfemi_damage_change {
+    sfem_real psi0, psi1, cross; /* changes of Psi(u0), Psi(u1), (u1-u0).(f(u1)-f(u0)), J */
+    sfem_real released, price;   /* what the invariant fell by; the surfaces made, J */
+    sfem_int broken, delayed;    /* edges; delayed: over the limit, but breaking would have made energy */
+    sfem_int softened;           /* edges whose zeta fell without breaking */
+    sfem_int hurt;               /* tets newly damaged */
+    sfem_int pieces;             /* new pieces */
+} sfemi_damage_change;
+
+SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
+{
+    sfem_damage_def d;
+    memset(&d, 0, sizeof d);
+    d.toughness = 100;
+    return d;
+}
+
+/* Makes the graph of a model. errors SFEM_BAD_ARGUMENT (names the field, tet or edge),
+ * SFEM_OUT_OF_MEMORY. O(tets), 2 us a tet, with SFEM_DAMAGE_ZSZ 8. The model must outlive it. */
+SFEMI_UNUSED static sfem_status sfemi_bonds_create(const sfem_model *model, const sfem_damage_def *def,
+                                      const sfem_allocator *allocator, sfemi_bonds **out,
+                                      sfem_error *err);
+SFEMI_UNUSED static void sfemi_bonds_free(sfemi_bonds *g); /* NULL allowed */
+
+/* All memory that damage ever needs but its state, about 700 bytes a tet; nothing below allocates.
+ * Attach, then reset or refresh, before anything else. errors SFEM_OUT_OF_MEMORY */
+SFEMI_UNUSED static sfem_status sfemi_damage_create(const sfemi_bonds *bonds, const sfem_allocator *allocator,
+                                       sfemi_damage **out, sfem_error *err);
+SFEMI_UNUSED static void sfemi_damage_free(sfemi_damage *d); /* NULL allowed */
+SFEMI_UNUSED static size_t sfemi_damage_state_bytes(const sfemi_bonds *g); /* a multiple of 8 */
+/* The state lives in memory (aligned to 8) from now on. Its contents count: follow with reset or refresh. */
+SFEMI_UNUSED static void sfemi_damage_attach(sfemi_damage *d, void *memory);
+SFEMI_UNUSED static void sfemi_damage_reset(sfemi_damage *d);   /* everything intact */
+SFEMI_UNUSED static void sfemi_damage_refresh(sfemi_damage *d); /* the state was loaded, or zeta changed by hand */
+
+/* Adds energy and internal force of the damaged tets at u. Body that turns (d->block): theirs alone; call
+ * sfemi_fem_forces with d->block for the rest. Linear body (block NULL): damaged less intact, to go with
+ * K u. rotation [tets][9] (NULL: none): of damaged tets, nearest rotations as sfem_model_forces gives them,
+ * but 0 for loose tets, which then weigh nothing in the frames. inverted (NULL) += tets with J <= 0 that
+ * hang together. Same bits for any number of threads. About .3 us a damaged tet. */
+SFEMI_UNUSED static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, const sfem_exec *exec);
+/* Both together for a body that turns: as sfem_model_forces. */
+SFEMI_UNUSED static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u, sfem_precision precision,
+                                           sfem_real *force, sfem_real *rotation, sfem_int *inverted,
+                                           sfem_real *work, const sfem_exec *exec);
+/* The tangent of that total, on K's pattern: as sfem_model_tangent. Bodies that turn. */
+SFEMI_UNUSED static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind,
+                                       sfem_matrix *tangent, const sfem_exec *exec);
+/* val += scale (K_damaged - K) at rest, on K's pattern: what a renewed factor is made of. */
+SFEMI_UNUSED static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val);
+
+/* One round of breaking after a step: softening or local maxima of the criterion at the midpoint, marked
+ * edges, then lone edges. Fills d->event[0 .. d->events). */
+SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
+                               sfemi_damage_change *change);
+/* Marks every edge that the triangle from [3][3] crosses while it moves to `to`, the edges where u puts
+ * them; returns how many were newly marked. They break in the rounds that follow. O(edges). */
+SFEMI_UNUSED static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u, const sfem_real from[9],
+                                 const sfem_real to[9]);
+/* out [d->pieces]; v NULL: at rest. O(nodes). */
+SFEMI_UNUSED static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const sfem_real *v,
+                                sfem_piece *out);
 
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
