@@ -1003,6 +1003,8 @@ typedef struct sfem_body_def {
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
     int no_guard;             /* take every step as it comes, even if it makes energy */
+    const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
+                               * NULL, the default: it does not, and pays nothing for it. Read by create only */
     sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
@@ -1153,6 +1155,55 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, con
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
+
+/* Fracture, of a body made with a damage definition (>>api-damage); on others these trip SFEM_ASSERT, but
+ * for sfem_body_fracture. At the end of a step edges are judged at its midpoint, in one round: an edge
+ * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
+ * whole body stays, and stays stable (see sfem_damage_law for p). What it costs is accuracy: pieces that
+ * are held part too slowly at large steps, by the inertia p h^2 K across the crack, until the factor is
+ * renewed; pieces that nothing holds move, and turn, as they should at once. How a crack runs depends on the
+ * mesh and on the step: no more than one round a step, so a crack passes at most about one edge a step.
+ * Nothing is allocated after sfem_body_create. set_state keeps what is broken; statics are refused then;
+ * a body of linear laws sees small rotations only, and its pieces with it. */
+typedef struct sfem_fracture {
+    sfem_int pieces;     /* connected components over intact edges: 1 */
+    sfem_int free_pieces; /* those that no pin or handle holds */
+    sfem_int broken;     /* edges */
+    sfem_int breaks;     /* edges broken in the last step */
+    sfem_int marked;     /* edges that a blade has crossed, or that were told to break, and that wait: they
+                          * would make energy */
+    /* Energies since the state was last set, J, taken in the middle of steps: */
+    sfem_real kinetic_elastic; /* T + U of the last step: 1/2 w'.r M w' + (Psi + Psi')/2 + (p-1/2)
+                          * (u'-u).(f'-f)/2, of nodes that are not pinned; at p = 1/4 and linear Psi((u+u')/2) */
+    sfem_real start;     /* the same of the first step */
+    sfem_real work;      /* of loads, handles and moved pins; not of forces added to sfem_body_rhs */
+    sfem_real damped;    /* taken by damping */
+    sfem_real released;  /* taken by breaks */
+    sfem_real guarded;   /* taken by steps that were done again */
+    sfem_real error;     /* kinetic_elastic - start - work + damped + released + guarded: what lies in the
+                          * inertia of an old factor (< 0 as it builds up), and in turning by finite steps */
+    sfem_real scale;     /* the largest of the terms so far: error/scale is the relative error */
+    sfem_real surface;   /* share Gc a of all edges broken since the body was whole */
+    sfem_real least_p;   /* that the damage asks for; 0: no more than any body */
+} sfem_fracture;
+SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *body); /* one piece, zeros without damage */
+/* What broke in the last step, in ascending order of edges; good until the next one. */
+SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *body, sfem_int *count);
+/* All pieces, [sfem_body_fracture(body).pieces], by their lowest node; and the piece of each node, -1 in no
+ * tet: [nodes], good until the next step. O(nodes). */
+SFEM_DEF void sfem_body_pieces(const sfem_body *body, sfem_piece *out);
+SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *body);
+/* What is left of the edge between two nodes, 1 intact to 0 broken; 0 where the mesh has none. */
+SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *body, sfem_int i, sfem_int j);
+/* Tells an edge to break, from the next step on as soon as that makes no energy. Unbreakable edges
+ * do not.  errors SFEM_BAD_ARGUMENT: no such edge, or unbreakable */
+SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *body, sfem_int i, sfem_int j, sfem_error *err);
+/* A blade: the same for every edge that the triangle `from` [3][3] crosses on its way to `to`, m, at the
+ * positions of now. *marked (or NULL): how many it met. O(edges).  errors SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_body_cut(sfem_body *body, const sfem_real from[9], const sfem_real to[9],
+                                   sfem_int *marked, sfem_error *err);
+/* Everything intact again, where it is; energies start afresh. O(tets) */
+SFEM_DEF void sfem_body_heal(sfem_body *body);
 
 /* ============================================================================================
  * >>api-modes   eigenvalues and modes
@@ -10428,9 +10479,7 @@ enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 typedef struct sfemi_books {
     sfem_real start, now;   /* kinetic and elastic energy in the middle of the first step and the last, J */
     sfem_real work, damped, released, guarded; /* since then */
-    sfem_real surface;      /* c Gc a of all that broke */
     sfem_real scale;        /* the largest of all of these so far */
-    int64_t breaks;         /* edges broken since the body was whole */
     int64_t open;           /* start is known */
 } sfemi_books;
 
@@ -10445,22 +10494,22 @@ typedef struct sfemi_state {
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
     sfemi_books *books;    /* these two only where the body may break */
-    sfem_real *zeta;       /* [reals] of >>damage: what is left of each edge */
+    void *damage;          /* [bytes] >>damage's own state */
 } sfemi_state;
 
 /* reals a node: u, w, a and three loads; f, f_past and frame besides */
 static size_t sfemi_state_reals(sfem_int nodes, int turns) { return (turns ? 33 : 18) * (size_t)nodes; }
 
-/* zeta: how many reals of damage, 0 where the body cannot break */
-static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles, size_t zeta)
+/* damage: how many bytes of it, 0 where the body cannot break */
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles, size_t damage)
 {
     return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns) * sizeof(sfem_real) +
            (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle) +
-           (zeta ? sizeof(sfemi_books) + zeta * sizeof(sfem_real) : 0);
+           (damage ? sizeof(sfemi_books) + damage : 0);
 }
 
 static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins,
-                                sfem_int handles, size_t zeta)
+                                sfem_int handles, size_t damage)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -10475,8 +10524,8 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->frame = turns ? at + 8 * n : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
-    s->books = zeta ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
-    s->zeta = zeta ? (sfem_real *)(void *)(s->books + 1) : NULL;
+    s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
+    s->damage = damage ? (void *)(s->books + 1) : NULL;
 }
 
 /* FNV-1a [Fowler, Noll, Vo 1991]. */
@@ -10765,6 +10814,8 @@ struct sfem_body {
     sfemi_grip grip;
     sfemi_turn turn;
     sfemi_guard guard;
+    sfemi_bonds *bonds;    /* these two only where the body may break */
+    sfemi_damage *damage;
     /* prepared */
     sfem_factor *factor;
     sfem_real h, p;      /* what the factor is for */
@@ -12353,6 +12404,20 @@ static void sfemi_turn_weigh(sfem_body *b)
     }
 }
 
+/* Which pieces are held by pins or handles. */
+static void sfemi_turn_find_held(sfem_body *b)
+{
+    sfem_int i, k;
+    int l;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i)
+        for (l = 0; b->state.handle[i].used && l < 4; ++l)
+            if (b->state.handle[i].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
+}
+
 /* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
 static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
 {
@@ -12545,6 +12610,53 @@ static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real
     }
 }
 
+/* y += (K_frac - K) z, small strain about rest. */
+static void sfemi_fracture_multiply(const sfem_body *b, const sfem_real *z, sfem_real *y)
+{
+    const sfem_model *model = b->model;
+    sfem_int k;
+    int a, c;
+    for (k = 0; k < b->damage->tets; ++k) {
+        const sfem_int e = b->damage->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real x[12], u[12], f[12];
+        sfem_damage_tet tet;
+        for (a = 0; a < 4; ++a) {
+            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
+            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
+        }
+        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
+        for (a = 0; a < 36; ++a) tet.s[a] = b->damage->s[36 * (size_t)e + (size_t)a] - tet.s[a];
+        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
+        for (a = 0; a < 4; ++a)
+            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
+    }
+}
+
+/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
+ * overwritten. */
+static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const sfem_real *u = b->state.u, *frame = b->state.frame;
+    const int projects = sfemi_turn_projects(b);
+    sfem_real *sum = b->turn.v;
+    size_t i;
+    if (!b->damage || !b->damage->tets) return;
+    if (projects) {
+        sfemi_turn_motion(b, u, z, 1);
+        sfemi_turn_add_motion(b, u, -1, 0, z);
+    }
+    sfemi_turn_rotate(frame, nodes, 1, z, z);
+    memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
+    sfemi_fracture_multiply(b, z, sum);
+    sfemi_turn_rotate(frame, nodes, 0, sum, sum);
+    if (projects) {
+        sfemi_turn_motion(b, u, sum, 0);
+        sfemi_turn_add_motion(b, u, -1, 1, sum);
+    }
+    for (i = 0; i < 3 * (size_t)nodes; ++i) y[i] += sum[i];
+}
+
 /* Room for the solves with f, `rhs` at a time. */
 static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
                                            sfem_error *err)
@@ -12659,6 +12771,13 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
 
 static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
+    if (b->damage && b->model->turns)
+        return sfemi_damage_total_forces(b->damage, u, b->def.precision, f, b->turn.rotation, NULL,
+                                         b->turn.work, &b->exec);
+    if (b->damage && b->damage->tets) {
+        const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->turn.work, &b->exec);
+        return psi + sfemi_damage_forces(b->damage, u, f, NULL, NULL, &b->exec);
+    }
     return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
 }
 
@@ -12727,6 +12846,10 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     }
     if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
     else memset(b->rhs, 0, n * sizeof *b->rhs);
+    if (b->damage && b->beta != 0) {
+        for (i = 0; i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
+        sfemi_fracture_soften(b, b->zk, b->rhs);
+    }
     for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
     if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
         const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
@@ -12881,6 +13004,10 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
         if (damped && (b->beta != 0 || b->zd))
             sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, g->grad);
         else memset(g->grad, 0, n * sizeof *g->grad);
+        if (b->damage && b->beta != 0) {
+            for (i = 0; i < n; ++i) b->zk[i] = b->beta * (running ? (s->w[i] + g->w[i]) / 2 : g->w[i]);
+            sfemi_fracture_soften(b, b->zk, g->grad);
+        }
         for (i = 0; i < n; ++i)
             g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
                           (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
@@ -13362,7 +13489,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
     g->redone = 0;
-    if (!b->def.no_guard && b->def.integrator == SFEM_PQR) {
+    if (!b->def.no_guard && b->def.integrator == SFEM_PQR && b->model->turns) {
         head->budget += sfemi_guard_step_work(b);
         e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
         g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
@@ -13426,6 +13553,188 @@ static void sfemi_guard_finish(sfem_body *b)
     memcpy(s->w, g->w, n * sizeof *s->w);
     sfemi_turn_frames(b, b->turn.rotation, s->frame);
     head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
+}
+
+/* ---- breaking ----
+ *
+ * Edges are judged in the middle of a step from u to u', and break only where the exact local energy
+ *   (Psi + Psi')/2 - (u'-u).(f'-f)/4
+ * does not rise; after a redone step, which starts afresh from u', where Psi' does not. Then the forces at
+ * both ends are those of what is left, so that the next step goes on as if it had never been otherwise,
+ * and what the ledger counts falls by what has been released. A and its factor stay: they bound
+ * what is left of K. New pieces that nothing holds get the rigid projection of >>turn at once. */
+
+/* T + U of the step just taken, which (p,q,r) conserves where it is linear and A belongs to K:
+ * 1/2 w'.r M w' + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2, after a redo 1/2 w'.r M w' + Psi'. */
+static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real stretch = 0, sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        stretch += (g->u[i] - s->u[i]) * (g->f[i] - s->f[i]);
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
+    }
+    *kinetic = sum * sfemi_body_coefficients(b, b->p).r;
+    return *kinetic + (g->redone ? g->psi : (s->head->psi + g->psi) / 2 + (b->p - 0.5) / 2 * stretch);
+}
+
+/* The way from where the last step's energy was taken to where this one's is. */
+static sfem_real sfemi_fracture_way(const sfem_body *b, size_t i)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
+    return h1 / 2 * s->w[i] + (g->redone ? g->u[i] - s->u[i] : b->step / 2 * g->w[i]);
+}
+
+/* The work of loads, handles and moved pins in the step. */
+static sfem_real sfemi_fracture_work(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const sfem_real *gravity = s->head->gravity, *mass = b->model->node_mass;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int loaded = s->head->loaded;
+    sfem_real work = g->redone ? sfemi_guard_work(b) : 0;
+    sfem_int k;
+    size_t i;
+    int l, c;
+    for (i = 0; i < n; ++i) {
+        sfem_real load = mass[i / 3] * gravity[i % 3];
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        if (loaded && !g->redone)
+            load += t.load[0] * s->force[0][i] + t.load[1] * s->force[1][i] + t.load[2] * s->force[2][i];
+        else if (loaded) load += s->force[1][i];
+        work += load * sfemi_fracture_way(b, i);
+    }
+    if (g->redone) return work;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = s->handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)h->node[l] + (size_t)c;
+                if (!(b->mask[i / 3] >> c & 1))
+                    work += b->grip.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
+            }
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (s->f[i] + b->p * (b->step / t.d) * (g->f[i] - s->f[i]) +
+                     b->p * (2 - b->step / t.d) * (s->f_past[i] - s->f[i])) * sfemi_fracture_way(b, i);
+        }
+    return work;
+}
+
+/* What damping takes in the step: d w~.D w~, w~ = (w + w')/2, d the time between the means. */
+static sfem_real sfemi_fracture_damping(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int running = s->head->started == SFEMI_RUNNING;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    sfem_real sum = 0;
+    size_t i;
+    if (g->redone || (b->alpha == 0 && b->beta == 0 && !b->zd)) return 0;
+    for (i = 0; i < n; ++i) {
+        const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+        b->zk[i] = b->beta * v;
+        b->zm[i] = b->beta * v;
+        if (b->zd) b->zd[i] = v;
+    }
+    if (b->beta != 0 || b->zd) {
+        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        sfemi_fracture_soften(b, b->zm, b->rhs);
+    } else {
+        memset(b->rhs, 0, n * sizeof *b->rhs);
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        sum += v * (b->rhs[i] + b->alpha * b->model->node_mass[i / 3] * v);
+    }
+    return d * sum;
+}
+
+/* Enters the step, before anything breaks. */
+static void sfemi_fracture_account(sfem_body *b)
+{
+    sfemi_books *k = b->state.books;
+    sfem_real kinetic, size;
+    const sfem_real energy = sfemi_fracture_energy(b, &kinetic);
+    if (k->open) {
+        const sfem_real work = sfemi_fracture_work(b);
+        k->work += work;
+        if (b->guard.redone) k->guarded += k->now + work - energy;
+        else k->damped += sfemi_fracture_damping(b);
+    } else {
+        k->start = energy;
+        k->open = 1;
+    }
+    k->now = energy;
+    size = fmax(fmax(fabs(energy), fabs(k->work)), fmax(k->damped, k->released + k->guarded));
+    k->scale = fmax(k->scale, size);
+}
+
+/* The pieces as >>damage has them, which of them are held, and what they weigh. */
+static void sfemi_fracture_regroup(sfem_body *b)
+{
+    b->turn.pieces = b->damage->pieces;
+    memcpy(b->turn.piece_of, b->damage->piece_of, (size_t)b->model->mesh.nodes * sizeof *b->turn.piece_of);
+    sfemi_turn_find_held(b);
+    sfemi_turn_weigh(b);
+}
+
+/* What p must be at least: damaged tets are up to `stiffening` times as stiff as intact ones, and a crack
+ * that closes is stiffer than the open one that the step started with. */
+static sfem_real sfemi_fracture_least_p(const sfem_body *b)
+{
+    sfem_real least = 0;
+    if (b->bonds && b->bonds->stiffening > 1) least = b->bonds->stiffening / 4;
+    if (b->bonds && b->bonds->def.closure) least = fmax(least, 0.5);
+    return least;
+}
+
+/* The round of breaks of a step that is taken but not yet entered in the state. */
+static void sfemi_fracture_round(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    sfemi_damage_step step;
+    sfemi_damage_change change;
+    sfem_real fallen;
+    sfemi_fracture_account(b);
+    step.u0 = g->redone ? g->u : b->state.u;
+    step.u1 = g->u;
+    step.a0 = g->redone ? 0 : 0.5;
+    step.a1 = g->redone ? 1 : 0.5;
+    step.ac = g->redone ? 0 : 0.25;
+    step.f0 = g->redone ? NULL : b->state.f;
+    step.f1 = g->f;
+    step.exec = &b->exec;
+    sfemi_damage_round(b->damage, &step, &change);
+    if (!change.broken && !change.softened) return;
+    fallen = g->redone ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
+    if (!g->redone) head->psi += change.psi0;
+    g->psi += change.psi1;
+    head->budget += fallen;
+    b->state.books->now += fallen;
+    b->state.books->released -= fallen;
+    if (change.pieces) { /* what the energies leave out, the centres' motion, is other motion now */
+        sfemi_guard_energies before, after;
+        sfemi_turn_locate(b, b->state.u);
+        before = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        sfemi_fracture_regroup(b);
+        sfemi_turn_locate(b, b->state.u);
+        after = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        head->budget += g->redone ? after.ec - before.ec : after.eb - before.eb;
+    }
 }
 
 /* ============================================================================================
@@ -13594,7 +13903,8 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     size_t i;
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
-    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
+    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
+    if (!b->model->turns) SFEMI_NEW(sfem_real, b->turn.still, al, n);
     SFEMI_NEW(sfem_real, b->turn.rotation, al,
               9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
     b->turn.work = b->turn.rotation + 9 * tets;
@@ -13623,6 +13933,9 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
+    sfemi_delete(&al, b->turn.still);
+    sfemi_damage_free(b->damage);
+    sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->turn.rotation);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
@@ -13633,20 +13946,6 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b);
 }
 
-/* Which pieces are held by pins or handles. */
-static void sfemi_body_find_held(sfem_body *b)
-{
-    sfem_int i, k;
-    int l;
-    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
-    for (i = 0; i < b->pin_count; ++i)
-        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
-    for (i = 0; i < b->def.max_handles; ++i)
-        for (l = 0; b->state.handle[i].used && l < 4; ++l)
-            if (b->state.handle[i].weight[l] != 0)
-                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
-}
-
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
@@ -13654,15 +13953,17 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
     const size_t vectors = b->model->damping ? 5 : 4;
     sfem_status status = SFEM_OK;
-    size_t bytes;
+    size_t bytes, damage;
     void *block = NULL;
     SFEMI_NEW(unsigned char, b->mask, al, nodes);
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, b->pin_count, def->max_handles);
+    if (def->damage) SFEMI_TRY(sfemi_bonds_create(b->model, def->damage, al, &b->bonds, err));
+    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
+    bytes = sfemi_state_bytes(nodes, b->turns, b->pin_count, def->max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->pin_count);
+    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->pin_count, def->max_handles, damage);
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
@@ -13673,8 +13974,14 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    if (b->bonds) {
+        SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
+        sfemi_damage_attach(b->damage, b->state.damage);
+        sfemi_damage_reset(b->damage);
+        sfemi_fracture_regroup(b);
+    }
     if (b->turns) sfemi_turn_weigh(b);
-    if (b->turns) sfemi_body_find_held(b);
+    if (b->turns) sfemi_turn_find_held(b);
 done:
     return status;
 }
@@ -13695,10 +14002,19 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = model->turns && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
+    b->turns = (model->turns || def->damage) && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
+    b->def.damage = NULL;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
+    if (def->damage && !b->turns) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
+        goto done;
+    }
+    if (def->damage && model->block_mass) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
+        goto done;
+    }
     if (b->turns && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
                             "a nonlinear body steps with lumped mass only: a consistent one does not turn");
@@ -13725,7 +14041,7 @@ static void sfemi_body_held_changed(sfem_body *b)
     int changed = 0;
     if (!b->turns) return;
     for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
-    sfemi_body_find_held(b);
+    sfemi_turn_find_held(b);
     for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
@@ -13752,7 +14068,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
+    for (i = 0; b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
         SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
@@ -13794,7 +14110,13 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
     if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
-    if (*p < 0) *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
+    if (*p < 0) {
+        *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
+        *p = fmax(*p, sfemi_fracture_least_p(b));
+    }
+    if (*p < sfemi_fracture_least_p(b))
+        return sfemi_fail(err, SFEM_UNSTABLE, "p is %g, but what this body's damage can stiffen asks for %g", *p,
+                          sfemi_fracture_least_p(b));
     limit = sfemi_pqr_stable_step(b, *p);
     if (limit > 0 && h > limit)
         return sfemi_fail(err, SFEM_UNSTABLE, "a step of %g s is beyond the stable one, %g s", h, limit);
@@ -13940,6 +14262,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
         if (status != SFEM_OK) return status;
     }
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    if (b->damage) sfemi_fracture_round(b);
     if (b->turns) sfemi_guard_finish(b);
     else sfemi_body_finish_linear(b);
     for (i = 0; i < g->count; ++i)
@@ -14080,6 +14403,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
     b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
+    if (b->damage) memset(b->state.books, 0, sizeof *b->state.books);
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -14131,7 +14455,11 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
-    if (b->turns) sfemi_body_find_held(b);
+    if (b->damage) {
+        sfemi_damage_refresh(b->damage);
+        sfemi_fracture_regroup(b);
+    }
+    if (b->turns) sfemi_turn_find_held(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
@@ -14148,17 +14476,23 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     unsigned char *mask = NULL;
     sfem_int *list = NULL, listed;
     void *block = NULL;
-    size_t bytes;
+    size_t bytes, damage;
     int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, listed, b->def.max_handles);
+    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
+    bytes = sfemi_state_bytes(nodes, b->turns, listed, b->def.max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, b->turns, listed);
+    sfemi_state_lay_out(&fresh, block, nodes, b->turns, listed, b->def.max_handles, damage);
     memcpy(fresh.head, old.head, sizeof *old.head + sfemi_state_reals(nodes, b->turns) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
+    if (damage) {
+        memcpy(fresh.books, old.books, sizeof *old.books + damage);
+        sfemi_damage_attach(b->damage, fresh.damage);
+        sfemi_damage_refresh(b->damage);
+    }
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
     sfemi_delete(al, b->pin);
@@ -14310,6 +14644,8 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
         sfemi_guard_look(b);
         sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i) b->zk[i] = b->beta * v[i];
+        sfemi_fracture_soften(b, b->zk, b->rhs);
         for (i = 0; i < n; ++i)
             b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
         sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
@@ -14317,6 +14653,110 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
     }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+}
+
+/* ---- fracture ---- */
+
+SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
+{
+    const sfemi_books *k = b->state.books;
+    sfem_fracture f;
+    sfem_int i;
+    memset(&f, 0, sizeof f);
+    f.pieces = 1;
+    if (!b->damage) return f;
+    f.pieces = b->damage->pieces;
+    for (i = 0; i < b->turn.pieces; ++i) f.free_pieces += !b->turn.piece[i].held;
+    f.broken = (sfem_int)b->damage->account[SFEMI_BROKEN];
+    f.breaks = b->damage->events;
+    for (i = 0; i < b->bonds->edges; ++i) f.marked += b->damage->mark[i] && b->damage->zeta[i] > 0;
+    f.kinetic_elastic = k->now;
+    f.start = k->start;
+    f.work = k->work;
+    f.damped = k->damped;
+    f.released = k->released;
+    f.guarded = k->guarded;
+    f.error = k->now - k->start - k->work + k->damped + k->released + k->guarded;
+    f.scale = k->scale;
+    f.surface = b->damage->account[SFEMI_PRICE];
+    f.least_p = sfemi_fracture_least_p(b);
+    return f;
+}
+
+SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
+{
+    SFEM_ASSERT(b && b->damage && count);
+    *count = b->damage->events;
+    return b->damage->event;
+}
+
+SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
+{
+    SFEM_ASSERT(b && b->damage && out);
+    sfem_body_velocities(b, b->zk); /* scratch between steps */
+    sfemi_damage_pieces(b->damage, b->state.u, b->zk, out);
+}
+
+SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
+{
+    SFEM_ASSERT(b && b->damage);
+    return b->damage->piece_of;
+}
+
+/* The edge between two nodes, or -1. */
+static sfem_int sfemi_body_find_edge(const sfem_body *b, sfem_int i, sfem_int j)
+{
+    const sfemi_bonds *g = b->bonds;
+    sfem_int k;
+    if (i < 0 || j < 0 || i >= b->model->mesh.nodes || j >= b->model->mesh.nodes) return -1;
+    for (k = g->node_start[i]; k < g->node_start[i + 1]; ++k) {
+        const sfem_int *end = g->end + 2 * (size_t)g->node_edge[k];
+        if (i != j && (end[0] == j || end[1] == j)) return g->node_edge[k];
+    }
+    return -1;
+}
+
+SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *b, sfem_int i, sfem_int j)
+{
+    sfem_int edge;
+    SFEM_ASSERT(b && b->damage);
+    edge = sfemi_body_find_edge(b, i, j);
+    return edge < 0 ? 0 : b->damage->zeta[edge];
+}
+
+SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *b, sfem_int i, sfem_int j, sfem_error *err)
+{
+    sfem_int edge;
+    SFEM_ASSERT(b && b->damage);
+    edge = sfemi_body_find_edge(b, i, j);
+    if (edge < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the mesh has no edge between nodes %d and %d", (int)i, (int)j);
+    if (b->bonds->never[edge] == SFEMI_NEVER)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the edge between nodes %d and %d is unbreakable", (int)i, (int)j);
+    b->damage->mark[edge] = 1;
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const sfem_real to[9],
+                                   sfem_int *marked, sfem_error *err)
+{
+    sfem_int count;
+    SFEM_ASSERT(b && b->damage && from && to);
+    if (!sfemi_all_finite(from, 9) || !sfemi_all_finite(to, 9))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the blade's place is not finite");
+    count = sfemi_damage_cut(b->damage, b->state.u, from, to);
+    if (marked) *marked = count;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_body_heal(sfem_body *b)
+{
+    SFEM_ASSERT(b && b->damage);
+    sfemi_damage_reset(b->damage);
+    sfemi_fracture_regroup(b);
+    memset(b->state.books, 0, sizeof *b->state.books);
+    b->state.head->current = 0;
+    b->phase = SFEMI_IDLE;
 }
 
 /* ---- statics ---- */
@@ -14450,6 +14890,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     size_t i;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
+    if (b->damage && b->damage->tets)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with broken edges has no static solution: let it step");
     b->phase = SFEMI_IDLE;
     SFEMI_NEW(unsigned char, mask, &b->allocator, b->model->mesh.nodes);
     sfemi_body_static_mask(b, mask);
