@@ -13789,7 +13789,7 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
  * ============================================================================================ */
 
 /* Inverse of an inertia, kept finite where it is singular; that of a piece crushed to a point, so far below
- * its inertia at rest that only rounding tells its rotation, becomes zero. */
+ * its inertia at rest that only rounding tells its rotation, becomes zero, as does that of a lone node. */
 static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real inverse[9])
 {
     sfem_real a[9], c[9], det;
@@ -13798,7 +13798,7 @@ static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real in
     for (i = 0; i < 9; i += 4) a[i] += 1e-12 * (m[0] + m[4] + m[8]);
     sfemi_cofactor3(a, c);
     det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
-    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && rest > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
 }
 
 /* Where rigid motions are taken: at X + u, or at X where all laws are linear. What costs no energy there,
@@ -13858,14 +13858,17 @@ static void sfemi_turn_weigh(sfem_body *b)
     int c;
     memset(b->turn.v, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->turn.v);
     sfemi_turn_locate(b, b->turn.v);
-    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = 0;
+    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
             const sfem_real r = model->mesh.x[3 * (size_t)i + (size_t)c] - p->centre[c];
             p->rest += model->node_mass[i] * r * r;
         }
+        if (b->turn.piece_of[i] >= 0) p->sum[0][0] += 1;
     }
+    for (i = 0; i < b->turn.pieces; ++i)
+        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
 }
 
 /* Which pieces are held by pins or handles. */
