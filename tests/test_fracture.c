@@ -468,13 +468,13 @@ static void the_books_of_a_linear_body_balance(void **state)
 {
     int k, i, c;
     (void)state;
-    for (k = 0; k < 4; ++k) {
-        const double h = k == 3 ? 0.02 : 0.002, beta = k == 1 ? 1e-3 : 0;
+    for (k = 0; k < 5; ++k) {
+        const double h = k == 3 ? 0.02 : 0.002, beta = k == 4 ? 1e-3 : 0;
         sfem_body_def def = sfem_default_body_def();
         sfem_damage_def damage = brittle(20);
         scene s = bar(10, 3, 3, glass(SFEM_LINEAR, 1e6));
         unsigned char *never = (unsigned char *)calloc((size_t)s.mesh.tets, 1);
-        double load[3 * MAX_NODES], start = 0, most = 0;
+        double load[3 * MAX_NODES], start = 0, most = 0, stray;
         sfem_int handle = -1;
         sfem_fracture f;
         sfem_error err;
@@ -508,14 +508,17 @@ static void the_books_of_a_linear_body_balance(void **state)
                 }
             step(s.body, h);
             f = sfem_body_fracture(s.body);
-            if (i == 0) start = hidden(&s, h, beta);
-            most = fmax(most, fabs(f.error + hidden(&s, h, beta) - start));
+            /* T + U falls at a break by what is released, and by what goes into hiding */
+            stray = f.error + hidden(&s, h, beta) - (f.released - s.body->damage->account[SFEMI_RELEASED]);
+            if (i == 0) start = stray;
+            most = fmax(most, fabs(stray - start));
         }
         printf("k %d broken %d pieces %d, off %.2e of scale %g; error %g hidden %g work %g damped %g released %g T+U %g\n", k, f.broken, f.pieces, most,
                f.scale, f.error, hidden(&s, h, beta), f.work, f.damped, f.released, f.kinetic_elastic);
         assert_true(f.broken > 50);
-        if (k != 2) assert_true(most < 1e-10 * f.scale);
-        else assert_true(fabs(f.error) < 0.05 * f.scale);
+        if (k == 4) assert_true(most < 1e-3 * f.scale); /* what leaves D at a break hides, too */
+        else if (k != 2) assert_true(most < 1e-10 * f.scale);
+        if (k != 3) assert_true(fabs(f.error) < 0.05 * f.scale); /* held pieces, large steps: half of it hides */
         free(never);
         drop(&s);
     }
@@ -548,6 +551,309 @@ static void forces_after_breaks_are_those_of_the_damaged_body(void **state)
     }
 }
 
+/* The source's law stiffens tets: with the p of intact bodies it explodes, with the p that it asks for it does
+ * not, and the library takes that. */
+static double most_energy(sfem_damage_law law, double p, double omega, double *used)
+{
+    sfem_body_def def = sfem_default_body_def();
+    sfem_damage_def damage = brittle(20);
+    scene s = bar(8, 3, 3, glass(SFEM_LINEAR, 1e6));
+    double most = 0, h;
+    int i;
+    damage.law = law;
+    def.frame = SFEM_FRAME_REST;
+    if (p > 0) def.p = p;
+    add_body(&s, def, &damage, 0);
+    h = omega / largest_omega(&s);
+    if (p > 0) s.body->bonds->stiffening = 1; /* or it would be refused */
+    shake(&s, 1, 5);
+    pull(&s, 0.06, 0.0005);
+    for (i = 0; i < 400 && most < 1e6; ++i) {
+        double u0[3 * MAX_NODES];
+        memcpy(u0, sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof *u0);
+        step(s.body, h);
+        if (i == 0) most = 1;
+        most = fmax(most, sfem_body_energy(s.body).kinetic);
+    }
+    *used = s.body->p;
+    drop(&s);
+    return most;
+}
+
+static void the_sources_law_explodes_unless_p_is_what_it_asks_for(void **state)
+{
+    const double omega[3] = {5, 20, 100};
+    double p, k[3];
+    int i;
+    (void)state;
+    for (i = 0; i < 3; ++i) {
+        k[0] = most_energy(SFEM_DAMAGE_ZSZ, 0.25, omega[i], &p);
+        k[1] = most_energy(SFEM_DAMAGE_ZSZ, 0, omega[i], &p);
+        k[2] = most_energy(SFEM_DAMAGE_CONDENSED, 0.25, omega[i], &p);
+        most_energy(SFEM_DAMAGE_ZSZ, 0, omega[i], &p);
+        printf("omega h %g: zsz at 1/4 %g, at %.3f %g; condensed at 1/4 %g\n", omega[i], k[0], p, k[1], k[2]);
+        assert_true(p > 0.26);
+        assert_true(k[1] < 400 && k[2] < 400);
+        assert_true(k[0] > 1e6);
+    }
+}
+
+static void p_follows_from_the_damage_or_is_refused(void **state)
+{
+    sfem_damage_def zsz = brittle(10), closing = brittle(10);
+    int k;
+    (void)state;
+    zsz.law = SFEM_DAMAGE_ZSZ;
+    closing.closure = 1;
+    for (k = 0; k < 2; ++k) {
+        sfem_body_def def = sfem_default_body_def();
+        scene s = bar(3, 1, 1, glass(SFEM_LINEAR, 1e5));
+        const double v[3] = {0, 0, 0};
+        sfem_error err;
+        add_body(&s, def, k ? &closing : &zsz, 0);
+        set_motion(&s, v, v, 0.1);
+        step(s.body, 0.01);
+        assert_near(sfem_body_get_info(s.body).p, fmax(0.25, sfem_body_fracture(s.body).least_p), 0, 0);
+        assert_true(sfem_body_get_info(s.body).p >= (k ? 0.5 : 0.26));
+        sfem_body_free(s.body);
+        def.p = 0.25;
+        add_body(&s, def, k ? &closing : &zsz, 0);
+        assert_status(sfem_body_step(s.body, 0.01, &err), SFEM_UNSTABLE);
+        assert_names(err, "p is 0.25");
+        drop(&s);
+    }
+}
+
+static int inverted_damaged(const scene *s, int *damaged)
+{
+    const double *u = sfem_body_displacement(s->body);
+    int count = 0, i, a, c;
+    *damaged = s->body->damage->tets;
+    for (i = 0; i < s->body->damage->tets; ++i) {
+        const sfem_int *t = s->mesh.tet + 4 * s->body->damage->tet[i];
+        double d[3][3];
+        if (s->body->damage->kind[s->body->damage->tet[i]] != SFEMI_HURT) continue; /* loose ones carry nothing */
+        for (a = 0; a < 3; ++a)
+            for (c = 0; c < 3; ++c)
+                d[a][c] = s->mesh.x[3 * t[a + 1] + c] + u[3 * t[a + 1] + c] - s->mesh.x[3 * t[0] + c] - u[3 * t[0] + c];
+        count += d[0][0] * (d[1][1] * d[2][2] - d[1][2] * d[2][1]) - d[0][1] * (d[1][0] * d[2][2] - d[1][2] * d[2][0]) +
+                     d[0][2] * (d[1][0] * d[2][1] - d[1][1] * d[2][0]) <= 0;
+    }
+    return count;
+}
+
+static void a_crushed_broken_block_comes_back_upright(void **state)
+{
+    sfem_body_def def = sfem_default_body_def();
+    const sfem_damage_def damage = on_request();
+    scene s = bar(4, 4, 4, glass(SFEM_COROTATIONAL, 1e5));
+    test_random random = {4};
+    double u[3 * MAX_NODES];
+    sfem_error err;
+    sfem_int i, k;
+    int crushed, damaged, last;
+    (void)state;
+    def.alpha = 2;
+    add_body(&s, def, &damage, 0);
+    for (k = 0; k < s.body->bonds->edges; ++k)
+        if (random_uniform(&random, 0, 1) < 0.12)
+            assert_ok(sfem_body_break_edge(s.body, s.body->bonds->end[2 * k], s.body->bonds->end[2 * k + 1], &err), err);
+    step(s.body, 1.0 / 60);
+    for (i = 0; i < 3 * s.n; ++i) u[i] = random_uniform(&random, -0.15, 0.15) + (i % 3 == 2 ? -0.7 * s.mesh.x[i] : 0);
+    assert_ok(sfem_body_set_state(s.body, u, NULL, &err), err);
+    crushed = inverted_damaged(&s, &damaged);
+    run(s.body, 1.0 / 60, 240);
+    last = inverted_damaged(&s, &damaged);
+    printf("damaged %d inverted %d -> %d, redone %d pieces %d\n", damaged, crushed, last, (int)sfem_body_get_info(s.body).redone,
+           sfem_body_fracture(s.body).pieces);
+    assert_true(damaged > 100 && crushed > 50);
+    assert_int_equal(last, 0);
+    drop(&s);
+}
+
+/* --------------------------------------------------------------------------------------------
+ * states, threads, memory, arguments
+ * -------------------------------------------------------------------------------------------- */
+
+static scene thrown(sfem_law law, const sfem_body_def *given, const sfem_damage_def *damage, int nx)
+{
+    const double v[3] = {3, -1, 2}, spin[3] = {4, 12, -3};
+    scene s = bar(nx, 2, 2, glass(law, 1e6));
+    add_body(&s, *given, damage, 0);
+    set_motion(&s, v, spin, 4);
+    return s;
+}
+
+static void a_state_saved_in_mid_fracture_goes_on_with_the_same_bits(void **state)
+{
+    const sfem_law law[2] = {SFEM_LINEAR, SFEM_COROTATIONAL};
+    int k, ductile;
+    (void)state;
+    for (k = 0; k < 2; ++k)
+        for (ductile = 0; ductile < 2; ++ductile) {
+            sfem_body_def def = sfem_default_body_def();
+            sfem_damage_def damage = brittle(5);
+            scene s, t;
+            void *memory;
+            sfem_error err;
+            sfem_int broken;
+            def.corrections = ductile;
+            if (ductile) {
+                damage.criterion = SFEM_BREAK_DUCTILE;
+                damage.soften[0] = 0.005;
+                damage.soften[1] = 0.03;
+            }
+            s = thrown(law[k], &def, &damage, 8);
+            t = thrown(law[k], &def, &damage, 8);
+            run(s.body, 1e-3, 60);
+            broken = sfem_body_fracture(s.body).broken;
+            memory = malloc(sfem_body_state_size(s.body));
+            sfem_body_save_state(s.body, memory);
+            assert_ok(sfem_body_load_state(t.body, memory, sfem_body_state_size(s.body), &err), err);
+            assert_int_equal(sfem_body_fracture(t.body).broken, broken);
+            run(s.body, 1e-3, 60);
+            run(t.body, 1e-3, 60);
+            assert_true(broken > 0 && sfem_body_fracture(s.body).broken > broken);
+            assert_memory_equal(sfem_body_displacement(s.body), sfem_body_displacement(t.body),
+                                3 * (size_t)s.n * sizeof(double));
+            assert_int_equal(sfem_body_fracture(s.body).broken, sfem_body_fracture(t.body).broken);
+            free(memory);
+            drop(&s);
+            drop(&t);
+        }
+}
+
+static void threads_change_no_bit_of_a_fracture(void **state)
+{
+    const sfem_law law[2] = {SFEM_LINEAR, SFEM_COROTATIONAL};
+    int k, t;
+    (void)state;
+    for (k = 0; k < 2; ++k) {
+        uint64_t bits[3] = {0, 0, 0};
+        for (t = 0; t < 3; ++t) {
+            sfem_body_def def = sfem_default_body_def();
+            const sfem_damage_def damage = brittle(5);
+            scene s;
+            if (t) def.exec = thread_exec(2 * t + 1);
+            s = thrown(law[k], &def, &damage, 40);
+            run(s.body, 1e-3, 60);
+            assert_true(sfem_body_fracture(s.body).broken > 20);
+            bits[t] = hash_reals(sfem_body_displacement(s.body), 3 * (size_t)s.n);
+            drop(&s);
+        }
+        assert_true(bits[0] == bits[1] && bits[0] == bits[2]);
+    }
+}
+
+static void steps_that_break_allocate_nothing(void **state)
+{
+    int k;
+    (void)state;
+    for (k = 0; k < 2; ++k) {
+        test_memory memory = {0};
+        sfem_body_def def = sfem_default_body_def();
+        const sfem_damage_def damage = brittle(5);
+        scene s;
+        size_t calls;
+        sfem_error err;
+        def.allocator = test_allocator(&memory);
+        def.no_allocation = 1;
+        s = thrown(k ? SFEM_COROTATIONAL : SFEM_LINEAR, &def, &damage, 8);
+        assert_ok(sfem_body_prepare(s.body, 1e-3, &err), err);
+        calls = memory.calls;
+        run(s.body, 1e-3, 200);
+        assert_true(sfem_body_fracture(s.body).pieces > 2);
+        assert_int_equal(memory.calls, calls);
+        drop(&s);
+        assert_no_leak(memory);
+    }
+}
+
+static sfem_status break_a_body(sfem_allocator allocator, void *user, sfem_error *err)
+{
+    scene *s = (scene *)user;
+    sfem_body_def def = sfem_default_body_def();
+    const sfem_damage_def damage = brittle(5);
+    sfem_body *body = NULL;
+    sfem_status status;
+    double u[3 * MAX_NODES];
+    int i;
+    def.allocator = allocator;
+    def.damage = &damage;
+    status = sfem_body_create(s->model, &def, &body, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < 3 * s->n; ++i) u[i] = i % 3 ? 0 : 0.05 * s->mesh.x[i];
+    status = sfem_body_set_state(body, u, NULL, err);
+    for (i = 0; status == SFEM_OK && i < 3; ++i) status = sfem_body_step(body, 1e-3, err);
+    sfem_body_free(body);
+    return status;
+}
+
+static void every_allocation_may_fail(void **state)
+{
+    int law;
+    (void)state;
+    for (law = 0; law < 2; ++law) {
+        scene s = bar(3, 1, 1, glass(law ? SFEM_COROTATIONAL : SFEM_LINEAR, 1e6));
+        assert_true(fail_every_allocation(break_a_body, &s) > 20);
+        drop(&s);
+    }
+}
+
+static void a_body_without_damage_has_nothing_of_it(void **state)
+{
+    scene s = bar(3, 1, 1, glass(SFEM_COROTATIONAL, 1e6));
+    sfem_body_def def = sfem_default_body_def();
+    sfem_int count;
+    sfem_fracture f;
+    (void)state;
+    add_body(&s, def, NULL, 0);
+    assert_null(s.body->damage);
+    assert_null(s.body->state.books);
+    run(s.body, 0.01, 3);
+    f = sfem_body_fracture(s.body);
+    assert_int_equal(f.pieces, 1);
+    assert_int_equal(f.broken, 0);
+    expect_assert_failure(sfem_body_breaks(s.body, &count));
+    drop(&s);
+}
+
+static void what_cannot_break_is_refused(void **state)
+{
+    scene s = bar(3, 1, 1, glass(SFEM_LINEAR, 1e6));
+    const sfem_integrator integrator[3] = {SFEM_NEWMARK, SFEM_BACKWARD_EULER, SFEM_BATHE};
+    sfem_damage_def damage = brittle(-1);
+    sfem_body_def def = sfem_default_body_def();
+    double blade[9] = {0};
+    sfem_error err;
+    sfem_body *body;
+    int k;
+    (void)state;
+    def.damage = &damage;
+    assert_status(sfem_body_create(s.model, &def, &body, &err), SFEM_BAD_ARGUMENT);
+    damage.toughness = 1;
+    for (k = 0; k < 3; ++k) {
+        def.integrator = integrator[k];
+        assert_status(sfem_body_create(s.model, &def, &body, &err), SFEM_BAD_ARGUMENT);
+        assert_names(err, "SFEM_PQR");
+    }
+    def = sfem_default_body_def();
+    add_body(&s, def, &damage, 1);
+    assert_status(sfem_body_break_edge(s.body, 0, s.n - 1, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_body_break_edge(s.body, -1, 0, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_body_break_edge(s.body, 2, 2, &err), SFEM_BAD_ARGUMENT);
+    blade[4] = NAN;
+    assert_status(sfem_body_cut(s.body, blade, blade, NULL, &err), SFEM_NOT_FINITE);
+    split(&s, 0.15);
+    step(s.body, 0.01);
+    assert_status(sfem_body_solve_static(s.body, &err), SFEM_BAD_ARGUMENT);
+    sfem_body_heal(s.body);
+    assert_int_equal(sfem_body_fracture(s.body).pieces, 1);
+    assert_int_equal(sfem_body_fracture(s.body).broken, 0);
+    assert_ok(sfem_body_solve_static(s.body, &err), err);
+    drop(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -557,6 +863,15 @@ int main(void)
         cmocka_unit_test(the_books_of_a_linear_body_balance),
         cmocka_unit_test(forces_after_breaks_are_those_of_the_damaged_body),
         cmocka_unit_test(a_cut_bar_falls_as_it_should_only_with_the_projection),
+        cmocka_unit_test(the_sources_law_explodes_unless_p_is_what_it_asks_for),
+        cmocka_unit_test(p_follows_from_the_damage_or_is_refused),
+        cmocka_unit_test(a_crushed_broken_block_comes_back_upright),
+        cmocka_unit_test(a_state_saved_in_mid_fracture_goes_on_with_the_same_bits),
+        cmocka_unit_test(threads_change_no_bit_of_a_fracture),
+        cmocka_unit_test(steps_that_break_allocate_nothing),
+        cmocka_unit_test(every_allocation_may_fail),
+        cmocka_unit_test(a_body_without_damage_has_nothing_of_it),
+        cmocka_unit_test(what_cannot_break_is_refused),
     };
     return run_all_tests(tests);
 }
