@@ -1205,6 +1205,27 @@ SFEM_DEF sfem_status sfem_body_cut(sfem_body *body, const sfem_real from[9], con
 /* Everything intact again, where it is; energies start afresh. O(tets) */
 SFEM_DEF void sfem_body_heal(sfem_body *body);
 
+/* The surface of what is left, for display: every node's cell of the barycentric dual, bounded by the outer
+ * surface and by the dual areas of broken edges, which appear once for each side. Midpoints of edges,
+ * faces and tets have one copy for each group of their nodes that their own intact edges connect, so that
+ * pieces, and cracks that end inside a piece, are closed surfaces alike: every edge in two triangles. */
+typedef struct sfem_fragments {
+    sfem_int vertices, triangles;
+    sfem_int *tri;        /* [triangles][3] vertices, counter-clockwise from outside */
+    sfem_int *node;       /* [triangles] whose cell it bounds: sfem_body_piece_of tells the piece */
+    unsigned char *made;  /* [triangles] 1: by a break, 0: of the outer surface */
+    sfem_int *simplex;    /* [vertices][4] the nodes that a vertex lies between, -1 where there are fewer, */
+    unsigned char *group; /* [vertices] and those it goes with: bit k for the k-th */
+    sfem_allocator allocator;
+} sfem_fragments;
+/* O(tets), 1 us a tet. errors SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *body, const sfem_allocator *allocator,
+                                         sfem_fragments *out, sfem_error *err);
+SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
+/* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
+ * take them, turned with the intact edges there. Between steps; allocates nothing. */
+SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
+
 /* ============================================================================================
  * >>api-modes   eigenvalues and modes
  * ============================================================================================ */
@@ -16224,6 +16245,289 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     memset(b->state.books, 0, sizeof *b->state.books);
     b->state.head->current = 0;
     b->phase = SFEMI_IDLE;
+}
+
+/* ---- fragments ---- */
+
+/* Slots of the copies: nodes, then two for each edge, three for each face, four for each tet; number is
+ * the vertex made of a slot, or -1. */
+typedef struct sfemi_shards {
+    const sfem_body *b;
+    sfem_fragments out;
+    sfem_int faces, *face_of;      /* [tets][4] */
+    unsigned char *alone;          /* [tets][4] the face is on the outer surface */
+    sfem_int *number;              /* [slots]; NULL: only count */
+    size_t edge_slot, face_slot, tet_slot;
+} sfemi_shards;
+
+/* Are the ends of an edge together? */
+static int sfemi_shards_joined(const sfemi_shards *s, sfem_int tet, int edge)
+{
+    return s->b->damage->zeta[s->b->bonds->tet_edge[6 * tet + edge]] > 0;
+}
+
+/* The edge between local nodes a and b of a tet. */
+static int sfemi_shards_edge(int a, int b)
+{
+    const int low = a < b ? a : b, high = a < b ? b : a;
+    return low == 0 ? high - 1 : low + high;
+}
+
+/* Those of the nodes in `among` (bits) that intact edges among them connect with node a. */
+static int sfemi_shards_group(const sfemi_shards *s, sfem_int tet, int a, int among)
+{
+    int group = 1 << a, before = 0, i, j;
+    while (group != before) {
+        before = group;
+        for (i = 0; i < 4; ++i)
+            for (j = 0; j < 4; ++j)
+                if ((group >> i & 1) && (among >> j & 1) && i != j &&
+                    sfemi_shards_joined(s, tet, sfemi_shards_edge(i, j)))
+                    group |= 1 << j;
+    }
+    return group;
+}
+
+/* The vertex of the simplex of local nodes `among` on the side of node a. */
+static sfem_int sfemi_shards_vertex(sfemi_shards *s, sfem_int tet, int a, int among)
+{
+    const sfem_int *t = s->b->model->mesh.tet + 4 * (size_t)tet;
+    const int group = sfemi_shards_group(s, tet, a, among);
+    sfem_int nodes[4], low = -1, v;
+    int size = 0, rank = 0, i, mask = 0, other = 0;
+    size_t slot;
+    for (i = 0; i < 4; ++i) {
+        if (!(among >> i & 1)) {
+            other = i;
+            continue;
+        }
+        if (group >> i & 1) {
+            mask |= 1 << size;
+            if (low < 0 || t[i] < low) low = t[i];
+        }
+        nodes[size++] = t[i];
+    }
+    for (i = 0; i < size; ++i) rank += nodes[i] < low; /* of the group's lowest node in its simplex */
+    if (size == 1) slot = (size_t)t[a];
+    else if (size == 4) slot = s->tet_slot + 4 * (size_t)tet + (size_t)rank;
+    else if (size == 3) slot = s->face_slot + 3 * (size_t)s->face_of[4 * (size_t)tet + (size_t)other] + (size_t)rank;
+    else {
+        const int b = among & ~(1 << a);
+        const int edge = sfemi_shards_edge(a, b >> 1 == 4 ? 3 : b >> 1);
+        slot = s->edge_slot + 2 * (size_t)s->b->bonds->tet_edge[6 * tet + edge] + (size_t)rank;
+    }
+    v = s->number[slot];
+    if (v >= 0) return v;
+    v = s->number[slot] = s->out.vertices++;
+    if (!s->out.simplex) return v;
+    for (i = 0; i < 4; ++i) s->out.simplex[4 * (size_t)v + (size_t)i] = i < size ? nodes[i] : -1;
+    s->out.group[v] = (unsigned char)mask;
+    return v;
+}
+
+static void sfemi_shards_quad(sfemi_shards *s, sfem_int node, int made, sfem_int a, sfem_int b, sfem_int c,
+                              sfem_int d)
+{
+    const size_t n = (size_t)s->out.triangles;
+    s->out.triangles += 2;
+    if (!s->out.tri) return;
+    s->out.tri[3 * n] = s->out.tri[3 * n + 3] = a;
+    s->out.tri[3 * n + 1] = b;
+    s->out.tri[3 * n + 2] = s->out.tri[3 * n + 4] = c;
+    s->out.tri[3 * n + 5] = d;
+    s->out.node[n] = s->out.node[n + 1] = node;
+    s->out.made[n] = s->out.made[n + 1] = (unsigned char)made;
+}
+
+/* Numbers the faces, and finds those that only one tet has. */
+static sfem_status sfemi_shards_faces(sfemi_shards *s, const sfem_allocator *al, sfem_error *err)
+{
+    const sfem_mesh *m = &s->b->model->mesh;
+    const sfem_int all = 4 * m->tets;
+    sfem_int *key = NULL, *order = NULL, *other = NULL, *bucket = NULL, i;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, key, al, 3 * (size_t)all);
+    SFEMI_NEW(sfem_int, order, al, all);
+    SFEMI_NEW(sfem_int, other, al, all);
+    SFEMI_NEW(sfem_int, bucket, al, (size_t)m->nodes + 1);
+    for (i = 0; i < all; ++i) (void)sfemi_mesh_face_key(m->tet + (size_t)(i & ~3), i & 3, key + 3 * (size_t)i);
+    sfemi_mesh_sort(key + 2, 3, all, m->nodes, NULL, order, bucket);
+    sfemi_mesh_sort(key + 1, 3, all, m->nodes, order, other, bucket);
+    sfemi_mesh_sort(key, 3, all, m->nodes, other, order, bucket);
+    for (i = 0; i < all; ++i) {
+        const int same = i > 0 && memcmp(key + 3 * (size_t)order[i], key + 3 * (size_t)order[i - 1],
+                                         3 * sizeof *key) == 0;
+        if (!same) ++s->faces;
+        s->face_of[order[i]] = s->faces - 1;
+        s->alone[order[i]] = (unsigned char)!same;
+        if (same) s->alone[order[i - 1]] = 0;
+    }
+done:
+    sfemi_delete(al, bucket);
+    sfemi_delete(al, other);
+    sfemi_delete(al, order);
+    sfemi_delete(al, key);
+    return status;
+}
+
+/* All quads: counts them, and writes them where there is room. */
+static void sfemi_shards_emit(sfemi_shards *s)
+{
+    /* the ends of an edge, then the other two nodes, so that all four are an even permutation */
+    static const unsigned char even[6][4] = {{0, 1, 2, 3}, {0, 2, 3, 1}, {0, 3, 1, 2}, {1, 2, 0, 3}, {1, 3, 2, 0}, {2, 3, 0, 1}};
+    const sfem_mesh *m = &s->b->model->mesh;
+    sfem_int e;
+    int k, side, i;
+    s->out.vertices = s->out.triangles = 0;
+    for (e = 0; e < m->tets; ++e) {
+        const sfem_int *t = m->tet + 4 * (size_t)e;
+        for (k = 0; s->b->damage->kind[e] != SFEMI_INTACT && k < 6; ++k) {
+            const unsigned char *p = even[k];
+            if (sfemi_shards_joined(s, e, k)) continue;
+            for (side = 0; side < 2; ++side) {
+                const int a = p[side], both = 1 << p[0] | 1 << p[1];
+                const sfem_int mid = sfemi_shards_vertex(s, e, a, both);
+                const sfem_int left = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 3 : 2]);
+                const sfem_int cell = sfemi_shards_vertex(s, e, a, 15);
+                const sfem_int right = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 2 : 3]);
+                sfemi_shards_quad(s, t[a], 1, mid, left, cell, right);
+            }
+        }
+        for (k = 0; k < 4; ++k)
+            for (i = 0; s->alone[4 * (size_t)e + (size_t)k] && i < 3; ++i) {
+                const unsigned char *f = sfemi_mesh_face[k];
+                const int a = f[i], next = f[(i + 1) % 3], last = f[(i + 2) % 3];
+                const sfem_int node = sfemi_shards_vertex(s, e, a, 1 << a);
+                const sfem_int to = sfemi_shards_vertex(s, e, a, 1 << a | 1 << next);
+                const sfem_int middle = sfemi_shards_vertex(s, e, a, 15 & ~(1 << k));
+                const sfem_int from = sfemi_shards_vertex(s, e, a, 1 << a | 1 << last);
+                sfemi_shards_quad(s, t[a], 0, node, to, middle, from);
+            }
+    }
+}
+
+SFEM_DEF void sfem_fragments_free(sfem_fragments *f)
+{
+    if (!f) return;
+    sfemi_delete(&f->allocator, f->tri);
+    sfemi_delete(&f->allocator, f->node);
+    sfemi_delete(&f->allocator, f->made);
+    sfemi_delete(&f->allocator, f->simplex);
+    sfemi_delete(&f->allocator, f->group);
+    memset(f, 0, sizeof *f);
+}
+
+SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *b, const sfem_allocator *allocator,
+                                         sfem_fragments *out, sfem_error *err)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_allocator al;
+    sfemi_shards s;
+    sfem_status status = SFEM_OK;
+    size_t slots, i;
+    SFEM_ASSERT(b && b->damage && out);
+    memset(&s, 0, sizeof s);
+    if (allocator) s.out.allocator = *allocator;
+    al = s.out.allocator;
+    s.b = b;
+    if (m->tets > INT32_MAX / 24) {
+        status = sfemi_fail(err, SFEM_TOO_LARGE, "the fragments of %ld tets cannot be numbered", (long)m->tets);
+        goto done;
+    }
+    SFEMI_NEW(sfem_int, s.face_of, &al, 4 * (size_t)m->tets);
+    SFEMI_NEW(unsigned char, s.alone, &al, 4 * (size_t)m->tets);
+    SFEMI_TRY(sfemi_shards_faces(&s, &al, err));
+    s.edge_slot = (size_t)m->nodes;
+    s.face_slot = s.edge_slot + 2 * (size_t)b->bonds->edges;
+    s.tet_slot = s.face_slot + 3 * (size_t)s.faces;
+    slots = s.tet_slot + 4 * (size_t)m->tets;
+    SFEMI_NEW(sfem_int, s.number, &al, slots);
+    memset(s.number, -1, slots * sizeof *s.number);
+    sfemi_shards_emit(&s);
+    SFEMI_NEW(sfem_int, s.out.tri, &al, 3 * (size_t)s.out.triangles);
+    SFEMI_NEW(sfem_int, s.out.node, &al, s.out.triangles);
+    SFEMI_NEW(unsigned char, s.out.made, &al, s.out.triangles);
+    SFEMI_NEW(sfem_int, s.out.simplex, &al, 4 * (size_t)s.out.vertices);
+    SFEMI_NEW(unsigned char, s.out.group, &al, s.out.vertices);
+    for (i = 0; i < slots; ++i) s.number[i] = -1;
+    sfemi_shards_emit(&s);
+    *out = s.out;
+done:
+    if (status != SFEM_OK) sfem_fragments_free(&s.out);
+    sfemi_delete(&al, s.number);
+    sfemi_delete(&al, s.alone);
+    sfemi_delete(&al, s.face_of);
+    return status;
+}
+
+/* The rotation of every node's intact edges, the other edges of its piece counting a little, in turn.sum. */
+static void sfemi_shards_turn(sfem_body *b)
+{
+    const sfemi_bonds *g = b->bonds;
+    const sfem_real *rest = b->model->mesh.x, *u = b->state.u;
+    sfem_real *sum = b->turn.sum, *whole = b->guard.frame;
+    sfem_int i, k;
+    int c, q;
+    memset(sum, 0, 9 * (size_t)b->model->mesh.nodes * sizeof *sum);
+    memset(whole, 0, 9 * (size_t)b->damage->pieces * sizeof *whole);
+    for (k = 0; k < g->edges; ++k) {
+        const size_t p = (size_t)g->end[2 * k], r = (size_t)g->end[2 * k + 1];
+        const size_t piece = (size_t)b->damage->piece_of[p];
+        const sfem_real weight = 1 / (g->length[k] * g->length[k]);
+        if (!(b->damage->zeta[k] > 0)) continue;
+        for (c = 0; c < 9; ++c) {
+            const sfem_real big = rest[3 * p + (size_t)(c % 3)] - rest[3 * r + (size_t)(c % 3)];
+            const size_t at = (size_t)(c / 3);
+            const sfem_real d = weight * big * (rest[3 * p + at] + u[3 * p + at] - rest[3 * r + at] - u[3 * r + at]);
+            sum[9 * p + (size_t)c] += d;
+            sum[9 * r + (size_t)c] += d;
+            whole[9 * piece + (size_t)c] += d;
+        }
+    }
+    for (k = 0; k < b->damage->pieces; ++k) {
+        sfem_real size = 1e-300;
+        for (c = 0; c < 9; ++c) size += fabs(whole[9 * (size_t)k + (size_t)c]);
+        for (c = 0; c < 9; ++c) whole[9 * (size_t)k + (size_t)c] /= size;
+        for (q = 0; q < 9; q += 4) whole[9 * (size_t)k + (size_t)q] += 1e-3; /* lone edges and nodes: as at rest */
+    }
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfem_real f[9];
+        if (b->damage->piece_of[i] < 0) continue;
+        for (c = 0; c < 9; ++c)
+            f[c] = sum[9 * (size_t)i + (size_t)c] + 0.1 * whole[9 * (size_t)b->damage->piece_of[i] + (size_t)c];
+        sfem_polar(f, sum + 9 * (size_t)i, NULL);
+    }
+}
+
+SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f, sfem_real *x)
+{
+    const sfem_real *rest = b->model->mesh.x, *u = b->state.u;
+    sfem_int v;
+    int k, c, size, members;
+    SFEM_ASSERT(b && b->damage && f && x);
+    sfemi_shards_turn(b);
+    for (v = 0; v < f->vertices; ++v) {
+        const sfem_int *node = f->simplex + 4 * (size_t)v;
+        sfem_real middle[3] = {0, 0, 0}, r[3], *to = x + 3 * (size_t)v;
+        for (size = 0; size < 4 && node[size] >= 0; ++size)
+            for (c = 0; c < 3; ++c) middle[c] += rest[3 * (size_t)node[size] + (size_t)c];
+        for (c = 0; c < 3; ++c) {
+            middle[c] /= size;
+            to[c] = 0;
+        }
+        for (k = members = 0; k < size; ++k) {
+            const size_t at = 3 * (size_t)node[k];
+            if (!(f->group[v] >> k & 1)) continue;
+            ++members;
+            sfemi_sub3(middle, rest + at, r);
+            for (c = 0; c < 3; ++c) {
+                to[c] += rest[at + (size_t)c] + u[at + (size_t)c];
+                if (f->group[v] != (1 << size) - 1) /* else these parts all but cancel */
+                    to[c] += sfemi_dot3(b->turn.sum + 3 * at + 3 * c, r);
+            }
+        }
+        for (c = 0; c < 3; ++c) to[c] /= members;
+    }
 }
 
 /* ---- statics ---- */

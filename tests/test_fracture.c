@@ -700,12 +700,12 @@ static void a_state_saved_in_mid_fracture_goes_on_with_the_same_bits(void **stat
             def.corrections = ductile;
             if (ductile) {
                 damage.criterion = SFEM_BREAK_DUCTILE;
-                damage.soften[0] = 0.005;
-                damage.soften[1] = 0.03;
+                damage.soften[0] = 0.002;
+                damage.soften[1] = 0.012;
             }
             s = thrown(law[k], &def, &damage, 8);
             t = thrown(law[k], &def, &damage, 8);
-            run(s.body, 1e-3, 60);
+            run(s.body, 1e-3, 25);
             broken = sfem_body_fracture(s.body).broken;
             memory = malloc(sfem_body_state_size(s.body));
             sfem_body_save_state(s.body, memory);
@@ -713,6 +713,7 @@ static void a_state_saved_in_mid_fracture_goes_on_with_the_same_bits(void **stat
             assert_int_equal(sfem_body_fracture(t.body).broken, broken);
             run(s.body, 1e-3, 60);
             run(t.body, 1e-3, 60);
+            printf("law %d ductile %d: broken %d -> %d\n", k, ductile, broken, sfem_body_fracture(s.body).broken);
             assert_true(broken > 0 && sfem_body_fracture(s.body).broken > broken);
             assert_memory_equal(sfem_body_displacement(s.body), sfem_body_displacement(t.body),
                                 3 * (size_t)s.n * sizeof(double));
@@ -775,6 +776,7 @@ static sfem_status break_a_body(sfem_allocator allocator, void *user, sfem_error
     sfem_body_def def = sfem_default_body_def();
     const sfem_damage_def damage = brittle(5);
     sfem_body *body = NULL;
+    sfem_fragments fragments = {0};
     sfem_status status;
     double u[3 * MAX_NODES];
     int i;
@@ -785,6 +787,8 @@ static sfem_status break_a_body(sfem_allocator allocator, void *user, sfem_error
     for (i = 0; i < 3 * s->n; ++i) u[i] = i % 3 ? 0 : 0.05 * s->mesh.x[i];
     status = sfem_body_set_state(body, u, NULL, err);
     for (i = 0; status == SFEM_OK && i < 3; ++i) status = sfem_body_step(body, 1e-3, err);
+    if (status == SFEM_OK) status = sfem_body_fragments(body, &allocator, &fragments, err);
+    sfem_fragments_free(&fragments);
     sfem_body_free(body);
     return status;
 }
@@ -798,6 +802,99 @@ static void every_allocation_may_fail(void **state)
         assert_true(fail_every_allocation(break_a_body, &s) > 20);
         drop(&s);
     }
+}
+
+/* --------------------------------------------------------------------------------------------
+ * the surface of what is left
+ * -------------------------------------------------------------------------------------------- */
+
+static double enclosed(const sfem_fragments *f, const double *x, const sfem_int *piece_of, sfem_int piece)
+{
+    double volume = 0, c[3];
+    sfem_int i;
+    for (i = 0; i < f->triangles; ++i) {
+        const sfem_int *t = f->tri + 3 * i;
+        if (piece_of[f->node[i]] != piece) continue;
+        cross(x + 3 * t[1], x + 3 * t[2], c);
+        volume += dot(x + 3 * t[0], c, 3) / 6;
+    }
+    return volume;
+}
+
+/* every directed edge of the triangles once, and its reverse once */
+static int watertight(const sfem_fragments *f)
+{
+    sfem_int i, j, bad = 0, n = 3 * f->triangles, size = 1;
+    int64_t *table;
+    while (size < 4 * n) size *= 2;
+    table = (int64_t *)calloc((size_t)size, sizeof *table);
+    for (j = 0; j < 2; ++j)
+        for (i = 0; i < n; ++i) {
+            const int64_t a = f->tri[i], b = f->tri[i % 3 == 2 ? i - 2 : i + 1];
+            const int64_t key = (j ? b * f->vertices + a : a * f->vertices + b) + 1;
+            sfem_int at = (sfem_int)(((uint64_t)key * 0x9e3779b97f4a7c15u >> 20) & (uint64_t)(size - 1));
+            while (table[at] && table[at] != key) at = (at + 1) & (size - 1);
+            if (j) bad += table[at] == 0; /* no reverse */
+            else bad += table[at] == key; /* twice */
+            if (!j) table[at] = key;
+        }
+    free(table);
+    return bad == 0;
+}
+
+static void fragments_are_closed_and_hold_their_pieces_volume(void **state)
+{
+    const double fraction[8] = {0, 0.02, 0.05, 0.1, 0.3, 0.5, 0.7, 1};
+    const sfem_damage_def damage = on_request();
+    int k, repeat;
+    (void)state;
+    for (k = 0; k < 8; ++k)
+        for (repeat = 0; repeat < 3; ++repeat) {
+            sfem_body_def def = sfem_default_body_def();
+            scene s = bar(4, 2, 2, glass(repeat == 1 ? SFEM_LINEAR : SFEM_COROTATIONAL, 1e5));
+            test_random random = {(uint64_t)(7 * k + repeat)};
+            const double turn[3] = {0.3, 0.2, 0.1};
+            sfem_piece piece[MAX_NODES];
+            sfem_fragments f;
+            sfem_error err;
+            double *x, u[3 * MAX_NODES], sum = 0;
+            sfem_int i;
+            add_body(&s, def, &damage, 0);
+            for (i = 0; i < s.body->bonds->edges; ++i) {
+                const sfem_int a = s.body->bonds->end[2 * i], b = s.body->bonds->end[2 * i + 1];
+                const int plane = (s.mesh.x[3 * a] < 0.15) != (s.mesh.x[3 * b] < 0.15) &&
+                                  s.mesh.x[3 * a + 1] + s.mesh.x[3 * b + 1] < 0.4 * fraction[k];
+                if (repeat == 2 ? plane : random_uniform(&random, 0, 1) < fraction[k])
+                    assert_ok(sfem_body_break_edge(s.body, a, b, &err), err);
+            }
+            step(s.body, 0.01);
+            assert_ok(sfem_body_fragments(s.body, NULL, &f, &err), err);
+            assert_true(watertight(&f));
+            x = (double *)malloc(3 * (size_t)f.vertices * sizeof *x);
+            sfem_body_fragment_positions(s.body, &f, x);
+            sfem_body_pieces(s.body, piece);
+            for (i = 0; i < sfem_body_fracture(s.body).pieces; ++i) {
+                assert_near(enclosed(&f, x, sfem_body_piece_of(s.body), i), piece[i].mass / 1000, 1e-11, 1e-15);
+                sum += piece[i].mass / 1000;
+            }
+            assert_near(sum, sfem_model_total_mass(s.model) / 1000, 1e-12, 0);
+            for (i = 0; i < s.n; ++i) { /* a turned body's fragments turn with it */
+                double r[9];
+                const double c = cos(0.9), q = sin(0.9);
+                const double a[9] = {c, -q, 0, q, c, 0, 0, 0, 1};
+                int m;
+                memcpy(r, a, sizeof r);
+                for (m = 0; m < 3; ++m)
+                    u[3 * i + m] = turn[m] + dot(r + 3 * m, s.mesh.x + 3 * i, 3) - s.mesh.x[3 * i + m];
+            }
+            assert_ok(sfem_body_set_state(s.body, u, NULL, &err), err);
+            sfem_body_fragment_positions(s.body, &f, x);
+            if (fraction[k] < 0.1) /* more leaves lone edges, whose turn is not known */
+                assert_near(enclosed(&f, x, sfem_body_piece_of(s.body), 0), piece[0].mass / 1000, 1e-3, 0);
+            free(x);
+            sfem_fragments_free(&f);
+            drop(&s);
+        }
 }
 
 static void a_body_without_damage_has_nothing_of_it(void **state)
@@ -870,6 +967,7 @@ int main(void)
         cmocka_unit_test(threads_change_no_bit_of_a_fracture),
         cmocka_unit_test(steps_that_break_allocate_nothing),
         cmocka_unit_test(every_allocation_may_fail),
+        cmocka_unit_test(fragments_are_closed_and_hold_their_pieces_volume),
         cmocka_unit_test(a_body_without_damage_has_nothing_of_it),
         cmocka_unit_test(what_cannot_break_is_refused),
     };
