@@ -10292,7 +10292,7 @@ static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *de
         }
     }
     for (edge = 0; edge < g->edges; ++edge) {
-        sfem_real factor;
+        sfem_real factor = 1;
         SFEMI_TRY(sfemi_bonds_factor(g, def, edge, &factor, err));
         g->factor[edge] *= factor / volume[edge];
     }
