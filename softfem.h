@@ -10008,6 +10008,10 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
         for (k = 0; k < 6; ++k)
             if (mask >> k & 1) of[m++] = k;
         if (m > 3 || (m == 3 && mask & 1)) continue;
+        if (m == 1) {
+            worst = fmax(worst, a[of[0]][of[0]] * s[of[0]][of[0]]);
+            continue;
+        }
         for (k = 0; k < m; ++k) /* S_II = C C^T */
             for (l = 0; l <= k; ++l) {
                 sfem_real sum = s[of[k]][of[l]];
@@ -10086,6 +10090,7 @@ typedef struct sfemi_damage {
     sfem_int *fresh, fresh_count; /* [model tets] tets newly damaged */
     sfem_int *stamp, *queue; /* [nodes], [2 nodes] */
     sfem_int *merge;         /* [model tets] */
+    int lone;                /* lone edges may be waiting */
 } sfemi_damage;
 
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
@@ -10364,7 +10369,7 @@ static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *de
         }
     }
     for (edge = 0; edge < g->edges; ++edge) {
-        sfem_real factor;
+        sfem_real factor = 1;
         SFEMI_TRY(sfemi_bonds_factor(g, def, edge, &factor, err));
         g->factor[edge] *= factor / volume[edge];
     }
@@ -10506,19 +10511,15 @@ done:
 
 /* ---- one damaged tet ---- */
 
-/* Which nodes of a tet the edges in mask connect with a node, itself included, as bits. */
-static unsigned sfemi_damage_reach(unsigned mask, int node)
-{
-    unsigned reach = 1u << node;
-    int pass, k;
-    for (pass = 0; pass < 3; ++pass)
-        for (k = 0; k < 6; ++k) {
-            const int *end = sfemi_edge_ends(3, k);
-            const unsigned both = 1u << end[0] | 1u << end[1];
-            if (mask >> k & 1 && reach & both) reach |= both;
-        }
-    return reach;
-}
+/* By the mask of a tet's unbroken edges: the edges that are the only link between their nodes; 64 where
+ * all nodes are connected. */
+static const unsigned char sfemi_damage_links[64] = {
+    0, 1, 2, 3, 4, 5, 6, 71, 8, 9, 10, 0, 12, 77, 78, 68,
+    16, 17, 18, 83, 20, 0, 86, 66, 24, 89, 90, 80, 92, 72, 64, 64,
+    32, 33, 34, 99, 36, 101, 0, 65, 40, 105, 106, 96, 108, 64, 72, 64,
+    48, 113, 114, 64, 116, 96, 80, 64, 0, 65, 66, 64, 68, 64, 64, 64};
+
+enum { SFEMI_CONNECTED = 64 };
 
 /* The zetas of a tet, as a mask of what is not broken. */
 static unsigned sfemi_damage_zetas(const sfemi_damage *d, sfem_int e, sfem_real zeta[6])
@@ -10540,9 +10541,9 @@ static int sfemi_damage_assess(const sfemi_damage *d, const sfem_damage_tet *tet
     for (k = 0; k < 6; ++k) intact &= zeta[k] >= 1;
     memset(s_d, 0, 36 * sizeof *s_d);
     if (intact) return SFEMI_INTACT;
-    if (sfemi_damage_reach(mask, 0) != 15 && !d->bonds->def.closure) return SFEMI_LOOSE;
+    if (!(sfemi_damage_links[mask] & SFEMI_CONNECTED) && !d->bonds->def.closure) return SFEMI_LOOSE;
     sfem_damage_modulus(tet, d->bonds->def.law, zeta, s_d);
-    return sfemi_damage_reach(mask, 0) == 15 ? SFEMI_HURT : SFEMI_LOOSE;
+    return sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
 }
 
 /* With closure the energy is the least over crack openings w >= 0 of the damaged edges,
@@ -10758,7 +10759,8 @@ static void sfemi_damage_refresh(sfemi_damage *d)
     sfem_real zeta[6];
     sfem_int e;
     sfemi_damage_unmask(d);
-    d->tets = d->events = 0;
+    d->tets = d->events = d->fresh_count = 0;
+    d->lone = 1;
     for (e = 0; e < model->mesh.tets; ++e) {
         const unsigned mask = sfemi_damage_zetas(d, e, zeta);
         int k, intact = 1;
@@ -11017,6 +11019,7 @@ static void sfemi_damage_strain_task(void *data, sfem_int index)
     }
 }
 
+/* Broken edges store nothing, unless pressed and closed: Psi_e <= tr S/2 sum e^2 over the others. */
 static void sfemi_damage_hot_task(void *data, sfem_int index)
 {
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
@@ -11024,12 +11027,15 @@ static void sfemi_damage_hot_task(void *data, sfem_int index)
     sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
     int k;
     for (; e < end; ++e) {
+        const sfem_int *edge = g->tet_edge + 6 * (size_t)e;
         sfem_real square = 0;
         for (k = 0; k < 6; ++k) {
-            const sfem_real s = d->strain[g->tet_edge[6 * e + k]];
-            square += s * s;
+            const sfem_real s = d->strain[edge[k]];
+            if (d->kind[e] == SFEMI_INTACT || d->zeta[edge[k]] > 0 || (g->def.closure && s < 0))
+                square += s * s;
         }
-        d->hot[e] = d->kind[e] != SFEMI_INTACT || !(square < g->quiet[e]);
+        d->hot[e] = !(square < g->quiet[e]) ||
+                    (d->kind[e] != SFEMI_INTACT && g->def.criterion == SFEM_BREAK_STRESS);
     }
 }
 
@@ -11245,7 +11251,7 @@ static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to, const
             ++change->hurt;
         }
         memcpy(d->s + 36 * (size_t)e, local, 36 * sizeof *local);
-        d->kind[e] = sfemi_damage_reach(mask, 0) == 15 ? SFEMI_HURT : SFEMI_LOOSE;
+        d->kind[e] = sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
         for (i = 0; i < 12; ++i) {
             const size_t to_node = 3 * (size_t)t[i / 3] + (size_t)(i % 3);
             if (step->f0 && step->u0 != step->u1) step->f0[to_node] += local[36 + i];
@@ -11315,36 +11321,46 @@ static void sfemi_damage_merge(sfemi_damage *d)
     d->fresh_count = 0;
 }
 
-/* Is edge `place` of tet e the only link between its nodes there? */
-static int sfemi_damage_bridges(const sfemi_damage *d, sfem_int e, int place)
+/* Is edge k, which is not broken, the only link between its nodes in every tet around it? */
+static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
 {
+    const sfemi_bonds *g = d->bonds;
     sfem_real zeta[6];
-    const unsigned mask = sfemi_damage_zetas(d, e, zeta) & ~(1u << place);
-    const int *end = sfemi_edge_ends(3, place);
-    return !(sfemi_damage_reach(mask, end[0]) >> end[1] & 1);
+    sfem_int at;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
+        const sfem_int e = g->edge_tet[at] / 6;
+        if (d->kind[e] == SFEMI_INTACT ||
+            !(sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1))
+            return 0;
+    }
+    return 1;
 }
 
-/* Breaks intact edges that are the only link between their nodes in every tet around them: no crack
- * surface separates what they hold, and they hold next to nothing. Breaking one may leave another. */
+/* Breaks lone edges: no crack surface separates what they hold, and they hold next to nothing. Breaking
+ * one may leave another. d->lone: there may be some, for something broke or one had to wait. */
 static void sfemi_damage_sweep_lone(sfemi_damage *d, const sfemi_damage_step *step,
                                     sfemi_damage_change *change)
 {
     const sfemi_bonds *g = d->bonds;
-    sfem_int i, at;
-    int pass, k, did = 1;
+    sfem_real zeta[6];
+    sfem_int i;
+    int pass, k, did = d->lone || d->events;
     for (pass = 0; pass < 10 && did; ++pass) {
-        for (i = did = 0; i < d->tets; ++i)
+        for (i = did = d->lone = 0; i < d->tets; ++i) {
+            const sfem_int e = d->tet[i];
+            const unsigned links = sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)];
             for (k = 0; k < 6; ++k) {
-                const sfem_int edge = g->tet_edge[6 * d->tet[i] + k];
-                if (!(d->zeta[edge] > 0) || g->never[edge] || g->edge_tet[g->tet_start[edge]] / 6 != d->tet[i])
-                    continue; /* each edge once, at its first tet, which is damaged if it is lone */
-                for (at = g->tet_start[edge]; at < g->tet_start[edge + 1]; ++at)
-                    if (!sfemi_damage_bridges(d, g->edge_tet[at] / 6, g->edge_tet[at] % 6)) break;
-                if (at < g->tet_start[edge + 1]) continue;
-                did |= sfemi_damage_try(d, edge, 0, SFEM_BROKE_LONE, step, change);
+                const sfem_int edge = g->tet_edge[6 * e + k];
+                if (!(links >> k & 1) || g->never[edge] || g->edge_tet[g->tet_start[edge]] / 6 != e)
+                    continue; /* each edge once, at its first tet */
+                if (!(d->zeta[edge] > 0) || !sfemi_damage_is_lone(d, edge)) continue;
+                if (sfemi_damage_try(d, edge, 0, SFEM_BROKE_LONE, step, change)) did = 1;
+                else d->lone = 1;
             }
+        }
         sfemi_damage_merge(d);
     }
+    d->lone |= did;
 }
 
 /* zeta of a ductile edge, from the largest strain so far. */
@@ -11382,17 +11398,23 @@ SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_
     const sfem_int pieces = d->pieces;
     sfemi_damage_round_job job;
     sfem_int k, i;
+    int hot;
     memset(change, 0, sizeof *change);
     d->events = 0;
     job.d = d;
     job.step = step;
     sfemi_run(step->exec, edges, sfemi_damage_strain_task, &job);
     sfemi_run(step->exec, tets, sfemi_damage_hot_task, &job);
-    sfemi_run(step->exec, edges, sfemi_damage_near_task, &job);
-    sfemi_run(step->exec, tets, sfemi_damage_weigh_task, &job);
+    hot = memchr(d->hot, 1, (size_t)g->model->mesh.tets) != NULL;
+    if (hot) {
+        sfemi_run(step->exec, edges, sfemi_damage_near_task, &job);
+        sfemi_run(step->exec, tets, sfemi_damage_weigh_task, &job);
+    } else {
+        memset(d->near_hot, 0, (size_t)g->edges);
+    }
     if (d->peak) {
         sfemi_damage_soften(d, step, change);
-    } else {
+    } else if (hot) {
         sfemi_run(step->exec, edges, sfemi_damage_ratio_task, &job);
         sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
         for (k = 0; k < g->edges; ++k)
