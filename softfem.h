@@ -10674,6 +10674,8 @@ static void sfemi_damage_find_pieces(sfemi_damage *d)
     }
 }
 
+enum { SFEMI_NEXT = 2 }; /* in near_hot: broken, too, but to be looked at later */
+
 /* Does edge `edge`, broken, part a piece? Searches from its two ends by turns, a node each, until they
  * meet or the smaller side is done, which then gets a label of its own: O(smaller side). stamp is
  * all -1 before and after. */
@@ -10693,7 +10695,9 @@ static int sfemi_damage_part(sfemi_damage *d, sfem_int edge)
         const sfem_int node = queue[side][head[side]++];
         for (k = g->node_start[node]; k < g->node_start[node + 1] && !met; ++k) {
             const sfem_int j = sfemi_damage_across(g, g->node_edge[k], node);
-            if (!(d->zeta[g->node_edge[k]] > 0) || d->stamp[j] == side) continue;
+            if (!(d->zeta[g->node_edge[k]] > 0 || d->near_hot[g->node_edge[k]] == SFEMI_NEXT) ||
+                d->stamp[j] == side)
+                continue;
             met = d->stamp[j] == !side;
             d->stamp[j] = met ? d->stamp[j] : side;
             if (!met) queue[side][tail[side]++] = j;
@@ -11387,7 +11391,12 @@ SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_
     sfemi_damage_merge(d);
     sfemi_damage_sweep_lone(d, step, change);
     change->broken = d->events;
-    for (i = 0; i < d->events; ++i) sfemi_damage_part(d, d->event_edge[i]);
+    /* one after the other: of two that part three pieces, the first must find the other one whole */
+    for (i = 0; i < d->events; ++i) d->near_hot[d->event_edge[i]] = SFEMI_NEXT;
+    for (i = 0; i < d->events; ++i) {
+        d->near_hot[d->event_edge[i]] = 0;
+        sfemi_damage_part(d, d->event_edge[i]);
+    }
     if (d->pieces != pieces) sfemi_damage_number_pieces(d);
     change->pieces = d->pieces - pieces;
     d->account[SFEMI_RELEASED] += change->released;
