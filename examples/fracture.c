@@ -121,7 +121,7 @@ static void make_model(run *r)
     must(sfem_model_create(&def, &r->model, &err), &err);
     r->damage = sfem_default_damage_def();
     r->damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
-    r->damage.toughness = r->scene == BEND ? 60 : r->scene == PLATE ? 300 : 100;
+    r->damage.toughness = r->scene == BEND ? 20 : r->scene == PLATE ? 60 : 100;
     if (r->scene == TENSILE) {
         r->damage.criterion = SFEM_BREAK_DUCTILE;
         r->damage.soften[0] = 0.08;
@@ -179,12 +179,12 @@ static void make_body(run *r)
         for (i = 2; i < 9; i += 3) to[i] = 0.07;
         must(sfem_body_cut(r->body, from, to, NULL, &err), &err);
     }
-    if (r->scene == BLADE) { /* it spins about an axis in the plane of the cut, and drifts */
+    if (r->scene == BLADE) { /* it spins about an axis in the plane of the cut */
         double *v = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *v);
         for (i = 0; i < r->mesh.nodes; ++i) {
             const double *x = r->mesh.x + 3 * (size_t)i;
-            v[3 * i] = 1.5 * x[1];
-            v[3 * i + 1] = -1.5 * x[0];
+            v[3 * i] = 2 * x[2];
+            v[3 * i + 2] = -2 * x[0];
         }
         must(sfem_body_set_state(r->body, NULL, v, &err), &err);
         free(v);
@@ -208,15 +208,15 @@ static void drive(run *r, sfem_int k)
         to[r->scene == BEND ? 2 : 0] += r->scene == BEND ? -r->way[k] : r->way[k];
         must(sfem_body_move_pin(r->body, r->moved[i], to, &err), &err);
     }
-    if (r->scene == PLATE) { /* a hammer: handles that go down at 8 m/s, and let go */
-        const double down = 8 * t;
+    if (r->scene == PLATE) { /* a hammer: handles that go down at 4 m/s, and let go */
+        const double down = 4 * t;
         if (k == 0)
             for (i = 0; i < r->mesh.nodes && r->handles < 64; ++i) {
                 const double *x = r->mesh.x + 3 * (size_t)i;
                 if (x[2] > 0.049 && hypot(x[0] - 0.45, x[1] - 0.55) < (r->quick ? 0.1 : 0.06))
                     must(sfem_body_grab_node(r->body, i, &r->handle[r->handles++], &err), &err);
             }
-        if (down > 0.25 && r->handles) {
+        if (down > 0.12 && r->handles) {
             for (i = 0; i < r->handles; ++i) sfem_body_release_handle(r->body, r->handle[i]);
             r->handles = 0;
         }
@@ -224,12 +224,12 @@ static void drive(run *r, sfem_int k)
         for (i = 0; i < r->handles; ++i) {
             double x[3];
             sfem_body_handle_position(r->body, r->handle[i], x);
-            x[2] -= 8 * r->h;
+            x[2] -= 4 * r->h;
             must(sfem_body_move_handle(r->body, r->handle[i], x, &err), &err);
         }
     }
     if (r->scene == BLADE) { /* a wire, from above, 4 m/s */
-        double from[9] = {-0.02, -1, 0, 0.02, -1, 0, 0, 1, 0}, to[9];
+        double from[9] = {0.01, -1, 0, 0.07, -1, 0, 0.04, 1, 0}, to[9];
         memcpy(to, from, sizeof to);
         for (i = 2; i < 9; i += 3) {
             from[i] = 0.6 - 4 * (t - r->h);
@@ -311,22 +311,17 @@ static void draw_part(ex_picture *p, const picture *f, int made, const double *c
 
 static void draw(run *r)
 {
-    static const double from[SCENES][3] = {{0.35, -1, 0.25}, {0.3, -1, 0.35}, {0.5, -1, 0.75}, {0.75, -1, 0.35}};
+    static const double from[SCENES][3] = {{0.35, -1, 0.25}, {0.3, -1, 0.35}, {0.5, -1, 0.75}, {0.9, -1, 0.4}};
     static const double outer[3] = {0.50, 0.62, 0.74}, inner[3] = {0.93, 0.60, 0.34};
-    ex_picture *p = ex_picture_new(1500, r->scene == PLATE || r->scene == BLADE ? 1100 : 900);
-    double lower[3], upper[3];
+    ex_picture *p = ex_picture_new(1500, r->scene == BLADE ? 1100 : r->scene == PLATE ? 900 : 700);
+    static const double box[SCENES][2][3] = {{{0, 0, -0.02}, {1, 0.12, 0.25}},
+                                             {{0, 0, 0}, {1.42, 0.2, 0.2}},
+                                             {{0, 0, -0.25}, {1, 1, 0.1}},
+                                             {{-0.65, -0.55, -0.5}, {0.65, 0.55, 0.5}}}; /* shards may leave it */
     char file[32];
     int k;
-    for (k = 0; k < FRAMES; ++k) ex_bounds(r->frame[k].x, r->frame[k].surface.vertices, k == 0, lower, upper);
-    if (r->scene == PLATE) { /* shards may fly out of the picture */
-        lower[2] = fmax(lower[2], -0.6);
-        for (k = 0; k < 3; ++k) {
-            lower[k] = fmax(lower[k], k == 2 ? -0.6 : -0.1);
-            upper[k] = fmin(upper[k], k == 2 ? 0.3 : 1.1);
-        }
-    }
     for (k = 0; k < FRAMES; ++k) {
-        ex_view_begin(p, k, 2, 2, lower, upper, from[r->scene]);
+        ex_view_begin(p, k, 2, 2, box[r->scene][0], box[r->scene][1], from[r->scene]);
         draw_part(p, &r->frame[k], 0, outer);
         draw_part(p, &r->frame[k], 1, inner);
         ex_view_end(p, r->frame[k].caption);
