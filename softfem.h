@@ -40,6 +40,7 @@
  *            >>newmark      linear Newmark
  *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
  *                           nonlinear statics
+ *            >>alpha        dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
@@ -777,6 +778,15 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
  *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
+ *   SFEM_KR_ALPHA [Kolay and Ricles 2014], one solve with a constant A, second order, unconditionally
+ *                 stable for linear bodies; it damps the fastest modes by rho_inf a step, the slow ones
+ *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]
+ *   SFEM_GUI      [Gui et al. 2014] with gui_lambda: (1/gui_lambda, 1, 1) under the load at the start of the
+ *                 step, whatever p, q, r say; unconditionally stable up to 4, which is CR
+ *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
+ *                 the step, and so it is stepped. (Where the body is nonlinear and damped, Chang takes
+ *                 the mean of v for w in D w.)
+ * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
  * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
  * unconditionally stable for linear bodies, and second order but for the first:
@@ -794,7 +804,10 @@ typedef enum sfem_integrator {
     SFEM_BACKWARD_EULER,
     SFEM_HHT,
     SFEM_GENERALIZED_ALPHA,
-    SFEM_BATHE
+    SFEM_BATHE,
+    SFEM_KR_ALPHA,
+    SFEM_GUI,
+    SFEM_CHANG
 } sfem_integrator;
 
 /* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
@@ -868,7 +881,8 @@ typedef struct sfem_body_def {
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
-    sfem_real rho_inf;        /* of generalized-alpha, 0 to 1; .8 */
+    sfem_real rho_inf;        /* of generalized-alpha and KR-alpha, 0 to 1; .8 */
+    sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Beyond it steps are limited */
     sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; .1 */
     sfem_newton_def newton;
     sfem_damping_force damping_force; /* all zero: none */
@@ -878,7 +892,8 @@ typedef struct sfem_body_def {
     sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
-                               * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
+                               * of p F+ + (1-2p) F + p F-, which makes it equal Newmark. KR-alpha takes
+                               * (F + rho_inf F-)/(1 + rho_inf) */
     sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In
                                * the implicit methods K is the current K(u), which brakes a rotation
                                * at the rate beta_k omega^2; what the tets of a model do not share of
@@ -9841,6 +9856,7 @@ typedef struct sfemi_state_head {
     sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
     sfem_int unused;
     int64_t steps, redone, descents;
+    sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
     sfem_real energy;                   /* and what it conserves */
 } sfemi_state_head;
@@ -10184,6 +10200,7 @@ struct sfem_body {
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+    sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
     sfemi_implicit implicit;
 };
 
@@ -10201,6 +10218,7 @@ static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real 
     k.q = b->def.integrator == SFEM_PQR ? b->def.q : 1;
     k.r = b->def.integrator == SFEM_PQR ? b->def.r : 1;
     if (b->def.integrator == SFEM_NEWMARK) k.q = 2 * b->def.gamma;
+    if (b->def.integrator == SFEM_KR_ALPHA) k.q = (3 - b->def.rho_inf) / ((1 + b->def.rho_inf) * (2 - b->def.rho_inf));
     return k;
 }
 
@@ -10474,7 +10492,8 @@ static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "load_steps is %d, must be 1 to 1000000", (int)n->load_steps);
     if (d->damping_force.tangent && !d->damping_force.force)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping force has a tangent, but no force");
-    if (d->damping_force.force && (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL))
+    if (d->damping_force.force &&
+        (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL || d->integrator >= SFEM_KR_ALPHA))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a damping force needs an implicit integrator");
     return SFEM_OK;
 }
@@ -11396,6 +11415,51 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
 }
 
 /* ============================================================================================
+ * >>alpha   dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
+ *
+ * CR and Gui-lambda are A b = F - D w - f(u), w' = w + h b, u' = u + h w' with A = M + h/2 D + h^2 K/lambda,
+ * lambda = 4 for CR: (1/lambda, 1, 1). Chang's u' = u + h S^-1 (M + h/2 D) v + h^2/2 S^-1 M a, S being that
+ * A with lambda = 4, and v' = v + h/2 (a + a'), M a' = F' - D v' - f(u'), is (1/4, 1, 1), too: the
+ * difference of two steps of u is S (w' - w) = h (F - f(u) - D (v + v-)/2) without v of its own. They differ
+ * from (p,q,r) by the load, F at the start of the step alone.
+ *   KR-alpha, with am = (2 rho - 1)/(1 + rho), af = rho/(1 + rho), gamma = 1/2 - am + af, beta = 1/(1 + rho)^2:
+ *   B b = F_a - D v_a - f_a - (am M + af gamma h D + af beta h^2 K) b-,   x_a = (1 - af) x + af x-,
+ *   v' = v + h b,  u' = u + h v + (1/2 + gamma) h^2 b,   B = (1 - am) M + (1 - af)(gamma h D + beta h^2 K).
+ * f_a is the mean of forces, not the force at a mean of places, which would crush what turns. v lags behind the
+ * velocity by gamma h b. With w = (u' - u)/h, the mean over the step, in its place, it is
+ *   w' = w - (gamma - 1/2) h b- + (gamma + 1/2) h b,
+ * the velocity is w + h/2 b as for (p,q,r), and so is the rest; A = B/(1 - am) is of that family, with p =
+ * 1/((1+rho)^2 (2-rho)), q = (3-rho)/((1+rho)(2-rho)), r = 1. b is the acceleration at another time than u,
+ * later by s = (am - af) h <= 0, and the weights of b and b- extrapolate to the time of u. With steps of h1, then
+ * h2, that is
+ *   s = ((am - af) h1 - am s-)/(1 - am),  w' = w - (d - (h1+h2)/2) b- + d b,
+ *   d = (h1+h2)/2 (h1 - s-)/(h1 - s- + s).
+ * A start of second order is
+ *   w' = y + (h2/2) b,  A b = F - D v0 - f,  A y = A v0 - p h2^2 K v0,
+ * which is Newmark's own for rho = 1. y in place of v0 lets modes that are not resolved move no farther than they
+ * would. In the displacements, undamped, that first step is generalized-alpha's.
+ * ============================================================================================ */
+
+/* Puts a definition of the methods that are (p,q,r) as one of it. */
+static void sfemi_alpha_translate(sfem_body_def *d)
+{
+    const int cr = d->integrator == SFEM_KR_ALPHA && d->rho_inf == 1;
+    if (d->integrator == SFEM_KR_ALPHA && !cr) d->corrections = 0;
+    if (!cr && d->integrator != SFEM_GUI && d->integrator != SFEM_CHANG) return;
+    d->p = d->integrator == SFEM_GUI ? 1 / d->gui_lambda : 0.25;
+    d->q = d->r = 1;
+    d->start = SFEM_START_NEWMARK;
+    d->plain_load = 1;
+    d->integrator = SFEM_PQR;
+}
+
+static sfem_real sfemi_alpha_p(const sfem_body *b)
+{
+    const sfem_real rho = b->def.rho_inf;
+    return 1 / ((1 + rho) * (1 + rho) * (2 - rho));
+}
+
+/* ============================================================================================
  * >>pqr   the (p,q,r) family, central difference
  *         [Yuan et al. 2017, "A novel unconditionally stable explicit integration method ..."]
  *
@@ -11418,7 +11482,36 @@ typedef struct sfemi_pqr_terms {
     sfem_real d;       /* s, see above */
     sfem_real ck, cd, ca;
     sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
+    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
+    sfem_real am, af;  /* these; zero at a start */
+    sfem_real cka;     /* K a- */
+    sfem_real lag;     /* s */
 } sfemi_pqr_terms;
+
+/* The terms of KR-alpha for steps of h1, then h2. */
+static sfemi_pqr_terms sfemi_alpha_weigh(const sfem_body *b, sfem_real h1, sfem_real h2)
+{
+    const sfem_real rho = b->def.rho_inf, gamma = (3 - rho) / (2 * (1 + rho)), beta = 1 / ((1 + rho) * (1 + rho));
+    sfem_real last;
+    sfemi_pqr_terms t;
+    memset(&t, 0, sizeof t);
+    t.cd = t.load[1] = 1;
+    t.d = h2 / 2;
+    t.lag = (0.5 - gamma) * h2; /* after a start as if all had gone on at h2: (p,q,r)'s form from then on */
+    if (!(h1 > 0)) return t;
+    t.am = (2 * rho - 1) / (1 + rho);
+    t.af = rho / (1 + rho);
+    last = fmin(b->state.head->lag, (1 - t.af) * h1 / 2); /* keeps the denominator above 0 */
+    t.lag = ((t.am - t.af) * h1 - t.am * last) / (1 - t.am);
+    t.d = (h1 + h2) / 2 * (h1 - last) / (h1 - last + t.lag);
+    t.back = t.d - (h1 + h2) / 2;
+    t.ck = t.af * h1; /* u - h1 w is where the last step started */
+    t.cka = t.af * (beta * h1 * h1);
+    t.ca = t.af * h1 / 2 - (1 - t.af) * (h1 / 2 - gamma * h2); /* the velocities are w -+ h1/2 a- */
+    t.load[1] = 1 - t.af;
+    t.load[2] = t.af;
+    return t;
+}
 
 static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
 {
@@ -11432,6 +11525,8 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
     const int running = b->state.head->started == SFEMI_RUNNING;
     const sfem_real h1 = running ? b->state.head->h : 0;
     sfemi_pqr_terms t;
+    if (b->def.integrator == SFEM_KR_ALPHA) return sfemi_alpha_weigh(b, h1, h2);
+    t.back = t.am = t.af = t.cka = t.lag = 0;
     t.d = (h1 + h2) / 2;
     t.ck = 2 * k.p * (h1 - h2);
     t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
@@ -11447,23 +11542,46 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
     return t;
 }
 
+/* What a step adds its acceleration to: b->base where there is one, else w. */
+static const sfem_real *sfemi_pqr_base(const sfem_body *b) { return b->base ? b->base : b->state.w; }
+
+/* b->base of a step that goes on; at a start, y comes from a solve. */
+static void sfemi_alpha_predict(sfem_body *b, sfem_real h, sfem_real back)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *w = b->state.w, *a = b->state.a;
+    size_t i;
+    if (b->state.head->started == SFEMI_RUNNING) {
+        for (i = 0; i < n; ++i) b->base[i] = w[i] - back * a[i];
+        return;
+    }
+    sfem_model_multiply_stiffness(b->model, w, b->rhs, &b->exec);
+    for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * h * h;
+    memset(b->base, 0, n * sizeof *b->base);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->work, &b->exec);
+    for (i = 0; i < n; ++i) b->base[i] += w[i];
+}
+
 static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
-    int with_mass = b->alpha != 0, c;
+    const sfem_real *base = sfemi_pqr_base(b);
+    int with_mass, c;
     sfemi_pqr_terms t;
     sfem_int j;
     size_t i;
-    if (s->head->started != SFEMI_RUNNING && damped && b->p != 0.25)
+    if (s->head->started != SFEMI_RUNNING && damped && b->p != 0.25 && !b->base)
         sfemi_body_initial_acceleration(b, k.r);
     t = sfemi_pqr_weigh(b, h);
+    if (b->base) sfemi_alpha_predict(b, h, t.back);
+    with_mass = b->alpha != 0 || t.am != 0;
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
-        b->zk[i] = s->u[i] - t.ck * s->w[i] + b->beta * dv;
-        b->zm[i] = b->alpha * dv;
+        b->zk[i] = s->u[i] - t.ck * s->w[i] + t.cka * s->a[i] + b->beta * dv;
+        b->zm[i] = b->alpha * dv + t.am * s->a[i];
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
     }
@@ -11472,7 +11590,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
             sfem_real a;
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
+            a = (1 - t.am) * ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
             b->acc[i] = a;
             b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * a;
             b->zm[i] += (k.r + k.q / 2 * h * b->alpha) * a;
@@ -11486,18 +11604,22 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
 static void sfemi_pqr_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
     size_t i;
-    if (!b->grip.count) return;
-    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
-    sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+    if (b->grip.count) {
+        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+        sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
+        sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+    }
+    for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
 }
 
 static void sfemi_pqr_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, d = sfemi_pqr_weigh(b, h).d;
+    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, h);
     sfemi_state *s = &b->state;
     sfem_int k;
     size_t i;
@@ -11511,10 +11633,11 @@ static void sfemi_pqr_finish(sfem_body *b)
         sfemi_hold_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
-        s->w[i] += d * b->acc[i];
+        s->w[i] = base[i] + t.d * b->acc[i];
         s->u[i] += h * s->w[i];
         s->a[i] = b->acc[i];
     }
+    s->head->lag = t.lag;
 }
 
 /* Largest eigenvalue of the symmetric tridiagonal matrix (d [k], e [k-1]) by bisection on Sturm counts. */
@@ -12088,10 +12211,25 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     head->rebase = SFEMI_LEDGER;
 }
 
+/* b->base as in sfemi_alpha_predict, in the turned frames. */
+static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    size_t i;
+    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - back * s->a[i];
+    if (s->head->started == SFEMI_RUNNING) return;
+    for (i = 0; i < n; ++i) b->zk[i] = b->p * h * h * s->w[i];
+    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
+    sfemi_turn_solve(b, b->factor, s->u, s->frame, b->zm);
+    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->zm[i];
+}
+
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_real *base = sfemi_pqr_base(b);
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
@@ -12102,12 +12240,17 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     b->step = h;
     sfemi_guard_refresh(b, h);
     t = sfemi_pqr_weigh(b, h);
-    t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
-    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
+    if (b->base) {
+        sfemi_guard_predict_alpha(b, h, t.back);
+        t.ck = 0; /* forces at the end of the last step are at hand */
+    } else {
+        t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+    }
+    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
     for (i = 0; i < n; ++i) {
-        const sfem_real dv = damped ? t.cd * s->w[i] : 0;
-        b->zk[i] = b->beta * dv - t.ck * s->w[i];
-        b->zm[i] = b->alpha * dv;
+        const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
+        b->zk[i] = b->beta * dv - t.ck * s->w[i] + t.cka * s->a[i];
+        b->zm[i] = b->alpha * dv + t.am * s->a[i];
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
     }
@@ -12115,7 +12258,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            b->acc[i] = ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
+            b->acc[i] = (1 - t.am) * ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
             b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * b->acc[i];
             if (b->zd) b->zd[i] += k.q / 2 * h * b->acc[i];
             stiff |= b->acc[i] != 0;
@@ -12124,6 +12267,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
     else memset(b->rhs, 0, n * sizeof *b->rhs);
     for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
+    for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
     if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
         const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
         sfem_real weight[3];
@@ -12209,7 +12353,8 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
 static void sfemi_guard_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
     sfem_real *x = b->zm;
     size_t i;
     memcpy(x, b->rhs, n * sizeof *x);
@@ -12217,10 +12362,12 @@ static void sfemi_guard_solve(sfem_body *b)
     sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
-    if (!b->grip.count) return;
-    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
-    sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+    if (b->grip.count) {
+        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+        sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
+        sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+    }
+    for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
 }
 
 /* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
@@ -12228,10 +12375,10 @@ static sfem_real sfemi_guard_advance(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d, *base = sfemi_pqr_base(b);
     size_t i;
     for (i = 0; i < n; ++i) {
-        g->w[i] = b->state.w[i] + d * b->acc[i];
+        g->w[i] = base[i] + d * b->acc[i];
         g->u[i] = b->state.u[i] + b->step * g->w[i];
     }
     return sfemi_guard_forces(b, g->u, g->f);
@@ -12758,7 +12905,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
     g->redone = 0;
-    if (!b->def.no_guard && b->def.integrator == SFEM_PQR) {
+    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL) {
         head->budget += sfemi_guard_step_work(b);
         e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
         g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
@@ -12808,6 +12955,7 @@ static void sfemi_guard_finish(sfem_body *b)
     if (e.floor > head->scale) head->scale = e.floor;
     head->last = e.ec;
     head->psi = psi;
+    head->lag = sfemi_pqr_weigh(b, b->step).lag;
     head->redone += redone;
     for (k = 0; k < b->pin_count; ++k) {
         sfem_real x[3];
@@ -12839,6 +12987,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
     d.rho_inf = 0.8;
+    d.gui_lambda = 4;
     d.hht_alpha = 0.1;
     d.newton.iterations = 20;
     d.newton.tolerance = 1e-8;
@@ -12849,10 +12998,12 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
 
 static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
-    if ((unsigned)d->integrator > SFEM_BATHE)
+    if ((unsigned)d->integrator > SFEM_CHANG)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
+    if (!(sfemi_finite(d->gui_lambda) && d->gui_lambda > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Gui's lambda is %g, must be > 0", d->gui_lambda);
     if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
     if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
@@ -12882,7 +13033,8 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 /* Is w the mean velocity over a step, not the velocity? */
 static int sfemi_body_keeps_mean(const sfem_body *b)
 {
-    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL;
+    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL ||
+           b->def.integrator == SFEM_KR_ALPHA;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
@@ -13024,6 +13176,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
     sfemi_delete(&al, b->rhs);
+    sfemi_delete(&al, b->base);
     sfemi_delete(&al, b->work);
     sfem_model_free(b->model);
     sfemi_delete(&al, b);
@@ -13066,6 +13219,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
+    if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
@@ -13088,10 +13242,11 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->def = *def;
     b->def.pins = NULL;
     b->def.pin_axes = NULL;
+    sfemi_alpha_translate(&b->def);
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = model->turns && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
+    b->turns = model->turns && sfemi_body_keeps_mean(b);
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
@@ -13183,7 +13338,7 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     if (sfemi_pqr_needs_omega(b) && b->omega_max == 0) status = sfemi_pqr_find_omega(b, err);
     if (status != SFEM_OK) return status;
     if (b->def.integrator > SFEM_CENTRAL) {
-        *p = 0;
+        *p = b->base ? sfemi_alpha_p(b) : 0;
         return SFEM_OK;
     }
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
@@ -13923,7 +14078,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
         e.conserved = s->head->steps ? s->head->energy
                                      : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
     }
-    if (!running || b->turns) return e;
+    if (!running || b->turns || b->base) return e;
     if (!sfemi_body_keeps_mean(b)) {
         if (b->def.integrator != SFEM_NEWMARK) return e;
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
@@ -13960,7 +14115,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.redone = b->state.head->redone;
     info.descents = b->state.head->descents;
     info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
+    info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i) {
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
         for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
