@@ -56,6 +56,9 @@ test: check check-examples ## build and run every test, and every example once
 bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
 
+bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
+	$(ENVIRONMENT) $(BUILD)/bench/sleep
+
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
@@ -193,5 +196,5 @@ $(BUILD)/cmocka:
 force:
 .DELETE_ON_ERROR:
 .SECONDARY:
-.PHONY: help run test bench bench-solver examples strict asan tsan analyze format coverage clean \
+.PHONY: help run test bench bench-sleep bench-solver examples strict asan tsan analyze format coverage clean \
         check check-examples force

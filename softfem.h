@@ -44,6 +44,7 @@
  *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
+ *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
@@ -904,6 +905,8 @@ typedef struct sfem_body_def {
     sfem_int pin_count;
     sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use; of a body that
                                * turns up to 4 times that, and 4 times more for each factor of redone steps */
+    sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
+    sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
     int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
@@ -936,7 +939,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
- * them. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
+ * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
  * during this step, as F at its start does. solve leaves the step's acceleration where
  * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
@@ -945,6 +948,25 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
 SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
                                                                * the method is implicit */
+
+/* Sleep. With def.sleep_tolerance > 0 a body falls asleep at the end of a step where for sleep_time seconds
+ * no node has moved faster than the tolerance and none has changed its velocity by more than a quarter of it
+ * from one end of that time to the other, loads, pins and handles unchanged. What is watched is the mean
+ * acceleration, so a ringing of high frequency does not keep a body awake, and the turning point of a swing
+ * does: one of period up to 2 sleep_time never sleeps while a node reaches the tolerance, one of period
+ * up to 40 sleep_time never while a node reaches twice that. Then velocities and accelerations become
+ * zero, u stays, and a step only counts the time: below 100 ns whatever the size. Nothing but kinetic
+ * energy, at most 1/2 mass tolerance^2, is lost; what little force is out of balance stays, so that a
+ * body that is woken goes on from there at the tolerance or slower.
+ *   It wakes by what changes a load (compared bit by bit at the next step: setting the same again is
+ * no change), gravity, a pin's or handle's target, by a new state or static solution, by pins and handles
+ * set, taken or released, by sfem_body_predict, and by sfem_body_wake; all of these, and a change of the
+ * load while awake, also begin the calm time anew. Whether it sleeps, and since when it is calm, belongs to
+ * the saved state. The tolerance is off by default because its unit is the caller's: for bodies of
+ * a metre in a game .02 m/s does. A body without damping of any kind hardly ever comes to rest.
+ *   cost   awake, a look at each node's velocity until one is too fast; 3 reals a node of state */
+SFEM_DEF int sfem_body_is_asleep(const sfem_body *body);
+SFEM_DEF void sfem_body_wake(sfem_body *body);
 
 /* How the last implicit step (SFEM_BATHE: its two systems together) or nonlinear static solution went,
  * also where it failed. All zero before. */
@@ -9854,12 +9876,15 @@ typedef struct sfemi_state_head {
     sfem_int loaded;    /* the load was ever set */
     sfem_int current;   /* f, psi and frame belong to u */
     sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
-    sfem_int unused;
+    sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
     int64_t steps, redone, descents;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
     sfem_real energy;                   /* and what it conserves */
+    sfem_real calm;     /* s */
 } sfemi_state_head;
+
+enum { SFEMI_AWAKE, SFEMI_CALM, SFEMI_ASLEEP };
 
 /* RESTARTED: as not started, but the loads have their history. */
 enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
@@ -9873,20 +9898,24 @@ typedef struct sfemi_state {
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
     sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
     sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
+    sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
 } sfemi_state;
 
-/* reals a node: u, w, a and three loads; f, f_past and frame besides */
-static size_t sfemi_state_reals(sfem_int nodes, int turns) { return (turns ? 33 : 18) * (size_t)nodes; }
-
-static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles)
+/* reals a node: u, w, a and three loads; f, f_past and frame besides; before */
+static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
 {
-    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns) * sizeof(sfem_real) +
+    return ((turns ? 33 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
+}
+
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, int sleeps, sfem_int pins, sfem_int handles)
+{
+    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns, sleeps) * sizeof(sfem_real) +
            (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
 }
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins)
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, int sleeps, sfem_int pins)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -9899,7 +9928,8 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->f = turns ? at + 6 * n : NULL;
     s->f_past = turns ? at + 7 * n : NULL;
     s->frame = turns ? at + 8 * n : NULL;
-    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns));
+    s->before = sleeps ? at + (turns ? 11 : 6) * n : NULL;
+    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
 }
 
@@ -10184,6 +10214,7 @@ struct sfem_body {
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
     int turns;             /* a nonlinear law: >>turn and >>guard apply */
+    int sleeps;            /* it may */
     sfemi_state state;
     sfemi_grip grip;
     sfemi_turn turn;
@@ -12973,6 +13004,110 @@ static void sfemi_guard_finish(sfem_body *b)
 }
 
 /* ============================================================================================
+ * >>sleep   bodies at rest, whose steps cost nothing
+ *
+ * Calm is judged over a window of sleep_time: no |w| above the tolerance in any step, and |w - w before| at
+ * most a quarter of it at the end. In a swing of amplitude V and period P the latter is 2 V |cos phi|
+ * sin(pi T/P) in a window of length T about phase phi, where speeds reach V |sin phi|: where that is below
+ * the tolerance, V twice the tolerance and P < 40 T, the change is above it.
+ * ============================================================================================ */
+
+static void sfemi_sleep_rouse(sfem_body *b)
+{
+    b->state.head->sleep = SFEMI_AWAKE;
+}
+
+/* Is every |x - y| within the limit? y may be NULL: 0. */
+static int sfemi_sleep_within(const sfem_real *x, const sfem_real *y, sfem_int nodes, sfem_real limit)
+{
+    sfem_int i;
+    for (i = 0; i < nodes; ++i, x += 3) {
+        const sfem_real *o = y ? y + 3 * (size_t)i : NULL;
+        const sfem_real d[3] = {o ? x[0] - o[0] : x[0], o ? x[1] - o[1] : x[1], o ? x[2] - o[2] : x[2]};
+        if (!(sfemi_dot3(d, d) <= limit * limit)) return 0;
+    }
+    return 1;
+}
+
+/* Pins and handles rest where they are; the integrator is to start afresh, the loads having been these. */
+static void sfemi_sleep_begin(sfem_body *b)
+{
+    sfemi_state *s = &b->state;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_int k;
+    memset(s->w, 0, bytes);
+    memset(s->a, 0, bytes);
+    for (k = 0; k < b->pin_count; ++k) memcpy(s->pin[k].past, s->pin[k].target, sizeof s->pin[k].past);
+    for (k = 0; k < b->def.max_handles; ++k)
+        memcpy(s->handle[k].hold.past, s->handle[k].hold.target, sizeof s->handle[k].hold.past);
+    s->head->sleep = SFEMI_ASLEEP;
+    s->head->started = SFEMI_RESTARTED;
+    if (!b->turns) return;
+    memcpy(s->f_past, s->f, bytes);
+    s->head->energy = sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
+    s->head->rebase = SFEMI_NEW_LEDGER;
+}
+
+/* After a step: is it the last one? */
+static void sfemi_sleep_watch(sfem_body *b)
+{
+    sfemi_state *s = &b->state;
+    sfemi_state_head *head = s->head;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const sfem_real tolerance = b->def.sleep_tolerance;
+    if (!b->sleeps) return;
+    if (!sfemi_sleep_within(s->w, NULL, nodes, tolerance)) {
+        head->sleep = SFEMI_AWAKE;
+        return;
+    }
+    head->calm += b->step;
+    if (head->sleep == SFEMI_CALM && head->calm < b->def.sleep_time) return;
+    if (head->sleep == SFEMI_CALM && !(head->loaded && head->load_age < 2) &&
+        sfemi_sleep_within(s->w, s->before, nodes, tolerance / 4)) {
+        sfemi_sleep_begin(b);
+        return;
+    }
+    memcpy(s->before, s->w, 3 * (size_t)nodes * sizeof *s->w);
+    head->sleep = SFEMI_CALM;
+    head->calm = 0;
+}
+
+/* Before a step: a load that was set is compared with what it was, and where it is the same it was not set. */
+static void sfemi_sleep_compare_load(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    if (!b->sleeps || !s->head->loaded || s->head->load_age > 0) return;
+    if (memcmp(s->force[0], s->force[1], bytes) != 0) sfemi_sleep_rouse(b);
+    else s->head->load_age = memcmp(s->force[1], s->force[2], bytes) == 0 ? 2 : 1;
+}
+
+/* A step of a body that sleeps, if it goes on sleeping. */
+static int sfemi_sleep_step(sfem_body *b, sfem_real h)
+{
+    sfemi_state_head *head = b->state.head;
+    if (head->sleep != SFEMI_ASLEEP || !(sfemi_finite(h) && h > 0)) return 0;
+    sfemi_sleep_compare_load(b);
+    if (head->sleep != SFEMI_ASLEEP) return 0;
+    head->time += h;
+    head->h = h;
+    ++head->steps;
+    return 1;
+}
+
+SFEM_DEF int sfem_body_is_asleep(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->state.head->sleep == SFEMI_ASLEEP;
+}
+
+SFEM_DEF void sfem_body_wake(sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    sfemi_sleep_rouse(b);
+}
+
+/* ============================================================================================
  * >>body   the pipeline that a user calls: create, prepare, step, read
  * ============================================================================================ */
 
@@ -12993,6 +13128,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.newton.tolerance = 1e-8;
     d.newton.load_steps = 1;
     d.max_handles = 16;
+    d.sleep_time = 0.5;
     return d;
 }
 
@@ -13024,6 +13160,10 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha,
                           d->beta_k);
     if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    if (!(sfemi_finite(d->sleep_tolerance) && d->sleep_tolerance >= 0 && sfemi_finite(d->sleep_time) &&
+          d->sleep_time >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "sleep (below %g m/s for %g s) must be >= 0",
+                          d->sleep_tolerance, d->sleep_time);
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
@@ -13050,7 +13190,7 @@ static void sfemi_body_reset_head(sfem_body *b, size_t bytes)
 {
     sfemi_state_head *head = b->state.head;
     memcpy(head->magic, "sfemstat", 8);
-    head->version = 1;
+    head->version = 2;
     head->size = bytes;
     head->key = sfemi_body_key(b);
 }
@@ -13209,9 +13349,9 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, b->pin_count, def->max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, b->pin_count, def->max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->pin_count);
+    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->sleeps, b->pin_count);
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
@@ -13247,6 +13387,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->beta = model->beta + def->beta_k;
     b->model = model;
     b->turns = model->turns && sfemi_body_keeps_mean(b);
+    b->sleeps = def->sleep_tolerance > 0;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
@@ -13426,6 +13567,8 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
         if (status != SFEM_OK) return status;
     }
     b->step = h;
+    if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
+    sfemi_sleep_compare_load(b);
     if (b->turns) sfemi_guard_predict(b, h);
     else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
@@ -13499,12 +13642,16 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->state.head->h = b->step;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
+    sfemi_sleep_watch(b);
     return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
-    sfem_status status = sfem_body_predict(b, h, err);
+    sfem_status status;
+    SFEM_ASSERT(b);
+    if (sfemi_sleep_step(b, h)) return SFEM_OK;
+    status = sfem_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
     return status;
@@ -13579,6 +13726,8 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], sfem_error *err)
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    if (memcmp(b->state.head->gravity, g, 3 * sizeof *g) == 0) return SFEM_OK;
+    sfemi_sleep_rouse(b);
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
     if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
@@ -13624,6 +13773,7 @@ static void sfemi_body_restart(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     sfem_int i;
+    sfemi_sleep_rouse(b);
     memset(b->state.a, 0, bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     memcpy(b->state.force[2], b->state.force[0], bytes);
@@ -13673,8 +13823,8 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     memcpy(&head, memory, sizeof head);
     if (memcmp(head.magic, "sfemstat", 8) != 0)
         return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
-    if (head.version != 1)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1",
+    if (head.version != 2)
+        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 2",
                           (unsigned)head.version);
     if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
@@ -13705,10 +13855,11 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, listed, b->def.max_handles);
+    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, listed, b->def.max_handles);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, b->turns, listed);
-    memcpy(fresh.head, old.head, sizeof *old.head + sfemi_state_reals(nodes, b->turns) * sizeof(sfem_real));
+    sfemi_state_lay_out(&fresh, block, nodes, b->turns, b->sleeps, listed);
+    memcpy(fresh.head, old.head,
+           sizeof *old.head + sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
@@ -13727,6 +13878,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
         b->guard.redo[k].factor = NULL;
     }
     sfemi_body_forget_columns(b);
+    sfemi_sleep_rouse(b);
     sfemi_body_place_pins(b);
     sfemi_body_held_changed(b);
     return SFEM_OK;
@@ -13745,6 +13897,7 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_
     for (k = 0; k < b->pin_count && b->pin[k] != node; ++k) continue;
     if (k == b->pin_count)
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "node %d is not pinned", (int)node);
+    if (memcmp(b->state.pin[k].target, position, 3 * sizeof *position) != 0) sfemi_sleep_rouse(b);
     memcpy(b->state.pin[k].target, position, 3 * sizeof *position);
     return SFEM_OK;
 }
@@ -13772,6 +13925,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
     b->grip.dirty = 1;
+    sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
     *handle = k;
     return SFEM_OK;
@@ -13806,6 +13960,7 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
+    if (memcmp(b->state.handle[handle].hold.target, target, 3 * sizeof *target) != 0) sfemi_sleep_rouse(b);
     memcpy(b->state.handle[handle].hold.target, target, 3 * sizeof *target);
     return SFEM_OK;
 }
@@ -13817,6 +13972,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
     b->grip.dirty = 1;
+    sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
 }
 
