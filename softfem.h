@@ -8060,6 +8060,7 @@ typedef struct sfemi_block {
     sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
     sfem_real lambda[SFEMI_LANES];    /* times the volume, J; 0 in lanes that fill up */
     sfem_real mu[SFEMI_LANES];
+    sfem_real volume[SFEMI_LANES];    /* m^3, 0 likewise */
     sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
     sfem_int tet[SFEMI_LANES];
     sfem_int law, count;              /* so many lanes are tets, the others copies of the last */
@@ -8072,9 +8073,14 @@ typedef struct sfemi_totals {
 } sfemi_totals;
 
 /* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
- * the nearest rotations go to rotation [tets][9], if not NULL. */
+ * the nearest rotations go to rotation [tets][9], and times the volume are added to their nodes'
+ * spin [nodes of the chunk][12], nine of them used, where these are not NULL. */
 typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
-                                    sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
+                                    sfem_real *out, sfem_real *rotation, sfem_real *spin,
+                                    sfemi_totals *totals);
+/* The rotations nearest to sum [count][9] times over [count], and the traces of what stretches. */
+typedef void (*sfemi_polars_kernel)(sfem_int count, const sfem_real *sum, const sfem_real *over,
+                                    sfem_real *rotation, sfem_real *trace);
 
 #if defined(__GNUC__)
 #define SFEMI_FMA_d(a, b, c) __builtin_fma(a, b, c)
@@ -8089,6 +8095,7 @@ typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u,
                              sfem_real d[9][SFEMI_LANES]);
 typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                               sfem_real *out);
+/* spin_a += r of every lane, a = 0, 1, 2, 3: the same signature. */
 
 static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
                                   sfem_real d[9][SFEMI_LANES])
@@ -8119,6 +8126,17 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
             f3[i] += d[6 + i][l];
         }
     }
+}
+
+static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
+                                  sfem_real *spin)
+{
+    int l, i, a;
+    for (l = 0; l < block->count; ++l)
+        for (a = 0; a < 4; ++a) {
+            sfem_real *to = spin + 3 * (size_t)block->node[a][l];
+            for (i = 0; i < 9; ++i) to[i] += r[i][l];
+        }
 }
 
 #if SFEMI_X86
@@ -8191,6 +8209,25 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
         sfemi_add_avx2(out + block->node[0][l + 3], s3);
     }
 }
+
+SFEMI_AVX2 static void sfemi_spread_avx2(const sfemi_block *block,
+                                         const sfem_real r[9][SFEMI_LANES], sfem_real *spin)
+{
+    int l, i, a, k;
+    for (l = 0; l < SFEMI_LANES; l += 4) {
+        __m256d v[12];
+        for (i = 0; i < 9; ++i) v[i] = _mm256_loadu_pd(r[i] + l);
+        v[9] = v[10] = v[11] = _mm256_setzero_pd();
+        for (i = 0; i < 12; i += 4) sfemi_transpose_avx2(v + i);
+        for (k = 0; k < 4; ++k)
+            for (a = 0; a < 4; ++a) {
+                sfem_real *to = spin + 3 * (size_t)block->node[a][l + k];
+                sfemi_add_avx2(to, v[k]);
+                sfemi_add_avx2(to + 4, v[4 + k]);
+                sfemi_add_avx2(to + 8, v[8 + k]);
+            }
+    }
+}
 #endif
 
 /* R of a lane that the fast way has given up. */
@@ -8237,7 +8274,8 @@ SFEMI_LANE_ARITHMETIC(float, f)
 
 #define SFEMI_LANE_KERNELS(T, S, MA, DOT, DET, STEP, ROUND)                                        \
 typedef struct sfemi_lanes_##S {                                                                   \
-    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
+    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes, */    \
+                                 /* and at last the rotation times the volume */                   \
     T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
     T r[9][SFEMI_LANES];      /* F, later the rotation nearest to it */                            \
     T c[9][SFEMI_LANES];      /* cof F */                                                          \
@@ -8504,9 +8542,11 @@ static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_
 }                                                                                                  \
                                                                                                    \
 static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
-                                                const sfem_real *u, sfem_real *out, sfem_real *rotation,\
+                                                const sfem_real *u, sfem_real *out,                \
+                                                sfem_real *rotation, sfem_real *spin,              \
                                                 sfemi_totals *totals, const sfemi_gather gather,   \
-                                                const sfemi_scatter scatter, const int fused)      \
+                                                const sfemi_scatter scatter,                       \
+                                                const sfemi_scatter spread, const int fused)       \
 {                                                                                                  \
     sfemi_totals sum;                                                                              \
     sfemi_lanes_##S w;                                                                             \
@@ -8515,7 +8555,8 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
     for (; count > 0; --count, ++block) {                                                          \
         gather(block, u, w.d);                                                                     \
         sfemi_lanes_deform_##S(&w, block, fused);                                                  \
-        if (block->law == SFEM_COROTATIONAL || (rotation && block->law != SFEM_LINEAR))            \
+        if (block->law == SFEM_COROTATIONAL ||                                                     \
+            ((rotation || spin) && block->law != SFEM_LINEAR))                                     \
             sfemi_lanes_polar_##S(&w, fused);                                                      \
         switch (block->law) {                                                                      \
         case SFEM_COROTATIONAL: sfemi_lanes_corotational_##S(&w, fused); break;                    \
@@ -8534,6 +8575,12 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
                 rotation[9 * (size_t)block->tet[l] + (size_t)i] =                                  \
                     block->law == SFEM_LINEAR ? (sfem_real)(i % 4 == 0) : w.r[i][l];               \
         }                                                                                          \
+        if (!spin) continue;                                                                       \
+        for (i = 0; block->law == SFEM_LINEAR && i < 9; ++i)                                       \
+            for (l = 0; l < SFEMI_LANES; ++l) w.r[i][l] = i % 4 ? 0 : 1;                           \
+        for (i = 0; i < 9; ++i)                                                                    \
+            for (l = 0; l < SFEMI_LANES; ++l) w.d[i][l] = (sfem_real)w.r[i][l] * block->volume[l]; \
+        spread(block, (const sfem_real(*)[SFEMI_LANES])w.d, spin);                                 \
     }                                                                                              \
     *totals = sum;                                                                                 \
 }
@@ -8541,21 +8588,67 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
+/* Lanes without a matrix, and where over is 0, get the unit matrix. */
+static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
+                                            const sfem_real *over, sfem_real *rotation,
+                                            sfem_real *trace, const int fused)
+{
+    sfemi_lanes_d w;
+    sfem_int first;
+    int l, i, n;
+    for (first = 0; first < count; first += SFEMI_LANES) {
+        n = count - first < SFEMI_LANES ? (int)(count - first) : SFEMI_LANES;
+        for (l = 0; l < SFEMI_LANES; ++l)
+            for (i = 0; i < 9; ++i) {
+                const sfem_real one = i % 4 ? 0 : 1;
+                w.g[i][l] = l < n && over[first + l] > 0
+                                ? sum[9 * (size_t)(first + l) + (size_t)i] * over[first + l] - one
+                                : 0;
+            }
+        for (l = 0; l < SFEMI_LANES; ++l) {
+            const sfem_real f0 = w.g[0][l] + 1, f1 = w.g[1][l], f2 = w.g[2][l];
+            const sfem_real f3 = w.g[3][l], f4 = w.g[4][l] + 1, f5 = w.g[5][l];
+            const sfem_real f6 = w.g[6][l], f7 = w.g[7][l], f8 = w.g[8][l] + 1;
+            w.det[l] = SFEMI_DOT_d(f0, SFEMI_DET_d(f4, f8, f5, f7), f1, SFEMI_DET_d(f5, f6, f3, f8),
+                                   f2, SFEMI_DET_d(f3, f7, f4, f6));
+        }
+        sfemi_lanes_polar_d(&w, fused);
+        for (l = 0; l < SFEMI_LANES; ++l)
+            w.trace[l] = SFEMI_DOT_d(w.r[0][l], w.g[0][l] + 1, w.r[1][l], w.g[1][l], w.r[2][l], w.g[2][l]) +
+                         SFEMI_DOT_d(w.r[3][l], w.g[3][l], w.r[4][l], w.g[4][l] + 1, w.r[5][l], w.g[5][l]) +
+                         SFEMI_DOT_d(w.r[6][l], w.g[6][l], w.r[7][l], w.g[7][l], w.r[8][l], w.g[8][l] + 1);
+        for (l = 0; l < n; ++l) {
+            for (i = 0; i < 9; ++i) rotation[9 * (size_t)(first + l) + (size_t)i] = w.r[i][l];
+            trace[first + l] = w.trace[l];
+        }
+    }
+}
+
 #define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
 TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfemi_totals *totals)                 \
+                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
+                        sfemi_totals *totals)                                                      \
 {                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
-                           sfemi_scatter_##PATH, FUSED);                                           \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
+                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+}
+#define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
+TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
+                        sfem_real *rotation, sfem_real *trace)                                     \
+{                                                                                                  \
+    sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
 #if SFEMI_X86
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
 #endif
 
 /* The widest path that this processor has. */
@@ -8570,6 +8663,18 @@ static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
     }
 #endif
     return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
+static sfemi_polars_kernel sfemi_polars_pick(void)
+{
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return sfemi_polars_avx512;
+    case 1: return sfemi_polars_avx2;
+    default: break;
+    }
+#endif
+    return sfemi_polars_portable;
 }
 
 /* ============================================================================================
@@ -8835,6 +8940,7 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
     for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
     block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
     block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
+    block->volume[lane] = filler ? 0 : model->volume[e];
     block->tet[lane] = e;
     if (!filler) block->count = lane + 1;
 }
@@ -9265,6 +9371,7 @@ typedef struct sfemi_forces {
     const sfem_model *model;
     const sfem_real *u;
     sfem_real *force, *rotation, *copies, *energy, *inverted; /* the last two by chunk */
+    sfem_real *spin, *sum; /* [copies][12], [nodes][9]; or NULL */
     sfemi_blocks_kernel kernel;
 } sfemi_forces;
 
@@ -9278,14 +9385,16 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
     for (k = index * SFEMI_CHUNK_TASK; k < end; ++k) {
         const sfem_int first = c->copy_start[k], count = c->copy_start[k + 1] - first;
         sfem_real *out = job->copies + 4 * (size_t)first;
+        sfem_real *spin = job->spin ? job->spin + 12 * (size_t)first : NULL;
         sfemi_totals totals;
         for (i = 0; i < count; ++i) {
             const sfem_real *from = job->u + 3 * (size_t)c->copy_node[first + i];
             u[4 * i] = from[0], u[4 * i + 1] = from[1], u[4 * i + 2] = from[2], u[4 * i + 3] = 0;
         }
         memset(out, 0, 4 * (size_t)count * sizeof *out);
+        if (spin) memset(spin, 0, 12 * (size_t)count * sizeof *spin);
         job->kernel(c->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
-                    job->rotation, &totals);
+                    job->rotation, spin, &totals);
         job->energy[k] = job->inverted[k] = 0;
         for (i = 0; i < SFEMI_LANES; ++i) {
             job->energy[k] += totals.energy[i];
@@ -9310,6 +9419,15 @@ static void sfemi_forces_nodes(void *data, sfem_int index)
         job->force[3 * (size_t)i + 1] = y;
         job->force[3 * (size_t)i + 2] = z;
     }
+    for (i = index * SFEMI_NODE_TASK; job->sum && i < end; ++i) {
+        sfem_real *sum = job->sum + 9 * (size_t)i;
+        int k;
+        for (k = 0; k < 9; ++k) sum[k] = 0;
+        for (j = c->node_start[i]; j < c->node_start[i + 1]; ++j) {
+            const sfem_real *from = job->spin + 12 * (size_t)c->node_copy[j];
+            for (k = 0; k < 9; ++k) sum[k] += from[k];
+        }
+    }
 }
 
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
@@ -9317,20 +9435,23 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
 }
 
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
-                                     sfem_precision precision, sfem_real *force,
-                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
-                                     const sfem_exec *exec)
+/* sfem_model_forces; also sum [nodes][9], the tets' rotations times their volumes added up by
+ * nodes, with spin [copies][12] as scratch, both NULL where that is not wanted. */
+static sfem_real sfemi_fem_forces(const sfem_model *model, const sfem_real *u,
+                                  sfem_precision precision, sfem_real *force, sfem_real *rotation,
+                                  sfem_int *inverted, sfem_real *spin, sfem_real *sum,
+                                  sfem_real *work, const sfem_exec *exec)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
     sfemi_forces job;
     sfem_int k;
-    SFEM_ASSERT(u && force && work);
     job.model = model;
     job.u = u;
     job.force = force;
     job.rotation = rotation;
+    job.spin = spin;
+    job.sum = sum;
     job.copies = work;
     job.energy = work + 4 * (size_t)model->chunks.copies;
     job.inverted = job.energy + chunks;
@@ -9343,6 +9464,15 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
     }
     if (inverted) *inverted = (sfem_int)turned;
     return energy;
+}
+
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec)
+{
+    SFEM_ASSERT(u && force && work);
+    return sfemi_fem_forces(model, u, precision, force, rotation, inverted, NULL, NULL, work, exec);
 }
 
 typedef struct sfemi_tangents {
@@ -10094,10 +10224,13 @@ typedef struct sfemi_turn {
     sfem_int pieces;
     sfem_int *piece_of;  /* [nodes] -1: in no tet */
     sfemi_piece *piece;  /* [pieces] */
-    sfem_real *rotation; /* [tets][3][3] */
-    sfem_real *work;     /* of sfem_model_forces */
+    sfem_real *work;     /* of sfem_model_forces, */
+    sfem_real *spin;     /* [copies][12] and of the sums that follow */
+    sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
+    sfem_real *over;     /* [nodes] 1 / sum V_e */
+    sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
+    sfem_real *trace;    /* [nodes] and this */
     sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
 } sfemi_turn;
 
 /* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
@@ -11734,12 +11867,16 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         }
 }
 
-/* The pieces' sum m |X - centre|^2. */
+/* The pieces' sum m |X - centre|^2, and 1 / sum V_e of the nodes. */
 static void sfemi_turn_weigh(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
     int c;
+    memset(b->turn.over, 0, (size_t)model->mesh.nodes * sizeof *b->turn.over);
+    for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += model->volume[i / 4];
+    for (i = 0; i < model->mesh.nodes; ++i)
+        if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
     memset(b->guard.u, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->guard.u);
     sfemi_turn_locate(b, b->guard.u);
     for (i = 0; i < model->mesh.nodes; ++i) {
@@ -11912,33 +12049,68 @@ static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[
     return 1;
 }
 
-/* Q from the tets' rotations; where it is not determined, and at nodes that are held on some axes only,
- * it stays as it was. sum [nodes][9] is scratch. */
-static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real *frame)
+typedef struct sfemi_frames {
+    sfem_body *body;
+    sfem_real *frame;
+    sfemi_polars_kernel kernel;
+} sfemi_frames;
+
+static void sfemi_turn_some_frames(void *data, sfem_int index)
 {
-    const sfem_model *model = b->model;
-    const int whole = b->def.frame == SFEM_FRAME_PIECE;
-    sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
-    sfem_int e, i;
-    int a, c;
-    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
-    memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
-    for (e = 0; e < model->mesh.tets; ++e)
-        for (a = 0; a < 4; ++a) {
-            const sfem_int node = model->mesh.tet[4 * (size_t)e + (size_t)a];
-            const size_t to = (size_t)(whole ? b->turn.piece_of[node] : node);
-            for (c = 0; c < 9; ++c)
-                sum[9 * to + (size_t)c] += model->volume[e] * rotation[9 * (size_t)e + (size_t)c];
-            volume[to] += model->volume[e];
-        }
-    for (i = 0; whole && i < b->turn.pieces; ++i) /* -1 in place of a volume: leave all its frames */
-        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        if (b->turn.piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
-        if (!whole) sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], frame + 9 * (size_t)i);
-        else if (volume[b->turn.piece_of[i]] > 0)
-            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)b->turn.piece_of[i], 9 * sizeof *frame);
+    const sfemi_frames *job = (const sfemi_frames *)data;
+    const sfem_body *b = job->body;
+    const sfemi_turn *t = &b->turn;
+    const sfem_int nodes = b->model->mesh.nodes, first = index * SFEMI_NODE_TASK;
+    const sfem_int count = nodes - first < SFEMI_NODE_TASK ? nodes - first : SFEMI_NODE_TASK;
+    const size_t at = 9 * (size_t)first;
+    sfem_int i;
+    job->kernel(count, t->sum + at, t->over + first, t->fresh + at, t->trace + first);
+    for (i = first; i < first + count; ++i) {
+        const size_t k = 9 * (size_t)i;
+        if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
+        else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
     }
+}
+
+/* The same with one rotation for each piece. */
+static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
+{
+    const sfemi_turn *t = &b->turn;
+    const sfem_int nodes = b->model->mesh.nodes;
+    sfem_real *sum = t->fresh, *volume = t->trace; /* there are no more pieces than nodes */
+    sfem_int i;
+    int c;
+    memset(sum, 0, 9 * (size_t)t->pieces * sizeof *sum);
+    memset(volume, 0, (size_t)t->pieces * sizeof *volume);
+    for (i = 0; i < nodes; ++i) {
+        if (t->piece_of[i] < 0) continue;
+        for (c = 0; c < 9; ++c) sum[9 * (size_t)t->piece_of[i] + (size_t)c] += t->sum[9 * (size_t)i + (size_t)c];
+        volume[t->piece_of[i]] += 1 / t->over[i];
+    }
+    for (i = 0; i < t->pieces; ++i) /* -1 in place of a volume: leave all its frames */
+        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (volume[t->piece_of[i]] > 0)
+            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)t->piece_of[i], 9 * sizeof *frame);
+    }
+}
+
+/* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
+ * only, it stays as it was. */
+static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
+{
+    sfemi_frames job;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
+    if (b->def.frame == SFEM_FRAME_PIECE) {
+        sfemi_turn_piece_frames(b, frame);
+        return;
+    }
+    job.body = b;
+    job.frame = frame;
+    job.kernel = sfemi_polars_pick();
+    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
 }
 
 /* Room for the solves with f, `rhs` at a time. */
@@ -12055,7 +12227,9 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
 
 static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
-    return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
+    const int turns = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
+    return sfemi_fem_forces(b->model, u, b->def.precision, f, NULL, NULL, turns ? b->turn.spin : NULL,
+                            turns ? b->turn.sum : NULL, b->turn.work, &b->exec);
 }
 
 /* Forces and frames where the state was set from outside; the pieces' places. */
@@ -12066,7 +12240,7 @@ static void sfemi_guard_look(sfem_body *b)
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
-        sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+        sfemi_turn_frames(b, b->state.frame);
         head->current = 1;
         head->rebase = SFEMI_NEW_LEDGER;
     }
@@ -12395,7 +12569,7 @@ static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
     sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
     int k;
-    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
     for (k = 0; k < count; ++k) { /* from the last on */
         const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
@@ -12820,7 +12994,7 @@ static void sfemi_guard_finish(sfem_body *b)
     memcpy(s->f, g->f, n * sizeof *s->f);
     memcpy(s->u, g->u, n * sizeof *s->u);
     memcpy(s->w, g->w, n * sizeof *s->w);
-    sfemi_turn_frames(b, b->turn.rotation, s->frame);
+    sfemi_turn_frames(b, s->frame);
     head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
@@ -12982,7 +13156,7 @@ done:
 static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes, tets = (size_t)b->model->mesh.tets;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_guard *g = &b->guard;
     sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->y, &g->grad, &g->dir,
                                   &g->trial_u, &g->trial_f};
@@ -12991,11 +13165,15 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
-    SFEMI_NEW(sfem_real, b->turn.rotation, al,
-              9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
-    b->turn.work = b->turn.rotation + 9 * tets;
-    b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
-    g->frame = b->turn.sum + 3 * n + n / 3;
+    SFEMI_NEW(sfem_real, b->turn.work, al,
+              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + 2 * (n / 3) +
+                  (3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
+    b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
+    b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
+    b->turn.fresh = b->turn.sum + 3 * n;
+    b->turn.over = b->turn.fresh + 3 * n;
+    b->turn.trace = b->turn.over + n / 3;
+    g->frame = b->turn.trace + n / 3;
     g->unit = g->frame + 3 * n;
     for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
     for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
@@ -13019,7 +13197,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
-    sfemi_delete(&al, b->turn.rotation);
+    sfemi_delete(&al, b->turn.work);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);

@@ -316,7 +316,7 @@ static void time_parts(sfem_body *b, parts *p)
     double t = ex_seconds(), next;
     (void)sfemi_guard_forces(b, b->state.u, b->guard.f);
     take(&p->force, (next = ex_seconds()) - t);
-    sfemi_turn_frames(b, b->turn.rotation, b->guard.frame);
+    sfemi_turn_frames(b, b->guard.frame);
     take(&p->frames, (t = ex_seconds()) - next);
     memcpy(b->zm, b->state.f, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zm);
     next = ex_seconds();
