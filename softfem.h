@@ -8595,16 +8595,23 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
 {
     sfemi_lanes_d w;
     sfem_int first;
-    int l, i, n;
+    int l, n;
     for (first = 0; first < count; first += SFEMI_LANES) {
         n = count - first < SFEMI_LANES ? (int)(count - first) : SFEMI_LANES;
-        for (l = 0; l < SFEMI_LANES; ++l)
-            for (i = 0; i < 9; ++i) {
-                const sfem_real one = i % 4 ? 0 : 1;
-                w.g[i][l] = l < n && over[first + l] > 0
-                                ? sum[9 * (size_t)(first + l) + (size_t)i] * over[first + l] - one
-                                : 0;
-            }
+        memset(w.g, 0, sizeof w.g);
+        for (l = 0; l < n; ++l) {
+            const sfem_real *from = sum + 9 * (size_t)(first + l), scale = over[first + l];
+            const sfem_real one = scale > 0 ? 1 : 0;
+            w.g[0][l] = from[0] * scale - one;
+            w.g[1][l] = from[1] * scale;
+            w.g[2][l] = from[2] * scale;
+            w.g[3][l] = from[3] * scale;
+            w.g[4][l] = from[4] * scale - one;
+            w.g[5][l] = from[5] * scale;
+            w.g[6][l] = from[6] * scale;
+            w.g[7][l] = from[7] * scale;
+            w.g[8][l] = from[8] * scale - one;
+        }
         for (l = 0; l < SFEMI_LANES; ++l) {
             const sfem_real f0 = w.g[0][l] + 1, f1 = w.g[1][l], f2 = w.g[2][l];
             const sfem_real f3 = w.g[3][l], f4 = w.g[4][l] + 1, f5 = w.g[5][l];
@@ -8618,7 +8625,10 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
                          SFEMI_DOT_d(w.r[3][l], w.g[3][l], w.r[4][l], w.g[4][l] + 1, w.r[5][l], w.g[5][l]) +
                          SFEMI_DOT_d(w.r[6][l], w.g[6][l], w.r[7][l], w.g[7][l], w.r[8][l], w.g[8][l] + 1);
         for (l = 0; l < n; ++l) {
-            for (i = 0; i < 9; ++i) rotation[9 * (size_t)(first + l) + (size_t)i] = w.r[i][l];
+            sfem_real *to = rotation + 9 * (size_t)(first + l);
+            to[0] = w.r[0][l], to[1] = w.r[1][l], to[2] = w.r[2][l];
+            to[3] = w.r[3][l], to[4] = w.r[4][l], to[5] = w.r[5][l];
+            to[6] = w.r[6][l], to[7] = w.r[7][l], to[8] = w.r[8][l];
             trace[first + l] = w.trace[l];
         }
     }
@@ -9421,12 +9431,16 @@ static void sfemi_forces_nodes(void *data, sfem_int index)
     }
     for (i = index * SFEMI_NODE_TASK; job->sum && i < end; ++i) {
         sfem_real *sum = job->sum + 9 * (size_t)i;
-        int k;
-        for (k = 0; k < 9; ++k) sum[k] = 0;
+        sfem_real s0 = 0, s1 = 0, s2 = 0, s3 = 0, s4 = 0, s5 = 0, s6 = 0, s7 = 0, s8 = 0;
         for (j = c->node_start[i]; j < c->node_start[i + 1]; ++j) {
             const sfem_real *from = job->spin + 12 * (size_t)c->node_copy[j];
-            for (k = 0; k < 9; ++k) sum[k] += from[k];
+            s0 += from[0], s1 += from[1], s2 += from[2];
+            s3 += from[3], s4 += from[4], s5 += from[5];
+            s6 += from[6], s7 += from[7], s8 += from[8];
         }
+        sum[0] = s0, sum[1] = s1, sum[2] = s2;
+        sum[3] = s3, sum[4] = s4, sum[5] = s5;
+        sum[6] = s6, sum[7] = s7, sum[8] = s8;
     }
 }
 
@@ -10255,10 +10269,16 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
+    struct sfemi_guard_energies {
+        sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+    } energies;            /* of the step, if measured */
+    int measured;
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
     sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
+typedef struct sfemi_guard_energies sfemi_guard_energies;
+
 /* What >>implicit works with. */
 typedef struct sfemi_stage {
     sfem_real m1, m0, w1, w0, c1, c2; /* see there */
@@ -11833,7 +11853,9 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
     const sfem_int nodes = model->mesh.nodes;
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
-    int c;
+    int c, held = 1;
+    for (k = 0; k < t->pieces; ++k) held &= t->piece[k].held;
+    if (held) return; /* nobody asks */
     for (k = 0; k < t->pieces; ++k) {
         t->piece[k].mass = 0;
         memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
@@ -11983,24 +12005,53 @@ static int sfemi_turn_projects(const sfem_body *b)
     return 0;
 }
 
+/* x = Q A0^-1 Q^T x, held axes becoming 0. */
+static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real *frame, sfem_real *x)
+{
+    sfem_real *at = b->work;
+    const sfem_real *diagonal = f->inverse;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < f->free_nodes; ++k, at += 3) {
+        const sfem_real *q = frame + 9 * (size_t)f->node[k], *from = x + 3 * (size_t)f->node[k];
+        const int mask = f->mask[f->node[k]];
+        const sfem_real v0 = mask & 1 ? 0 : from[0], v1 = mask & 2 ? 0 : from[1], v2 = mask & 4 ? 0 : from[2];
+        at[0] = q[0] * v0 + q[3] * v1 + q[6] * v2;
+        at[1] = q[1] * v0 + q[4] * v1 + q[7] * v2;
+        at[2] = q[2] * v0 + q[5] * v1 + q[8] * v2;
+    }
+    if (f->ldl) sfem_ldl_solve(f->ldl, 1, b->work, at, &b->exec);
+    for (i = 0, k = 0, at = b->work; i < b->model->mesh.nodes; ++i) {
+        const sfem_real *q = frame + 9 * (size_t)i;
+        sfem_real *to = x + 3 * (size_t)i;
+        if (f->mask[i] == SFEM_AXIS_ALL) {
+            to[0] = to[1] = to[2] = 0;
+            continue;
+        }
+        for (c = 0; c < 3; ++c) {
+            if (diagonal) at[c] *= diagonal[3 * (size_t)k + (size_t)c];
+            if (f->mask[i] >> c & 1) at[c] = 0;
+        }
+        to[0] = q[0] * at[0] + q[1] * at[1] + q[2] * at[2];
+        to[1] = q[3] * at[0] + q[4] * at[1] + q[5] * at[2];
+        to[2] = q[6] * at[0] + q[7] * at[1] + q[8] * at[2];
+        at += 3;
+        ++k;
+    }
+}
+
 /* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
 static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
-    const sfem_int nodes = b->model->mesh.nodes;
     const int projects = u && sfemi_turn_projects(b);
-    sfem_int i, k;
+    sfem_int k;
     int c;
     if (projects) {
         sfemi_turn_motion(b, u, x, 0);
         sfemi_turn_add_motion(b, u, -1, 1, x);
     }
-    for (i = 0; i < nodes; ++i)
-        for (c = 0; c < 3; ++c)
-            if (b->mask[i] >> c & 1) x[3 * (size_t)i + (size_t)c] = 0;
-    sfemi_turn_rotate(frame, nodes, 1, x, x);
-    sfemi_factor_solve(f, nodes, 1, x, x, b->work, &b->exec);
-    sfemi_turn_rotate(frame, nodes, 0, x, x);
+    sfemi_turn_apply(b, f, frame, x);
     if (!projects) return;
     for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
         memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
@@ -12173,10 +12224,6 @@ done:
  * back in shape after a few steps at nu = .3; at nu = .49 many scattered ones stay locked in a knot.
  * ============================================================================================ */
 
-typedef struct sfemi_guard_energies {
-    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
-} sfemi_guard_energies;
-
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
 static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
                                                 const sfem_real *f1, sfem_real psi1, sfem_real h)
@@ -12185,25 +12232,28 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
     sfemi_guard_energies e;
-    sfem_real mid = 0, end = 0, stretch = 0;
+    sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
+    sfem_real stretch[3] = {0, 0, 0};
     sfem_int i, k;
-    int c;
-    memset(&e, 0, sizeof e);
+    int c, held;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfem_real m = model->node_mass[i];
-        sfem_real(*sum)[3];
+        sfem_real(*sum)[3], over;
         if (b->turn.piece_of[i] < 0) continue;
+        over = 1 / m;
         sum = b->turn.piece[b->turn.piece_of[i]].sum;
+        held = b->turn.piece[b->turn.piece_of[i]].held;
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real load = m * g[c] + s->force[1][at];
             if (b->mask[i] >> c & 1) continue;
-            e.kinetic += m / 2 * w1[at] * w1[at];
-            e.floor += h * h / 2 * load * load / m;
-            mid -= load * (s->u[at] + u1[at]) / 2;
-            end -= load * u1[at];
-            stretch += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            kinetic[c] += m * w1[at] * w1[at];
+            floor2[c] += over * load * load;
+            mid[c] -= load * (s->u[at] + u1[at]);
+            end[c] -= load * u1[at];
+            stretch[c] += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            if (held) continue;
             sum[0][c] += m * w1[at];
             sum[1][c] += load;
             sum[2][c] += m * (s->u[at] + u1[at]) / 2;
@@ -12213,15 +12263,17 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     for (k = 0; k < b->turn.pieces; ++k) {
         const sfemi_piece *p = b->turn.piece + k;
         for (c = 0; !p->held && c < 3; ++c) {
-            e.kinetic -= p->sum[0][c] * p->sum[0][c] / (2 * p->mass);
-            e.floor -= h * h / 2 * p->sum[1][c] * p->sum[1][c] / p->mass;
-            mid += p->sum[1][c] * p->sum[2][c] / p->mass;
-            end += p->sum[1][c] * p->sum[3][c] / p->mass;
+            kinetic[c] -= p->sum[0][c] * p->sum[0][c] / p->mass;
+            floor2[c] -= p->sum[1][c] * p->sum[1][c] / p->mass;
+            mid[c] += 2 * p->sum[1][c] * p->sum[2][c] / p->mass;
+            end[c] += p->sum[1][c] * p->sum[3][c] / p->mass;
         }
     }
-    e.kinetic *= r;
-    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (b->p - 0.5) / 2 * stretch + mid;
-    e.ec = e.kinetic + psi1 + end;
+    e.kinetic = r / 2 * (kinetic[0] + kinetic[1] + kinetic[2]);
+    e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
+    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
+           (b->p - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
+    e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
     return e;
 }
 
@@ -12268,7 +12320,6 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     int stiff, c;
     sfemi_pqr_terms t;
     sfem_int j;
@@ -12278,26 +12329,25 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     t = sfemi_pqr_weigh(b, h);
     t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
-    for (i = 0; i < n; ++i) {
-        const sfem_real dv = damped ? t.cd * s->w[i] : 0;
-        b->zk[i] = b->beta * dv - t.ck * s->w[i];
-        b->zm[i] = b->alpha * dv;
-        if (b->zd) b->zd[i] = dv;
-        b->acc[i] = 0;
-    }
-    for (j = 0; j < b->pin_count; ++j) {
+    memset(b->acc, 0, n * sizeof *b->acc);
+    for (j = 0; j < b->pin_count; ++j)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
             b->acc[i] = ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
-            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * b->acc[i];
-            if (b->zd) b->zd[i] += k.q / 2 * h * b->acc[i];
             stiff |= b->acc[i] != 0;
         }
+    if (stiff) {
+        const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
+        for (i = 0; i < n; ++i) b->zk[i] = (b->beta * t.cd - t.ck) * s->w[i] + held * b->acc[i];
+        for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] + k.q / 2 * h * b->acc[i];
+        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
+    } else {
+        memcpy(b->rhs, s->f, n * sizeof *b->rhs);
     }
-    if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
-    else memset(b->rhs, 0, n * sizeof *b->rhs);
-    for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
+    for (i = 0; b->alpha != 0 && i < n; ++i)
+        b->rhs[i] += model->node_mass[i / 3] * b->alpha * t.cd * s->w[i];
     if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
         const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
         sfem_real weight[3];
@@ -12931,10 +12981,11 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     g->corrections = 0;
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
-    g->redone = 0;
+    g->redone = g->measured = 0;
     if (!b->def.no_guard && b->def.integrator == SFEM_PQR) {
         head->budget += sfemi_guard_step_work(b);
-        e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        g->measured = 1;
         g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
                     e.ec <= head->budget + .3 * head->scale);
     }
@@ -12968,8 +13019,8 @@ static void sfemi_guard_finish(sfem_body *b)
     else
         for (k = 0; k < b->grip.count; ++k)
             memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
-    sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
-    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    if (redone) sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies */
+    e = g->measured && !redone ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
     energy = head->energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
     moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
