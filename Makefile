@@ -24,7 +24,7 @@ FLAGS_test_base = -ffast-math
 
 EXAMPLES := $(patsubst examples/%.c,%,$(wildcard examples/*.c))
 TESTS    ?= $(patsubst tests/%.c,%,$(wildcard tests/test_*.c))
-BENCHES  := $(filter-out solver,$(patsubst bench/%.c,%,$(wildcard bench/*.c)))
+BENCHES  := $(filter-out solver step,$(patsubst bench/%.c,%,$(wildcard bench/*.c)))
 # test programs in which a test is named after threads
 THREADED := $(shell grep -l '^static void [a-z0-9_]*thread' tests/test_*.c 2>/dev/null)
 
@@ -61,6 +61,9 @@ bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watchin
 
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
+
+bench-step: $(BUILD)/bench/step ## the default step beside semi-implicit Newmark, also on CHOLMOD
+	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/step
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
@@ -170,6 +173,14 @@ $(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) s
 	$$link $(if $(filter 1,$(OPENMP)),-fopenmp) $(INSTRUMENT) -o $@ $@.o $$objects \
 	    $(BUILD)/softfem.o $(LDFLAGS) $$libraries -lm
 
+# bench/step.c holds the implementation itself, to time its parts.
+$(BUILD)/bench/step: bench/step.c examples/support.h softfem.h $(BUILD)/flags
+	@mkdir -p $(@D)
+	@cholmod=; printf '#include <suitesparse/cholmod.h>\nint main(void){return 0;}\n' | \
+	    $(CC) -x c - -o /dev/null -lcholmod >/dev/null 2>&1 && \
+	    cholmod='-DSFEM_BENCH_CHOLMOD -lcholmod'; \
+	$(CC) $(FLAGS) -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< $(LDFLAGS) $$cholmod -lm
+
 # Everything is built anew when the compiler or its flags change.
 $(BUILD)/flags: force
 	@mkdir -p $(BUILD)
@@ -196,5 +207,5 @@ $(BUILD)/cmocka:
 force:
 .DELETE_ON_ERROR:
 .SECONDARY:
-.PHONY: help run test bench bench-sleep bench-solver examples strict asan tsan analyze format coverage clean \
-        check check-examples force
+.PHONY: help run test bench bench-sleep bench-solver bench-step examples strict asan tsan analyze format \
+        coverage clean check check-examples force

@@ -8097,6 +8097,7 @@ typedef struct sfemi_block {
     sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
     sfem_real lambda[SFEMI_LANES];    /* times the volume, J; 0 in lanes that fill up */
     sfem_real mu[SFEMI_LANES];
+    sfem_real volume[SFEMI_LANES];    /* m^3, 0 likewise */
     sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
     sfem_int tet[SFEMI_LANES];
     sfem_int law, count;              /* so many lanes are tets, the others copies of the last */
@@ -8109,9 +8110,14 @@ typedef struct sfemi_totals {
 } sfemi_totals;
 
 /* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
- * the nearest rotations go to rotation [tets][9], if not NULL. */
+ * the nearest rotations go to rotation [tets][9], and times the volume are added to their nodes'
+ * spin [nodes of the chunk][12], nine of them used, where these are not NULL. */
 typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
-                                    sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
+                                    sfem_real *out, sfem_real *rotation, sfem_real *spin,
+                                    sfemi_totals *totals);
+/* The rotations nearest to sum [count][9] times over [count], and the traces of what stretches. */
+typedef void (*sfemi_polars_kernel)(sfem_int count, const sfem_real *sum, const sfem_real *over,
+                                    sfem_real *rotation, sfem_real *trace);
 
 #if defined(__GNUC__)
 #define SFEMI_FMA_d(a, b, c) __builtin_fma(a, b, c)
@@ -8126,6 +8132,7 @@ typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u,
                              sfem_real d[9][SFEMI_LANES]);
 typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                               sfem_real *out);
+/* spin_a += r of every lane, a = 0, 1, 2, 3: the same signature. */
 
 static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
                                   sfem_real d[9][SFEMI_LANES])
@@ -8156,6 +8163,17 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
             f3[i] += d[6 + i][l];
         }
     }
+}
+
+static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
+                                  sfem_real *spin)
+{
+    int l, i, a;
+    for (l = 0; l < block->count; ++l)
+        for (a = 0; a < 4; ++a) {
+            sfem_real *to = spin + 3 * (size_t)block->node[a][l];
+            for (i = 0; i < 9; ++i) to[i] += r[i][l];
+        }
 }
 
 #if SFEMI_X86
@@ -8228,6 +8246,25 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
         sfemi_add_avx2(out + block->node[0][l + 3], s3);
     }
 }
+
+SFEMI_AVX2 static void sfemi_spread_avx2(const sfemi_block *block,
+                                         const sfem_real r[9][SFEMI_LANES], sfem_real *spin)
+{
+    int l, i, a, k;
+    for (l = 0; l < SFEMI_LANES; l += 4) {
+        __m256d v[12];
+        for (i = 0; i < 9; ++i) v[i] = _mm256_loadu_pd(r[i] + l);
+        v[9] = v[10] = v[11] = _mm256_setzero_pd();
+        for (i = 0; i < 12; i += 4) sfemi_transpose_avx2(v + i);
+        for (k = 0; k < 4; ++k)
+            for (a = 0; a < 4; ++a) {
+                sfem_real *to = spin + 3 * (size_t)block->node[a][l + k];
+                sfemi_add_avx2(to, v[k]);
+                sfemi_add_avx2(to + 4, v[4 + k]);
+                sfemi_add_avx2(to + 8, v[8 + k]);
+            }
+    }
+}
 #endif
 
 /* R of a lane that the fast way has given up. */
@@ -8274,7 +8311,8 @@ SFEMI_LANE_ARITHMETIC(float, f)
 
 #define SFEMI_LANE_KERNELS(T, S, MA, DOT, DET, STEP, ROUND)                                        \
 typedef struct sfemi_lanes_##S {                                                                   \
-    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
+    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes, */    \
+                                 /* and at last the rotation times the volume */                   \
     T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
     T r[9][SFEMI_LANES];      /* F, later the rotation nearest to it */                            \
     T c[9][SFEMI_LANES];      /* cof F */                                                          \
@@ -8541,9 +8579,11 @@ static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_
 }                                                                                                  \
                                                                                                    \
 static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
-                                                const sfem_real *u, sfem_real *out, sfem_real *rotation,\
+                                                const sfem_real *u, sfem_real *out,                \
+                                                sfem_real *rotation, sfem_real *spin,              \
                                                 sfemi_totals *totals, const sfemi_gather gather,   \
-                                                const sfemi_scatter scatter, const int fused)      \
+                                                const sfemi_scatter scatter,                       \
+                                                const sfemi_scatter spread, const int fused)       \
 {                                                                                                  \
     sfemi_totals sum;                                                                              \
     sfemi_lanes_##S w;                                                                             \
@@ -8552,7 +8592,8 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
     for (; count > 0; --count, ++block) {                                                          \
         gather(block, u, w.d);                                                                     \
         sfemi_lanes_deform_##S(&w, block, fused);                                                  \
-        if (block->law == SFEM_COROTATIONAL || (rotation && block->law != SFEM_LINEAR))            \
+        if (block->law == SFEM_COROTATIONAL ||                                                     \
+            ((rotation || spin) && block->law != SFEM_LINEAR))                                     \
             sfemi_lanes_polar_##S(&w, fused);                                                      \
         switch (block->law) {                                                                      \
         case SFEM_COROTATIONAL: sfemi_lanes_corotational_##S(&w, fused); break;                    \
@@ -8571,6 +8612,12 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
                 rotation[9 * (size_t)block->tet[l] + (size_t)i] =                                  \
                     block->law == SFEM_LINEAR ? (sfem_real)(i % 4 == 0) : w.r[i][l];               \
         }                                                                                          \
+        if (!spin) continue;                                                                       \
+        for (i = 0; block->law == SFEM_LINEAR && i < 9; ++i)                                       \
+            for (l = 0; l < SFEMI_LANES; ++l) w.r[i][l] = i % 4 ? 0 : 1;                           \
+        for (i = 0; i < 9; ++i)                                                                    \
+            for (l = 0; l < SFEMI_LANES; ++l) w.d[i][l] = (sfem_real)w.r[i][l] * block->volume[l]; \
+        spread(block, (const sfem_real(*)[SFEMI_LANES])w.d, spin);                                 \
     }                                                                                              \
     *totals = sum;                                                                                 \
 }
@@ -8578,21 +8625,77 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
+/* Lanes without a matrix, and where over is 0, get the unit matrix. */
+static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
+                                            const sfem_real *over, sfem_real *rotation,
+                                            sfem_real *trace, const int fused)
+{
+    sfemi_lanes_d w;
+    sfem_int first;
+    int l, n;
+    for (first = 0; first < count; first += SFEMI_LANES) {
+        n = count - first < SFEMI_LANES ? (int)(count - first) : SFEMI_LANES;
+        memset(w.g, 0, sizeof w.g);
+        for (l = 0; l < n; ++l) {
+            const sfem_real *from = sum + 9 * (size_t)(first + l), scale = over[first + l];
+            const sfem_real one = scale > 0 ? 1 : 0;
+            w.g[0][l] = from[0] * scale - one;
+            w.g[1][l] = from[1] * scale;
+            w.g[2][l] = from[2] * scale;
+            w.g[3][l] = from[3] * scale;
+            w.g[4][l] = from[4] * scale - one;
+            w.g[5][l] = from[5] * scale;
+            w.g[6][l] = from[6] * scale;
+            w.g[7][l] = from[7] * scale;
+            w.g[8][l] = from[8] * scale - one;
+        }
+        for (l = 0; l < SFEMI_LANES; ++l) {
+            const sfem_real f0 = w.g[0][l] + 1, f1 = w.g[1][l], f2 = w.g[2][l];
+            const sfem_real f3 = w.g[3][l], f4 = w.g[4][l] + 1, f5 = w.g[5][l];
+            const sfem_real f6 = w.g[6][l], f7 = w.g[7][l], f8 = w.g[8][l] + 1;
+            w.det[l] = SFEMI_DOT_d(f0, SFEMI_DET_d(f4, f8, f5, f7), f1, SFEMI_DET_d(f5, f6, f3, f8),
+                                   f2, SFEMI_DET_d(f3, f7, f4, f6));
+        }
+        sfemi_lanes_polar_d(&w, fused);
+        for (l = 0; l < SFEMI_LANES; ++l)
+            w.trace[l] = SFEMI_DOT_d(w.r[0][l], w.g[0][l] + 1, w.r[1][l], w.g[1][l], w.r[2][l], w.g[2][l]) +
+                         SFEMI_DOT_d(w.r[3][l], w.g[3][l], w.r[4][l], w.g[4][l] + 1, w.r[5][l], w.g[5][l]) +
+                         SFEMI_DOT_d(w.r[6][l], w.g[6][l], w.r[7][l], w.g[7][l], w.r[8][l], w.g[8][l] + 1);
+        for (l = 0; l < n; ++l) {
+            sfem_real *to = rotation + 9 * (size_t)(first + l);
+            to[0] = w.r[0][l], to[1] = w.r[1][l], to[2] = w.r[2][l];
+            to[3] = w.r[3][l], to[4] = w.r[4][l], to[5] = w.r[5][l];
+            to[6] = w.r[6][l], to[7] = w.r[7][l], to[8] = w.r[8][l];
+            trace[first + l] = w.trace[l];
+        }
+    }
+}
+
 #define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
 TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfemi_totals *totals)                 \
+                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
+                        sfemi_totals *totals)                                                      \
 {                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
-                           sfemi_scatter_##PATH, FUSED);                                           \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
+                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+}
+#define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
+TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
+                        sfem_real *rotation, sfem_real *trace)                                     \
+{                                                                                                  \
+    sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
 #if SFEMI_X86
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
 #endif
 
 /* The widest path that this processor has. */
@@ -8607,6 +8710,18 @@ static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
     }
 #endif
     return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
+static sfemi_polars_kernel sfemi_polars_pick(void)
+{
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return sfemi_polars_avx512;
+    case 1: return sfemi_polars_avx2;
+    default: break;
+    }
+#endif
+    return sfemi_polars_portable;
 }
 
 /* ============================================================================================
@@ -8872,6 +8987,7 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
     for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
     block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
     block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
+    block->volume[lane] = filler ? 0 : model->volume[e];
     block->tet[lane] = e;
     if (!filler) block->count = lane + 1;
 }
@@ -9302,6 +9418,7 @@ typedef struct sfemi_forces {
     const sfem_model *model;
     const sfem_real *u;
     sfem_real *force, *rotation, *copies, *energy, *inverted; /* the last two by chunk */
+    sfem_real *spin, *sum; /* [copies][12], [nodes][9]; or NULL */
     sfemi_blocks_kernel kernel;
 } sfemi_forces;
 
@@ -9315,14 +9432,16 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
     for (k = index * SFEMI_CHUNK_TASK; k < end; ++k) {
         const sfem_int first = c->copy_start[k], count = c->copy_start[k + 1] - first;
         sfem_real *out = job->copies + 4 * (size_t)first;
+        sfem_real *spin = job->spin ? job->spin + 12 * (size_t)first : NULL;
         sfemi_totals totals;
         for (i = 0; i < count; ++i) {
             const sfem_real *from = job->u + 3 * (size_t)c->copy_node[first + i];
             u[4 * i] = from[0], u[4 * i + 1] = from[1], u[4 * i + 2] = from[2], u[4 * i + 3] = 0;
         }
         memset(out, 0, 4 * (size_t)count * sizeof *out);
+        if (spin) memset(spin, 0, 12 * (size_t)count * sizeof *spin);
         job->kernel(c->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
-                    job->rotation, &totals);
+                    job->rotation, spin, &totals);
         job->energy[k] = job->inverted[k] = 0;
         for (i = 0; i < SFEMI_LANES; ++i) {
             job->energy[k] += totals.energy[i];
@@ -9347,6 +9466,19 @@ static void sfemi_forces_nodes(void *data, sfem_int index)
         job->force[3 * (size_t)i + 1] = y;
         job->force[3 * (size_t)i + 2] = z;
     }
+    for (i = index * SFEMI_NODE_TASK; job->sum && i < end; ++i) {
+        sfem_real *sum = job->sum + 9 * (size_t)i;
+        sfem_real s0 = 0, s1 = 0, s2 = 0, s3 = 0, s4 = 0, s5 = 0, s6 = 0, s7 = 0, s8 = 0;
+        for (j = c->node_start[i]; j < c->node_start[i + 1]; ++j) {
+            const sfem_real *from = job->spin + 12 * (size_t)c->node_copy[j];
+            s0 += from[0], s1 += from[1], s2 += from[2];
+            s3 += from[3], s4 += from[4], s5 += from[5];
+            s6 += from[6], s7 += from[7], s8 += from[8];
+        }
+        sum[0] = s0, sum[1] = s1, sum[2] = s2;
+        sum[3] = s3, sum[4] = s4, sum[5] = s5;
+        sum[6] = s6, sum[7] = s7, sum[8] = s8;
+    }
 }
 
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
@@ -9354,20 +9486,23 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
 }
 
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
-                                     sfem_precision precision, sfem_real *force,
-                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
-                                     const sfem_exec *exec)
+/* sfem_model_forces; also sum [nodes][9], the tets' rotations times their volumes added up by
+ * nodes, with spin [copies][12] as scratch, both NULL where that is not wanted. */
+static sfem_real sfemi_fem_forces(const sfem_model *model, const sfem_real *u,
+                                  sfem_precision precision, sfem_real *force, sfem_real *rotation,
+                                  sfem_int *inverted, sfem_real *spin, sfem_real *sum,
+                                  sfem_real *work, const sfem_exec *exec)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
     sfemi_forces job;
     sfem_int k;
-    SFEM_ASSERT(u && force && work);
     job.model = model;
     job.u = u;
     job.force = force;
     job.rotation = rotation;
+    job.spin = spin;
+    job.sum = sum;
     job.copies = work;
     job.energy = work + 4 * (size_t)model->chunks.copies;
     job.inverted = job.energy + chunks;
@@ -9380,6 +9515,15 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
     }
     if (inverted) *inverted = (sfem_int)turned;
     return energy;
+}
+
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec)
+{
+    SFEM_ASSERT(u && force && work);
+    return sfemi_fem_forces(model, u, precision, force, rotation, inverted, NULL, NULL, work, exec);
 }
 
 typedef struct sfemi_tangents {
@@ -10140,10 +10284,13 @@ typedef struct sfemi_turn {
     sfem_int pieces;
     sfem_int *piece_of;  /* [nodes] -1: in no tet */
     sfemi_piece *piece;  /* [pieces] */
-    sfem_real *rotation; /* [tets][3][3] */
-    sfem_real *work;     /* of sfem_model_forces */
+    sfem_real *work;     /* of sfem_model_forces, */
+    sfem_real *spin;     /* [copies][12] and of the sums that follow */
+    sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
+    sfem_real *over;     /* [nodes] 1 / sum V_e */
+    sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
+    sfem_real *trace;    /* [nodes] and this */
     sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
 } sfemi_turn;
 
 /* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
@@ -10168,10 +10315,16 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
+    struct sfemi_guard_energies {
+        sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+    } energies;            /* of the step, if measured */
+    int measured;
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
     sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
+typedef struct sfemi_guard_energies sfemi_guard_energies;
+
 /* What >>implicit works with. */
 typedef struct sfemi_stage {
     sfem_real m1, m0, w1, w0, c1, c2; /* see there */
@@ -11854,7 +12007,9 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
     const sfem_int nodes = model->mesh.nodes;
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
-    int c;
+    int c, held = 1;
+    for (k = 0; k < t->pieces; ++k) held &= t->piece[k].held;
+    if (held) return; /* nobody asks */
     for (k = 0; k < t->pieces; ++k) {
         t->piece[k].mass = 0;
         memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
@@ -11888,12 +12043,16 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         }
 }
 
-/* The pieces' sum m |X - centre|^2. */
+/* The pieces' sum m |X - centre|^2, and 1 / sum V_e of the nodes. */
 static void sfemi_turn_weigh(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
     int c;
+    memset(b->turn.over, 0, (size_t)model->mesh.nodes * sizeof *b->turn.over);
+    for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += model->volume[i / 4];
+    for (i = 0; i < model->mesh.nodes; ++i)
+        if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
     memset(b->guard.u, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->guard.u);
     sfemi_turn_locate(b, b->guard.u);
     for (i = 0; i < model->mesh.nodes; ++i) {
@@ -12000,24 +12159,53 @@ static int sfemi_turn_projects(const sfem_body *b)
     return 0;
 }
 
+/* x = Q A0^-1 Q^T x, held axes becoming 0. */
+static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real *frame, sfem_real *x)
+{
+    sfem_real *at = b->work;
+    const sfem_real *diagonal = f->inverse;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < f->free_nodes; ++k, at += 3) {
+        const sfem_real *q = frame + 9 * (size_t)f->node[k], *from = x + 3 * (size_t)f->node[k];
+        const int mask = f->mask[f->node[k]];
+        const sfem_real v0 = mask & 1 ? 0 : from[0], v1 = mask & 2 ? 0 : from[1], v2 = mask & 4 ? 0 : from[2];
+        at[0] = q[0] * v0 + q[3] * v1 + q[6] * v2;
+        at[1] = q[1] * v0 + q[4] * v1 + q[7] * v2;
+        at[2] = q[2] * v0 + q[5] * v1 + q[8] * v2;
+    }
+    if (f->ldl) sfem_ldl_solve(f->ldl, 1, b->work, at, &b->exec);
+    for (i = 0, k = 0, at = b->work; i < b->model->mesh.nodes; ++i) {
+        const sfem_real *q = frame + 9 * (size_t)i;
+        sfem_real *to = x + 3 * (size_t)i;
+        if (f->mask[i] == SFEM_AXIS_ALL) {
+            to[0] = to[1] = to[2] = 0;
+            continue;
+        }
+        for (c = 0; c < 3; ++c) {
+            if (diagonal) at[c] *= diagonal[3 * (size_t)k + (size_t)c];
+            if (f->mask[i] >> c & 1) at[c] = 0;
+        }
+        to[0] = q[0] * at[0] + q[1] * at[1] + q[2] * at[2];
+        to[1] = q[3] * at[0] + q[4] * at[1] + q[5] * at[2];
+        to[2] = q[6] * at[0] + q[7] * at[1] + q[8] * at[2];
+        at += 3;
+        ++k;
+    }
+}
+
 /* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
 static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
-    const sfem_int nodes = b->model->mesh.nodes;
     const int projects = u && sfemi_turn_projects(b);
-    sfem_int i, k;
+    sfem_int k;
     int c;
     if (projects) {
         sfemi_turn_motion(b, u, x, 0);
         sfemi_turn_add_motion(b, u, -1, 1, x);
     }
-    for (i = 0; i < nodes; ++i)
-        for (c = 0; c < 3; ++c)
-            if (b->mask[i] >> c & 1) x[3 * (size_t)i + (size_t)c] = 0;
-    sfemi_turn_rotate(frame, nodes, 1, x, x);
-    sfemi_factor_solve(f, nodes, 1, x, x, b->work, &b->exec);
-    sfemi_turn_rotate(frame, nodes, 0, x, x);
+    sfemi_turn_apply(b, f, frame, x);
     if (!projects) return;
     for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
         memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
@@ -12066,33 +12254,68 @@ static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[
     return 1;
 }
 
-/* Q from the tets' rotations; where it is not determined, and at nodes that are held on some axes only,
- * it stays as it was. sum [nodes][9] is scratch. */
-static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real *frame)
+typedef struct sfemi_frames {
+    sfem_body *body;
+    sfem_real *frame;
+    sfemi_polars_kernel kernel;
+} sfemi_frames;
+
+static void sfemi_turn_some_frames(void *data, sfem_int index)
 {
-    const sfem_model *model = b->model;
-    const int whole = b->def.frame == SFEM_FRAME_PIECE;
-    sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
-    sfem_int e, i;
-    int a, c;
-    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
-    memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
-    for (e = 0; e < model->mesh.tets; ++e)
-        for (a = 0; a < 4; ++a) {
-            const sfem_int node = model->mesh.tet[4 * (size_t)e + (size_t)a];
-            const size_t to = (size_t)(whole ? b->turn.piece_of[node] : node);
-            for (c = 0; c < 9; ++c)
-                sum[9 * to + (size_t)c] += model->volume[e] * rotation[9 * (size_t)e + (size_t)c];
-            volume[to] += model->volume[e];
-        }
-    for (i = 0; whole && i < b->turn.pieces; ++i) /* -1 in place of a volume: leave all its frames */
-        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        if (b->turn.piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
-        if (!whole) sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], frame + 9 * (size_t)i);
-        else if (volume[b->turn.piece_of[i]] > 0)
-            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)b->turn.piece_of[i], 9 * sizeof *frame);
+    const sfemi_frames *job = (const sfemi_frames *)data;
+    const sfem_body *b = job->body;
+    const sfemi_turn *t = &b->turn;
+    const sfem_int nodes = b->model->mesh.nodes, first = index * SFEMI_NODE_TASK;
+    const sfem_int count = nodes - first < SFEMI_NODE_TASK ? nodes - first : SFEMI_NODE_TASK;
+    const size_t at = 9 * (size_t)first;
+    sfem_int i;
+    job->kernel(count, t->sum + at, t->over + first, t->fresh + at, t->trace + first);
+    for (i = first; i < first + count; ++i) {
+        const size_t k = 9 * (size_t)i;
+        if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
+        else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
     }
+}
+
+/* The same with one rotation for each piece. */
+static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
+{
+    const sfemi_turn *t = &b->turn;
+    const sfem_int nodes = b->model->mesh.nodes;
+    sfem_real *sum = t->fresh, *volume = t->trace; /* there are no more pieces than nodes */
+    sfem_int i;
+    int c;
+    memset(sum, 0, 9 * (size_t)t->pieces * sizeof *sum);
+    memset(volume, 0, (size_t)t->pieces * sizeof *volume);
+    for (i = 0; i < nodes; ++i) {
+        if (t->piece_of[i] < 0) continue;
+        for (c = 0; c < 9; ++c) sum[9 * (size_t)t->piece_of[i] + (size_t)c] += t->sum[9 * (size_t)i + (size_t)c];
+        volume[t->piece_of[i]] += 1 / t->over[i];
+    }
+    for (i = 0; i < t->pieces; ++i) /* -1 in place of a volume: leave all its frames */
+        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (volume[t->piece_of[i]] > 0)
+            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)t->piece_of[i], 9 * sizeof *frame);
+    }
+}
+
+/* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
+ * only, it stays as it was. */
+static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
+{
+    sfemi_frames job;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
+    if (b->def.frame == SFEM_FRAME_PIECE) {
+        sfemi_turn_piece_frames(b, frame);
+        return;
+    }
+    job.body = b;
+    job.frame = frame;
+    job.kernel = sfemi_polars_pick();
+    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
 }
 
 /* Room for the solves with f, `rhs` at a time. */
@@ -12155,10 +12378,6 @@ done:
  * back in shape after a few steps at nu = .3; at nu = .49 many scattered ones stay locked in a knot.
  * ============================================================================================ */
 
-typedef struct sfemi_guard_energies {
-    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
-} sfemi_guard_energies;
-
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
 static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
                                                 const sfem_real *f1, sfem_real psi1, sfem_real h)
@@ -12167,25 +12386,28 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
     sfemi_guard_energies e;
-    sfem_real mid = 0, end = 0, stretch = 0;
+    sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
+    sfem_real stretch[3] = {0, 0, 0};
     sfem_int i, k;
-    int c;
-    memset(&e, 0, sizeof e);
+    int c, held;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfem_real m = model->node_mass[i];
-        sfem_real(*sum)[3];
+        sfem_real(*sum)[3], over;
         if (b->turn.piece_of[i] < 0) continue;
+        over = 1 / m;
         sum = b->turn.piece[b->turn.piece_of[i]].sum;
+        held = b->turn.piece[b->turn.piece_of[i]].held;
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real load = m * g[c] + s->force[1][at];
             if (b->mask[i] >> c & 1) continue;
-            e.kinetic += m / 2 * w1[at] * w1[at];
-            e.floor += h * h / 2 * load * load / m;
-            mid -= load * (s->u[at] + u1[at]) / 2;
-            end -= load * u1[at];
-            stretch += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            kinetic[c] += m * w1[at] * w1[at];
+            floor2[c] += over * load * load;
+            mid[c] -= load * (s->u[at] + u1[at]);
+            end[c] -= load * u1[at];
+            stretch[c] += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            if (held) continue;
             sum[0][c] += m * w1[at];
             sum[1][c] += load;
             sum[2][c] += m * (s->u[at] + u1[at]) / 2;
@@ -12195,21 +12417,25 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     for (k = 0; k < b->turn.pieces; ++k) {
         const sfemi_piece *p = b->turn.piece + k;
         for (c = 0; !p->held && c < 3; ++c) {
-            e.kinetic -= p->sum[0][c] * p->sum[0][c] / (2 * p->mass);
-            e.floor -= h * h / 2 * p->sum[1][c] * p->sum[1][c] / p->mass;
-            mid += p->sum[1][c] * p->sum[2][c] / p->mass;
-            end += p->sum[1][c] * p->sum[3][c] / p->mass;
+            kinetic[c] -= p->sum[0][c] * p->sum[0][c] / p->mass;
+            floor2[c] -= p->sum[1][c] * p->sum[1][c] / p->mass;
+            mid[c] += 2 * p->sum[1][c] * p->sum[2][c] / p->mass;
+            end[c] += p->sum[1][c] * p->sum[3][c] / p->mass;
         }
     }
-    e.kinetic *= r;
-    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (b->p - 0.5) / 2 * stretch + mid;
-    e.ec = e.kinetic + psi1 + end;
+    e.kinetic = r / 2 * (kinetic[0] + kinetic[1] + kinetic[2]);
+    e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
+    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
+           (b->p - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
+    e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
     return e;
 }
 
 static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
-    return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
+    const int turns = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
+    return sfemi_fem_forces(b->model, u, b->def.precision, f, NULL, NULL, turns ? b->turn.spin : NULL,
+                            turns ? b->turn.sum : NULL, b->turn.work, &b->exec);
 }
 
 /* Forces and frames where the state was set from outside; the pieces' places. */
@@ -12220,7 +12446,7 @@ static void sfemi_guard_look(sfem_body *b)
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
-        sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+        sfemi_turn_frames(b, b->state.frame);
         head->current = 1;
         head->rebase = SFEMI_NEW_LEDGER;
     }
@@ -12263,7 +12489,6 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     const sfem_real *base = sfemi_pqr_base(b);
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     int stiff, c;
     sfemi_pqr_terms t;
     sfem_int j;
@@ -12278,26 +12503,27 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
     }
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
-    for (i = 0; i < n; ++i) {
-        const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
-        b->zk[i] = b->beta * dv - t.ck * s->w[i] + t.cka * s->a[i];
-        b->zm[i] = b->alpha * dv + t.am * s->a[i];
-        if (b->zd) b->zd[i] = dv;
-        b->acc[i] = 0;
-    }
-    for (j = 0; j < b->pin_count; ++j) {
+    memset(b->acc, 0, n * sizeof *b->acc);
+    for (j = 0; j < b->pin_count; ++j)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
             b->acc[i] = (1 - t.am) * ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
-            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * b->acc[i];
-            if (b->zd) b->zd[i] += k.q / 2 * h * b->acc[i];
             stiff |= b->acc[i] != 0;
         }
+    if (stiff) {
+        const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
+        for (i = 0; i < n; ++i)
+            b->zk[i] = (b->beta * t.cd - t.ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
+        for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
+        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
+    } else {
+        memcpy(b->rhs, s->f, n * sizeof *b->rhs);
     }
-    if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
-    else memset(b->rhs, 0, n * sizeof *b->rhs);
-    for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
+    for (i = 0; (b->alpha != 0 || t.am != 0) && i < n; ++i)
+        b->rhs[i] += model->node_mass[i / 3] *
+                     (b->alpha * t.cd * s->w[i] - (b->alpha * t.ca - t.am) * s->a[i]);
     for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
     if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
         const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
@@ -12573,7 +12799,7 @@ static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
     sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
     int k;
-    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
     for (k = 0; k < count; ++k) { /* from the last on */
         const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
@@ -12935,10 +13161,11 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     g->corrections = 0;
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
-    g->redone = 0;
+    g->redone = g->measured = 0;
     if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL) {
         head->budget += sfemi_guard_step_work(b);
-        e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        g->measured = 1;
         g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
                     e.ec <= head->budget + .3 * head->scale);
     }
@@ -12972,8 +13199,8 @@ static void sfemi_guard_finish(sfem_body *b)
     else
         for (k = 0; k < b->grip.count; ++k)
             memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
-    sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
-    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    if (redone) sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies */
+    e = g->measured && !redone ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
     energy = head->energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
     moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
@@ -12999,7 +13226,7 @@ static void sfemi_guard_finish(sfem_body *b)
     memcpy(s->f, g->f, n * sizeof *s->f);
     memcpy(s->u, g->u, n * sizeof *s->u);
     memcpy(s->w, g->w, n * sizeof *s->w);
-    sfemi_turn_frames(b, b->turn.rotation, s->frame);
+    sfemi_turn_frames(b, s->frame);
     head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
@@ -13274,7 +13501,7 @@ done:
 static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes, tets = (size_t)b->model->mesh.tets;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_guard *g = &b->guard;
     sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->y, &g->grad, &g->dir,
                                   &g->trial_u, &g->trial_f};
@@ -13283,11 +13510,15 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
-    SFEMI_NEW(sfem_real, b->turn.rotation, al,
-              9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
-    b->turn.work = b->turn.rotation + 9 * tets;
-    b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
-    g->frame = b->turn.sum + 3 * n + n / 3;
+    SFEMI_NEW(sfem_real, b->turn.work, al,
+              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + 2 * (n / 3) +
+                  (3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
+    b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
+    b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
+    b->turn.fresh = b->turn.sum + 3 * n;
+    b->turn.over = b->turn.fresh + 3 * n;
+    b->turn.trace = b->turn.over + n / 3;
+    g->frame = b->turn.trace + n / 3;
     g->unit = g->frame + 3 * n;
     for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
     for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
@@ -13311,7 +13542,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
-    sfemi_delete(&al, b->turn.rotation);
+    sfemi_delete(&al, b->turn.work);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
