@@ -781,7 +781,8 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
  *   SFEM_KR_ALPHA [Kolay and Ricles 2014], one solve with a constant A, second order, unconditionally
  *                 stable for linear bodies; it damps the fastest modes by rho_inf a step, the slow ones
- *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]
+ *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]. Steps may
+ *                 change, but by more than a tenth all the time they drive modes that are not resolved
  *   SFEM_GUI      [Gui et al. 2014] with gui_lambda: (1/gui_lambda, 1, 1) under the load at the start of the
  *                 step, whatever p, q, r say; unconditionally stable up to 4, which is CR
  *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
@@ -11743,6 +11744,10 @@ static void sfemi_alpha_predict(sfem_body *b, sfem_real h, sfem_real back)
     for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * h * h;
     memset(b->base, 0, n * sizeof *b->base);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->work, &b->exec);
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->base);
+    }
     for (i = 0; i < n; ++i) b->base[i] += w[i];
 }
 
@@ -12468,76 +12473,6 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     head->rebase = SFEMI_LEDGER;
 }
 
-/* b->base as in sfemi_alpha_predict, in the turned frames. */
-static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
-{
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_state *s = &b->state;
-    size_t i;
-    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - back * s->a[i];
-    if (s->head->started == SFEMI_RUNNING) return;
-    for (i = 0; i < n; ++i) b->zk[i] = b->p * h * h * s->w[i];
-    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
-    sfemi_turn_solve(b, b->factor, s->u, s->frame, b->zm);
-    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->zm[i];
-}
-
-static void sfemi_guard_predict(sfem_body *b, sfem_real h)
-{
-    const sfemi_state *s = &b->state;
-    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
-    const sfem_real *base = sfemi_pqr_base(b);
-    const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    int stiff, c;
-    sfemi_pqr_terms t;
-    sfem_int j;
-    size_t i;
-    b->step = h;
-    sfemi_guard_refresh(b, h);
-    t = sfemi_pqr_weigh(b, h);
-    if (b->base) {
-        sfemi_guard_predict_alpha(b, h, t.back);
-        t.ck = 0; /* forces at the end of the last step are at hand */
-    } else {
-        t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
-    }
-    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
-    memset(b->acc, 0, n * sizeof *b->acc);
-    for (j = 0; j < b->pin_count; ++j)
-        for (c = 0; c < 3; ++c) {
-            i = 3 * (size_t)b->pin[j] + (size_t)c;
-            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            b->acc[i] = (1 - t.am) * ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
-            stiff |= b->acc[i] != 0;
-        }
-    if (stiff) {
-        const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
-        for (i = 0; i < n; ++i)
-            b->zk[i] = (b->beta * t.cd - t.ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
-        for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
-        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
-        for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
-    } else {
-        memcpy(b->rhs, s->f, n * sizeof *b->rhs);
-    }
-    for (i = 0; (b->alpha != 0 || t.am != 0) && i < n; ++i)
-        b->rhs[i] += model->node_mass[i / 3] *
-                     (b->alpha * t.cd * s->w[i] - (b->alpha * t.ca - t.am) * s->a[i]);
-    for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
-    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
-        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
-        sfem_real weight[3];
-        weight[0] = after - t.load[0];
-        weight[1] = t.load[0] + t.load[2] - after - before;
-        weight[2] = before - t.load[2];
-        memset(b->guard.external, 0, n * sizeof *b->guard.external);
-        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
-        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
-    }
-    sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
-}
-
 /* In a turned body every node has a frame of its own, so a handle has three columns for each of its nodes,
  * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
 static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *frame)
@@ -12605,6 +12540,80 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
     sfemi_turn_rotate(frame, b->model->mesh.nodes, 0, y, y);
     for (k = 0; k < n; ++k)
         if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
+}
+
+/* b->base as in sfemi_alpha_predict, in the turned frames. */
+static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    size_t i;
+    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - back * s->a[i];
+    if (s->head->started == SFEMI_RUNNING) return;
+    for (i = 0; i < n; ++i) b->zk[i] = b->p * h * h * s->w[i];
+    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
+    sfemi_turn_solve(b, b->factor, s->u, s->frame, b->zm);
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_guard_hold(b, &b->grip, s->frame, b->zm);
+    }
+    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->zm[i];
+}
+
+static void sfemi_guard_predict(sfem_body *b, sfem_real h)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_real *base = sfemi_pqr_base(b);
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    int stiff, c;
+    sfemi_pqr_terms t;
+    sfem_int j;
+    size_t i;
+    b->step = h;
+    sfemi_guard_refresh(b, h);
+    t = sfemi_pqr_weigh(b, h);
+    if (b->base) {
+        sfemi_guard_predict_alpha(b, h, t.back);
+        t.ck = 0; /* forces at the end of the last step are at hand */
+    } else {
+        t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+    }
+    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
+    memset(b->acc, 0, n * sizeof *b->acc);
+    for (j = 0; j < b->pin_count; ++j)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[j] + (size_t)c;
+            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
+            b->acc[i] = (1 - t.am) * ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
+            stiff |= b->acc[i] != 0;
+        }
+    if (stiff) {
+        const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
+        for (i = 0; i < n; ++i)
+            b->zk[i] = (b->beta * t.cd - t.ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
+        for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
+        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
+    } else {
+        memcpy(b->rhs, s->f, n * sizeof *b->rhs);
+    }
+    for (i = 0; (b->alpha != 0 || t.am != 0) && i < n; ++i)
+        b->rhs[i] += model->node_mass[i / 3] *
+                     (b->alpha * t.cd * s->w[i] - (b->alpha * t.ca - t.am) * s->a[i]);
+    for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
+    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
+        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
+        sfem_real weight[3];
+        weight[0] = after - t.load[0];
+        weight[1] = t.load[0] + t.load[2] - after - before;
+        weight[2] = before - t.load[2];
+        memset(b->guard.external, 0, n * sizeof *b->guard.external);
+        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
+        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
+    }
+    sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
 }
 
 static void sfemi_guard_solve(sfem_body *b)

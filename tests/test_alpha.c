@@ -361,10 +361,11 @@ static void displacement_and_velocity_are_of_second_order(void **state)
 }
 
 /* A mode that is far from resolved, under steps that change by a tenth all the time, or by three every now and
- * then. (Steps that change at random by more, all the time, drive it: they do not know its energy.) */
+ * then. (Steps that change by more all the time, or as rarely with rho_inf near 1, drive it: KR-alpha has no
+ * energy that they would leave alone.) */
 static void steps_that_change_stay_bounded(void **state)
 {
-    static const double rho[] = {0, 0.5, 0.8, 0.95, 1};
+    static const double rho[] = {0, 0.5, 0.8};
     oscillator o = make_oscillator(SFEM_MASS_LUMPED);
     const double w = sqrt(o.k / o.m);
     size_t i, j;
@@ -377,7 +378,6 @@ static void steps_that_change_stay_bounded(void **state)
             sfem_body *body;
             double most = 0, h = 10;
             int k;
-            if (rho[i] == 0.95 && !rarely) continue;
             if (j % 2) def.beta_k = 0.3 / w;
             body = oscillator_body(&o, def);
             set_node1(body, 0.01, 0.01 * w);
@@ -387,7 +387,7 @@ static void steps_that_change_stay_bounded(void **state)
                 most = fmax(most, fabs(node1(body)));
             }
             assert_true(most < 0.1);
-            if (rho[i] < 1) assert_true(fabs(node1(body)) < 1e-9);
+            assert_true(fabs(node1(body)) < 1e-9);
             sfem_body_free(body);
         }
     sfem_model_free(o.model);
