@@ -10104,6 +10104,7 @@ typedef struct sfemi_piece {
     sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real due[6];             /* >>guard, KR-alpha: what the loads' momentum has over that of rhs */
     sfem_real sum[4][3];          /* scratch of the energies */
 } sfemi_piece;
 
@@ -12303,6 +12304,47 @@ static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
     for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->zm[i];
 }
 
+/* KR-alpha blends forces and accelerations of two places, which have no common momentum. The rigid part of
+ * the step of a free piece is therefore (p,q,r)'s own, N^T M (w' - w) = (h1+h2)/2 N^T (L - alpha M w). Here is
+ * noted what that has over the right side, before forces of the caller's come to that. */
+static void sfemi_guard_note_momentum(sfem_body *b)
+{
+    const sfem_real load[3] = {0, 1, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfem_int k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    for (i = 0; i < n; ++i) b->zm[i] = b->alpha * b->model->node_mass[i / 3] * b->state.w[i];
+    sfemi_body_take_from_load(b, load, b->zm, b->zm);
+    for (i = 0; i < n; ++i) b->zm[i] -= b->rhs[i];
+    sfemi_turn_momentum(b, b->state.u, b->zm, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].due[c] = b->turn.piece[k].motion[c];
+}
+
+static void sfemi_guard_settle_momentum(sfem_body *b)
+{
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfem_int k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    sfemi_turn_momentum(b, b->state.u, b->rhs, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].motion[c] += b->turn.piece[k].due[c];
+    sfemi_turn_divide(b);
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    for (i = 0; i < n; ++i) b->zm[i] = b->state.w[i] - b->base[i] - t.d * b->acc[i];
+    sfemi_turn_motion(b, b->state.u, b->zm, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] += b->turn.piece[k].kept[c] * (t.d - t.back) / b->factor->key.cm;
+    sfemi_turn_add_motion(b, b->state.u, 1 / t.d, 0, b->acc);
+}
+
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
@@ -12357,6 +12399,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
     }
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
+    if (b->base) sfemi_guard_note_momentum(b);
 }
 
 static void sfemi_guard_solve(sfem_body *b)
@@ -12377,6 +12420,7 @@ static void sfemi_guard_solve(sfem_body *b)
         sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
+    if (b->base) sfemi_guard_settle_momentum(b);
 }
 
 /* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
