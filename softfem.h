@@ -786,8 +786,8 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *   SFEM_GUI      [Gui et al. 2014] with gui_lambda: (1/gui_lambda, 1, 1) under the load at the start of the
  *                 step, whatever p, q, r say; unconditionally stable up to 4, which is CR
  *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
- *                 the step, and so it is stepped. (Where the body is nonlinear and damped, Chang takes
- *                 the mean of v for w in D w.)
+ *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
+ *                 body is nonlinear or its load changes.)
  * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
  * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
@@ -10310,6 +10310,7 @@ enum { SFEMI_MEMORY = 6 };
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
     sfem_real *external;   /* the loads as the corrections weigh them */
+    sfem_real *added;      /* what the caller added to the right side */
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
     sfem_real *unit;       /* frames that do not turn */
     sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
@@ -12368,7 +12369,7 @@ done:
  *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
  * Eb is conserved exactly where the body is linear and undamped, but blind to fast modes; Ec is not, and
  * is tested loosely. They may not pass a ledger B (the least energy so far, forgotten over half a
- * second, plus the work of handles, moved pins and changing loads) by more than .01 and .3 of a scale S,
+ * second, plus the work of handles, moved pins and changing loads) by more than .02 and .3 of a scale S,
  * the energy in motion over the last second. A step that does is taken back and done again as a
  * minimisation of
  *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
@@ -12560,6 +12561,32 @@ static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
     for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->zm[i];
 }
 
+/* KR-alpha blends forces and accelerations of two places, which have no common momentum. The rigid part of
+ * the step of a free piece is therefore made (p,q,r)'s own, N^T M (w' - w) = (h1+h2)/2 N^T (L - alpha M w')
+ * in its form of one solve. */
+static void sfemi_guard_settle_momentum(sfem_body *b)
+{
+    const sfem_real load[3] = {0, 1, 0};
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfem_int k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    for (i = 0; i < n; ++i) b->zm[i] = b->alpha * b->model->node_mass[i / 3] * b->state.w[i];
+    sfemi_body_take_from_load(b, load, b->zm, b->zm);
+    for (i = 0; i < n; ++i) b->zm[i] += b->guard.added[i];
+    sfemi_turn_motion(b, b->state.u, b->zm, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    for (i = 0; i < n; ++i) b->zm[i] = b->state.w[i] - b->base[i] - t.d * b->acc[i];
+    sfemi_turn_motion(b, b->state.u, b->zm, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] += b->turn.piece[k].kept[c] * (t.d - t.back) / b->factor->key.cm;
+    sfemi_turn_add_motion(b, b->state.u, 1 / t.d, 0, b->acc);
+}
+
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
@@ -12614,6 +12641,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
     }
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
+    for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
 
 static void sfemi_guard_solve(sfem_body *b)
@@ -12624,6 +12652,7 @@ static void sfemi_guard_solve(sfem_body *b)
     sfem_real *x = b->zm;
     size_t i;
     memcpy(x, b->rhs, n * sizeof *x);
+    for (i = 0; i < n; ++i) b->guard.added[i] += b->rhs[i];
     for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
     sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, x);
     for (i = 0; i < n; ++i)
@@ -12634,6 +12663,7 @@ static void sfemi_guard_solve(sfem_body *b)
         sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
+    if (b->base) sfemi_guard_settle_momentum(b);
 }
 
 /* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
@@ -12939,13 +12969,15 @@ static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
     for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
 }
 
-/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
+/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there, and
+ * that of the caller's forces. */
 static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
     const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
+    size_t i;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->pin_count; ++k)
@@ -12962,6 +12994,7 @@ static sfem_real sfemi_guard_work(sfem_body *b)
                 work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) work += g->added[i] * (g->u[i] - b->state.u[i]);
     return work;
 }
 
@@ -13052,7 +13085,7 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     status = sfemi_guard_prepare_redo(b, SFEMI_TURNED, err);
     if (status != SFEM_OK) return status;
     for (i = 0; i < n; ++i) {
-        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
+        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i] + g->added[i];
         g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
     }
     memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
@@ -13132,6 +13165,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
         for (i = 0; i < n; ++i)
             work += (t.load[0] * (s->force[0][i] - s->force[1][i]) + t.load[2] * (s->force[2][i] - s->force[1][i])) *
                     (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+    for (i = 0; i < n; ++i) work += g->added[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
     return work;
 }
 
@@ -13175,7 +13209,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
         head->budget += sfemi_guard_step_work(b);
         e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
         g->measured = 1;
-        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
+        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .02 * head->scale &&
                     e.ec <= head->budget + .3 * head->scale);
     }
     if (g->redone) {
@@ -13512,7 +13546,7 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_guard *g = &b->guard;
-    sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->y, &g->grad, &g->dir,
+    sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->added, &g->y, &g->grad, &g->dir,
                                   &g->trial_u, &g->trial_f};
     sfem_status status = SFEM_OK;
     size_t i;
@@ -14518,7 +14552,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
             info.body_bytes += 3 * n * (size_t)b->guard.redo[k].grip.parts[i] * sizeof(sfem_real);
     }
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
-        info.body_bytes += (9 * (size_t)info.tets + sfem_model_work_size(b->model) + n / 3 + 19 * n +
+        info.body_bytes += (9 * (size_t)info.tets + sfem_model_work_size(b->model) + n / 3 + 20 * n +
                             (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b);
     if (!b->factor) return info;
