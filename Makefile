@@ -59,6 +59,9 @@ bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body si
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
 
+bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S beside that of 3x3 blocks
+	$(ENVIRONMENT) $(BUILD)/bench/scalar
+
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
@@ -207,5 +210,4 @@ $(BUILD)/cmocka:
 force:
 .DELETE_ON_ERROR:
 .SECONDARY:
-.PHONY: help run test bench bench-sleep bench-solver bench-step examples strict asan tsan analyze format \
-        coverage clean check check-examples force
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)

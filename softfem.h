@@ -447,6 +447,7 @@ typedef struct sfem_ldl_def {
     int positive;       /* every pivot must be > 0, else SFEM_NOT_SPD */
     int mixed;          /* keep a float copy of L, which the solves use: half the memory traffic */
     int keep;           /* keep the update matrices, so that a part can be refactored */
+    int scalar;         /* A is n x n: a->val holds one number a block, right sides [n]; needs positive */
     sfem_allocator allocator;
     sfem_exec exec; /* used by create and refactor */
 } sfem_ldl_def;
@@ -471,7 +472,7 @@ SFEM_DEF sfem_ldl_def sfem_default_ldl_def(void); /* BEST, positive = 1, the res
 /* Analyses the pattern and factorises A.
  *   errors  SFEM_NOT_SPD (positive = 1: node and pivot), SFEM_SINGULAR (positive = 0: node),
  *           SFEM_NOT_FINITE (node), SFEM_BAD_ARGUMENT (the pattern is not what sfem_matrix promises,
- *           or dissection without coordinates), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *           or dissection without coordinates; scalar without positive), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
  *   n = 0   is allowed */
 SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix *a, sfem_ldl **out,
                                      sfem_error *err);
@@ -496,7 +497,7 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
  * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but
  * may differ between a right side alone and among others. */
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs); /* in sfem_real */
-SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n] */,
+SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n]; scalar: [rhs][n] */,
                              sfem_real *work, const sfem_exec *exec);
 
 SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl);
@@ -4248,14 +4249,15 @@ static sfem_status sfemi_matrix_check_pattern(const sfem_matrix *a, sfem_error *
     return SFEM_OK;
 }
 
-static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, sfem_error *err)
+/* `size` numbers a block. */
+static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, size_t size, sfem_error *err)
 {
     sfem_int i, k;
-    int c;
+    size_t c;
     for (i = 0; i < a->n; ++i)
         for (k = a->row[i]; k < a->row[i + 1]; ++k)
-            for (c = 0; c < 9; ++c)
-                if (!sfemi_finite(a->val[9 * (size_t)k + (size_t)c]))
+            for (c = 0; c < size; ++c)
+                if (!sfemi_finite(a->val[size * (size_t)k + c]))
                     return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1,
                                          "block (%ld, %ld) of the matrix is not finite", (long)i,
                                          (long)a->col[k]);
@@ -4265,7 +4267,7 @@ static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, sfem_error *e
 SFEM_DEF sfem_status sfem_matrix_check(const sfem_matrix *a, sfem_error *err)
 {
     const sfem_status status = sfemi_matrix_check_pattern(a, err);
-    return status != SFEM_OK ? status : sfemi_matrix_check_values(a, err);
+    return status != SFEM_OK ? status : sfemi_matrix_check_values(a, 9, err);
 }
 
 SFEM_DEF sfem_status sfem_matrix_upper_create(const sfem_matrix *a, const sfem_allocator *allocator,
@@ -5520,22 +5522,22 @@ typedef struct sfemi_ldl_kernels {
     void (*eliminate)(size_t, size_t, const double *, const double *, size_t, double *, int,
                       const double *);
     int (*pivots)(size_t, size_t, double *, int, int, const double *, double *, double *);
-    void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
+    void (*add)(size_t, sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
     void (*dense_minus)(size_t, const double *, size_t, const double *, double *);
     void (*dense_dots)(size_t, const double *, size_t, const double *, double *);
     void (*invert)(size_t, size_t, double *, const double *);
-    void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
-    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+    void (*forward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                      const double *, double *);
-    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *);
-    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+    void (*forward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward8)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                       const double *, double *);
     void (*invert32)(size_t, size_t, float *, const double *);
-    void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
-    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+    void (*forward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward32)(size_t, size_t, size_t, size_t, const float *, float *, const sfem_int *,
                        const float *, float *);
-    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
-    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+    void (*forward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward8_32)(size_t, size_t, size_t, size_t, const float *, float *, const sfem_int *,
                          const float *, float *);
 } sfemi_ldl_kernels;
 
@@ -5572,6 +5574,7 @@ typedef struct sfemi_symbolic {
     sfem_allocator allocator;
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
+    size_t per; /* unknowns to a node: 3, or 1 */
     sfem_ordering ordering;
     sfem_int *order;     /* [n] order[new] = old */
     sfem_int *inverse;   /* [n] */
@@ -5606,8 +5609,8 @@ typedef struct sfemi_symbolic {
 
 static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, size_t w)
 {
-    const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);
-    return sfemi_shape_of(k, k + 3 * (y->start[s + 1] - y->start[s]), w);
+    const size_t k = y->per * (size_t)(y->first[s + 1] - y->first[s]);
+    return sfemi_shape_of(k, k + y->per * (y->start[s + 1] - y->start[s]), w);
 }
 
 static void sfemi_symbolic_free(sfemi_symbolic *y)
@@ -5646,14 +5649,16 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
 /* Is it worth a merged supernode of k columns over m rows to hold so many zeros? On small meshes
  * the calls for each supernode dominate, on large ones the memory that the solve reads (measured).
  */
-static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n)
+static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n, size_t per)
 {
-    static const double limit[3][4] = {/* up to 4, 8, 16 and more columns, in nodes */
+    static const double limit[3][4] = {/* up to 4, 8, 16 and more columns, in nodes of 3 */
                                        {.8, .5, .3, .15},
                                        {.6, .35, .2, .08},
                                        {.4, .15, .08, .03}};
-    const double *most = limit[n < 500 ? 0 : n < 2500 ? 1 : 2];
-    return zeros / (k * (k + 1) / 2 + k * m) < most[k <= 4 ? 0 : k <= 8 ? 1 : k <= 16 ? 2 : 3];
+    const double size = (double)per / 3, *most = limit[n * size < 500 ? 0 : n * size < 2500 ? 1 : 2];
+    const double wide = k * size;
+    return zeros / (k * (k + 1) / 2 + k * m) <
+           most[wide <= 4 ? 0 : wide <= 8 ? 1 : wide <= 16 ? 2 : 3];
 }
 
 /* Supernodes: columns of equal structure [Ashcraft, Grimes 1989], then children merged into parents
@@ -5709,7 +5714,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
             for (c = child[s]; c >= 0; before = c, c = sibling[c]) {
                 const double extra = zeros[c] + (double)width[c] * (width[s] + below[s] - below[c]);
                 if (pick >= 0 && extra >= least) continue;
-                if (!sfemi_merge_pays(width[c] + width[s], below[s], extra + zeros[s], n)) continue;
+                if (!sfemi_merge_pays(width[c] + width[s], below[s], extra + zeros[s], n, y->per))
+                    continue;
                 pick = c;
                 pick_before = before;
                 least = extra;
@@ -5940,8 +5946,8 @@ static size_t sfemi_slot_take(sfemi_slot *slot, sfem_int *count, size_t size, sf
 
 static double sfemi_front_flops(const sfemi_symbolic *y, sfem_int s)
 {
-    const double k = 3.0 * (y->first[s + 1] - y->first[s]);
-    const double m = 3.0 * (double)(y->start[s + 1] - y->start[s]);
+    const double per = (double)y->per, k = per * (y->first[s + 1] - y->first[s]);
+    const double m = per * (double)(y->start[s + 1] - y->start[s]);
     return k * (k * k / 3 + k * m + m * m);
 }
 
@@ -6126,6 +6132,7 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     sfemi_symbolic *y = NULL;
     sfemi_graph g = {0, NULL, NULL};
     sfemi_tree tree;
+    sfem_int i;
     memset(&tree, 0, sizeof tree);
     if (def->ordering == SFEM_ORDER_DISSECTION && !def->x)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "nested dissection needs coordinates");
@@ -6137,10 +6144,12 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     y->allocator = *m;
     y->kernels = sfemi_ldl_kernels_of(sfemi_path());
     y->n = a->n;
+    y->per = def->scalar ? 1 : 3;
     y->blocks = a->n ? a->row[a->n] : 0;
     SFEMI_TRY(sfemi_graph_create(a, m, &g, err));
     SFEMI_TRY(sfemi_symbolic_order(def, &g, &y->ordering, &tree, err));
-    y->flops = tree.flops;
+    y->flops = def->scalar ? 0 : tree.flops;
+    for (i = 0; def->scalar && i < a->n; ++i) y->flops += (double)tree.count[i] * tree.count[i];
     SFEMI_TRY(sfemi_symbolic_supernodes(y, &tree, err));
     SFEMI_TRY(sfemi_symbolic_rows(y, &g, err));
     SFEMI_TRY(sfemi_symbolic_blocks(y, a, err));
@@ -6203,7 +6212,7 @@ typedef struct sfemi_solve {
 
 static size_t sfemi_solve_rows(const sfemi_symbolic *y)
 {
-    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
+    return y->per * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
 }
 
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
@@ -6221,7 +6230,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfemi_solve *q = (const sfemi_solve *)data;                                          \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                \
         const sfem_int t = index, root = y->task[t + 1] - 1;                                       \
-        const size_t n = 3 * q->block; /* numbers to a node */                                     \
+        const size_t n = y->per * q->block; /* numbers to a node */                                \
         R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);         \
         const sfem_int wide = y->first[root + 1] - y->first[root];                                 \
         sfem_int s, c;                                                                             \
@@ -6238,13 +6247,13 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
             }                                                                                      \
         }                                                                                          \
         for (s = y->task[t]; s <= root; ++s) {                                                     \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            const size_t k = y->per * (size_t)(y->first[s + 1] - y->first[s]);                     \
+            const size_t f = k + y->per * (y->start[s + 1] - y->start[s]);                         \
             R *x = w + n * (size_t)y->first[s];                                                    \
             (q->block == 1 ? y->kernels->forward_ : y->kernels->forward8_)(                        \
-                k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w);                   \
+                y->per, k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w);           \
             if (q->ldl->negative[s]) {                                                             \
-                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                     \
+                const double *scale = q->ldl->scale + y->per * (size_t)y->first[s];                \
                 size_t p;                                                                          \
                 for (p = 0; p < k; ++p)                                                            \
                     for (i = 0; i < q->block && scale[p] < 0; ++i)                                 \
@@ -6257,7 +6266,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfemi_solve *q = (const sfemi_solve *)data;                                          \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                \
         const sfem_int t = index, root = y->task[t + 1] - 1, p = y->parent[root];                  \
-        const size_t n = 3 * q->block;                                                             \
+        const size_t n = y->per * q->block;                                                        \
         R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);               \
         R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                      \
         size_t a;                                                                                  \
@@ -6270,10 +6279,10 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
             memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                \
         }                                                                                          \
         for (s = root; s >= y->task[t]; --s) {                                                     \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            const size_t k = y->per * (size_t)(y->first[s + 1] - y->first[s]);                     \
+            const size_t f = k + y->per * (y->start[s + 1] - y->start[s]);                         \
             (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                      \
-                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                  \
+                y->per, k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],          \
                 w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                 \
         }                                                                                          \
     }
@@ -6335,9 +6344,9 @@ static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task 
 static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
+    const size_t per = y->per, n = per * (size_t)y->n, b = q->block;
     size_t i, r, c;
-    if (b == 1) {
+    if (b == 1 && per == 3) {
         double *w = q->w;
         for (i = 0; i < (size_t)y->n; ++i) {
             const double *from = x + 3 * (size_t)y->order[i];
@@ -6355,21 +6364,22 @@ static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem
         return;
     }
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < b; ++r)
-                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+                q->w[(per * i + c) * b + r] =
+                    r < count ? x[r * n + per * (size_t)y->order[i] + c] : 0;
     sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+                x[r * n + per * (size_t)y->order[i] + c] = q->w[(per * i + c) * b + r];
 }
 
 /* The same in float, each right side scaled to 1 lest floats overflow. */
 static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
+    const size_t per = y->per, n = per * (size_t)y->n, b = q->block;
     double unit[SFEMI_SOLVE_BLOCK];
     size_t i, r, c;
     for (r = 0; r < count; ++r) {
@@ -6381,23 +6391,23 @@ static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sf
         unit[r] = ldexp(1.0, -e);
     }
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < b; ++r)
-                q->w32[(3 * i + c) * b + r] =
-                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+                q->w32[(per * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + per * (size_t)y->order[i] + c]) : 0;
     sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
     for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] =
-                    unit[r] * (double)q->w32[(3 * i + c) * b + r];
+                x[r * n + per * (size_t)y->order[i] + c] =
+                    unit[r] * (double)q->w32[(per * i + c) * b + r];
 }
 
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
                              const sfem_exec *exec)
 {
-    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    const size_t n = ldl->symbolic->per * (size_t)ldl->symbolic->n;
     sfemi_solve q;
     SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
     memset(&q, 0, sizeof q);
@@ -6445,18 +6455,24 @@ static void sfemi_front_begin(sfemi_front *q)
     const sfemi_symbolic *y = q->ldl->symbolic;
     const sfemi_shape *h = &q->h;
     const double least = q->ldl->positive ? 4e-15 : 1e-13;
+    const size_t per = y->per;
     sfem_int e;
     memset(q->l, 0, sfemi_shape_panel_size(h) * sizeof *q->l);
     if (q->load) memset(q->u, 0, sfemi_shape_update_size(h) * sizeof *q->u);
     for (e = y->from[q->s]; e < y->from[q->s + 1]; ++e) {
         const sfem_int in = y->into[2 * (size_t)e];
-        const double *v = q->a->val + 9 * (size_t)y->source[e];
-        const size_t row = 3 * (size_t)(in < 0 ? ~in : in),
-                     col = 3 * (size_t)y->into[2 * (size_t)e + 1];
+        const double *v = q->a->val + per * per * (size_t)y->source[e];
+        const size_t row = per * (size_t)(in < 0 ? ~in : in),
+                     col = per * (size_t)y->into[2 * (size_t)e + 1];
         const size_t tile = row / h->t, hd = sfemi_shape_height(h, tile);
         const size_t across = in < 0 ? 3 : 1, down = in < 0 ? 1 : 3;
         double *d = q->l + sfemi_shape_panel(h, tile) + col * hd + (row - tile * h->t);
         int c;
+        if (per == 1) {
+            *d = *v;
+            if (row == col) q->ldl->floor[(size_t)y->first[q->s] + row] = least * fabs(*v);
+            continue;
+        }
         for (c = 0; c < 3; ++c, d += hd, v += across) {
             d[0] = v[0];
             d[1] = v[down];
@@ -6477,35 +6493,35 @@ static void sfemi_front_add_tile(const sfemi_front *q, sfem_int child, size_t ti
     const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, child, h->w);
     const sfem_int *place = y->place + y->start[child];
     const sfem_int pivots = y->first[q->s + 1] - y->first[q->s],
-                   below = (sfem_int)((ch.f - ch.k) / 3);
-    const size_t hs = sfemi_shape_height(&ch, tile);
+                   below = (sfem_int)((ch.f - ch.k) / y->per);
+    const size_t hs = sfemi_shape_height(&ch, tile), n = y->per;
     const double *src = sfemi_ldl_update_of(q->ldl, child) + sfemi_shape_update(&ch, tile);
     const size_t c0 = ch.boundary * ch.t, d0 = h->boundary * h->t;
-    const sfem_int per = (sfem_int)(h->t / 3),
-                   shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
+    const sfem_int per = (sfem_int)(h->t / n),
+                   shift = (sfem_int)(tile * ch.t / n) - (sfem_int)(ch.k / n);
     sfem_int a = shift < 0 ? 0 : shift, last = shift + per < below ? shift + per : below, b, inner;
     for (inner = 0; inner < a && place[inner] < pivots; ++inner) continue;
     while (a < last) {
-        const size_t pt = 3 * (size_t)place[a] / h->t, hd = sfemi_shape_height(h, pt);
-        double *dl = q->l + sfemi_shape_panel(h, pt) + (3 * (size_t)place[a] - pt * h->t);
+        const size_t pt = n * (size_t)place[a] / h->t, hd = sfemi_shape_height(h, pt);
+        double *dl = q->l + sfemi_shape_panel(h, pt) + (n * (size_t)place[a] - pt * h->t);
         double *du = NULL;
-        const double *from = src + (ch.k + 3 * (size_t)a - tile * ch.t) + (ch.k - c0) * hs;
+        const double *from = src + (ch.k + n * (size_t)a - tile * ch.t) + (ch.k - c0) * hs;
         sfem_int stop = a + 1;
         while (stop < last && place[stop] == place[stop - 1] + 1 &&
-               3 * (size_t)place[stop] / h->t == pt)
+               n * (size_t)place[stop] / h->t == pt)
             ++stop;
         if (place[a] >= pivots || place[stop - 1] >= pivots)
-            du = q->u + sfemi_shape_update(h, pt) + (3 * (size_t)place[a] - pt * h->t);
+            du = q->u + sfemi_shape_update(h, pt) + (n * (size_t)place[a] - pt * h->t);
         /* columns left of the run, then its own triangle */
         for (; inner < a && place[inner] < pivots; ++inner) continue;
-        y->kernels->add(inner, place, 3 * (size_t)(stop - a), from, hs, dl, hd);
+        y->kernels->add(n, inner, place, n * (size_t)(stop - a), from, hs, dl, hd);
         if (inner < a)
-            y->kernels->add(a - inner, place + inner, 3 * (size_t)(stop - a),
-                            from + 3 * (size_t)inner * hs, hs, du - d0 * hd, hd);
+            y->kernels->add(n, a - inner, place + inner, n * (size_t)(stop - a),
+                            from + n * (size_t)inner * hs, hs, du - d0 * hd, hd);
         for (b = a; b < stop; ++b) {
-            const size_t skip = 3 * (size_t)(b - a);
-            y->kernels->add(1, place + b, 3 * (size_t)(stop - b), from + 3 * (size_t)b * hs + skip,
-                            hs, (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
+            const size_t skip = n * (size_t)(b - a);
+            y->kernels->add(n, 1, place + b, n * (size_t)(stop - b), from + n * (size_t)b * hs + skip, hs,
+                            (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
         }
         a = stop;
     }
@@ -6547,7 +6563,7 @@ static sfem_int sfemi_front_diagonal(const sfemi_front *q, size_t tile, double *
     const sfemi_shape *h = &q->h;
     const size_t ha = sfemi_shape_height(h, tile), first = tile * h->t;
     const size_t n = sfemi_shape_columns(h, tile) - first, at = sfemi_shape_panel(h, tile);
-    const double *floor = q->ldl->floor + 3 * (size_t)q->ldl->symbolic->first[q->s] + first;
+    const double *floor = q->ldl->floor + q->ldl->symbolic->per * (size_t)q->ldl->symbolic->first[q->s] + first;
     double *a = q->l + at;
     size_t g;
     if (q->b != q->l) sfemi_front_sign(q, tile, 0, first);
@@ -6733,7 +6749,7 @@ static sfemi_front sfemi_front_of(const sfem_ldl *ldl, const sfem_matrix *a, sfe
     q.h = sfemi_symbolic_shape(y, s, y->kernels->width);
     q.l = ldl->l + y->panel[s];
     q.u = sfemi_ldl_update_of(ldl, s);
-    q.scale = ldl->scale + 3 * (size_t)y->first[s];
+    q.scale = ldl->scale + y->per * (size_t)y->first[s];
     q.b = ldl->positive ? q.l : ldl->signs + y->signs[y->of[s]];
     q.load = y->child[s] >= 0;
     q.begin = q.end = 0;
@@ -6755,7 +6771,7 @@ static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sf
     for (q.begin = 0; q.begin < q.h.diagonal; q.begin = q.end) {
         q.end = q.begin + block < q.h.diagonal ? q.begin + block : q.h.diagonal;
         c = sfemi_front_block(&q, lost);
-        if (c >= 0) return c + 3 * y->first[s];
+        if (c >= 0) return c + (sfem_int)y->per * y->first[s];
         for (n = sfemi_front_chunks(q.h.tiles - q.end), unit = 0; unit < n; ++unit)
             sfemi_front_below(&q, unit);
     }
@@ -6824,7 +6840,7 @@ static void sfemi_factor_unit(void *data, sfem_int unit)
         sfemi_crew_wait(ldl->done + t, (sfem_int)before);
         if (ldl->lost_at[t] == -1) {
             const sfem_int at = sfemi_front_unit(&q, (size_t)unit, 1, &before, ldl->lost + t);
-            if (at >= 0) ldl->lost_at[t] = at + 3 * y->first[q.s];
+            if (at >= 0) ldl->lost_at[t] = at + (sfem_int)y->per * y->first[q.s];
         }
     }
     (void)SFEMI_ATOMIC_ADD(ldl->done + t, 1);
@@ -6849,7 +6865,7 @@ static void sfemi_factor_units(const sfem_ldl *ldl)
 
 static void sfemi_ldl_statistics(sfem_ldl *ldl)
 {
-    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    const size_t n = ldl->symbolic->per * (size_t)ldl->symbolic->n;
     double low = 0, high = 0;
     size_t i;
     for (i = 0; i < n; ++i) {
@@ -6906,18 +6922,19 @@ static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error
 static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int task,
                                     sfem_error *err)
 {
-    const sfem_int node = ldl->symbolic->order[ldl->lost_at[task] / 3];
-    const sfem_status status = sfemi_matrix_check_values(a, err);
+    const sfem_int per = (sfem_int)ldl->symbolic->per, node = ldl->symbolic->order[ldl->lost_at[task] / per];
+    const sfem_status status =
+        sfemi_matrix_check_values(a, ldl->symbolic->per * ldl->symbolic->per, err);
     if (status != SFEM_OK) return status;
     if (ldl->positive)
         return sfemi_fail_at(
             err, SFEM_NOT_SPD, node, -1,
             "the matrix is not positive definite: pivot %g at node %ld, direction %d",
-            ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+            ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % per));
     return sfemi_fail_at(
         err, SFEM_SINGULAR, node, -1,
         "the matrix is singular or needs pivoting: pivot %g at node %ld, direction %d",
-        ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+        ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % per));
 }
 
 /* Factorises the supernodes that are marked stale. */
@@ -6933,7 +6950,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     job.ldl = ldl;
     job.a = a;
     for (k = 0; k < y->n; ++k) {
-        const double *v = a->val + 9 * ((size_t)a->row[k + 1] - 1);
+        const double *v = a->val + y->per * y->per * ((size_t)a->row[k + 1] - 1);
         if (fabs(v[0]) > most) most = fabs(v[0]);
     }
     if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &e);
@@ -6975,7 +6992,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     const sfem_allocator *m = &like->allocator;
     sfem_status status = SFEM_OK;
     sfem_ldl *ldl = NULL;
-    const size_t n = 3 * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
+    const size_t n = y->per * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
     SFEMI_NEW(sfem_ldl, ldl, m, 1);
     ldl->symbolic = y;
     y = NULL;
@@ -7028,6 +7045,8 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
     sfemi_symbolic *y = NULL;
     sfem_ldl like;
     SFEM_ASSERT(def && a && out);
+    if (def->scalar && !def->positive)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a scalar matrix has to be positive definite");
     status = sfemi_matrix_check_pattern(a, err);
     if (status == SFEM_OK) status = sfemi_symbolic_create(def, a, &y, err);
     if (status != SFEM_OK) return status;
@@ -7097,7 +7116,7 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
 SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    const size_t ns = (size_t)y->supernodes, n = 3 * (size_t)y->n;
+    const size_t ns = (size_t)y->supernodes, n = y->per * (size_t)y->n;
     sfem_ldl_info info;
     sfem_int s;
     memset(&info, 0, sizeof info);
@@ -7336,14 +7355,15 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
     c.z = c.p + c.n;
     ap = c.z + c.n;
     c.inverse = c.work = ap + c.n;
-    if (def->preconditioner && def->preconditioner->symbolic->n != a->n)
+    if (def->preconditioner &&
+        (def->preconditioner->symbolic->n != a->n || def->preconditioner->symbolic->per != 3))
         return sfemi_fail(err, SFEM_MISMATCH, "the preconditioner has %ld rows, the matrix %ld",
                           (long)def->preconditioner->symbolic->n, (long)a->n);
     if (!def->preconditioner)
         for (node = 0; node < a->n; ++node)
             if (!sfemi_block_invert(a->val + 9 * ((size_t)a->row[node + 1] - 1),
                                     c.inverse + 9 * (size_t)node)) {
-                const sfem_status status = sfemi_matrix_check_values(a, err);
+                const sfem_status status = sfemi_matrix_check_values(a, 9, err);
                 return status != SFEM_OK
                            ? status
                            : sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
@@ -9304,8 +9324,8 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
 
-/* Arrays of a matrix of the given size; on failure those made so far are in *a, to be freed. */
-static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, const sfem_allocator *al,
+/* Arrays of a matrix of the given size, `size` numbers a block; on failure those made so far are in *a, to be freed. */
+static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, size_t size, const sfem_allocator *al,
                                         sfem_int **row, sfem_int **col, sfem_matrix *a, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
@@ -9315,7 +9335,7 @@ static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, const sfem_al
     a->row = *row;
     SFEMI_NEW(sfem_int, *col, al, blocks + 1);
     a->col = *col;
-    SFEMI_NEW(sfem_real, a->val, al, 9 * blocks + 1);
+    SFEMI_NEW(sfem_real, a->val, al, size * blocks + 1);
 done:
     return status;
 }
@@ -9330,7 +9350,7 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
     sfem_int *row = NULL, *col = NULL, i, at;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
-    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], al, &row, &col, &a, err));
+    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], 9, al, &row, &col, &a, err));
     memcpy(row, model->row, ((size_t)n + 1) * sizeof *row);
     memcpy(col, model->col, (size_t)model->row[n] * sizeof *col);
     for (i = 0; i < n; ++i)
@@ -9685,7 +9705,9 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
  * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
  * isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
- * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. All bodies of a model with the
+ * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. Unless
+ * axes are pinned one by one, or damping does not share its form, what is factored of it is the n x n
+ * matrix: a ninth of the memory, and three right sides in a solve. All bodies of a model with the
  * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
  * goes when its last body lets go. A factor never changes after it is made.
  * ============================================================================================ */
@@ -9705,6 +9727,7 @@ struct sfem_factor {
     unsigned char *mask;
     sfem_int free_nodes;
     sfem_int *node;     /* [free_nodes] their numbers in the mesh */
+    int scalar;         /* A = S (x) I, and ldl is S's */
     sfem_real *inverse; /* [free_nodes][3] if A is diagonal, else NULL */
     sfem_ldl *ldl;      /* else this */
 };
@@ -9743,6 +9766,16 @@ static void sfemi_factor_release(sfem_model *model, sfem_factor *f)
     if (left == 0) sfemi_factor_destroy(model, f);
 }
 
+/* Is A = S (x) I? */
+static int sfemi_factor_is_scalar(const sfem_model *model, const sfemi_factor_key *key)
+{
+    sfem_int i;
+    if (!key->majorant || model->block_mass || (model->damping && key->cd != 0)) return 0;
+    for (i = 0; i < model->mesh.nodes; ++i)
+        if (key->mask[i] != 0 && key->mask[i] != SFEM_AXIS_ALL) return 0;
+    return 1;
+}
+
 /* A factor in the model's list that has this key, or with `like` set, one whose analysis serves it (same
  * pins, other coefficients); retained, or NULL. */
 static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key *key, int like)
@@ -9753,7 +9786,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     for (f = model->factors; f; f = f->next) {
         sfemi_factor_key k = *key;
         if (like) {
-            if (!f->ldl) continue;
+            if (!f->ldl || f->scalar != sfemi_factor_is_scalar(model, key)) continue;
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
@@ -9833,13 +9866,13 @@ static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, co
             if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
 }
 
-/* The rows and columns of A that are free. */
+/* The rows and columns of A that are free; of S where A = S (x) I. */
 static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_factor *f, sfem_matrix *out,
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
-    sfem_real *majorant = NULL;
+    sfem_real *majorant = NULL, block[9];
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
@@ -9849,13 +9882,15 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
     for (k = 0; k < f->free_nodes; ++k)
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
             blocks += number[model->col[at]] > 0;
-    SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, al, &row, &col, &a, err));
+    SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, f->scalar ? 1 : 9, al, &row, &col, &a, err));
     blocks = 0;
     for (k = 0; k < f->free_nodes; ++k) {
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
             if (number[model->col[at]] == 0) continue;
             col[blocks] = number[model->col[at]] - 1;
-            sfemi_factor_block(model, f, majorant, at, f->node[k], a.val + 9 * (size_t)blocks++);
+            sfemi_factor_block(model, f, majorant, at, f->node[k], block);
+            if (f->scalar) a.val[blocks++] = block[0];
+            else memcpy(a.val + 9 * (size_t)blocks++, block, sizeof block);
         }
         row[k + 1] = blocks;
     }
@@ -9881,6 +9916,7 @@ static sfem_status sfemi_factor_analyse(sfem_model *model, sfem_factor *f, const
         memcpy(x + 3 * (size_t)k, model->mesh.x + 3 * (size_t)f->node[k], 3 * sizeof *x);
     def.ordering = f->key.ordering;
     def.mixed = f->key.precision == SFEM_MIXED;
+    def.scalar = f->scalar;
     def.allocator = model->allocator;
     def.exec = *exec;
     def.x = x;
@@ -9926,6 +9962,7 @@ static sfem_status sfemi_factor_make(sfem_model *model, const sfemi_factor_key *
     f->key = *key;
     f->key.mask = f->mask;
     f->references = 1;
+    f->scalar = sfemi_factor_is_scalar(model, key);
     for (i = 0; i < model->mesh.nodes; ++i) f->free_nodes += f->mask[i] != SFEM_AXIS_ALL;
     SFEMI_NEW(sfem_int, f->node, al, f->free_nodes);
     for (i = 0; i < model->mesh.nodes; ++i)
@@ -9965,7 +10002,8 @@ static sfem_status sfemi_factor_get(sfem_model *model, const sfemi_factor_key *k
 
 static size_t sfemi_factor_work_size(const sfem_factor *f, sfem_int rhs)
 {
-    return 3 * (size_t)f->free_nodes * (size_t)rhs + (f->ldl ? sfem_ldl_work_size(f->ldl, rhs) : 0);
+    return 3 * (size_t)f->free_nodes * (size_t)rhs +
+           (f->ldl ? sfem_ldl_work_size(f->ldl, f->scalar ? 3 * rhs : rhs) : 0);
 }
 
 /* x = A^-1 b on the free axes of `rhs` vectors [nodes][3]; the held axes of x are left alone. b and x
@@ -9973,19 +10011,20 @@ static size_t sfemi_factor_work_size(const sfem_factor *f, sfem_int rhs)
 static void sfemi_factor_solve(const sfem_factor *f, sfem_int nodes, sfem_int rhs, const sfem_real *b,
                                sfem_real *x, sfem_real *work, const sfem_exec *exec)
 {
-    const size_t n = 3 * (size_t)nodes, m = 3 * (size_t)f->free_nodes;
+    const size_t n = 3 * (size_t)nodes, m = (size_t)f->free_nodes;
+    const size_t node = f->scalar ? 1 : 3, axis = f->scalar ? m : 1; /* from one to the next in work */
     sfem_int s, k;
     int c;
     for (s = 0; s < rhs; ++s)
         for (k = 0; k < f->free_nodes; ++k)
             for (c = 0; c < 3; ++c)
-                work[(size_t)s * m + 3 * (size_t)k + (size_t)c] =
+                work[(size_t)s * 3 * m + node * (size_t)k + axis * (size_t)c] =
                     f->mask[f->node[k]] >> c & 1 ? 0 : b[(size_t)s * n + 3 * (size_t)f->node[k] + (size_t)c];
-    if (f->ldl) sfem_ldl_solve(f->ldl, rhs, work, work + (size_t)rhs * m, exec);
+    if (f->ldl) sfem_ldl_solve(f->ldl, f->scalar ? 3 * rhs : rhs, work, work + (size_t)rhs * 3 * m, exec);
     for (s = 0; s < rhs; ++s)
         for (k = 0; k < f->free_nodes; ++k)
             for (c = 0; c < 3; ++c) {
-                const size_t at = (size_t)s * m + 3 * (size_t)k + (size_t)c;
+                const size_t at = (size_t)s * 3 * m + node * (size_t)k + axis * (size_t)c;
                 if (f->mask[f->node[k]] >> c & 1) continue;
                 x[(size_t)s * n + 3 * (size_t)f->node[k] + (size_t)c] =
                     f->inverse ? f->inverse[3 * k + c] * work[at] : work[at];
@@ -14919,16 +14958,16 @@ static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, doubl
 }
 
 /* Adds an update matrix to its parent: len rows of count block columns, column b of src to column
- * place[b] of dst. */
+ * place[b] of dst; per columns to a block. */
 static SFEMI_INLINE SFEMI_TARGET void
-SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count, const sfem_int *place, const size_t len,
-                                 const double *src, size_t hs, double *dst, size_t hd)
+SFEMI_KERNEL(sfemi_ldl_add_rows)(const size_t per, sfem_int count, const sfem_int *place,
+                                 const size_t len, const double *src, size_t hs, double *dst, size_t hd)
 {
     sfem_int b;
     for (b = 0; b < count; ++b) {
-        double *d = dst + 3 * (size_t)place[b] * hd;
-        int c;
-        for (c = 0; c < 3; ++c, d += hd, src += hs) {
+        double *d = dst + per * (size_t)place[b] * hd;
+        size_t c;
+        for (c = 0; c < per; ++c, d += hd, src += hs) {
             size_t i = 0;
             for (; i + SFEMI_W <= len; i += SFEMI_W)
                 SFEMI_ST(d + i, SFEMI_ADD(SFEMI_LD(d + i), SFEMI_LD(src + i)));
@@ -14937,20 +14976,22 @@ SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count, const sfem_int *place, const si
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_int *place,
-                                                     size_t len, const double *src, size_t hs,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(size_t per, sfem_int count,
+                                                     const sfem_int *place, size_t len, const double *src, size_t hs,
                                                      double *dst, size_t hd)
 {
-    if (len == 3)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 3, src, hs, dst, hd);
+    if (per == 1)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(1, count, place, len, src, hs, dst, hd);
+    else if (len == 3)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 3, src, hs, dst, hd);
     else if (len == 6)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 6, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 6, src, hs, dst, hd);
     else if (len == 9)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 9, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 9, src, hs, dst, hd);
     else if (len == 12)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 12, src, hs, dst, hd);
     else
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, len, src, hs, dst, hd);
 }
 /* c(n) -= eight columns of a, m apart, times w. */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_minus)(size_t n, const double *a, size_t m,
@@ -15141,9 +15182,10 @@ SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI
 }
 #undef SFEMI_ACCUMULATE
 
-/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added.
- */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l,
+/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, each of per
+ * rows, -L y is added. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t per, size_t k, size_t f,
+                                                         const SFEMI_R *l,
                                                          SFEMI_R *x, const sfem_int *target,
                                                          SFEMI_R *w)
 {
@@ -15167,7 +15209,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, con
             SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
         l += h * (depth + j);
         if (j) memcpy(x + begin, out, j * sizeof *x);
-        for (i = j; i < rows; i += 3) {
+        for (i = j; per == 1 && i < rows; ++i) w[*target++] += out[i];
+        for (; i < rows; i += 3) {
             SFEMI_R *y = w + 3 * (size_t)*target++;
             y[0] += out[i];
             y[1] += out[i + 1];
@@ -15230,7 +15273,7 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_sums)(size_t n, con
 
 /* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more.
  */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t per, size_t k, size_t f, size_t size,
                                                           const SFEMI_R *l, SFEMI_R *x,
                                                           const sfem_int *target, const SFEMI_R *w,
                                                           SFEMI_R *v)
@@ -15239,7 +15282,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, si
     SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + tiles * t;
     size_t begin = (tiles - 1) * t, i, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
     int first = 1;
-    for (i = k; i < f; i += 3) {
+    for (i = k; per == 1 && i < f; ++i) v[i] = w[*target++];
+    for (; i < f; i += 3) {
         const SFEMI_R *y = w + 3 * (size_t)*target++;
         v[i] = y[0];
         v[i + 1] = y[1];
@@ -15328,7 +15372,8 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_rows)(size_t n, con
 }
 
 /* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t per, size_t k, size_t f,
+                                                          const SFEMI_R *l,
                                                           SFEMI_R *x, const sfem_int *target,
                                                           SFEMI_R *w)
 {
@@ -15358,7 +15403,12 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, co
             l += h * j;
             SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, x + 8 * begin);
         }
-        for (i = j; i < rows; i += 3) {
+        for (i = j; per == 1 && i < rows; ++i) {
+            SFEMI_R *to = w + 8 * (size_t)*target++;
+            for (r = 0; r < 8; r += SFEMI_W)
+                SFEMI_ST(to + r, SFEMI_ADD(SFEMI_LD(to + r), SFEMI_LD(out + 8 * i + r)));
+        }
+        for (; i < rows; i += 3) {
             SFEMI_R *to = w + 24 * (size_t)*target++;
             for (r = 0; r < 24; r += SFEMI_W)
                 SFEMI_ST(to + r, SFEMI_ADD(SFEMI_LD(to + r), SFEMI_LD(out + 8 * i + r)));
@@ -15366,7 +15416,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, co
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t per, size_t k, size_t f, size_t size,
                                                            const SFEMI_R *l, SFEMI_R *x,
                                                            const sfem_int *target, const SFEMI_R *w,
                                                            SFEMI_R *v)
@@ -15375,7 +15425,9 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
     SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
     size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
     int load = 0;
-    for (i = k; i < f; i += 3)
+    for (i = k; per == 1 && i < f; ++i)
+        SFEMI_KERNEL(sfemi_ldl_rows)(1, w + 8 * (size_t)*target++, NULL, v + 8 * i);
+    for (; i < f; i += 3)
         SFEMI_KERNEL(sfemi_ldl_rows)(3, w + 24 * (size_t)*target++, NULL, v + 8 * i);
     memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
     for (l += size;; begin -= t, h = t, load = 1) {
