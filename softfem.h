@@ -13302,7 +13302,7 @@ static void sfemi_renew_begin(sfem_body *b, const sfem_matrix *k)
     r->credit = r->done = 0;
     r->flops = (k ? 0 : SFEMI_RENEW_TET * (double)model->mesh.tets) + SFEMI_RENEW_BLOCK * (double)blocks +
                SFEMI_RENEW_ENTRY * (double)r->a.row[r->a.n] + sfemi_slice_total(r->ldl[to]);
-    r->wrong = r->all = 0;
+    r->wrong = 0; /* the weight of the past stays, lest a single step decides */
 }
 
 /* The next chunk of tets. */
@@ -13405,7 +13405,8 @@ static void sfemi_renew_watch(sfem_body *b)
         wmw += m * b->model->node_mass[i / 3] * b->zk[i] * b->zk[i]; /* turned and free of rigid motion now */
         if (!(b->mask[i / 3] >> (i % 3) & 1)) wkw += s->w[i] * b->zm[i];
     }
-    r->wrong = fade * r->wrong + fabs(b->p * h * h * wkw - b->p * h * truth);
+    r->wrong = fade * r->wrong + (b->guard.redone ? wmw + b->p * h * h * wkw
+                                                  : fabs(b->p * h * h * wkw - b->p * h * truth));
     r->all = fade * r->all + wmw + b->p * h * h * wkw;
 }
 
@@ -13415,7 +13416,7 @@ static void sfemi_renew_advance(sfem_body *b)
     sfemi_renewal *r = &b->renewal;
     if (!r->source) return;
     if (b->def.renew_drift > 0) {
-        if (!b->guard.redone) sfemi_renew_watch(b);
+        sfemi_renew_watch(b);
         if (r->stage == SFEMI_RENEW_IDLE && r->wrong > b->def.renew_drift * r->all) sfemi_renew_begin(b, NULL);
     }
     if (r->stage == SFEMI_RENEW_IDLE) return;
