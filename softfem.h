@@ -45,6 +45,7 @@
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
  *            >>sleep        bodies at rest, whose steps cost nothing
+ *            >>renew        a factor of the present tangent, made in slices
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
@@ -894,6 +895,9 @@ typedef struct sfem_body_def {
     int no_guard;             /* take every step as it comes, even if it makes energy */
     sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
+    sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
+                               * no memory for it */
+    sfem_real renew_drift;    /* renew by itself where the drift is larger; 0: on request only */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark. KR-alpha takes
                                * (F + rho_inf F-)/(1 + rho_inf) */
@@ -1039,6 +1043,40 @@ typedef struct sfem_body_info {
     sfem_int corrections;     /* in the last step */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
+
+/* A RENEWED FACTOR, for (p,q,r) with a nonlinear law and the frames NODE, PIECE or REST, where
+ * renew_flops > 0. The constant factor is that of the rest pose, turned; where a body stays far from that
+ * (stretched, cut), or K changes for another reason (damage), another one may serve better. renew starts
+ * one: of A0 = Q^T (r M + (q/2) h D + p h^2 K) Q with K the positive semidefinite tangent at the present
+ * positions and Q the present frames, so that from then on it is turned as the first one was; or of a K
+ * of the caller's, on the model's pattern (sfem_model_combine makes such), in space, without negative
+ * eigenvalues, which is copied. Stiffness damping goes with it.
+ *   After each step renew_flops operations of that work are done, counted, never timed, so that runs
+ * repeat bit for bit, on any number of threads; a renewal takes flops / renew_flops steps, rounded up. Then
+ * the factor is taken whole, between two steps: w, the forces and the guard's ledger go on as they are,
+ * an error of order h^2, once. Handles cost three solves for each node that they hold more in that step. Asking
+ * again while one is under way starts over. A K that makes no positive definite matrix is given up,
+ * and counted as failed.
+ *   sfem_body_prepare allocates all that it needs: two more factors, two matrices; steps and renew
+ * allocate nothing.
+ *   The state block does not hold a factor: loading or setting a state, steps of another length and other
+ * pins drop a renewed factor and one under way, and the body goes on with the rest pose's. To save a
+ * state from which both this body and another go on with the same bits, drop it then, too.
+ *   errors  SFEM_BAD_ARGUMENT (no such body, K of another pattern), SFEM_NOT_FINITE (K: node),
+ *           SFEM_NOT_PREPARED */
+SFEM_DEF sfem_status sfem_body_renew(sfem_body *body, const sfem_matrix *k, sfem_error *err);
+SFEM_DEF void sfem_body_drop_renewal(sfem_body *body);
+
+typedef struct sfem_renewal {
+    int renewed;         /* the factor in use is a renewed one */
+    int running;
+    double flops, done;  /* of the one under way, or of the last: all, so far */
+    sfem_real drift;     /* |w.(p h^2 Q K0 Q^T w - p h (f - f-))| over w.(r M + p h^2 Q K0 Q^T) w, both averaged over
+                          * a quarter second: by what part the inertia along the motion is wrong. 0 is
+                          * exact. Only with renew_drift > 0 (a product with K a step); else 0 */
+    int64_t made, failed;
+} sfem_renewal;
+SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *body);
 
 /* Pins hold a node where it was when it was pinned. Those of the definition are eliminated; this call
  * replaces them all, and the next step prepares a new factor. move_pin sets where a pinned node is to be
@@ -6937,18 +6975,13 @@ static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, s
         ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % per));
 }
 
-/* Factorises the supernodes that are marked stale. */
-static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+static void sfemi_ldl_begin(sfem_ldl *ldl, const sfem_matrix *a)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    sfemi_factor_job job;
-    sfem_status status = SFEM_OK;
-    sfem_int threads, k;
+    double most = 0;
+    sfem_int k;
     int e = 0;
-    double most = 0, start;
     ldl->valid = 0;
-    job.ldl = ldl;
-    job.a = a;
     for (k = 0; k < y->n; ++k) {
         const double *v = a->val + y->per * y->per * ((size_t)a->row[k + 1] - 1);
         if (fabs(v[0]) > most) most = fabs(v[0]);
@@ -6960,6 +6993,19 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
         ldl->lost_at[k] = -1;
         SFEMI_ATOMIC_SET(ldl->done + k, 0);
     }
+}
+
+/* Factorises the supernodes that are marked stale. */
+static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfemi_factor_job job;
+    sfem_status status = SFEM_OK;
+    sfem_int threads, k;
+    double start;
+    job.ldl = ldl;
+    job.a = a;
+    sfemi_ldl_begin(ldl, a);
     threads = y->tasks > 1 ? sfemi_pace_threads(ldl->pace, &ldl->exec) : 1;
     start = ldl->exec.threads > 1 ? sfemi_seconds() : 0;
     if (threads > 1) {
@@ -6982,10 +7028,73 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return status;
 }
 
+/* A factorisation in slices, with the bits of one at a stroke: where it stands, in fronts of the tasks by
+ * levels, and in a large front in its units. */
+typedef struct sfemi_slice {
+    sfem_int task, front;
+    size_t unit;
+} sfemi_slice;
+
+#define SFEMI_SLICE_FRONT 1e6 /* operations up to which a front is not cut */
+#define SFEMI_SLICE_LEAST 2e3 /* what the work around a front is counted as */
+
+static double sfemi_slice_total(const sfem_ldl *ldl)
+{
+    double sum = 0;
+    sfem_int s;
+    for (s = 0; s < ldl->symbolic->supernodes; ++s)
+        sum += sfemi_front_flops(ldl->symbolic, s) + SFEMI_SLICE_LEAST;
+    return sum;
+}
+
+static void sfemi_slice_start(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+{
+    memset(ldl->stale, 1, (size_t)ldl->symbolic->supernodes);
+    sfemi_ldl_begin(ldl, a);
+    memset(at, 0, sizeof *at);
+}
+
+/* Does the next front, or unit of one, and returns its operations; 0 where all is done, -1 where the
+ * matrix is not positive definite. */
+static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int t, s, lost;
+    size_t units = 1, before;
+    double cost;
+    sfemi_front q;
+    if (at->task == y->tasks) return 0;
+    t = y->by_level[at->task];
+    s = y->task[t] + at->front;
+    cost = sfemi_front_flops(y, s) + SFEMI_SLICE_LEAST;
+    if (cost <= SFEMI_SLICE_FRONT) {
+        lost = sfemi_front_factor(ldl, a, s, ldl->lost + t);
+    } else {
+        q = sfemi_front_of(ldl, a, s);
+        (void)sfemi_front_unit(&q, (size_t)-1, 0, &units, NULL);
+        lost = sfemi_front_unit(&q, at->unit, 1, &before, ldl->lost + t);
+    }
+    if (lost >= 0) return -1;
+    if (++at->unit < units) return cost / (double)units;
+    at->unit = 0;
+    if (s + 1 < y->task[t + 1]) {
+        ++at->front;
+    } else {
+        at->front = 0;
+        ++at->task;
+    }
+    if (at->task == y->tasks) {
+        sfemi_ldl_statistics(ldl);
+        ldl->valid = 1;
+    }
+    return cost / (double)units;
+}
+
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
 
-/* The options of like's or def's; takes over one reference to the analysis, also when it fails. */
+/* The options of like's or def's; takes over one reference to the analysis, also when it fails. Without a
+ * matrix there is room for a factor, but none yet. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
                                   sfem_ldl **out, sfem_error *err)
 {
@@ -7018,7 +7127,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
     memset(ldl->stale, 1, ns);
     sfemi_factor_units(ldl);
-    SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
+    if (a) SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
     *out = ldl;
     return SFEM_OK;
 done:
@@ -10345,6 +10454,10 @@ enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
 /* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
 enum { SFEMI_MEMORY = 6 };
 
+typedef struct sfemi_guard_energies {
+    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+} sfemi_guard_energies;
+
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
@@ -10356,15 +10469,12 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
-    struct sfemi_guard_energies {
-        sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
-    } energies;            /* of the step, if measured */
+    sfemi_guard_energies energies; /* of the step, if measured */
     int measured;
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
     sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
-typedef struct sfemi_guard_energies sfemi_guard_energies;
 
 /* What >>implicit works with. */
 typedef struct sfemi_stage {
@@ -10397,6 +10507,31 @@ typedef struct sfemi_implicit {
 
 enum { SFEMI_IMPLICIT_VECTORS = 15 };
 
+/* >>renew: two factors beside that of the rest pose, one in use, one in the making. */
+typedef struct sfemi_renewal {
+    sfem_ldl *ldl[2];
+    sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
+    sfem_matrix k[2];     /* their K, turned back; on K's pattern */
+    sfem_matrix a;        /* what is factorised, free rows */
+    sfem_int *source;     /* [blocks of a] their places in K's pattern */
+    sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
+    int live;             /* 1 + the one in use, or 0 */
+    int stage;            /* SFEMI_RENEW_IDLE ... */
+    sfem_int next;        /* chunk of tets, or row of blocks */
+    sfemi_slice at;
+    double credit, flops, done;
+    sfem_real wrong, all; /* of the drift */
+    int64_t made, failed;
+} sfemi_renewal;
+
+enum {
+    SFEMI_RENEW_IDLE,
+    SFEMI_RENEW_TANGENT,
+    SFEMI_RENEW_TURN,
+    SFEMI_RENEW_MATRIX,
+    SFEMI_RENEW_FACTOR
+};
+
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
     sfem_allocator allocator;
@@ -10427,7 +10562,14 @@ struct sfem_body {
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
     sfemi_implicit implicit;
+    sfemi_renewal renewal;
 };
+
+/* The factor that steps solve with. */
+static const sfem_factor *sfemi_body_active(const sfem_body *b)
+{
+    return b->renewal.live ? &b->renewal.factor : b->factor;
+}
 
 enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 
@@ -12277,7 +12419,8 @@ static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_re
         sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
     }
     if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
-    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    else sfem_matrix_multiply(b->renewal.live ? b->renewal.k + b->renewal.live - 1 : &b->model->stiffness,
+                              z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_turn_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -12693,7 +12836,7 @@ static void sfemi_guard_solve(sfem_body *b)
     memcpy(x, b->rhs, n * sizeof *x);
     for (i = 0; i < n; ++i) b->guard.added[i] += b->rhs[i];
     for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
-    sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, x);
+    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->state.frame, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
     if (b->grip.count) {
@@ -12762,7 +12905,7 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
         for (i = 0; i < n; ++i)
             g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
                           (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
-        sfemi_turn_solve(b, b->factor, s->u, s->frame, g->grad);
+        sfemi_turn_solve(b, sfemi_body_active(b), s->u, s->frame, g->grad);
         sfemi_guard_hold_correction(b, g->grad);
         for (i = 0; i < n; ++i) {
             if (b->mask[i / 3] >> (i % 3) & 1) continue;
@@ -13417,6 +13560,288 @@ SFEM_DEF void sfem_body_wake(sfem_body *b)
 }
 
 /* ============================================================================================
+ * >>renew   a factor of the present tangent, made in slices
+ *
+ * In stages, each cut into pieces whose operations are known: the tangent by chunks of tets, in one order;
+ * its blocks turned back, Q_i^T K_ij Q_j; the matrix; its factor, front by front. Each step pays in
+ * renew_flops, and pieces are done until nothing is left of them; what the last one took too much, the
+ * next step pays. A finished factor is used from the next step on. A keeps w: A' (w' - w) = h (F - f - D w), which
+ * A (w' - w) = .. passes into; the other form that suggests itself, A' w' = A w + .., would put the
+ * difference of two stiffnesses into the momentum.
+ * ============================================================================================ */
+
+/* What a tet of the tangent, a block turned and a block of the matrix count as. */
+#define SFEMI_RENEW_TET   3000.0
+#define SFEMI_RENEW_BLOCK 110.0
+#define SFEMI_RENEW_ENTRY 30.0
+
+static void sfemi_renew_forget_columns(sfem_body *b)
+{
+    sfem_int i;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    b->grip.dirty = 1;
+}
+
+static void sfemi_renew_drop(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    if (r->live) sfemi_renew_forget_columns(b);
+    r->live = 0;
+    r->stage = SFEMI_RENEW_IDLE;
+    r->wrong = r->all = 0;
+}
+
+static void sfemi_renew_destroy(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    const int64_t made = r->made, failed = r->failed;
+    int k;
+    sfemi_renew_drop(b);
+    for (k = 0; k < 2; ++k) {
+        sfem_ldl_free(r->ldl[k]);
+        sfemi_delete(&b->allocator, r->k[k].val);
+    }
+    sfem_matrix_free(&r->a, &b->model->allocator);
+    sfemi_delete(&b->allocator, r->source);
+    sfemi_delete(&b->allocator, r->u);
+    memset(r, 0, sizeof *r);
+    r->made = made;
+    r->failed = failed;
+}
+
+static int sfemi_renew_serves(const sfem_body *b)
+{
+    return b->turns && b->def.renew_flops > 0 && b->def.integrator == SFEM_PQR &&
+           b->def.frame != SFEM_FRAME_MAJORANT;
+}
+
+/* Room for renewals of f. */
+static sfem_status sfemi_renew_reserve(sfem_body *b, const sfem_factor *f, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfemi_renewal *r = &b->renewal;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    if (!sfemi_renew_serves(b) || !f->ldl || r->source) return SFEM_OK;
+    SFEMI_TRY(sfemi_factor_matrix(model, f, &r->a, err));
+    SFEMI_NEW(sfem_real, r->u, &b->allocator, 4 * n);
+    r->frame = r->u + n;
+    for (k = 0; k < 2; ++k) {
+        r->k[k] = model->stiffness;
+        r->k[k].val = NULL;
+        SFEMI_NEW(sfem_real, r->k[k].val, &b->allocator, values);
+        (void)SFEMI_ATOMIC_ADD(&f->ldl->symbolic->references, 1);
+        SFEMI_TRY(sfemi_ldl_make(f->ldl, f->ldl->symbolic, NULL, &r->ldl[k], err));
+    }
+    SFEMI_NEW(sfem_int, r->source, &b->allocator, (size_t)r->a.row[r->a.n] + 1);
+    for (k = 0; k < f->free_nodes; ++k)
+        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
+            if (f->mask[model->col[at]] != SFEM_AXIS_ALL) r->source[count++] = at;
+done:
+    if (status != SFEM_OK) sfemi_renew_destroy(b);
+    return status;
+}
+
+static size_t sfemi_renew_bytes(const sfem_body *b)
+{
+    const sfemi_renewal *r = &b->renewal;
+    const size_t blocks = (size_t)b->model->row[b->model->mesh.nodes];
+    sfem_ldl_info info;
+    if (!r->source) return 0;
+    info = sfem_ldl_get_info(r->ldl[0]);
+    return 2 * (info.factor_bytes + info.work_bytes) + 76 * (size_t)r->a.row[r->a.n] +
+           (18 * blocks + 12 * (size_t)b->model->mesh.nodes) * sizeof(sfem_real);
+}
+
+static void sfemi_renew_begin(sfem_body *b, const sfem_matrix *k)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, blocks = (size_t)model->row[model->mesh.nodes];
+    sfemi_renewal *r = &b->renewal;
+    const int to = r->live == 1;
+    memcpy(r->u, b->state.u, n * sizeof *r->u);
+    memcpy(r->frame, b->state.frame, 3 * n * sizeof *r->frame);
+    if (k) memcpy(r->k[to].val, k->val, 9 * blocks * sizeof *k->val);
+    else memset(r->k[to].val, 0, 9 * blocks * sizeof *r->k[to].val);
+    r->stage = k ? SFEMI_RENEW_TURN : SFEMI_RENEW_TANGENT;
+    r->next = 0;
+    r->credit = r->done = 0;
+    r->flops = (k ? 0 : SFEMI_RENEW_TET * (double)model->mesh.tets) + SFEMI_RENEW_BLOCK * (double)blocks +
+               SFEMI_RENEW_ENTRY * (double)r->a.row[r->a.n] + sfemi_slice_total(r->ldl[to]);
+    r->wrong = 0; /* the weight of the past stays, lest a single step decides */
+}
+
+/* The next chunk of tets. */
+static double sfemi_renew_tangent(sfem_body *b)
+{
+    const sfemi_chunks *c = &b->model->chunks;
+    sfemi_renewal *r = &b->renewal;
+    sfemi_tangents job;
+    sfem_int chunk;
+    job.model = b->model;
+    job.u = r->u;
+    job.kind = SFEM_TANGENT_PSD;
+    job.val = r->k[r->live == 1].val;
+    job.chunk = c->color_chunk;
+    job.kernel = sfemi_pairs_pick();
+    chunk = job.chunk[r->next];
+    sfemi_tangents_chunk(&job, r->next);
+    if (++r->next == c->count) {
+        r->stage = SFEMI_RENEW_TURN;
+        r->next = 0;
+    }
+    return SFEMI_RENEW_TET * (chunk + 1 < c->count ? SFEMI_CHUNK_TETS
+                                                   : b->model->mesh.tets - (c->count - 1) * SFEMI_CHUNK_TETS);
+}
+
+/* Q_i^T K_ij Q_j for the next row of blocks. */
+static double sfemi_renew_turn(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfemi_renewal *r = &b->renewal;
+    const sfem_int i = r->next;
+    sfem_int at;
+    for (at = model->row[i]; at < model->row[i + 1]; ++at) {
+        sfem_real *k = r->k[r->live == 1].val + 9 * (size_t)at, half[9];
+        sfemi_mul3_tn(r->frame + 9 * (size_t)i, k, half);
+        sfemi_mul3(half, r->frame + 9 * (size_t)model->col[at], k);
+    }
+    if (++r->next == model->mesh.nodes) {
+        r->stage = SFEMI_RENEW_MATRIX;
+        r->next = 0;
+    }
+    return SFEMI_RENEW_BLOCK * (double)(model->row[i + 1] - model->row[i]);
+}
+
+/* The next row of the matrix, as sfemi_factor_matrix makes it. */
+static double sfemi_renew_matrix(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfem_factor *f = b->factor;
+    sfemi_renewal *r = &b->renewal;
+    const int to = r->live == 1;
+    const sfem_int row = r->next, i = f->node[row];
+    sfem_int at;
+    int p, q;
+    for (at = r->a.row[row]; at < r->a.row[row + 1]; ++at) {
+        const sfem_int from = r->source[at], j = model->col[from];
+        const sfem_real *k = r->k[to].val + 9 * (size_t)from;
+        sfem_real *a = r->a.val + 9 * (size_t)at;
+        sfemi_fem_block(model, from, i, 0, f->key.cm, f->key.cd, a);
+        for (p = 0; p < 9; ++p) a[p] += f->key.ck * k[p];
+        for (p = 0; p < 3; ++p)
+            for (q = 0; q < 3; ++q)
+                if (((f->mask[i] >> p & 1) || (f->mask[j] >> q & 1)) && !(i == j && p == q)) a[3 * p + q] = 0;
+    }
+    if (++r->next == r->a.n) {
+        r->stage = SFEMI_RENEW_FACTOR;
+        sfemi_slice_start(r->ldl[to], &r->a, &r->at);
+    }
+    return SFEMI_RENEW_ENTRY * (double)(r->a.row[row + 1] - r->a.row[row]);
+}
+
+static void sfemi_renew_swap(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    const int to = r->live == 1;
+    r->factor = *b->factor;
+    r->factor.ldl = r->ldl[to];
+    r->live = to + 1;
+    r->stage = SFEMI_RENEW_IDLE;
+    ++r->made;
+    sfemi_renew_forget_columns(b);
+}
+
+/* By what part the inertia that the factor puts in the way of the last step is wrong. */
+static void sfemi_renew_watch(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step, fade = exp(-h / .25), m = sfemi_body_coefficients(b, b->p).r;
+    const sfemi_state *s = &b->state;
+    sfemi_renewal *r = &b->renewal;
+    sfem_real wmw = 0, wkw = 0, truth = 0;
+    size_t i;
+    sfemi_turn_locate(b, s->u);
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : s->w[i];
+        truth += b->zk[i] * (s->f[i] - s->f_past[i]);
+    }
+    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
+    for (i = 0; i < n; ++i) {
+        wmw += m * b->model->node_mass[i / 3] * b->zk[i] * b->zk[i]; /* turned and free of rigid motion now */
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) wkw += s->w[i] * b->zm[i];
+    }
+    r->wrong = fade * r->wrong + (b->guard.redone ? wmw + b->p * h * h * wkw
+                                                  : fabs(b->p * h * h * wkw - b->p * h * truth));
+    r->all = fade * r->all + wmw + b->p * h * h * wkw;
+}
+
+/* A step's worth of work. */
+static void sfemi_renew_advance(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    if (!r->source) return;
+    if (b->def.renew_drift > 0) {
+        sfemi_renew_watch(b);
+        if (r->stage == SFEMI_RENEW_IDLE && r->wrong > b->def.renew_drift * r->all) sfemi_renew_begin(b, NULL);
+    }
+    if (r->stage == SFEMI_RENEW_IDLE) return;
+    r->credit += b->def.renew_flops;
+    while (r->credit > 0) {
+        const double cost = r->stage == SFEMI_RENEW_TANGENT  ? sfemi_renew_tangent(b)
+                            : r->stage == SFEMI_RENEW_TURN   ? sfemi_renew_turn(b)
+                            : r->stage == SFEMI_RENEW_MATRIX ? sfemi_renew_matrix(b)
+                                                             : sfemi_slice_next(r->ldl[r->live == 1], &r->a, &r->at);
+        if (cost < 0) {
+            ++r->failed;
+            r->stage = SFEMI_RENEW_IDLE;
+            return;
+        }
+        r->credit -= cost;
+        r->done += cost;
+        if (r->stage != SFEMI_RENEW_FACTOR || !r->ldl[r->live == 1]->valid) continue;
+        sfemi_renew_swap(b);
+        return;
+    }
+}
+
+SFEM_DEF sfem_status sfem_body_renew(sfem_body *b, const sfem_matrix *k, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    if (!sfemi_renew_serves(b))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "only a nonlinear (p,q,r) body with renew_flops > 0 renews its factor");
+    if (!b->renewal.source)
+        return sfemi_fail(err, SFEM_NOT_PREPARED, "prepare the body before its factor is renewed");
+    if (k && (k->n != model->mesh.nodes || k->row[k->n] != model->row[k->n]))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the matrix is not on the model's pattern");
+    for (i = 0; k && i < k->n; ++i)
+        if (!sfemi_all_finite(k->val + 9 * (size_t)k->row[i], 9 * (size_t)(k->row[i + 1] - k->row[i])))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the matrix is not finite at node %d", (int)i);
+    sfemi_guard_look(b);
+    sfemi_renew_begin(b, k);
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_body_drop_renewal(sfem_body *b) { sfemi_renew_drop(b); }
+
+SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *b)
+{
+    const sfemi_renewal *r = &b->renewal;
+    sfem_renewal info;
+    info.renewed = r->live > 0;
+    info.running = r->stage != SFEMI_RENEW_IDLE;
+    info.flops = r->flops;
+    info.done = r->done;
+    info.drift = r->all > 0 ? r->wrong / r->all : 0;
+    info.made = r->made;
+    info.failed = r->failed;
+    return info;
+}
+
+/* ============================================================================================
  * >>body   the pipeline that a user calls: create, prepare, step, read
  * ============================================================================================ */
 
@@ -13451,6 +13876,10 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Gui's lambda is %g, must be > 0", d->gui_lambda);
     if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
+    if (!(sfemi_finite(d->renew_flops) && d->renew_flops >= 0 && sfemi_finite(d->renew_drift) &&
+          d->renew_drift >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "renew_flops and renew_drift (%g, %g) must be >= 0",
+                          d->renew_flops, d->renew_drift);
     if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
                           d->correction_tolerance);
@@ -13614,6 +14043,7 @@ static void sfemi_body_destroy(sfem_body *b)
     const sfem_allocator al = b->allocator;
     int k;
     sfemi_implicit_destroy(b);
+    sfemi_renew_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
     sfemi_body_free_grip(b, &b->grip);
@@ -13751,7 +14181,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
+            sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
                                b->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
@@ -13858,10 +14288,12 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
         if (status != SFEM_OK) return status;
         status = sfemi_body_reserve_work(b, f, 1, err);
+        if (status == SFEM_OK) status = sfemi_renew_reserve(b, f, err);
         if (status != SFEM_OK) {
             sfemi_factor_release(b->model, f);
             return status;
         }
+        sfemi_renew_drop(b);
         sfemi_body_adopt(b, f);
         b->h = h;
         b->p = p;
@@ -13956,6 +14388,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     ++b->state.head->steps;
     sfemi_body_age_load(b);
     sfemi_sleep_watch(b);
+    sfemi_renew_advance(b);
     return SFEM_OK;
 }
 
@@ -14087,6 +14520,7 @@ static void sfemi_body_restart(sfem_body *b)
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     sfem_int i;
     sfemi_sleep_rouse(b);
+    sfemi_renew_drop(b);
     memset(b->state.a, 0, bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     memcpy(b->state.force[2], b->state.force[0], bytes);
@@ -14146,6 +14580,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
     if (b->turns) sfemi_body_find_held(b);
+    sfemi_renew_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
@@ -14184,6 +14619,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->omega_max = 0;
     sfemi_body_reset_head(b, bytes);
     b->phase = SFEMI_IDLE;
+    sfemi_renew_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
     for (k = 0; k < SFEMI_REDOS; ++k) {
@@ -14591,9 +15027,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
             info.body_bytes += 3 * n * (size_t)b->guard.redo[k].grip.parts[i] * sizeof(sfem_real);
     }
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
-        info.body_bytes += (9 * (size_t)info.tets + sfem_model_work_size(b->model) + n / 3 + 20 * n +
-                            (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b);
+        info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
+                            2 * (n / 3) + 22 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;

@@ -66,7 +66,8 @@ typedef double lanes __attribute__((vector_size(32), aligned(8), may_alias));
 #if defined(__x86_64__)
 __attribute__((target("avx2")))
 #endif
-static double sum(const double *x, size_t n)
+static double
+sum(const double *x, size_t n)
 {
     lanes a = {0, 0, 0, 0}, b = a, c = a, d = a;
     size_t i;
@@ -160,7 +161,8 @@ static void rival_shape(rival *r, sfem_int dofs)
             for (at = k->row[i]; at < k->row[i + 1]; ++at) {
                 const sfem_int j = r->free_of[k->col[at]];
                 if (j < 0) continue;
-                for (col = 0; col < (k->col[at] == i ? row + 1 : 3); ++col) index[n++] = 3 * j + col;
+                for (col = 0; col < (k->col[at] == i ? row + 1 : 3); ++col)
+                    index[n++] = 3 * j + col;
             }
         }
     *p = n;
@@ -242,7 +244,8 @@ static double rival_step(rival *r)
         for (c = 0; r->free_of[i] >= 0 && c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             b[3 * r->free_of[i] + c] =
-                model->node_mass[i] * ((c == 2 ? -9.81 : 0) + 4 / STEP * r->v[at] + r->acc[at]) - r->f[at];
+                model->node_mass[i] * ((c == 2 ? -9.81 : 0) + 4 / STEP * r->v[at] + r->acc[at]) -
+                r->f[at];
         }
     cholmod_factorize(r->a, r->l, &r->c);
     cholmod_solve2(CHOLMOD_A, r->l, r->b, NULL, &r->x, NULL, &r->y, &r->e, &r->c);
@@ -326,7 +329,8 @@ static void time_parts(sfem_body *b, parts *p)
     take(&p->guard, ex_seconds() - t);
 }
 
-static void run(const char *name, sfem_model *model, sfem_int pin_count, const sfem_int *pins, int rounds)
+static void run(const char *name, sfem_model *model, sfem_int pin_count, const sfem_int *pins,
+                int rounds)
 {
     static times t[BODIES], cholmod;
     static parts part;
@@ -375,12 +379,14 @@ static void run(const char *name, sfem_model *model, sfem_int pin_count, const s
     best = median(t + NEWMARK);
     if (cholmod.n && median(&cholmod) < best) best = median(&cholmod);
     ceiling = 2 * (double)info.factor_bytes / bandwidth(info.factor_bytes);
-    printf("%-9s %7d %9.1f %8.1f %8.1f %8.1f | %9.1f %9.1f | %5.1f %5.1f %5.1f %5.1f | %5.1f %5.1f %5.1f %5.1f %6.1f | %5.2f\n",
+    printf("%-9s %7d %9.1f %8.1f %8.1f %8.1f | %9.1f %9.1f | %5.1f %5.1f %5.1f %5.1f | %5.1f %5.1f "
+           "%5.1f %5.1f %6.1f | %5.2f\n",
            name, (int)tets, 1e6 * step, 1e6 * median(t + FLOATS), 1e6 * median(t + ONCE),
            1e6 * median(t + TWICE), 1e6 * median(t + NEWMARK), 1e6 * median(&cholmod), best / step,
            best / median(t + FLOATS), best / (t[PLAIN].sum / t[PLAIN].n), best / median(t + TWICE),
            ns * median(&part.force), ns * median(&part.frames), ns * median(&part.solve),
-           ns * median(&part.guard), 1e6 * ceiling, 100.0 * (double)info.redone / (double)info.steps);
+           ns * median(&part.guard), 1e6 * ceiling,
+           100.0 * (double)info.redone / (double)info.steps);
     fflush(stdout);
 #ifdef SFEM_BENCH_CHOLMOD
     rival_free(r);
@@ -428,9 +434,9 @@ static void one_core(int quick, long largest, char **files)
     static const struct {
         const char *name;
         sfem_int tets, cells[3];
-    } block[] = {{"540", 540, {12, 3, 3}},      {"2.5k", 2500, {20, 5, 5}},
-                 {"7k", 6860, {28, 7, 7}},      {"20k", 20000, {40, 10, 10}},
-                 {"55k", 54880, {56, 14, 14}},  {"160k", 160000, {80, 20, 20}}};
+    } block[] = {{"540", 540, {12, 3, 3}},     {"2.5k", 2500, {20, 5, 5}},
+                 {"7k", 6860, {28, 7, 7}},     {"20k", 20000, {40, 10, 10}},
+                 {"55k", 54880, {56, 14, 14}}, {"160k", 160000, {80, 20, 20}}};
     const sfem_real size[3] = {2, .5, .5};
     sfem_mesh mesh;
     sfem_error err;
@@ -446,8 +452,10 @@ static void one_core(int quick, long largest, char **files)
 #ifndef SFEM_BENCH_CHOLMOD
     printf("without CHOLMOD: install libsuitesparse-dev\n");
 #endif
-    printf("\nstep, us: default, mixed precision, 1 correction, 2 corrections | semi-implicit Newmark, on "
-           "CHOLMOD |\nthe faster of them over: default, mixed, default's mean, 2 corrections |\nns a tet: forces, "
+    printf("\nstep, us: default, mixed precision, 1 correction, 2 corrections | semi-implicit "
+           "Newmark, on "
+           "CHOLMOD |\nthe faster of them over: default, mixed, default's mean, 2 corrections "
+           "|\nns a tet: forces, "
            "frames, solve, energies; ceiling of a solve, us | redone, %%\n\n");
     for (i = 0; i < sizeof block / sizeof *block; ++i) {
         if (block[i].tets > largest) continue;
