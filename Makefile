@@ -24,7 +24,11 @@ FLAGS_test_base = -ffast-math
 
 EXAMPLES := $(patsubst examples/%.c,%,$(wildcard examples/*.c))
 TESTS    ?= $(patsubst tests/%.c,%,$(wildcard tests/test_*.c))
+<<<<<<< HEAD
 BENCHES  := $(filter-out solver step,$(patsubst bench/%.c,%,$(wildcard bench/*.c)))
+=======
+BENCHES  := $(filter-out solver eigen,$(patsubst bench/%.c,%,$(wildcard bench/*.c)))
+>>>>>>> eigen
 # test programs in which a test is named after threads
 THREADED := $(shell grep -l '^static void [a-z0-9_]*thread' tests/test_*.c 2>/dev/null)
 
@@ -65,8 +69,13 @@ bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S besid
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
+<<<<<<< HEAD
 bench-step: $(BUILD)/bench/step ## the default step beside semi-implicit Newmark, also on CHOLMOD
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/step
+=======
+bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where installed; who lost which
+	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/eigen
+>>>>>>> eigen
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
@@ -176,6 +185,7 @@ $(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) s
 	$$link $(if $(filter 1,$(OPENMP)),-fopenmp) $(INSTRUMENT) -o $@ $@.o $$objects \
 	    $(BUILD)/softfem.o $(LDFLAGS) $$libraries -lm
 
+<<<<<<< HEAD
 # bench/step.c holds the implementation itself, to time its parts.
 $(BUILD)/bench/step: bench/step.c examples/support.h softfem.h $(BUILD)/flags
 	@mkdir -p $(@D)
@@ -183,6 +193,16 @@ $(BUILD)/bench/step: bench/step.c examples/support.h softfem.h $(BUILD)/flags
 	    $(CC) -x c - -o /dev/null -lcholmod >/dev/null 2>&1 && \
 	    cholmod='-DSFEM_BENCH_CHOLMOD -lcholmod'; \
 	$(CC) $(FLAGS) -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< $(LDFLAGS) $$cholmod -lm
+=======
+$(BUILD)/bench/eigen: bench/eigen.c softfem.h $(BUILD)/softfem.o
+	@mkdir -p $(@D)
+	@others=; if printf '#include <arpack/arpack.h>\n#include <suitesparse/cholmod.h>\nint main(void){return 0;}\n' | \
+	    $(CC) -x c - -o /dev/null -larpack -lcholmod >/dev/null 2>&1; \
+	then others='-DSFEM_BENCH_ARPACK'; libraries='-larpack -lcholmod'; \
+	else echo 'left out; to compare: apt-get install libarpack2-dev libsuitesparse-dev'; fi; \
+	$(CC) $(FLAGS) $$others -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< $(BUILD)/softfem.o \
+	    $(LDFLAGS) $$libraries -lm
+>>>>>>> eigen
 
 # Everything is built anew when the compiler or its flags change.
 $(BUILD)/flags: force
@@ -210,4 +230,8 @@ $(BUILD)/cmocka:
 force:
 .DELETE_ON_ERROR:
 .SECONDARY:
+<<<<<<< HEAD
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)
+=======
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)
+>>>>>>> eigen
