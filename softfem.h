@@ -1030,9 +1030,262 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
  * >>api-modes   eigenvalues and modes
  * ============================================================================================ */
 
+/* placeholder until the eigen-solver comes */
+typedef struct sfem_modes {
+    sfem_int nodes, count, rigid;
+    sfem_real *lambda, *phi;
+} sfem_modes;
+
 /* ============================================================================================
  * >>api-reduced   modal bodies: oscillators, warping, handles
  * ============================================================================================ */
+
+/* THE REDUCED MODEL. A body moves in m of its modes, u = Phi q, each an oscillator of its own:
+ *     q'' + c q' + lambda q = Phi^T F,   c = alpha + beta lambda or 2 ratio sqrt(lambda)
+ * A reduced model holds what that takes, m numbers an axis and node, and nothing of the mesh but rest
+ * positions and the surface. It never changes, is shared by any number of bodies and threads, and is
+ * reference-counted: each view and each body holds one. It needs the model only while it is created, and can
+ * be saved to one block and loaded without it.
+ *
+ * WARPING [Choi and Ko 2005]. Modes turn nodes along straight lines: bent far, a bar grows. With w = Psi q,
+ * half the curl of Phi q, the rotation vector of each node, th = |w|,
+ *     R  = I + sin th/th [w]x + (1 - cos th)/th^2 [w]x^2            the node's rotation
+ *     Rt = I + (1 - cos th)/th^2 [w]x + (1 - sin th/th)/th^2 [w]x^2   its mean over the path, int R(s w) ds
+ * displacements become R Phi q (SFEM_WARP_ROTATION, as the source prints it) or Rt Phi q (SFEM_WARP_PATH, the
+ * default: five times closer to the nonlinear body); handles see the same displacement; loads become
+ * Phi^T (R^T F) with either. Valid while |w| < pi; what lies beyond is drawn, but means nothing. */
+typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sfem_warp;
+
+typedef struct sfem_reduced sfem_reduced;
+
+typedef struct sfem_reduced_def {
+    sfem_real alpha, beta;   /* Rayleigh damping, >= 0: c = alpha + beta lambda, 1/s, s */
+    const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or NULL. A mode
+                              * of lambda = 0 has no ratio: its c is alpha */
+    int free;                /* 1: the body is free. Modes of lambda = 0 are left out, a rigid frame takes
+                              * their place; 0: it is held; -1: free if the modes have rigid ones */
+    sfem_int gravity_groups; /* gravity on a warped body: the nodes turn in so many groups, each as the mean
+                              * of its nodes; as many as nodes, or more: each node for itself. >= 1 */
+    sfem_allocator allocator;
+} sfem_reduced_def;
+
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 64 groups */
+
+/* Takes over all the modes (rigid ones as the definition says). Psi_i = sum V_e curl_e/2 / sum V_e over the
+ * tets of node i.
+ *   errors  SFEM_MISMATCH (modes of another number of nodes), SFEM_NOT_FINITE (mode),
+ *           SFEM_BAD_ARGUMENT (damping; free, but the modes move the body as a whole, or it is in more
+ *           pieces than one: the mode is named), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
+ *   cost    O(m (nodes + tets)); 48 m bytes a node */
+SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
+                                         const sfem_reduced_def *def, sfem_reduced **out,
+                                         sfem_error *err);
+SFEM_DEF void sfem_reduced_free(sfem_reduced *reduced); /* NULL allowed; goes with its last user */
+
+typedef struct sfem_reduced_info {
+    sfem_int nodes, modes;
+    int free;                             /* has a rigid frame */
+    sfem_int surface_nodes, surface_triangles;
+    const sfem_int *surface_node;         /* [surface_nodes] node numbers, ascending */
+    const sfem_int *surface_tri;          /* [surface_triangles][3] indices into surface_node */
+    const sfem_real *lambda, *damping;    /* [modes] omega^2, 1/s^2; c, 1/s */
+    const sfem_real *x;                   /* [nodes][3] rest positions, m */
+    const sfem_real *node_mass;           /* [nodes] kg */
+    sfem_real mass, centre[3], inertia[9]; /* kg; m; kg m^2 about the centre, at rest */
+    size_t bytes;
+} sfem_reduced_info;
+SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *reduced);
+
+/* Phi or Psi of one node: [3][modes], to be written. */
+SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *reduced, sfem_int node, sfem_real *phi,
+                                      sfem_real *psi);
+
+/* One block of bytes: version, sizes, checksum, and all the rest. For machines of the same byte order.
+ *   errors  SFEM_FORMAT (not a reduced model, of another version or byte order, damaged, cut short),
+ *           SFEM_OUT_OF_MEMORY */
+SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *reduced);
+SFEM_DEF void sfem_reduced_save(const sfem_reduced *reduced, void *memory);
+SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const sfem_allocator *allocator,
+                                       sfem_reduced **out, sfem_error *err);
+
+/* VIEWS. The rows of those nodes that are to be drawn, packed for the vector units: what is reconstructed
+ * through a view costs what the view holds, and reads nothing else. Immutable and shared, as the model.
+ * SFEM_MIXED keeps the rows in float and sums in float: half the memory traffic, errors of 1e-6 of the
+ * displacement and 1e-7 of the size of the body.
+ *   node  [count], in the order of the output, or NULL: all
+ *   errors  SFEM_BAD_ARGUMENT (node), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE */
+typedef struct sfem_reduced_view sfem_reduced_view;
+SFEM_DEF sfem_status sfem_reduced_view_create(const sfem_reduced *reduced, sfem_int count,
+                                              const sfem_int *node, sfem_precision precision,
+                                              sfem_reduced_view **out, sfem_error *err);
+/* The nodes of info.surface_node: info.surface_tri are indices into what such a view writes. */
+SFEM_DEF sfem_status sfem_reduced_view_surface(const sfem_reduced *reduced, sfem_precision precision,
+                                               sfem_reduced_view **out, sfem_error *err);
+SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed */
+SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
+
+/* A MODAL BODY. Two integrators:
+ *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [000 A.7-A.13]
+ *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: no period error
+ *                       and no instability at any h and any damping, the start of a load excepted, exact
+ *                       at the steps. With handles it steps as the other does. */
+typedef enum sfem_modal_integrator { SFEM_MODAL_NEWMARK, SFEM_MODAL_EXACT } sfem_modal_integrator;
+
+typedef struct sfem_modal sfem_modal;
+
+typedef struct sfem_modal_def {
+    sfem_modal_integrator integrator;
+    sfem_warp warp;
+    sfem_real beta, gamma;               /* > 0, >= 1/2 */
+    sfem_real handle_beta, handle_gamma; /* while a handle is held: constraints on positions ring under
+                                          * (1/4, 1/2), with growing amplitude */
+    sfem_real compliance;                /* eps >= 0 of handles, times the mean of the diagonal of
+                                          * J A^-1 J^T: what noisy targets and dependent handles need */
+    sfem_int handle_iterations;          /* at most so many corrections a step bring warped handles to their
+                                          * targets, >= 1 */
+    sfem_int max_handles, max_handle_nodes; /* handles at a time, and nodes in all their regions */
+    sfem_real tolerance;                 /* m, >= 0: modes that can be left out of a step without moving any
+                                          * node by more than this, all together, are; see
+                                          * sfem_modal_info */
+    sfem_real gravity[3];                /* m/s^2 */
+    sfem_allocator allocator;
+    sfem_exec exec;                      /* threads for reconstruction */
+} sfem_modal_def;
+
+/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-5, 4 iterations; 16 handles of
+ * 64 nodes in all; tolerance 0; no gravity. */
+SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
+
+/* A body at rest. Everything that it will ever need is allocated here: about 44 bytes a node and 200 a mode.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def, sfem_modal **out,
+                                       sfem_error *err);
+SFEM_DEF void sfem_modal_free(sfem_modal *modal); /* NULL allowed */
+
+/* One step of h > 0 seconds; h may change from step to step (coefficients are renewed: about 0.1 us a mode).
+ * Loads are turned by the rotations at the start of the step. A free body's frame follows Newmark's formulas
+ * with the angular momentum for a velocity; its rotation, exp of the mean angular velocity, by the implicit
+ * midpoint rule, is always proper, and both momenta are kept to rounding where no force acts.
+ * Approximations: mass and inertia are those of the rest shape, and the frame's accelerations do not act on
+ * the modes.
+ *   errors  SFEM_BAD_ARGUMENT (h), SFEM_NOT_FINITE (mode): the state is then as it was
+ *   cost    O(m) and the nodes that are loaded, 6 m multiply-adds each; a handle O(m) a node, all together
+ *           (3 handles)^3; allocates nothing */
+SFEM_DEF sfem_status sfem_modal_step(sfem_modal *modal, sfem_real h, sfem_error *err);
+
+/* The step of a receiver: takes accelerations [modes] as given and integrates, by Newmark's formulas alone:
+ * q += h q' + h^2 ((1/2 - beta) a + beta a+),  q' += h ((1 - gamma) a + gamma a+). Loads and handles are
+ * not asked; a frame moves on with the momenta that it has. What sender and receiver start from must agree,
+ * q'' as well (see sfem_modal_set_coordinates). Same errors. */
+SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *modal, const sfem_real *acceleration, sfem_real h,
+                                          sfem_real beta, sfem_real gamma, sfem_error *err);
+
+/* Coordinates [modes]: q, q', q'' at the end of the last step. Pointers into the body, valid while it
+ * lives; they stay in place. Before the first step q'' is that of the loads, once sfem_modal_start
+ * has been called. */
+SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *modal);
+SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *modal);
+SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *modal);
+SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *modal); /* s */
+/* New ones; NULL leaves as it is. Where q'' is given, it is taken, and the body counts as started; else it
+ * follows from the loads when the next step begins. Errors: SFEM_NOT_FINITE. */
+SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_real *q, const sfem_real *v,
+                                                const sfem_real *a, sfem_error *err);
+/* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for that. */
+SFEM_DEF void sfem_modal_start(sfem_modal *modal);
+
+/* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs the
+ * nodes whose force is not zero.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
+SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *modal, const sfem_real *force, sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *modal, sfem_int node, const sfem_real f[3],
+                                               sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3], sfem_error *err);
+/* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
+SFEM_DEF void sfem_modal_load(sfem_modal *modal, sfem_real *load);
+
+/* Rest under the present loads and handles: q = lambda^-1 (Phi^T R(q)^T F - J^T l), iterated from the present q
+ * (once where nothing warps). Velocities become zero; a frame stays where it is, as if held at it.
+ *   info    NULL allowed; also written where it does not converge
+ *   errors  SFEM_NOT_CONVERGED (200 iterations, or a node turned by pi: a bar bent by more than some 80 % of its
+ *           length has no answer here), SFEM_SINGULAR (a loaded mode of lambda 0), SFEM_NOT_FINITE: the state is
+ *           as it was */
+typedef struct sfem_modal_static_info {
+    sfem_int iterations;
+    sfem_real change;   /* of the last one, of any node at most, over the largest displacement */
+    sfem_real rotation; /* largest |w| */
+} sfem_modal_static_info;
+SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *modal, sfem_modal_static_info *info,
+                                             sfem_error *err);
+
+/* Reconstruction, through a view of the same reduced model: [count][3] in the view's order. Allocates nothing,
+ * reads nothing but the state; the same bits for any number of threads. to_floats writes three floats for
+ * entry i at i stride bytes from the first.
+ *   cost    by what is in the view: a node in 20 modes some 4 ns, warped 7, in doubles twice that */
+SFEM_DEF void sfem_modal_positions(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *x);
+SFEM_DEF void sfem_modal_displacements(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *u);
+SFEM_DEF void sfem_modal_to_floats(const sfem_modal *modal, const sfem_reduced_view *view, float *x,
+                                   size_t stride);
+/* One node, from the full rows: its position and velocity (of the warped displacement, too); the velocity
+ * and the rotation vector w may be NULL. */
+SFEM_DEF void sfem_modal_node(const sfem_modal *modal, sfem_int node, sfem_real x[3], sfem_real v[3],
+                              sfem_real w[3]);
+
+/* The frame of a free body: a node is at x + R (X - centre + u). A new one keeps the modes; the rotation is
+ * made proper. SFEM_BAD_ARGUMENT for a body that is held, or an R with det R <= 0; SFEM_NOT_FINITE. */
+typedef struct sfem_rigid {
+    sfem_real x[3], r[9]; /* centre of mass, m; rotation, row-major */
+    sfem_real v[3], w[3]; /* its velocity, m/s; angular velocity, 1/s, in the world */
+} sfem_rigid;
+SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *modal);
+SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *modal, const sfem_rigid *rigid, sfem_error *err);
+SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3], sfem_real angular[3]);
+
+/* HANDLES hold a node, or the mean of a region's displacement, at a target by Lagrange multipliers:
+ *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)  [000 A.14-A.17]
+ * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it. Nodes that
+ * do not move in any mode carry no force. Handles that contradict or repeat one another, or that are more
+ * than the modes can follow, share what is left by least squares, weighted by the compliance.
+ *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
+ *   target  a position, m (of a region: the weighted mean of its nodes')
+ *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes), SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *modal, sfem_int node, sfem_int *handle,
+                                          sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *modal, sfem_int count, const sfem_int *node,
+                                            const sfem_real *weight, sfem_int *handle, sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *modal, sfem_int handle, const sfem_real target[3],
+                                            sfem_error *err);
+SFEM_DEF void sfem_modal_release_handle(sfem_modal *modal, sfem_int handle);
+SFEM_DEF void sfem_modal_handle_position(const sfem_modal *modal, sfem_int handle, sfem_real x[3]);
+/* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The hand, and so
+ * a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in modes it is
+ * J^T (-l) = Phi^T Rt^T f, [modes], with the rotations that it was computed with. */
+SFEM_DEF void sfem_modal_handle_force(const sfem_modal *modal, sfem_int handle, sfem_real force[3]);
+SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *modal, sfem_int handle, sfem_real *force);
+
+/* Its whole state as one block, for any body of the same reduced model and definition on the same machine.
+ *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
+SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *modal);
+SFEM_DEF void sfem_modal_save_state(const sfem_modal *modal, void *memory);
+SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *modal, const void *memory, size_t bytes,
+                                           sfem_error *err);
+
+/* A mode sleeps, and is neither stepped nor drawn (unless its rest is not 0), while |load - load when it fell
+ * asleep| G/lambda, with G = coth(pi xi/(2 sqrt(1 - xi^2))) the most that any load of that size can make of it,
+ * moves no node by more than half its share of the tolerance, and fell asleep when its own swing could not.
+ * Undamped modes sleep only as long as their load is what it was. */
+typedef struct sfem_modal_info {
+    sfem_int modes, awake, drawn;
+    sfem_int handles;
+    sfem_int handle_iterations;  /* of the last step, */
+    sfem_real handle_residual;   /* and the largest distance of a handle from its target, m */
+    sfem_int handle_rows_left;   /* rows (of 3 a handle) that no mode can move, or that others determine */
+    sfem_real beta, gamma;       /* of the last step: what a receiver has to integrate with */
+    sfem_real kinetic, elastic;  /* J, of the modes and the frame */
+    int64_t steps;
+    size_t state_bytes, body_bytes;
+} sfem_modal_info;
+SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
 
 /* ============================================================================================
  * >>api-link   modal motion over a lossy link
