@@ -515,6 +515,17 @@ SFEM_DEF void sfem_dense_cholesky_solve(sfem_int n, const sfem_real *a, sfem_int
 SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
                                    sfem_real *x /* [rhs][n] */);
 
+/* A x = lambda B x, all of it: B (NULL: the identity) symmetric positive definite, both lower halves.
+ * lambda [n] ascends; vector k is written over A, at a + k n, with x_i.B x_j = delta_ij, and B is
+ * overwritten with its Cholesky factor. Householder's reduction to a tridiagonal matrix, then implicit
+ * QL [Bowdler, Martin, Reinsch, Wilkinson 1968]: errors of a few rounding errors of the largest
+ * |lambda|, whatever the others. About 9 n^3 operations, with B 11 n^3.
+ *   work    [5 n] reals
+ *   errors  SFEM_NOT_SPD (B; err->node is the row / 3), SFEM_NOT_FINITE, SFEM_NOT_CONVERGED (never
+ *           seen); A and B are then void */
+SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sfem_real *lambda,
+                                      sfem_real *work, sfem_error *err);
+
 /* --- conjugate gradients [Hestenes and Stiefel 1952] ------------------------------------------ */
 
 typedef struct sfem_cg_def {
@@ -1030,11 +1041,84 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
  * >>api-modes   eigenvalues and modes
  * ============================================================================================ */
 
-/* placeholder until the eigen-solver comes */
+/* K phi = lambda M phi: the lowest modes of a model at rest, phi_i.M phi_j = delta_ij, omega =
+ * sqrt(lambda). Block Lanczos on (K - sigma M)^-1 M, eight right sides a pass [Lanczos 1950; Golub,
+ * Underwood 1977; Ericsson, Ruhe 1980], all vectors kept M-orthogonal, restarted from what it has
+ * [Wu, Simon 2000]; and a count: of K - tau M = L S L^T as many signs are negative as eigenvalues lie
+ * below tau [Sylvester 1852]. With tau in the gap above the last mode asked for, a mode that Lanczos
+ * missed is noticed; a new random block, orthogonal to all that is known, then finds it. */
+typedef struct sfem_modes_def {
+    sfem_int modes;           /* so many of the lowest, rigid ones not counted; >= 0, 20 */
+    sfem_real below_hz;       /* > 0: instead, all below this frequency, as many as there are */
+    int rigid;                /* return the rigid modes too, first; else they are only kept out */
+    const sfem_int *pins;     /* [pin_count] nodes held, as in sfem_body_def */
+    const unsigned char *pin_axes; /* [pin_count] which axes of them, SFEM_AXIS_*; NULL: all */
+    sfem_int pin_count;
+    sfem_real tolerance;      /* of the backward error, see below; 1e-13, from 1e-15 to 1e-2 */
+    int dense;                /* by sfem_dense_eigen: O(n^3), 72 n^2 bytes, n free nodes. Bodies of so few
+                               * axes that Lanczos has no room for its basis are solved so anyway */
+    int no_proof;             /* spare the count, and the factorisation that it needs */
+    sfem_int max_basis;       /* Lanczos vectors at most; 0: three for every two modes, and 72 */
+    sfem_int max_restarts;    /* 0: 40 */
+    uint32_t seed;            /* of the random start */
+    sfem_ordering ordering;   /* of the factorisation */
+    sfem_allocator allocator; /* of the result, and of all that is made on the way */
+    sfem_exec exec;
+} sfem_modes_def;
+
+typedef struct sfem_modes_info {
+    int dense;                /* by the dense solver */
+    int proved;               /* no mode below the last is missing: counted */
+    sfem_int converged;       /* elastic modes within the tolerance: all, or it is an error */
+    sfem_int solves;          /* right sides solved for */
+    sfem_int steps;           /* passes of eight of them */
+    sfem_int restarts;        /* thick ones, and those for what was missing */
+    sfem_int recovered;       /* modes that only the count brought to light */
+    sfem_int factorisations;
+    sfem_int basis;           /* most vectors at a time */
+    sfem_int below;           /* counted eigenvalues below `bound`, rigid ones among them; -1: not */
+    sfem_real bound, sigma;   /* 1/s^2, tau and sigma as above */
+    sfem_int cut;             /* further modes that differ from the last by less than 1e-6 of its
+                               * lambda and were not asked for: it splits a multiple one. -1: not known */
+} sfem_modes_info;
+
 typedef struct sfem_modes {
-    sfem_int nodes, count, rigid;
-    sfem_real *lambda, *phi;
+    sfem_int nodes, count, rigid; /* rigid of the count come first, with lambda = 0 */
+    sfem_real *lambda; /* [count] 1/s^2, ascending */
+    sfem_real *phi;    /* [count][nodes][3] kg^-1/2; zero where pinned */
+    sfem_real *error;  /* [count] backward error |K phi - lambda M phi| / ((|K| + lambda |M|) |phi|),
+                        * |K| the largest sum of a row's absolute values, |phi| Euclidean */
+    sfem_modes_info info;
+    sfem_allocator allocator;
 } sfem_modes;
+
+SFEM_DEF sfem_modes_def sfem_default_modes_def(void);
+
+/* Fills *out, whatever it held; sfem_modes_free it afterwards.
+ *
+ * A piece is what hangs together by its nodes. Its rigid motions are those of six that its pins allow
+ * (two held axes of an edge leave a hinge): they are built from the coordinates, exactly, piece by
+ * piece, and Lanczos works beside them. Pieces that meet in a node or an edge only move against each
+ * other without strain; that shows as elastic modes with lambda near 0. Nodes in no tet stay still.
+ *
+ * Of a multiple eigenvalue the vectors are some basis of its space. Where the last of `modes` splits
+ * one, so many of its copies are returned as were asked for: info.cut says how many were left out. An
+ * eigenvalue within 1e-8 of below_hz may count as below or not.
+ *
+ *   errors  SFEM_BAD_ARGUMENT   modes < 0 or more than there are, a pin, a tolerance; below_hz not
+ *                               finite
+ *           SFEM_NOT_CONVERGED  which mode, and how far off
+ *           SFEM_NOT_SPD        K - sigma M has lost its sign: a stiffness of 0, or digits run out
+ *           SFEM_SINGULAR       no bound in the gap above the last mode could be counted at, or the
+ *                               count keeps exceeding what is found
+ *           SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
+ *   cost    two factorisations and one pass of eight solves for about 5 modes; memory for the factor
+ *           and max_basis + 40 vectors. Same bits for any number of threads. */
+SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *def, sfem_modes *out,
+                                       sfem_error *err);
+SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL allowed */
+
+SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(lambda) / 2 pi */
 
 /* ============================================================================================
  * >>api-reduced   modal bodies: oscillators, warping, handles
@@ -1063,7 +1147,8 @@ typedef struct sfem_reduced_def {
     const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or NULL. A mode
                               * of lambda = 0 has no ratio: its c is alpha */
     int free;                /* 1: the body is free. Modes of lambda = 0 are left out, a rigid frame takes
-                              * their place; 0: it is held; -1: free if the modes have rigid ones */
+                              * their place; 0: it is held; -1: free if six of the modes are rigid. Say 1
+                              * where they were left out of the modes */
     sfem_int gravity_groups; /* gravity on a warped body: the nodes turn in so many groups, each as the mean
                               * of its nodes; as many as nodes, or more: each node for itself. >= 1 */
     sfem_allocator allocator;
@@ -1115,11 +1200,11 @@ SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const s
  *   node  [count], in the order of the output, or NULL: all
  *   errors  SFEM_BAD_ARGUMENT (node), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE */
 typedef struct sfem_reduced_view sfem_reduced_view;
-SFEM_DEF sfem_status sfem_reduced_view_create(const sfem_reduced *reduced, sfem_int count,
+SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *reduced, sfem_int count,
                                               const sfem_int *node, sfem_precision precision,
                                               sfem_reduced_view **out, sfem_error *err);
 /* The nodes of info.surface_node: info.surface_tri are indices into what such a view writes. */
-SFEM_DEF sfem_status sfem_reduced_view_surface(const sfem_reduced *reduced, sfem_precision precision,
+SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *reduced, sfem_precision precision,
                                                sfem_reduced_view **out, sfem_error *err);
 SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed */
 SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
@@ -5774,6 +5859,26 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
     return table + path;
 }
 
+typedef struct sfemi_eigen_kernels {
+    double (*column)(size_t, double *, const double *, const double *, const double *, double *);
+    void (*reflect)(size_t, const double *, double, double *);
+    void (*sweep)(size_t, size_t, double *, size_t, const double *, const double *);
+} sfemi_eigen_kernels;
+
+static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
+{
+#define SFEMI_TABLE(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
+    static const sfemi_eigen_kernels table[] = {
+        SFEMI_TABLE(0),
+#if SFEMI_X86
+        SFEMI_TABLE(1),
+        SFEMI_TABLE(2),
+#endif
+    };
+#undef SFEMI_TABLE
+    return table + path;
+}
+
 /* --- symbolic analysis ----------------------------------------------------------------------- */
 
 /* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1]
@@ -7421,37 +7526,52 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
                          lost, (long)at);
 }
 
-static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
+/* x = L^-1 x: eight columns, then what they do to the rows below. */
+static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
     const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
     const size_t m = (size_t)n;
-    size_t i, j, end;
-    for (; rhs > 0; --rhs, x += m) {
-        for (j = 0; j < m; j = end) { /* eight columns, then what they do to the rows below */
-            size_t p;
-            end = j + 8 < m ? j + 8 : m;
-            for (p = j; p < end; ++p) {
-                if (!unit) x[p] /= a[p * (m + 1)];
-                for (i = p + 1; i < end; ++i) x[i] -= a[i + p * m] * x[p];
-            }
-            if (end < m) k->dense_minus(m - end, a + end + j * m, m, x + j, x + end);
+    size_t i, j, p, end;
+    for (j = 0; j < m; j = end) {
+        end = j + 8 < m ? j + 8 : m;
+        for (p = j; p < end; ++p) {
+            if (!unit) x[p] /= a[p * (m + 1)];
+            for (i = p + 1; i < end; ++i) x[i] -= a[i + p * m] * x[p];
         }
+        if (end < m) k->dense_minus(m - end, a + end + j * m, m, x + j, x + end);
+    }
+}
+
+/* x = L^-T x: four columns, from the last. */
+static void sfemi_dense_backward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
+{
+    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const size_t m = (size_t)n;
+    size_t i, j, p, end;
+    for (end = m; end > 0; end = j) {
+        double dot[4] = {0, 0, 0, 0};
+        j = end > 4 ? end - 4 : 0;
+        if (end - j == 4) k->dense_dots(m - end, a + end + j * m, m, x + end, dot);
+        else
+            for (p = j; p < end; ++p)
+                for (i = end; i < m; ++i) dot[p - j] += a[i + p * m] * x[i];
+        for (p = end; p-- > j;) {
+            x[p] -= dot[p - j];
+            for (i = p + 1; i < end; ++i) x[p] -= a[i + p * m] * x[i];
+            if (!unit) x[p] /= a[p * (m + 1)];
+        }
+    }
+}
+
+static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
+{
+    const size_t m = (size_t)n;
+    size_t j;
+    for (; rhs > 0; --rhs, x += m) {
+        sfemi_dense_forward(n, a, x, unit);
         if (unit)
             for (j = 0; j < m; ++j) x[j] /= a[j * (m + 1)];
-        for (end = m; end > 0; end = j) { /* four columns, from the last */
-            double dot[4] = {0, 0, 0, 0};
-            size_t p;
-            j = end > 4 ? end - 4 : 0;
-            if (end - j == 4) k->dense_dots(m - end, a + end + j * m, m, x + end, dot);
-            else
-                for (p = j; p < end; ++p)
-                    for (i = end; i < m; ++i) dot[p - j] += a[i + p * m] * x[i];
-            for (p = end; p-- > j;) {
-                x[p] -= dot[p - j];
-                for (i = p + 1; i < end; ++i) x[p] -= a[i + p * m] * x[i];
-                if (!unit) x[p] /= a[p * (m + 1)];
-            }
-        }
+        sfemi_dense_backward(n, a, x, unit);
     }
 }
 
@@ -7463,6 +7583,193 @@ SFEM_DEF void sfem_dense_cholesky_solve(sfem_int n, const sfem_real *a, sfem_int
 SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x)
 {
     sfemi_dense_solve(n, a, rhs, x, 1);
+}
+
+/* --- dense eigenvalues ------------------------------------------------------------------------ */
+
+/* Householder's reduction of the lower half of a to the tridiagonal matrix d, e: a = Q T Q^T, Q = H_0 H_1
+ * ..., H_k = I - tau_k v v^T with v in column k below the diagonal, its first entry 1. The matrix is
+ * read once a step: each reflection's change is applied while the next product is formed. work: 3 n. */
+static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *e, sfem_real *tau,
+                               sfem_real *work)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    sfem_real *w = work, *y = work + n, *v = work + 2 * n;
+    size_t k, i, j;
+    memset(w, 0, n * sizeof *w);
+    memset(v, 0, n * sizeof *v);
+    for (k = 0; k < n; ++k) { /* w and v hold the last reflection, for the rows from k on */
+        sfem_real *u = a + k * n, rest = 0, most = 0, dot = 0, beta, t;
+        for (i = k; i < n; ++i) u[i] -= v[i] * w[k] + w[i] * v[k];
+        d[k] = u[k];
+        e[k] = tau[k] = 0;
+        if (k + 1 == n) break;
+        for (i = k + 1; i < n; ++i) most = fmax(most, fabs(u[i]));
+        beta = most > 0 ? 1 / most : 0;
+        for (i = k + 2; i < n; ++i) rest += (u[i] * beta) * (u[i] * beta);
+        e[k] = u[k + 1];
+        if (rest > 0) {
+            beta = most * sqrt(rest + (u[k + 1] / most) * (u[k + 1] / most));
+            if (u[k + 1] > 0) beta = -beta;
+            t = u[k + 1] - beta;
+            tau[k] = -t / beta;
+            e[k] = beta;
+            for (i = k + 2; i < n; ++i) u[i] /= t;
+        }
+        u[k + 1] = 1;
+        memset(y + k + 1, 0, (n - k - 1) * sizeof *y);
+        for (j = k + 1; j < n; ++j) {
+            sfem_real *c = a + j * n + j;
+            t = f->column(n - j, c, v + j, w + j, u + j, y + j);
+            y[j] += t + c[0] * u[j];
+        }
+        for (i = k + 1; i < n; ++i) dot += (y[i] *= tau[k]) * u[i];
+        for (i = k + 1; i < n; ++i) {
+            v[i] = u[i];
+            w[i] = y[i] - tau[k] / 2 * dot * u[i];
+        }
+    }
+}
+
+/* Writes Q over the reflections that made it. */
+static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    size_t k, i, j;
+    for (k = n - 1; k-- > 0;) /* H_k stands in column k + 1, so that it starts on the diagonal */
+        memcpy(a + (k + 1) * n + k + 1, a + k * n + k + 1, (n - k - 1) * sizeof *a);
+    for (k = n; k-- > 1;) {
+        sfem_real *v = a + k * n;
+        for (j = k + 1; j < n; ++j) f->reflect(n - k, v + k, tau[k - 1], a + j * n + k);
+        for (i = 0; i < k; ++i) v[i] = 0;
+        for (i = k; i < n; ++i) v[i] *= -tau[k - 1];
+        v[k] += 1;
+    }
+    for (i = 0; i < n; ++i) a[i] = i == 0;
+}
+
+/* Implicit QL on the tridiagonal matrix with diagonal d and e beside it; its rotations are applied to
+ * the columns of z [n][h], of which the first `rows` numbers are used. work: 2 n. Returns 0 if an
+ * eigenvalue does not come out. */
+static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfem_real *z, size_t h,
+                          sfem_real *work)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    sfem_real *cosine = work, *sine = work + n;
+    size_t l, m, i;
+    int turns;
+    if (n > 0) e[n - 1] = 0;
+    for (l = 0; l < n; ++l)
+        for (turns = 0;; ++turns) {
+            sfem_real g, r, s = 1, c = 1, p = 0;
+            for (m = l; m + 1 < n; ++m) {
+                const sfem_real size = fabs(d[m]) + fabs(d[m + 1]);
+                if (fabs(e[m]) <= 1.2e-16 * size + 1e-280) break;
+            }
+            if (m == l) break;
+            if (turns == 80) return 0;
+            g = (d[l + 1] - d[l]) / (2 * e[l]);
+            r = hypot(g, 1.0);
+            g = d[m] - d[l] + e[l] / (g + (g < 0 ? -r : r));
+            for (i = m; i > l; --i) {
+                const sfem_real b = c * e[i - 1];
+                sfem_real t = s * e[i - 1];
+                e[i] = r = sqrt(t * t + g * g);
+                if (!(r > 1e-290)) break; /* underflow: the matrix falls apart here */
+                s = t / r;
+                c = g / r;
+                g = d[i] - p;
+                t = (d[i - 1] - g) * s + 2 * c * b;
+                d[i] = g + (p = s * t);
+                g = c * t - b;
+                cosine[i - 1] = c;
+                sine[i - 1] = s;
+            }
+            if (rows && m > i) f->sweep(rows, m - i, z + i * h, h, cosine + i, sine + i);
+            if (i > l) {
+                d[i] -= p;
+                e[m] = 0;
+                continue;
+            }
+            d[l] -= p;
+            e[l] = g;
+            e[m] = 0;
+        }
+    return 1;
+}
+
+/* Ascending, the columns of z with them. */
+static void sfemi_eigen_sort(size_t n, sfem_real *d, size_t rows, sfem_real *z, size_t h)
+{
+    size_t i, j, k;
+    for (i = 0; i + 1 < n; ++i) {
+        sfem_real t;
+        for (k = i, j = i + 1; j < n; ++j)
+            if (d[j] < d[k]) k = j;
+        if (k == i) continue;
+        t = d[i];
+        d[i] = d[k];
+        d[k] = t;
+        for (j = 0; j < rows; ++j) {
+            t = z[i * h + j];
+            z[i * h + j] = z[k * h + j];
+            z[k * h + j] = t;
+        }
+    }
+}
+
+/* A = L^-1 A L^-T, all of it, from its lower half. */
+static void sfemi_eigen_standard(size_t n, sfem_real *a, const sfem_real *l)
+{
+    size_t i, j, turn;
+    for (j = 0; j < n; ++j)
+        for (i = j + 1; i < n; ++i) a[j + i * n] = a[i + j * n];
+    for (turn = 0; turn < 2; ++turn) {
+        for (j = 0; j < n; ++j) sfemi_dense_forward((sfem_int)n, l, a + j * n, 0);
+        for (j = 0; j < n; ++j)
+            for (i = j + 1; i < n; ++i) {
+                const sfem_real t = a[j + i * n];
+                a[j + i * n] = a[i + j * n];
+                a[i + j * n] = t;
+            }
+    }
+}
+
+SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sfem_real *lambda,
+                                      sfem_real *work, sfem_error *err)
+{
+    const size_t m = (size_t)n;
+    sfem_real most = 0, scale;
+    sfem_status status;
+    size_t i, j;
+    int e = 0;
+    SFEM_ASSERT(n >= 0 && (n == 0 || (a && lambda && work)));
+    if (n == 0) return SFEM_OK;
+    if (b) {
+        status = sfem_dense_cholesky(n, b, err);
+        if (status != SFEM_OK) return status;
+        sfemi_eigen_standard(m, a, b);
+    }
+    for (j = 0; j < m; ++j)
+        for (i = j; i < m; ++i) {
+            if (!sfemi_finite(a[i + j * m]))
+                return sfemi_fail_at(err, SFEM_NOT_FINITE, (sfem_int)(i / 3), -1,
+                                     "row %ld, column %ld of the dense matrix is not finite", (long)i,
+                                     (long)j);
+            most = fmax(most, fabs(a[i + j * m]));
+        }
+    if (most > 0) (void)frexp(most, &e);
+    scale = ldexp(1.0, -e);
+    for (i = 0; i < m * m; ++i) a[i] *= scale;
+    sfemi_eigen_reduce(m, a, lambda, work, work + m, work + 2 * m);
+    sfemi_eigen_form(m, a, work + m);
+    if (!sfemi_eigen_ql(m, lambda, work, m, a, m, work + 2 * m))
+        return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of a dense matrix of %ld rows does not "
+                          "converge", (long)n);
+    sfemi_eigen_sort(m, lambda, m, a, m);
+    for (i = 0; i < m; ++i) lambda[i] = ldexp(lambda[i], e);
+    for (j = 0; b && j < m; ++j) sfemi_dense_backward(n, b, a + j * m, 0);
+    return SFEM_OK;
 }
 
 /* --- conjugate gradients --------------------------------------------------------------------- */
@@ -14244,9 +14551,2815 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
  * >>modes   eigenvalues and modes
  * ============================================================================================ */
 
+/* What the solvers work on: the free nodes, renumbered as they come. Held axes keep a row of their own
+ * with K's diagonal in it and no mass, so that they are eigenvalues at infinity and never counted.
+ * Blocks of eight vectors stand interleaved, [3n][8], as the factor solves for them. */
+#define SFEMI_MODES_BLOCK 8
+
+typedef struct sfemi_modes_system {
+    const sfem_model *model;
+    const sfem_modes_def *def;
+    const sfem_allocator *al;
+    sfem_int n, axes;     /* free nodes; their free axes */
+    sfem_int *node;       /* [n] numbers in the mesh */
+    unsigned char *mask;  /* [nodes] axes held */
+    sfem_matrix k;        /* K */
+    sfem_real *mass;      /* [3n] lumped, 0 on held axes; or row sums */
+    sfem_real *root;      /* [3n] its square root, where lumped; else NULL */
+    sfem_real *scalar;    /* [blocks] consistent mass, or NULL */
+    sfem_real norm_k, norm_m;
+    sfem_int pieces, rigid;
+    sfem_int *piece;      /* [n] */
+    sfem_int *motions;    /* [pieces] rigid modes of each */
+    sfem_real *z, *mz;    /* [6][3n] the k-th rigid mode of every piece, and M times it */
+    sfem_real *dot;       /* [pieces][6][8] scratch */
+} sfemi_modes_system;
+
+static void sfemi_modes_system_free(sfemi_modes_system *s)
+{
+    sfem_matrix_free(&s->k, s->al);
+    sfemi_delete(s->al, s->node);
+    sfemi_delete(s->al, s->mask);
+    sfemi_delete(s->al, s->mass);
+    sfemi_delete(s->al, s->root);
+    sfemi_delete(s->al, s->scalar);
+    sfemi_delete(s->al, s->piece);
+    sfemi_delete(s->al, s->motions);
+    if (s->mz != s->z) sfemi_delete(s->al, s->mz);
+    sfemi_delete(s->al, s->z);
+    sfemi_delete(s->al, s->dot);
+}
+
+static sfem_status sfemi_modes_mask(sfemi_modes_system *s, sfem_error *err)
+{
+    const sfem_modes_def *def = s->def;
+    const sfem_int nodes = s->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int c;
+    if (def->pin_count < 0 || (def->pin_count > 0 && !def->pins))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin_count is %d without pins", (int)def->pin_count);
+    SFEMI_NEW(unsigned char, s->mask, s->al, nodes);
+    for (i = 0; i < def->pin_count; ++i) {
+        const sfem_int node = def->pins[i];
+        const int held = def->pin_axes ? (int)def->pin_axes[i] : (int)SFEM_AXIS_ALL;
+        if (node < 0 || node >= nodes)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin %d names node %d, the mesh has %d", (int)i,
+                              (int)node, (int)nodes);
+        if (held < 1 || held > SFEM_AXIS_ALL)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1,
+                                 "pin %d holds axes %d, must be 1 to 7", (int)i, held);
+        s->mask[node] = (unsigned char)(s->mask[node] | held);
+    }
+    for (i = 0; i < nodes; ++i) {
+        if (s->model->node_mass[i] == 0) s->mask[i] = SFEM_AXIS_ALL;
+        s->n += s->mask[i] != SFEM_AXIS_ALL;
+    }
+    SFEMI_NEW(sfem_int, s->node, s->al, s->n);
+    for (s->n = i = 0; i < nodes; ++i) {
+        if (s->mask[i] == SFEM_AXIS_ALL) continue;
+        s->node[s->n++] = i;
+        for (c = 0; c < 3; ++c) s->axes += !(s->mask[i] >> c & 1);
+    }
+done:
+    return status;
+}
+
+/* K, M and their norms on the free nodes. */
+static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
+{
+    const sfem_model *m = s->model;
+    sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_real *sum = NULL;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    int r, c;
+    SFEMI_NEW(sfem_int, number, s->al, m->mesh.nodes); /* 1 + its row, 0: not free */
+    SFEMI_NEW(sfem_real, sum, s->al, 3 * (size_t)s->n);
+    for (k = 0; k < s->n; ++k) number[s->node[k]] = k + 1;
+    for (k = 0; k < s->n; ++k)
+        for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
+            blocks += number[m->col[at]] > 0;
+    SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, s->al, &row, &col, &s->k, err));
+    SFEMI_NEW(sfem_real, s->mass, s->al, 3 * (size_t)s->n);
+    if (m->block_mass)
+        SFEMI_NEW(sfem_real, s->scalar, s->al, blocks);
+    else
+        SFEMI_NEW(sfem_real, s->root, s->al, 3 * (size_t)s->n);
+    for (blocks = k = 0; k < s->n; ++k) {
+        const sfem_int node = s->node[k];
+        for (at = m->row[node]; at < m->row[node + 1]; ++at) {
+            const sfem_int other = m->col[at], j = number[other] - 1;
+            sfem_real *b = s->k.val + 9 * (size_t)blocks;
+            if (j < 0) continue;
+            memcpy(b, m->stiffness.val + 9 * (size_t)at, 9 * sizeof *b);
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c) {
+                    if (((s->mask[node] >> r & 1) || (s->mask[other] >> c & 1)) && !(j == k && r == c))
+                        b[3 * r + c] = 0;
+                    sum[3 * (size_t)k + (size_t)r] += fabs(b[3 * r + c]);
+                    if (j != k) sum[3 * (size_t)j + (size_t)c] += fabs(b[3 * r + c]);
+                }
+            if (s->scalar) s->scalar[blocks] = m->block_mass[at];
+            col[blocks++] = j;
+        }
+        row[k + 1] = blocks;
+        for (c = 0; c < 3; ++c) {
+            const size_t at3 = 3 * (size_t)k + (size_t)c;
+            s->mass[at3] = s->mask[node] >> c & 1 ? 0 : m->node_mass[node];
+            s->norm_m = fmax(s->norm_m, s->mass[at3]);
+            if (s->root) s->root[at3] = sqrt(s->mass[at3]);
+        }
+    }
+    for (i = 0; i < 3 * (size_t)s->n; ++i) s->norm_k = fmax(s->norm_k, sum[i]);
+done:
+    sfemi_delete(s->al, number);
+    sfemi_delete(s->al, sum);
+    return status;
+}
+
+/* y = M x for eight vectors that are zero on held axes. */
+static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
+{
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int i, at;
+    size_t r, q;
+    if (!s->scalar) {
+        for (r = 0; r < rows; ++r)
+            for (q = 0; q < 8; ++q) y[8 * r + q] = s->mass[r] * x[8 * r + q];
+        return;
+    }
+    for (i = 0; i < s->n; ++i) {
+        const sfem_real *xi = x + 24 * (size_t)i;
+        sfem_real sum[24];
+        memset(sum, 0, sizeof sum);
+        for (at = s->k.row[i]; at < s->k.row[i + 1] - 1; ++at) {
+            const sfem_real m = s->scalar[at], *xj = x + 24 * (size_t)s->k.col[at];
+            sfem_real *yj = y + 24 * (size_t)s->k.col[at];
+            for (q = 0; q < 24; ++q) {
+                sum[q] += m * xj[q];
+                yj[q] += m * xi[q];
+            }
+        }
+        for (q = 0; q < 24; ++q) y[24 * (size_t)i + q] = sum[q] + s->scalar[at] * xi[q];
+    }
+    for (r = 0; r < rows; ++r)
+        for (q = 0; q < 8 && s->mass[r] == 0; ++q) y[8 * r + q] = 0;
+}
+
+/* y = K x for eight vectors. */
+static void sfemi_modes_stiffness(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
+{
+    sfem_int i, at;
+    size_t q;
+    int r, c;
+    for (i = 0; i < s->n; ++i) {
+        const sfem_real *xi = x + 24 * (size_t)i, *b;
+        sfem_real sum[24];
+        memset(sum, 0, sizeof sum);
+        for (at = s->k.row[i]; at < s->k.row[i + 1]; ++at) {
+            const sfem_real *xj = x + 24 * (size_t)s->k.col[at];
+            sfem_real *yj = y + 24 * (size_t)s->k.col[at];
+            b = s->k.val + 9 * (size_t)at;
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    for (q = 0; q < 8; ++q) sum[8 * r + (int)q] += b[3 * r + c] * xj[8 * c + (int)q];
+            if (s->k.col[at] == i) continue;
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    for (q = 0; q < 8; ++q) yj[8 * c + (int)q] += b[3 * r + c] * xi[8 * r + (int)q];
+        }
+        memcpy(y + 24 * (size_t)i, sum, sizeof sum);
+    }
+}
+
+/* --- rigid modes ----------------------------------------------------------------------------- */
+
+/* Pieces: what shares a tet, as sets with a representative; numbered by their first node. */
+static sfem_status sfemi_modes_pieces(sfemi_modes_system *s, sfem_int *of, sfem_error *err)
+{
+    const sfem_mesh *mesh = &s->model->mesh;
+    sfem_status status = SFEM_OK;
+    sfem_int *number = NULL, i, k, e;
+    int c;
+    for (i = 0; i < mesh->nodes; ++i) of[i] = i;
+    for (e = 0; e < mesh->tets; ++e)
+        for (c = 1; c < 4; ++c) {
+            sfem_int a = mesh->tet[4 * (size_t)e], b = mesh->tet[4 * (size_t)e + (size_t)c];
+            while (of[a] != a) a = of[a] = of[of[a]];
+            while (of[b] != b) b = of[b] = of[of[b]];
+            if (a < b) of[b] = a;
+            else of[a] = b;
+        }
+    SFEMI_NEW(sfem_int, number, s->al, mesh->nodes); /* 1 + piece of a representative */
+    SFEMI_NEW(sfem_int, s->piece, s->al, s->n);
+    for (i = 0; i < mesh->nodes; ++i) of[i] = of[of[i]]; /* roots come first: one step does */
+    for (k = 0; k < s->n; ++k) {
+        sfem_int *at = number + of[s->node[k]];
+        if (!*at) *at = ++s->pieces;
+        s->piece[k] = *at - 1;
+    }
+    for (i = 0; i < mesh->nodes; ++i) of[i] = number[of[i]] - 1; /* -1: nothing free there */
+done:
+    sfemi_delete(s->al, number);
+    return status;
+}
+
+/* The six rigid motions of a place x - centre = r, as the columns of a 3x6 matrix. */
+static void sfemi_modes_motion(const sfem_real *r, sfem_real *b)
+{
+    memset(b, 0, 18 * sizeof *b);
+    b[0] = b[7] = b[14] = 1;
+    b[4] = r[2];
+    b[5] = -r[1];
+    b[9] = -r[2];
+    b[11] = r[0];
+    b[15] = r[1];
+    b[16] = -r[0];
+}
+
+/* Which of six motions the pins of a piece leave: the null space of the Gram matrix g [6][6] of its held
+ * axes, as columns of motion [6][6]; returns how many. Where nothing is held, all of them as they are. */
+static sfem_int sfemi_modes_allowed(sfem_real *g, sfem_real *motion)
+{
+    sfem_real value[6], work[30], trace = 0;
+    sfem_int i, count = 0;
+    for (i = 0; i < 6; ++i) trace += g[7 * i];
+    memset(motion, 0, 36 * sizeof *motion);
+    for (i = 0; i < 6; ++i) motion[7 * i] = 1;
+    if (trace == 0) return 6;
+    if (sfem_dense_eigen(6, g, NULL, value, work, NULL) != SFEM_OK) return 0; /* not finite: no mesh's */
+    while (count < 6 && value[count] <= 1e-13 * trace) ++count;
+    memcpy(motion, g, 36 * sizeof *motion);
+    return count;
+}
+
+/* Takes the rigid part out of eight vectors: x -= Z (MZ)^T x, piece by piece. half: x is root(M) times a
+ * displacement, and so are z and mz then. */
+static void sfemi_modes_deflate(const sfemi_modes_system *s, sfem_real *x)
+{
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int i;
+    size_t q, r;
+    int k;
+    if (s->rigid == 0) return;
+    memset(s->dot, 0, 48 * (size_t)s->pieces * sizeof *s->dot);
+    for (i = 0; i < s->n; ++i) {
+        const sfem_int p = s->piece[i];
+        for (k = 0; k < s->motions[p]; ++k) {
+            sfem_real *d = s->dot + 48 * (size_t)p + 8 * k;
+            for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
+                const sfem_real z = s->mz[(size_t)k * rows + r];
+                for (q = 0; q < 8; ++q) d[q] += z * x[8 * r + q];
+            }
+        }
+    }
+    for (i = 0; i < s->n; ++i) {
+        const sfem_int p = s->piece[i];
+        for (k = 0; k < s->motions[p]; ++k) {
+            const sfem_real *d = s->dot + 48 * (size_t)p + 8 * k;
+            for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
+                const sfem_real z = s->z[(size_t)k * rows + r];
+                for (q = 0; q < 8; ++q) x[8 * r + q] -= z * d[q];
+            }
+        }
+    }
+}
+
+/* The k-th mode of every piece made M-orthogonal to those before it, twice, and of length 1. */
+static void sfemi_modes_orthonormalise(sfemi_modes_system *s, sfem_real *x, sfem_real *y)
+{
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int *motions = s->motions, i, p;
+    size_t r;
+    int k, j, turn;
+    for (k = 0; k < 6; ++k) {
+        sfem_real *z = s->z + (size_t)k * rows, *mz = s->mz + (size_t)k * rows;
+        for (turn = 0; turn < 3; ++turn) {
+            memset(s->dot, 0, 48 * (size_t)s->pieces * sizeof *s->dot);
+            for (r = 0; r < rows; ++r) x[8 * r] = z[r];
+            sfemi_modes_mass(s, x, y);
+            for (r = 0; r < rows; ++r) mz[r] = y[8 * r];
+            for (i = 0; i < s->n; ++i)
+                for (j = 0; j <= k; ++j)
+                    s->dot[48 * (size_t)s->piece[i] + (size_t)j] +=
+                        sfemi_dot3(s->z + (size_t)j * rows + 3 * (size_t)i, mz + 3 * (size_t)i);
+            for (i = 0; i < s->n; ++i) {
+                const sfem_real *d = s->dot + 48 * (size_t)s->piece[i];
+                if (k >= motions[s->piece[i]]) continue;
+                for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
+                    for (j = 0; j < k && turn < 2; ++j) z[r] -= d[j] * s->z[(size_t)j * rows + r];
+                    if (turn == 2) z[r] /= sqrt(d[k]);
+                    if (turn == 2) mz[r] /= sqrt(d[k]);
+                }
+            }
+        }
+    }
+    for (p = 0; p < s->pieces; ++p) s->rigid += motions[p];
+}
+
+static sfem_status sfemi_modes_rigid(sfemi_modes_system *s, sfem_error *err)
+{
+    const sfem_mesh *mesh = &s->model->mesh;
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int *of = NULL, i, p;
+    sfem_real *centre = NULL, *gram = NULL, *motion = NULL, *x = NULL, *y = NULL, r[3], b[18];
+    sfem_status status = SFEM_OK;
+    int c, j, k;
+    SFEMI_NEW(sfem_int, of, s->al, mesh->nodes);
+    SFEMI_TRY(sfemi_modes_pieces(s, of, err));
+    SFEMI_NEW(sfem_real, centre, s->al, 5 * (size_t)s->pieces); /* with mass and radius */
+    SFEMI_NEW(sfem_real, gram, s->al, 36 * (size_t)s->pieces);
+    SFEMI_NEW(sfem_real, motion, s->al, 36 * (size_t)s->pieces);
+    SFEMI_NEW(sfem_real, x, s->al, 8 * rows);
+    SFEMI_NEW(sfem_real, y, s->al, 8 * rows);
+    SFEMI_NEW(sfem_int, s->motions, s->al, s->pieces);
+    SFEMI_NEW(sfem_real, s->dot, s->al, 48 * (size_t)s->pieces);
+    SFEMI_NEW(sfem_real, s->z, s->al, 6 * rows);
+    SFEMI_NEW(sfem_real, s->mz, s->al, 6 * rows);
+    for (i = 0; i < mesh->nodes; ++i)
+        for (c = 0; c < 3 && of[i] >= 0; ++c)
+            centre[5 * of[i] + c] += s->model->node_mass[i] * mesh->x[3 * (size_t)i + (size_t)c];
+    for (i = 0; i < mesh->nodes; ++i)
+        if (of[i] >= 0) centre[5 * of[i] + 3] += s->model->node_mass[i];
+    for (p = 0; p < s->pieces; ++p)
+        for (c = 0; c < 3; ++c) centre[5 * p + c] /= centre[5 * p + 3];
+    for (i = 0; i < mesh->nodes; ++i) {
+        if (of[i] < 0) continue;
+        sfemi_sub3(mesh->x + 3 * (size_t)i, centre + 5 * of[i], r);
+        centre[5 * of[i] + 4] = fmax(centre[5 * of[i] + 4], sqrt(sfemi_dot3(r, r)));
+    }
+    for (i = 0; i < mesh->nodes; ++i) {
+        if (of[i] < 0 || !s->mask[i]) continue;
+        sfemi_sub3(mesh->x + 3 * (size_t)i, centre + 5 * of[i], r);
+        for (c = 0; c < 3; ++c) r[c] /= centre[5 * of[i] + 4];
+        sfemi_modes_motion(r, b);
+        for (c = 0; c < 3; ++c)
+            for (j = 0; j < 36 && (s->mask[i] >> c & 1); ++j)
+                gram[36 * of[i] + j] += b[6 * c + j / 6] * b[6 * c + j % 6];
+    }
+    for (p = 0; p < s->pieces; ++p)
+        s->motions[p] = sfemi_modes_allowed(gram + 36 * p, motion + 36 * p);
+    for (i = 0; i < s->n; ++i) {
+        p = s->piece[i];
+        sfemi_sub3(mesh->x + 3 * (size_t)s->node[i], centre + 5 * p, r);
+        for (c = 0; c < 3; ++c) r[c] /= centre[5 * p + 4];
+        sfemi_modes_motion(r, b);
+        for (k = 0; k < s->motions[p]; ++k)
+            for (c = 0; c < 3; ++c) {
+                sfem_real *z = s->z + (size_t)k * rows + 3 * (size_t)i + (size_t)c;
+                for (j = 0; j < 6 && !(s->mask[s->node[i]] >> c & 1); ++j)
+                    *z += b[6 * c + j] * motion[36 * p + 6 * k + j];
+            }
+    }
+    sfemi_modes_orthonormalise(s, x, y);
+done:
+    sfemi_delete(s->al, of);
+    sfemi_delete(s->al, centre);
+    sfemi_delete(s->al, gram);
+    sfemi_delete(s->al, motion);
+    sfemi_delete(s->al, x);
+    sfemi_delete(s->al, y);
+    return status;
+}
+
+static sfem_status sfemi_modes_system_create(const sfem_model *model, const sfem_modes_def *def,
+                                             sfemi_modes_system *s, sfem_error *err)
+{
+    sfem_status status;
+    memset(s, 0, sizeof *s);
+    s->model = model;
+    s->def = def;
+    s->al = &def->allocator;
+    SFEMI_TRY(sfemi_modes_mask(s, err));
+    SFEMI_TRY(sfemi_modes_matrices(s, err));
+    SFEMI_TRY(sfemi_modes_rigid(s, err));
+done:
+    return status;
+}
+
+/* --- results --------------------------------------------------------------------------------- */
+
+/* Room for so many elastic modes; the rigid ones are written, if wanted, piece by piece. */
+static sfem_status sfemi_modes_result(const sfemi_modes_system *s, sfem_int elastic, sfem_modes *out,
+                                      sfem_error *err)
+{
+    const size_t rows = 3 * (size_t)s->n, nodes3 = 3 * (size_t)s->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int p, k, i, at = 0;
+    int c;
+    out->nodes = s->model->mesh.nodes;
+    out->rigid = s->def->rigid ? s->rigid : 0;
+    out->count = out->rigid + elastic;
+    SFEMI_NEW(sfem_real, out->lambda, s->al, out->count);
+    SFEMI_NEW(sfem_real, out->error, s->al, out->count);
+    SFEMI_NEW(sfem_real, out->phi, s->al, (size_t)out->count * nodes3);
+    for (p = 0; p < s->pieces && out->rigid; at += s->motions[p++])
+        for (i = 0; i < s->n; ++i)
+            for (k = 0; k < s->motions[p] && s->piece[i] == p; ++k)
+                for (c = 0; c < 3; ++c)
+                    out->phi[(size_t)(at + k) * nodes3 + 3 * (size_t)s->node[i] + (size_t)c] =
+                        s->z[(size_t)k * rows + 3 * (size_t)i + (size_t)c];
+done:
+    return status;
+}
+
+/* Backward errors of all modes, eight at a time: a task is a block of modes. */
+typedef struct sfemi_modes_measure {
+    const sfemi_modes_system *s;
+    sfem_modes *out;
+    sfem_real *work; /* [blocks][3][3n][8] */
+} sfemi_modes_measure;
+
+static void sfemi_modes_measure_block(void *data, sfem_int block)
+{
+    const sfemi_modes_measure *job = (const sfemi_modes_measure *)data;
+    const sfemi_modes_system *s = job->s;
+    const size_t rows = 3 * (size_t)s->n, nodes3 = 3 * (size_t)job->out->nodes;
+    const sfem_int first = 8 * block, left = job->out->count - first, some = left < 8 ? left : 8;
+    sfem_real *x = job->work + 24 * rows * (size_t)block, *kx = x + 8 * rows, *mx = kx + 8 * rows;
+    sfem_real rest[8], length[8];
+    sfem_int i, q;
+    size_t r;
+    memset(rest, 0, sizeof rest);
+    memset(length, 0, sizeof length);
+    memset(x, 0, 8 * rows * sizeof *x);
+    for (q = 0; q < some; ++q) {
+        const sfem_real *phi = job->out->phi + (size_t)(first + q) * nodes3;
+        for (i = 0; i < s->n; ++i)
+            for (r = 0; r < 3; ++r)
+                x[8 * (3 * (size_t)i + r) + (size_t)q] = phi[3 * (size_t)s->node[i] + r];
+    }
+    sfemi_modes_stiffness(s, x, kx);
+    sfemi_modes_mass(s, x, mx);
+    for (r = 0; r < rows; ++r)
+        for (q = 0; q < some; ++q) {
+            const size_t at = 8 * r + (size_t)q;
+            const sfem_real d = kx[at] - job->out->lambda[first + q] * mx[at];
+            rest[q] += d * d;
+            length[q] += x[at] * x[at];
+        }
+    for (q = 0; q < some; ++q)
+        job->out->error[first + q] =
+            length[q] > 0 ? sqrt(rest[q] / length[q]) /
+                                (s->norm_k + fabs(job->out->lambda[first + q]) * s->norm_m)
+                          : 0;
+}
+
+static sfem_status sfemi_modes_errors(const sfemi_modes_system *s, sfem_modes *out, sfem_error *err)
+{
+    const sfem_int blocks = (out->count + 7) / 8;
+    sfem_status status = SFEM_OK;
+    sfemi_modes_measure job;
+    job.s = s;
+    job.out = out;
+    SFEMI_NEW(sfem_real, job.work, s->al, (size_t)blocks * 72 * (size_t)s->n);
+    sfemi_run(&s->def->exec, blocks, sfemi_modes_measure_block, &job);
+    sfemi_delete(s->al, job.work);
+done:
+    return status;
+}
+
+static sfem_status sfemi_modes_too_many(const sfemi_modes_system *s, sfem_error *err)
+{
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                      "%d elastic modes asked for, but %d free axes less %d rigid modes leave %d",
+                      (int)s->def->modes, (int)s->axes, (int)s->rigid, (int)(s->axes - s->rigid));
+}
+
+/* How many after the last of `taken` ascending values are equal to it. */
+static sfem_int sfemi_modes_cut(const sfem_real *lambda, sfem_int taken, sfem_int count)
+{
+    sfem_int i = taken;
+    while (taken > 0 && i < count && lambda[i] - lambda[taken - 1] <= 1e-6 * fabs(lambda[taken - 1]))
+        ++i;
+    return i - taken;
+}
+
+/* --- the dense solver ------------------------------------------------------------------------ */
+
+/* A = K (lumped mass: root(M)^-1 K root(M)^-1) on the free axes, whose rows are in `axis`, and M in b.
+ * Rigid modes are moved out of the way: A + beta (MZ)(MZ)^T, beta above all eigenvalues [Gershgorin;
+ * a consistent mass is at least 1/5 of the lumped one]. */
+static void sfemi_modes_fill(const sfemi_modes_system *s, const sfem_int *axis, sfem_real *a,
+                             sfem_real *b)
+{
+    const size_t m = (size_t)s->axes, rows = 3 * (size_t)s->n;
+    sfem_real beta = 0;
+    sfem_int i, at;
+    size_t r, q, p;
+    int k, c, d;
+    for (i = 0; i < s->n; ++i)
+        for (at = s->k.row[i]; at < s->k.row[i + 1]; ++at)
+            for (c = 0; c < 3; ++c)
+                for (d = 0; d < 3; ++d) {
+                    const size_t u = 3 * (size_t)i + (size_t)c, v = 3 * (size_t)s->k.col[at] + (size_t)d;
+                    const sfem_int x = axis[u], y = axis[v];
+                    if (x < 0 || y < 0 || x < y) continue;
+                    a[(size_t)x + m * (size_t)y] = s->k.val[9 * (size_t)at + (size_t)(3 * c + d)] /
+                                                   (b ? 1 : s->root[u] * s->root[v]);
+                    if (b && c == d) b[(size_t)x + m * (size_t)y] = s->scalar[at];
+                }
+    if (s->rigid == 0) return;
+    for (q = 0; q < m; ++q) { /* of A, or of A over the row sums of M */
+        sfem_real sum = 0;
+        for (p = 0; p < m; ++p) sum += fabs(p < q ? a[q + m * p] : a[p + m * q]);
+        for (r = 0; b && r < rows; ++r)
+            if (axis[r] == (sfem_int)q) sum *= 5 / s->mass[r];
+        beta = fmax(beta, sum);
+    }
+    for (r = 0; r < rows; ++r)
+        for (q = 0; q <= r; ++q) {
+            sfem_real dot = 0;
+            const sfem_int piece = s->piece[r / 3];
+            if (axis[r] < 0 || axis[q] < 0 || s->piece[q / 3] != piece) continue;
+            for (k = 0; k < s->motions[piece]; ++k)
+                dot += s->mz[(size_t)k * rows + r] * s->mz[(size_t)k * rows + q];
+            a[(size_t)axis[r] + m * (size_t)axis[q]] += beta * dot / (b ? 1 : s->root[r] * s->root[q]);
+        }
+}
+
+/* Rayleigh's quotient from the tets' own strains: better than the eigenvalue of a matrix whose largest
+ * eigenvalue is far away; then ascending again. */
+static void sfemi_modes_refine(const sfemi_modes_system *s, sfem_modes *out)
+{
+    const size_t nodes3 = 3 * (size_t)out->nodes;
+    sfem_int i, k;
+    size_t r;
+    for (k = out->rigid; k < out->count; ++k) {
+        const sfem_real lambda = 2 * sfem_model_elastic_energy(s->model, out->phi + (size_t)k * nodes3);
+        for (i = k; i > out->rigid && lambda < out->lambda[i - 1]; --i) {
+            sfem_real *p = out->phi + (size_t)i * nodes3, *o = p - nodes3;
+            out->lambda[i] = out->lambda[i - 1];
+            for (r = 0; r < nodes3; ++r) {
+                const sfem_real t = p[r];
+                p[r] = o[r];
+                o[r] = t;
+            }
+        }
+        out->lambda[i] = lambda;
+    }
+}
+
+static sfem_status sfemi_modes_dense(const sfemi_modes_system *s, sfem_modes *out, sfem_error *err)
+{
+    const size_t m = (size_t)s->axes, rows = 3 * (size_t)s->n, nodes3 = 3 * (size_t)s->model->mesh.nodes;
+    const sfem_real bound = s->def->below_hz * 6.283185307179586;
+    sfem_real *a = NULL, *b = NULL, *lambda = NULL, *work = NULL;
+    sfem_int *axis = NULL, elastic = s->axes - s->rigid, take = 0, k;
+    sfem_status status = SFEM_OK;
+    size_t r, q = 0;
+    SFEMI_NEW(sfem_int, axis, s->al, rows);
+    SFEMI_NEW(sfem_real, a, s->al, m * m);
+    if (s->scalar) SFEMI_NEW(sfem_real, b, s->al, m * m);
+    SFEMI_NEW(sfem_real, lambda, s->al, m);
+    SFEMI_NEW(sfem_real, work, s->al, 5 * m);
+    for (r = 0; r < rows; ++r) axis[r] = s->mask[s->node[r / 3]] >> (r % 3) & 1 ? -1 : (sfem_int)q++;
+    sfemi_modes_fill(s, axis, a, b);
+    SFEMI_TRY(sfem_dense_eigen(s->axes, a, b, lambda, work, err));
+    if (s->def->below_hz > 0)
+        while (take < elastic && lambda[take] < bound * bound) ++take;
+    else
+        take = s->def->modes;
+    SFEMI_TRY(sfemi_modes_result(s, take, out, err));
+    for (k = 0; k < take; ++k) {
+        sfem_real *phi = out->phi + (size_t)(out->rigid + k) * nodes3;
+        out->lambda[out->rigid + k] = lambda[k];
+        for (r = 0; r < rows; ++r)
+            if (axis[r] >= 0)
+                phi[3 * (size_t)s->node[r / 3] + r % 3] =
+                    a[(size_t)k * m + (size_t)axis[r]] / (b ? 1 : s->root[r]);
+    }
+    sfemi_modes_refine(s, out);
+    out->info.dense = out->info.proved = 1;
+    out->info.converged = take;
+    out->info.cut = sfemi_modes_cut(lambda, take, elastic);
+    out->info.below = s->rigid + take + out->info.cut;
+    out->info.bound = s->def->below_hz > 0 ? bound * bound
+                      : take > 0           ? lambda[take + out->info.cut - 1] * (1 + 1e-6)
+                                           : 0;
+done:
+    sfemi_delete(s->al, axis);
+    sfemi_delete(s->al, a);
+    sfemi_delete(s->al, b);
+    sfemi_delete(s->al, lambda);
+    sfemi_delete(s->al, work);
+    return status;
+}
+
+/* --- the whole ------------------------------------------------------------------------------- */
+
+SFEM_DEF sfem_modes_def sfem_default_modes_def(void)
+{
+    sfem_modes_def def;
+    memset(&def, 0, sizeof def);
+    def.modes = 20;
+    def.tolerance = 1e-13;
+    return def;
+}
+
+static sfem_status sfemi_modes_check(const sfem_modes_def *def, sfem_error *err)
+{
+    if (!sfemi_finite(def->below_hz) || def->below_hz < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "below_hz is %g, must be 0 or a frequency",
+                          def->below_hz);
+    if (def->modes < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "modes is %d, must be >= 0", (int)def->modes);
+    if (!(def->tolerance >= 1e-15 && def->tolerance <= 1e-2))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "tolerance is %g, must be 1e-15 to 1e-2",
+                          def->tolerance);
+    if (def->max_basis < 0 || def->max_restarts < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_basis %d or max_restarts %d is negative",
+                          (int)def->max_basis, (int)def->max_restarts);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *def, sfem_modes *out,
+                                       sfem_error *err)
+{
+    sfemi_modes_system s;
+    sfem_modes result;
+    sfem_status status;
+    SFEM_ASSERT(model && def && out);
+    memset(&result, 0, sizeof result);
+    memset(&s, 0, sizeof s);
+    s.al = &def->allocator;
+    result.allocator = def->allocator;
+    SFEMI_TRY(sfemi_modes_check(def, err));
+    SFEMI_TRY(sfemi_modes_system_create(model, def, &s, err));
+    if (def->below_hz == 0 && def->modes > s.axes - s.rigid) {
+        status = sfemi_modes_too_many(&s, err);
+        goto done;
+    }
+    SFEMI_TRY(sfemi_modes_dense(&s, &result, err));
+    SFEMI_TRY(sfemi_modes_errors(&s, &result, err));
+    *out = result;
+done:
+    sfemi_modes_system_free(&s);
+    if (status != SFEM_OK) sfem_modes_free(&result);
+    return status;
+}
+
+SFEM_DEF void sfem_modes_free(sfem_modes *modes)
+{
+    if (!modes) return;
+    sfemi_delete(&modes->allocator, modes->lambda);
+    sfemi_delete(&modes->allocator, modes->phi);
+    sfemi_delete(&modes->allocator, modes->error);
+    memset(modes, 0, sizeof *modes);
+}
+
+SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k)
+{
+    SFEM_ASSERT(modes && k >= 0 && k < modes->count);
+    return sqrt(fmax(modes->lambda[k], 0.0)) / 6.283185307179586;
+}
+
 /* ============================================================================================
  * >>reduced   modal bodies: oscillators, warping, handles
+ *
+ * Everything a modal body needs of its mesh stands in one block, which is also the file format. Rows of Phi
+ * and Psi are padded to whole vectors of modes, with zeros. What is drawn comes from views: tiles of 8 nodes,
+ * [tile][mode][xyz][8], so that a mode is three (with warping six) multiply-adds of whole vectors.
+ *
+ * Warping needs two functions of th^2 a node; both are entire, and a polynomial of degree 13 gives them in
+ * double for th up to pi, without a square root, a sine or a case for small angles.
+ *
+ * Literature: Choi and Ko 2005, "Modal warping: real-time simulation of large rotational deformation and
+ * manipulation"; Newmark 1959; for the frame's rotation the implicit midpoint rule on the group.
  * ============================================================================================ */
+
+#define SFEMI_TILE 8 /* nodes */
+/* of the polynomials, as in >>kernels */
+enum { SFEMI_TURN_TERMS = 14, SFEMI_TURN_TERMS32 = 10, SFEMI_TURN_ROTATION = 0, SFEMI_TURN_PATH = 1 };
+
+typedef struct sfemi_modal_kernels {
+    void (*dot3)(size_t, const double *, const double *, double *);
+    void (*add3)(size_t, const double *, const double *, double *);
+    void (*tiles)(size_t, size_t, const double *, const double *, const double *, size_t, const sfem_int *,
+                  const double *, const double *, const double *, double *);
+    void (*tiles32)(size_t, size_t, const float *, const float *, const float *, size_t, const sfem_int *,
+                    const float *, const float *, const float *, float *);
+} sfemi_modal_kernels;
+
+static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
+{
+#define SFEMI_TABLE(p)                                                                               \
+    {sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p,                     \
+     sfemi_modal_tiles_32_##p}
+    static const sfemi_modal_kernels table[] = {
+        SFEMI_TABLE(0),
+#if SFEMI_X86
+        SFEMI_TABLE(1),
+        SFEMI_TABLE(2),
+#endif
+    };
+#undef SFEMI_TABLE
+    return table + path;
+}
+
+/* --- rotations ------------------------------------------------------------------------------- */
+
+/* (-1)^k / (2k + 1 + first)!, the series in th^2 of sin th/th, (1 - cos th)/th^2, (1 - sin th/th)/th^2 */
+static void sfemi_turn_series(int first, int terms, sfem_real *out)
+{
+    sfem_real term = 1;
+    int k;
+    for (k = 2; k <= 1 + first; ++k) term /= k;
+    for (k = 0; k < terms; ++k) {
+        out[k] = term;
+        term /= -(sfem_real)((2 * k + 2 + first) * (2 * k + 3 + first));
+    }
+}
+
+/* The two coefficients of I + a [w]x + b [w]x^2: of the rotation exp [w]x, or of its mean over the path. */
+static void sfemi_turn_coefficients(int kind, const sfem_real w[3], sfem_real *a, sfem_real *b)
+{
+    const sfem_real t = sfemi_dot3(w, w);
+    if (t < 10) {
+        sfem_real c[2][SFEMI_TURN_TERMS];
+        const int terms = t < 0.01 ? 6 : SFEMI_TURN_TERMS;
+        int k;
+        sfemi_turn_series(kind, terms, c[0]);
+        sfemi_turn_series(kind + 1, terms, c[1]);
+        *a = c[0][terms - 1];
+        *b = c[1][terms - 1];
+        for (k = terms - 2; k >= 0; --k) *a = *a * t + c[0][k], *b = *b * t + c[1][k];
+    } else {
+        const sfem_real th = sqrt(t), half = sin(th / 2);
+        *a = kind == SFEMI_TURN_PATH ? 2 * half * half / t : sin(th) / th;
+        *b = kind == SFEMI_TURN_PATH ? (1 - sin(th) / th) / t : 2 * half * half / t;
+    }
+}
+
+/* out = u + a w x u + b w x (w x u); with -a the transpose. out may be u. */
+static void sfemi_turn_apply(sfem_real a, sfem_real b, const sfem_real w[3], const sfem_real u[3],
+                             sfem_real out[3])
+{
+    sfem_real wu[3], wwu[3];
+    int c;
+    sfemi_cross(w, u, wu);
+    sfemi_cross(w, wu, wwu);
+    for (c = 0; c < 3; ++c) out[c] = u[c] + a * wu[c] + b * wwu[c];
+}
+
+static void sfemi_turn_matrix(int kind, const sfem_real w[3], sfem_real r[9])
+{
+    sfem_real a, b;
+    int i, j;
+    sfemi_turn_coefficients(kind, w, &a, &b);
+    for (i = 0; i < 3; ++i) {
+        const int next = (i + 1) % 3, last = (i + 2) % 3;
+        for (j = 0; j < 3; ++j) r[3 * i + j] = b * w[i] * w[j];
+        r[4 * i] += 1 - b * sfemi_dot3(w, w);
+        r[3 * i + next] -= a * w[last];
+        r[3 * i + last] += a * w[next];
+    }
+}
+
+static void sfemi_turn_vector(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
+{
+    const sfem_real v[3] = {x[0], x[1], x[2]};
+    int c;
+    for (c = 0; c < 3; ++c) y[c] = sfemi_dot3(m + 3 * c, v);
+}
+
+static void sfemi_turn_back(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
+{
+    const sfem_real v[3] = {x[0], x[1], x[2]};
+    int c;
+    for (c = 0; c < 3; ++c) y[c] = m[c] * v[0] + m[3 + c] * v[1] + m[6 + c] * v[2];
+}
+
+/* --- the reduced model ----------------------------------------------------------------------- */
+
+typedef struct sfemi_reduced_head {
+    char magic[8];
+    uint32_t version, order; /* order: 0x01020304 as this machine writes it */
+    uint64_t size, checksum;
+    sfem_int nodes, modes, stride, free; /* stride: modes, padded */
+    sfem_int surface_nodes, surface_triangles, groups, unused;
+    sfem_real mass, centre[3], inertia[9], inverse[9];
+} sfemi_reduced_head;
+
+struct sfem_reduced {
+    sfem_allocator allocator;
+    int lock;
+    sfem_int references;
+    void *block;
+    sfemi_reduced_head *head;
+    sfem_real *x, *mass;             /* [nodes][3], [nodes] */
+    sfem_real *lambda, *damping;     /* [stride] */
+    sfem_real *amplitude, *gain;     /* [stride] largest |phi| of any node; G of sfem_modal_info, may be inf */
+    sfem_real *gravity;              /* [3][stride] Phi^T M e_c */
+    sfem_real *phi, *psi;            /* [nodes][3][stride] */
+    sfem_real *group_phi, *group_psi; /* [groups][3][stride]: sums of m phi, means of psi */
+    sfem_int *surface_node, *surface_tri;
+};
+
+enum { SFEMI_REDUCED_ARRAYS = 13, SFEMI_REDUCED_VERSION = 1 };
+
+/* Where the arrays stand in the block: at[k] bytes from its start, at[last] its size; 0 on overflow. */
+static int sfemi_reduced_layout(const sfemi_reduced_head *h, size_t at[SFEMI_REDUCED_ARRAYS + 1])
+{
+    const double n = h->nodes, m = h->stride, g = h->groups, real = sizeof(sfem_real);
+    const double bytes[SFEMI_REDUCED_ARRAYS] = {
+        3 * n * real,     n * real,         m * real, m * real, m * real, m * real, 3 * m * real,
+        3 * n * m * real, 3 * n * m * real, 3 * g * m * real, 3 * g * m * real,
+        h->surface_nodes * (double)sizeof(sfem_int), 3.0 * h->surface_triangles * (double)sizeof(sfem_int)};
+    double total = sizeof *h;
+    int k;
+    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k) total += bytes[k] + SFEMI_ALIGN;
+    if (total > (double)((size_t)-1 / 2) || total > 4e15) return 0;
+    at[0] = (sizeof *h + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k)
+        at[k + 1] = (at[k] + (size_t)bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    return 1;
+}
+
+static void sfemi_reduced_lay_out(sfem_reduced *r, const size_t at[SFEMI_REDUCED_ARRAYS + 1])
+{
+    char *b = (char *)r->block;
+    sfem_real **real[11];
+    int k;
+    real[0] = &r->x, real[1] = &r->mass, real[2] = &r->lambda, real[3] = &r->damping;
+    real[4] = &r->amplitude, real[5] = &r->gain, real[6] = &r->gravity, real[7] = &r->phi;
+    real[8] = &r->psi, real[9] = &r->group_phi, real[10] = &r->group_psi;
+    r->head = (sfemi_reduced_head *)r->block;
+    for (k = 0; k < 11; ++k) *real[k] = (sfem_real *)(void *)(b + at[k]);
+    r->surface_node = (sfem_int *)(void *)(b + at[11]);
+    r->surface_tri = (sfem_int *)(void *)(b + at[12]);
+}
+
+static uint64_t sfemi_reduced_checksum(const void *block, size_t bytes)
+{
+    sfemi_reduced_head head;
+    memcpy(&head, block, sizeof head);
+    head.checksum = 0;
+    return sfemi_state_hash(sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head),
+                            (const char *)block + sizeof head, bytes - sizeof head);
+}
+
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
+{
+    sfem_reduced_def def;
+    memset(&def, 0, sizeof def);
+    def.free = -1;
+    def.gravity_groups = 64;
+    return def;
+}
+
+SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
+{
+    sfem_allocator al;
+    sfem_int left;
+    if (!r) return;
+    sfemi_lock(&r->lock);
+    left = --r->references;
+    sfemi_unlock(&r->lock);
+    if (left > 0) return;
+    al = r->allocator;
+    sfemi_delete(&al, r->block);
+    sfemi_delete(&al, r);
+}
+
+static void sfemi_reduced_retain(sfem_reduced *r)
+{
+    sfemi_lock(&r->lock);
+    ++r->references;
+    sfemi_unlock(&r->lock);
+}
+
+/* Memory for a model of the sizes in head. */
+static sfem_status sfemi_reduced_new(const sfemi_reduced_head *head, const sfem_allocator *al,
+                                     sfem_reduced **out, sfem_error *err)
+{
+    size_t at[SFEMI_REDUCED_ARRAYS + 1];
+    sfem_reduced *r = NULL;
+    sfem_status status = SFEM_OK;
+    if (!sfemi_reduced_layout(head, at))
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d modes of %d nodes do not fit into memory",
+                          (int)head->modes, (int)head->nodes);
+    SFEMI_NEW(sfem_reduced, r, al, 1);
+    r->allocator = *al;
+    r->references = 1;
+    r->block = sfemi_new(al, at[SFEMI_REDUCED_ARRAYS], 1);
+    if (!r->block) {
+        status = sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: a reduced model");
+        goto done;
+    }
+    sfemi_reduced_lay_out(r, at);
+    *r->head = *head;
+    r->head->size = at[SFEMI_REDUCED_ARRAYS];
+    *out = r;
+    return SFEM_OK;
+done:
+    sfem_reduced_free(r);
+    return status;
+}
+
+/* Psi: half the curl of each mode, constant in a tet, averaged at the nodes by volume. */
+static void sfemi_reduced_curl(sfem_reduced *r, const sfem_model *model, sfem_real *volume)
+{
+    const size_t m = (size_t)r->head->stride;
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int e, i;
+    size_t k;
+    int a, b, c;
+    for (e = 0; e < mesh->tets; ++e) {
+        const sfem_int *t = mesh->tet + 4 * (size_t)e;
+        sfem_real g[4][3];
+        const sfem_real v = sfemi_element_gradients(mesh, e, g);
+        for (b = 0; b < 4; ++b) volume[t[b]] += v;
+        for (a = 0; a < 4; ++a) {
+            const sfem_real *p = r->phi + 3 * m * (size_t)t[a];
+            for (c = 0; c < 3; ++c) {
+                const int c1 = (c + 1) % 3, c2 = (c + 2) % 3;
+                const sfem_real g1 = v / 2 * g[a][c1], g2 = v / 2 * g[a][c2];
+                for (b = 0; b < 4; ++b) {
+                    sfem_real *w = r->psi + 3 * m * (size_t)t[b] + m * (size_t)c;
+                    for (k = 0; k < m; ++k)
+                        w[k] += g1 * p[m * (size_t)c2 + k] - g2 * p[m * (size_t)c1 + k];
+                }
+            }
+        }
+    }
+    for (i = 0; i < mesh->nodes; ++i)
+        if (volume[i] > 0)
+            for (k = 0; k < 3 * m; ++k) r->psi[3 * m * (size_t)i + k] /= volume[i];
+}
+
+/* Mass, centre, inertia. */
+static void sfemi_reduced_rigid(sfem_reduced *r)
+{
+    sfemi_reduced_head *h = r->head;
+    sfem_int i;
+    int a, b;
+    for (i = 0; i < h->nodes; ++i) {
+        h->mass += r->mass[i];
+        for (a = 0; a < 3; ++a) h->centre[a] += r->mass[i] * r->x[3 * (size_t)i + (size_t)a];
+    }
+    for (a = 0; a < 3; ++a) h->centre[a] /= h->mass;
+    for (i = 0; i < h->nodes; ++i) {
+        sfem_real d[3];
+        sfemi_sub3(r->x + 3 * (size_t)i, h->centre, d);
+        for (a = 0; a < 3; ++a)
+            for (b = 0; b < 3; ++b)
+                h->inertia[3 * a + b] += r->mass[i] * ((a == b ? sfemi_dot3(d, d) : 0) - d[a] * d[b]);
+    }
+    sfemi_cofactor3(h->inertia, h->inverse); /* symmetric */
+    {
+        const sfem_real det = sfemi_dot3(h->inertia, h->inverse);
+        for (a = 0; a < 9; ++a) h->inverse[a] /= det;
+    }
+}
+
+/* Groups of nodes round centres that are each the farthest from all before [Gonzalez 1985]. */
+static void sfemi_reduced_groups(sfem_reduced *r, sfem_real *distance, sfem_int *owner)
+{
+    const size_t m = (size_t)r->head->stride;
+    const sfem_int n = r->head->nodes, groups = r->head->groups;
+    sfem_int i, g, next = 0;
+    size_t k;
+    for (i = 0; i < n; ++i) distance[i] = HUGE_VAL, owner[i] = groups == n ? i : 0;
+    for (g = 0; g < groups && groups < n; ++g) {
+        const sfem_real *centre = r->x + 3 * (size_t)next;
+        sfem_real most = -1;
+        for (i = 0; i < n; ++i) {
+            sfem_real d[3], s;
+            sfemi_sub3(r->x + 3 * (size_t)i, centre, d);
+            s = sfemi_dot3(d, d);
+            if (s < distance[i]) distance[i] = s, owner[i] = g;
+        }
+        for (i = 0; i < n; ++i)
+            if (distance[i] > most) most = distance[i], next = i;
+    }
+    for (i = 0; i < n; ++i) distance[i] = 0; /* from here on the groups' masses */
+    for (i = 0; i < n; ++i) {
+        const size_t from = 3 * m * (size_t)i, to = 3 * m * (size_t)owner[i];
+        distance[owner[i]] += r->mass[i];
+        for (k = 0; k < 3 * m; ++k) {
+            r->group_phi[to + k] += r->mass[i] * r->phi[from + k];
+            r->group_psi[to + k] += r->mass[i] * r->psi[from + k];
+        }
+    }
+    for (g = 0; g < groups; ++g)
+        if (distance[g] > 0)
+            for (k = 0; k < 3 * m; ++k) r->group_psi[3 * m * (size_t)g + k] /= distance[g];
+}
+
+static void sfemi_reduced_constants(sfem_reduced *r, const sfem_reduced_def *def, sfem_int skipped)
+{
+    const size_t m = (size_t)r->head->stride;
+    sfem_int k, i;
+    size_t c;
+    for (k = 0; k < r->head->modes; ++k) {
+        const sfem_real omega = sqrt(r->lambda[k]);
+        sfem_real xi, s;
+        r->damping[k] = def->alpha + def->beta * r->lambda[k];
+        if (def->ratio && omega > 0) r->damping[k] = 2 * def->ratio[skipped + k] * omega;
+        xi = omega > 0 ? r->damping[k] / (2 * omega) : 0;
+        s = xi < 1 ? tanh(acos(-1.0) / 2 * xi / sqrt(1 - xi * xi)) : 1;
+        r->gain[k] = s > 0 ? 1 / s : HUGE_VAL;
+        for (i = 0; i < r->head->nodes; ++i) {
+            sfem_real size = 0;
+            for (c = 0; c < 3; ++c) {
+                const sfem_real p = r->phi[(3 * (size_t)i + c) * m + (size_t)k];
+                size += p * p;
+                r->gravity[c * m + (size_t)k] += r->mass[i] * p;
+            }
+            r->amplitude[k] = fmax(r->amplitude[k], sqrt(size));
+        }
+    }
+}
+
+/* Numbers the nodes of the surface in ascending order, the others -1; returns how many there are. */
+static sfem_int sfemi_reduced_surface_nodes(const sfem_surface *s, sfem_int nodes, sfem_int *number)
+{
+    sfem_int i, count = 0;
+    for (i = 0; i < nodes; ++i) number[i] = -1;
+    for (i = 0; i < 3 * s->triangles; ++i) number[s->tri[i]] = 0;
+    for (i = 0; i < nodes; ++i)
+        if (number[i] == 0) number[i] = count++;
+    return count;
+}
+
+/* A free body's modes must leave it where it is: nothing of them may be a rigid motion, and it must be one
+ * piece. work: [2][3 nodes]. */
+static sfem_status sfemi_reduced_check_free(const sfem_reduced *r, const sfem_model *model, sfem_int *label,
+                                            sfem_real *work, sfem_error *err)
+{
+    const size_t m = (size_t)r->head->stride, n = (size_t)r->head->nodes;
+    sfem_real *field = work, *product = work + 3 * n;
+    sfem_int pieces, k;
+    sfem_status status = sfem_mesh_components(&model->mesh, label, &pieces, err);
+    size_t i;
+    int axis, c;
+    if (status != SFEM_OK) return status;
+    if (pieces != 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "one frame for %d free pieces: reduce them one by one",
+                          (int)pieces);
+    for (axis = 0; axis < 6; ++axis) {
+        sfem_real size = 0;
+        for (i = 0; i < n; ++i) {
+            sfem_real e[3] = {0, 0, 0}, d[3];
+            e[axis % 3] = 1;
+            sfemi_sub3(r->x + 3 * i, r->head->centre, d);
+            if (axis < 3) memcpy(field + 3 * i, e, sizeof e);
+            else sfemi_cross(e, d, field + 3 * i);
+        }
+        sfem_model_multiply_mass(model, field, product, NULL);
+        for (i = 0; i < 3 * n; ++i) size += field[i] * product[i];
+        for (k = 0; k < r->head->modes; ++k) {
+            sfem_real part = 0;
+            for (i = 0; i < n; ++i)
+                for (c = 0; c < 3; ++c)
+                    part += product[3 * i + (size_t)c] * r->phi[(3 * i + (size_t)c) * m + (size_t)k];
+            if (fabs(part) > 1e-5 * sqrt(size))
+                return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                                  "mode %d moves the body as a whole: it is not free, or the mode is rigid",
+                                  (int)k);
+        }
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes *modes,
+                                       const sfem_reduced_def *def, sfem_error *err)
+{
+    sfem_int k;
+    if (modes->nodes != model->mesh.nodes)
+        return sfemi_fail(err, SFEM_MISMATCH, "modes of %d nodes, a model of %d", (int)modes->nodes,
+                          (int)model->mesh.nodes);
+    if (def->gravity_groups < 1 || def->free < -1 || def->free > 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "gravity_groups %d must be above 0, free %d in -1..1",
+                          (int)def->gravity_groups, def->free);
+    if (!(def->alpha >= 0) || !(def->beta >= 0) || !sfemi_finite(def->alpha) || !sfemi_finite(def->beta))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping %g, %g must be 0 or more", def->alpha,
+                          def->beta);
+    for (k = 0; k < modes->count; ++k) {
+        if (!sfemi_finite(modes->lambda[k]) ||
+            !sfemi_all_finite(modes->phi + 3 * (size_t)k * (size_t)modes->nodes, 3 * (size_t)modes->nodes))
+            return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d is not finite", (int)k);
+        if (def->ratio && !(def->ratio[k] >= 0 && sfemi_finite(def->ratio[k])))
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "damping ratio %g of mode %d must be 0 or more",
+                              def->ratio[k], (int)k);
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
+                                         const sfem_reduced_def *def, sfem_reduced **out, sfem_error *err)
+{
+    const sfem_allocator *al = &def->allocator;
+    const sfem_mesh *mesh = &model->mesh;
+    const size_t n = (size_t)mesh->nodes;
+    sfem_surface surface;
+    sfemi_reduced_head head;
+    sfem_reduced *r = NULL;
+    sfem_real *work = NULL;
+    sfem_int *number = NULL, k, i, skipped;
+    sfem_status status = sfemi_reduced_check(model, modes, def, err);
+    size_t c;
+    if (status != SFEM_OK) return status;
+    memset(&surface, 0, sizeof surface);
+    memset(&head, 0, sizeof head);
+    memcpy(head.magic, "sfemred", 8);
+    head.version = SFEMI_REDUCED_VERSION;
+    head.order = 0x01020304u;
+    head.nodes = mesh->nodes;
+    head.free = def->free >= 0 ? def->free : modes->rigid == 6;
+    skipped = head.free ? modes->rigid : 0;
+    head.modes = modes->count - skipped;
+    head.stride = (head.modes + 7) / 8 * 8;
+    head.groups = def->gravity_groups < mesh->nodes ? def->gravity_groups : mesh->nodes;
+    SFEMI_NEW(sfem_int, number, al, n);
+    SFEMI_NEW(sfem_real, work, al, 6 * n);
+    SFEMI_TRY(sfem_mesh_surface(mesh, al, &surface, err));
+    head.surface_nodes = sfemi_reduced_surface_nodes(&surface, mesh->nodes, number);
+    head.surface_triangles = surface.triangles;
+    SFEMI_TRY(sfemi_reduced_new(&head, al, &r, err));
+    for (i = 0; i < mesh->nodes; ++i)
+        if (number[i] >= 0) r->surface_node[number[i]] = i;
+    for (i = 0; i < 3 * surface.triangles; ++i) r->surface_tri[i] = number[surface.tri[i]];
+    memcpy(r->x, mesh->x, 3 * n * sizeof *r->x);
+    memcpy(r->mass, model->node_mass, n * sizeof *r->mass);
+    for (k = 0; k < head.modes; ++k) {
+        const sfem_real *phi = modes->phi + 3 * n * (size_t)(skipped + k);
+        r->lambda[k] = fmax(modes->lambda[skipped + k], 0.0);
+        for (c = 0; c < 3 * n; ++c) r->phi[c * (size_t)head.stride + (size_t)k] = phi[c];
+    }
+    sfemi_reduced_rigid(r);
+    if (head.free) SFEMI_TRY(sfemi_reduced_check_free(r, model, number, work, err));
+    memset(work, 0, n * sizeof *work);
+    sfemi_reduced_curl(r, model, work);
+    sfemi_reduced_groups(r, work, number);
+    sfemi_reduced_constants(r, def, skipped);
+    r->head->checksum = sfemi_reduced_checksum(r->block, (size_t)r->head->size);
+    *out = r;
+    r = NULL;
+done:
+    sfem_surface_free(&surface);
+    sfemi_delete(al, number);
+    sfemi_delete(al, work);
+    sfem_reduced_free(r);
+    return status;
+}
+
+SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
+{
+    sfem_reduced_info info;
+    memset(&info, 0, sizeof info);
+    info.nodes = r->head->nodes;
+    info.modes = r->head->modes;
+    info.free = r->head->free;
+    info.surface_nodes = r->head->surface_nodes;
+    info.surface_triangles = r->head->surface_triangles;
+    info.surface_node = r->surface_node;
+    info.surface_tri = r->surface_tri;
+    info.lambda = r->lambda;
+    info.damping = r->damping;
+    info.x = r->x;
+    info.node_mass = r->mass;
+    info.mass = r->head->mass;
+    memcpy(info.centre, r->head->centre, sizeof info.centre);
+    memcpy(info.inertia, r->head->inertia, sizeof info.inertia);
+    info.bytes = (size_t)r->head->size;
+    return info;
+}
+
+SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *r, sfem_int node, sfem_real *phi, sfem_real *psi)
+{
+    const size_t m = (size_t)r->head->modes, stride = (size_t)r->head->stride, at = 3 * stride * (size_t)node;
+    size_t c;
+    SFEM_ASSERT(node >= 0 && node < r->head->nodes);
+    for (c = 0; c < 3; ++c) {
+        if (phi) memcpy(phi + c * m, r->phi + at + c * stride, m * sizeof *phi);
+        if (psi) memcpy(psi + c * m, r->psi + at + c * stride, m * sizeof *psi);
+    }
+}
+
+SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r) { return (size_t)r->head->size; }
+
+SFEM_DEF void sfem_reduced_save(const sfem_reduced *r, void *memory)
+{
+    memcpy(memory, r->block, (size_t)r->head->size);
+}
+
+/* Sizes that belong together, numbers in their ranges: a checksum is no signature. */
+static int sfemi_reduced_sound(const sfem_reduced *r)
+{
+    const sfemi_reduced_head *h = r->head;
+    const size_t m = (size_t)h->stride;
+    sfem_int i;
+    for (i = 0; i < h->surface_nodes; ++i)
+        if (r->surface_node[i] < 0 || r->surface_node[i] >= h->nodes) return 0;
+    for (i = 0; i < 3 * h->surface_triangles; ++i)
+        if (r->surface_tri[i] < 0 || r->surface_tri[i] >= h->surface_nodes) return 0;
+    for (i = 0; i < h->stride; ++i)
+        if (!(r->lambda[i] >= 0 && r->damping[i] >= 0 && r->amplitude[i] >= 0)) return 0;
+    return h->mass > 0 && sfemi_all_finite(&h->mass, 22) && sfemi_all_finite(r->lambda, 2 * m) &&
+           sfemi_all_finite(r->x, 3 * (size_t)h->nodes) &&
+           sfemi_all_finite(r->phi, 3 * m * (size_t)h->nodes) &&
+           sfemi_all_finite(r->psi, 3 * m * (size_t)h->nodes);
+}
+
+SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const sfem_allocator *allocator,
+                                       sfem_reduced **out, sfem_error *err)
+{
+    const sfem_allocator plain = {NULL, NULL, NULL};
+    const sfem_allocator *al = allocator ? allocator : &plain;
+    size_t at[SFEMI_REDUCED_ARRAYS + 1];
+    sfemi_reduced_head h;
+    sfem_reduced *r = NULL;
+    sfem_status status;
+    if (bytes < sizeof h)
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a reduced model", (unsigned long)bytes);
+    memcpy(&h, memory, sizeof h);
+    if (memcmp(h.magic, "sfemred", 8) != 0) return sfemi_fail(err, SFEM_FORMAT, "this is no reduced model");
+    if (h.order != 0x01020304u)
+        return sfemi_fail(err, SFEM_FORMAT, "the reduced model was saved on a machine of another byte order");
+    if (h.version != SFEMI_REDUCED_VERSION)
+        return sfemi_fail(err, SFEM_FORMAT, "the reduced model is of version %u, this reads %d",
+                          (unsigned)h.version, SFEMI_REDUCED_VERSION);
+    if (h.size != bytes)
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes of a reduced model of %lu", (unsigned long)bytes,
+                          (unsigned long)h.size);
+    if (h.nodes < 1 || h.modes < 0 || h.stride < h.modes || h.stride % 8 || h.groups < 0 ||
+        h.surface_nodes < 0 || h.surface_triangles < 0 || h.surface_triangles > INT32_MAX / 3 ||
+        !sfemi_reduced_layout(&h, at) || at[SFEMI_REDUCED_ARRAYS] != bytes ||
+        sfemi_reduced_checksum(memory, bytes) != h.checksum)
+        return sfemi_fail(err, SFEM_FORMAT, "the reduced model is damaged: its checksum does not fit");
+    SFEMI_TRY(sfemi_reduced_new(&h, al, &r, err));
+    memcpy(r->block, memory, bytes);
+    if (!sfemi_reduced_sound(r)) {
+        status = sfemi_fail(err, SFEM_FORMAT, "the reduced model holds numbers out of their ranges");
+        goto done;
+    }
+    *out = r;
+    return SFEM_OK;
+done:
+    sfem_reduced_free(r);
+    return status;
+}
+
+/* --- views ----------------------------------------------------------------------------------- */
+
+struct sfem_reduced_view {
+    sfem_reduced *reduced;
+    sfem_allocator allocator;
+    sfem_int count, tiles;
+    sfem_precision precision;
+    sfem_int *node;          /* [count] */
+    void *phi, *psi, *rest;  /* [tiles][modes][3][8], twice, [tiles][3][8]; double or float */
+};
+
+SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *v)
+{
+    sfem_allocator al;
+    if (!v) return;
+    al = v->allocator;
+    sfem_reduced_free(v->reduced);
+    sfemi_delete(&al, v->node);
+    sfemi_delete(&al, v->phi);
+    sfemi_delete(&al, v->psi);
+    sfemi_delete(&al, v->rest);
+    sfemi_delete(&al, v);
+}
+
+static void sfemi_view_put(const sfem_reduced_view *v, void *array, size_t at, sfem_real value)
+{
+    if (v->precision == SFEM_MIXED) ((float *)array)[at] = (float)value;
+    else ((double *)array)[at] = value;
+}
+
+static void sfemi_view_fill(sfem_reduced_view *v)
+{
+    const sfem_reduced *r = v->reduced;
+    const size_t m = (size_t)r->head->modes, stride = (size_t)r->head->stride;
+    size_t i, c, k;
+    for (i = 0; i < (size_t)v->count; ++i) {
+        const size_t tile = i / SFEMI_TILE, lane = i % SFEMI_TILE, node = (size_t)v->node[i];
+        for (c = 0; c < 3; ++c) {
+            const size_t row = (3 * node + c) * stride;
+            sfemi_view_put(v, v->rest, (3 * tile + c) * SFEMI_TILE + lane,
+                           r->x[3 * node + c] - (r->head->free ? r->head->centre[c] : 0));
+            for (k = 0; k < m; ++k) {
+                const size_t at = ((tile * m + k) * 3 + c) * SFEMI_TILE + lane;
+                sfemi_view_put(v, v->phi, at, r->phi[row + k]);
+                sfemi_view_put(v, v->psi, at, r->psi[row + k]);
+            }
+        }
+    }
+}
+
+SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *r, sfem_int count, const sfem_int *node,
+                                              sfem_precision precision, sfem_reduced_view **out,
+                                              sfem_error *err)
+{
+    const sfem_allocator al = r->allocator;
+    const size_t m = (size_t)r->head->modes, real = precision == SFEM_MIXED ? sizeof(float) : sizeof(double);
+    sfem_reduced_view *v = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    size_t tiles;
+    if (!node) count = r->head->nodes;
+    if (count < 0) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a view of %d nodes", (int)count);
+    for (i = 0; node && i < count; ++i)
+        if (node[i] < 0 || node[i] >= r->head->nodes)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[i], -1, "there is no node %d, the body has %d",
+                                 (int)node[i], (int)r->head->nodes);
+    tiles = ((size_t)count + SFEMI_TILE - 1) / SFEMI_TILE;
+    if (m && tiles > ((size_t)-1 / 64 / SFEMI_TILE) / m)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d nodes in %d modes do not fit into memory", (int)count,
+                          (int)r->head->modes);
+    SFEMI_NEW(sfem_reduced_view, v, &al, 1);
+    v->allocator = al;
+    v->count = count;
+    v->tiles = (sfem_int)tiles;
+    v->precision = precision;
+    SFEMI_NEW(sfem_int, v->node, &al, (size_t)count + !count);
+    SFEMI_NEW(char, v->phi, &al, 3 * SFEMI_TILE * real * (tiles * m + 1));
+    SFEMI_NEW(char, v->psi, &al, 3 * SFEMI_TILE * real * (tiles * m + 1));
+    SFEMI_NEW(char, v->rest, &al, 3 * SFEMI_TILE * real * (tiles + 1));
+    for (i = 0; i < count; ++i) v->node[i] = node ? node[i] : i;
+    sfemi_reduced_retain(r);
+    v->reduced = r;
+    sfemi_view_fill(v);
+    *out = v;
+    return SFEM_OK;
+done:
+    sfem_reduced_view_free(v);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *r, sfem_precision precision,
+                                               sfem_reduced_view **out, sfem_error *err)
+{
+    return sfem_reduced_view_create(r, r->head->surface_nodes, r->surface_node, precision, out, err);
+}
+
+SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *v) { return v->count; }
+
+/* --- oscillators ------------------------------------------------------------------------------
+ *
+ * q'' + 2 c q' + omega^2 q = f0 + (f1 - f0) t/h.  S, the response to a unit impulse, P, that to a unit force
+ * (P' = S), and T, that to a unit ramp (T' = P), give
+ *     q1 = (S' + 2c S) q0 + S v0 + P f0 + T/h (f1 - f0),   v1 = -omega^2 S q0 + S' v0 + S f0 + P/h (f1 - f0)
+ * with S' + 2c S = 1 - omega^2 P and S + 2c P + omega^2 T = h. Three ways to compute them, each where it loses
+ * no digits. */
+typedef struct sfemi_oscillator {
+    sfem_real s, s_dot, p, t; /* S, S', P, T at h */
+} sfemi_oscillator;
+
+/* expm1(z)/z and (that - 1)/z for z <= 0 */
+static void sfemi_oscillator_phi(sfem_real z, sfem_real *phi1, sfem_real *phi2)
+{
+    if (z > -0.5) {
+        sfem_real term = 0.5;
+        int k;
+        for (*phi2 = 0, k = 3; k < 20; ++k) {
+            *phi2 += term;
+            term *= z / k;
+        }
+        *phi1 = 1 + z * *phi2;
+    } else {
+        *phi1 = expm1(z) / z;
+        *phi2 = (*phi1 - 1) / z;
+    }
+}
+
+static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfem_real h)
+{
+    const sfem_real ch = c * h, o2 = omega2 * h * h, d = o2 - ch * ch; /* (damped frequency h)^2 */
+    sfemi_oscillator r;
+    if (2 * ch <= 1 && o2 <= 1) { /* series of T: T'' + 2c T' + omega^2 T = t */
+        sfem_real before = 0, b = 1.0 / 6; /* coefficients k - 1 and k of T/h^3 at t = h */
+        int k;
+        r.t = b, r.p = 3 * b, r.s = 6 * b, r.s_dot = 6 * b;
+        for (k = 4; k < 26; ++k) {
+            const sfem_real next = -(2 * ch * (k - 1) * b + o2 * before) / (k * (k - 1));
+            before = b;
+            b = next;
+            r.t += b;
+            r.p += k * b;
+            r.s += k * (k - 1) * b;
+            r.s_dot += (sfem_real)k * (k - 1) * (k - 2) * b;
+        }
+        r.t *= h * h * h;
+        r.p *= h * h;
+        r.s *= h;
+    } else if (d < -0.1) { /* two decays, r1 the slow one: divided differences of exponentials */
+        const sfem_real s = sqrt(-d), r1 = -o2 / (ch + s), r2 = -(ch + s), e1 = exp(r1), e2 = exp(r2);
+        sfem_real a1, a2, b1, b2;
+        sfemi_oscillator_phi(r1, &a1, &a2);
+        sfemi_oscillator_phi(r2, &b1, &b2);
+        r.s = h * -e1 * expm1(-2 * s) / (2 * s);
+        r.s_dot = (r1 * e1 - r2 * e2) / (2 * s);
+        r.p = h * h * (a1 - b1) / (2 * s);
+        r.t = h * h * h * (a2 - b2) / (2 * s);
+    } else { /* omega h is not small here: dividing by omega^2 is safe */
+        const sfem_real e = exp(-ch), x = sqrt(fabs(d)), x2 = d / 6 * (1 - d / 20);
+        const sfem_real sine = fabs(d) < 1e-4 ? 1 - x2 : d > 0 ? sin(x) / x : sinh(x) / x;
+        const sfem_real cosine = d > 0 ? cos(x) : cosh(x);
+        r.s = h * e * sine;
+        r.s_dot = e * (cosine - ch * sine);
+        r.p = (1 - e * (cosine + ch * sine)) / omega2;
+        r.t = (h - r.s - 2 * c * r.p) / omega2;
+    }
+    return r;
+}
+
+/* --- modal bodies: the state ----------------------------------------------------------------- */
+
+typedef struct sfemi_modal_head {
+    char magic[8];
+    uint32_t version, unused;
+    uint64_t size, key, checksum;
+    sfem_real time, beta, gamma; /* of the last step */
+    sfem_real gravity[3];
+    sfem_rigid rigid;            /* rigid.w is not kept: it follows from */
+    sfem_real momentum[3];       /* the angular momentum, world */
+    sfem_real accel[3], torque[3]; /* of the frame at the end of the last step */
+    sfem_real residual;
+    sfem_int started, forces;    /* a belongs to the state; nodes with forces */
+    sfem_int handles, handle_nodes, iterations, rows_left;
+    int64_t steps;
+} sfemi_modal_head;
+
+typedef struct sfemi_modal_handle {
+    sfem_real target[3], l[3]; /* m; N, on the hand */
+    sfem_int used, first, count, unused;
+} sfemi_modal_handle;
+
+struct sfem_modal {
+    sfem_modal_def def;
+    sfem_reduced *reduced;
+    const sfemi_modal_kernels *kernels;
+    size_t m, stride, state_bytes, small_bytes, bytes; /* small: what a failed step restores */
+    /* the state, one block */
+    sfemi_modal_head *head;
+    sfem_real *q, *v, *a, *f;      /* [stride] */
+    sfem_real *rest;               /* [stride] the load with which a mode fell asleep */
+    sfem_int *asleep;              /* [stride] */
+    sfemi_modal_handle *handle;    /* [max_handles] */
+    sfem_real *weight;             /* [max_handle_nodes] */
+    sfem_int *handle_node;         /* [max_handle_nodes] */
+    sfem_real *rows;               /* [max_handles][3][stride] J of the last step */
+    sfem_real *force;              /* [nodes][3], by place in force_node */
+    sfem_int *force_node;          /* [nodes] */
+    /* scratch */
+    void *backup;                  /* small_bytes */
+    sfem_real *next, *b, *qp, *vp, *inverse; /* [stride] */
+    sfemi_oscillator *oscillator;  /* [stride] */
+    sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H], [3H], [3H] */
+    sfem_int *place;               /* [nodes] a node's place in force_node + 1, or 0 */
+    sfem_int *drawn;               /* [stride] modes whose q is not 0 */
+    double *drawn_q;               /* [stride] */
+    float *drawn_q32;              /* [stride] */
+    sfem_int drawn_count;
+    sfem_real h, beta, gamma;      /* what inverse is for; h = 0: nothing */
+    sfem_real exact_h;
+    sfem_real pose_force[3], pose_torque[3]; /* of the loads at the end of the step */
+    double turn[2 * SFEMI_TURN_TERMS + 1];
+    float turn32[2 * SFEMI_TURN_TERMS32 + 1];
+};
+
+enum { SFEMI_MODAL_ARRAYS = 13, SFEMI_MODAL_VERSION = 1 };
+
+static int sfemi_modal_path_kind(const sfem_modal *b)
+{
+    return b->def.warp == SFEM_WARP_PATH ? SFEMI_TURN_PATH : SFEMI_TURN_ROTATION;
+}
+
+/* w = Psi q and u = Phi q of one node; either may be NULL. */
+static void sfemi_modal_rotation(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real w[3])
+{
+    b->kernels->dot3(b->stride, b->reduced->psi + 3 * b->stride * (size_t)node, q, w);
+}
+
+static void sfemi_modal_linear(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real u[3])
+{
+    b->kernels->dot3(b->stride, b->reduced->phi + 3 * b->stride * (size_t)node, q, u);
+}
+
+/* The displacement of a node in the frame: Phi q, R Phi q or Rt Phi q. */
+static void sfemi_modal_displace(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real u[3])
+{
+    sfem_real w[3], k1, k2;
+    sfemi_modal_linear(b, node, q, u);
+    if (b->def.warp == SFEM_WARP_NONE) return;
+    sfemi_modal_rotation(b, node, q, w);
+    sfemi_turn_coefficients(sfemi_modal_path_kind(b), w, &k1, &k2);
+    sfemi_turn_apply(k1, k2, w, u, u);
+}
+
+/* What is drawn: the modes that are not 0. */
+static void sfemi_modal_pack(sfem_modal *b)
+{
+    size_t k;
+    sfem_int count = 0;
+    for (k = 0; k < b->m; ++k) {
+        if (b->q[k] == 0) continue;
+        b->drawn[count] = (sfem_int)k;
+        b->drawn_q[count] = b->q[k];
+        b->drawn_q32[count++] = (float)b->q[k];
+    }
+    b->drawn_count = count;
+}
+
+static void sfemi_modal_wake(sfem_modal *b)
+{
+    memset(b->asleep, 0, b->stride * sizeof *b->asleep);
+}
+
+SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
+{
+    sfem_modal_def def;
+    memset(&def, 0, sizeof def);
+    def.warp = SFEM_WARP_PATH;
+    def.beta = 0.25;
+    def.gamma = 0.5;
+    def.handle_beta = 0.3025;
+    def.handle_gamma = 0.6;
+    def.compliance = 1e-5;
+    def.handle_iterations = 4;
+    def.max_handles = 16;
+    def.max_handle_nodes = 64;
+    return def;
+}
+
+static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
+{
+    const sfem_real number[9] = {d->beta, d->gamma, d->handle_beta, d->handle_gamma, d->compliance,
+                                 d->tolerance, d->gravity[0], d->gravity[1], d->gravity[2]};
+    if (!sfemi_all_finite(number, 9))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "a number of the definition of a modal body is not finite");
+    if (!(d->beta > 0 && d->handle_beta > 0 && d->gamma >= 0.5 && d->handle_gamma >= 0.5))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark %g, %g and with handles %g, %g: beta > 0, gamma >= 1/2",
+                          d->beta, d->gamma, d->handle_beta, d->handle_gamma);
+    if (!(d->compliance >= 0) || !(d->tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "compliance %g and tolerance %g must be 0 or more",
+                          d->compliance, d->tolerance);
+    if (d->max_handles < 0 || d->max_handle_nodes < 0 || d->handle_iterations < 1 || d->max_handles > 10000)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d handles of %d nodes, %d iterations", (int)d->max_handles,
+                          (int)d->max_handle_nodes, (int)d->handle_iterations);
+    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_EXACT)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "warp %d or integrator %d is not one of them", (int)d->warp,
+                          (int)d->integrator);
+    return SFEM_OK;
+}
+
+/* The state's arrays in one block; with block = NULL only the sizes. */
+static void sfemi_modal_lay_out(sfem_modal *b, void *block)
+{
+    const size_t real = b->stride * sizeof(sfem_real), handles = (size_t)b->def.max_handles;
+    const size_t held = (size_t)b->def.max_handle_nodes, n = (size_t)b->reduced->head->nodes;
+    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head), real, real, real, real, real,
+                                              b->stride * sizeof(sfem_int),
+                                              handles * sizeof(sfemi_modal_handle),
+                                              held * sizeof(sfem_real), held * sizeof(sfem_int),
+                                              3 * handles * real, 3 * n * sizeof(sfem_real),
+                                              n * sizeof(sfem_int)};
+    size_t at[SFEMI_MODAL_ARRAYS + 1];
+    char *p = (char *)block;
+    int k;
+    at[0] = 0;
+    for (k = 0; k < SFEMI_MODAL_ARRAYS; ++k)
+        at[k + 1] = (at[k] + bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    b->state_bytes = at[SFEMI_MODAL_ARRAYS];
+    b->small_bytes = at[8];
+    if (!p) return;
+    b->head = (sfemi_modal_head *)(void *)p;
+    b->q = (sfem_real *)(void *)(p + at[1]);
+    b->v = (sfem_real *)(void *)(p + at[2]);
+    b->a = (sfem_real *)(void *)(p + at[3]);
+    b->f = (sfem_real *)(void *)(p + at[4]);
+    b->rest = (sfem_real *)(void *)(p + at[5]);
+    b->asleep = (sfem_int *)(void *)(p + at[6]);
+    b->handle = (sfemi_modal_handle *)(void *)(p + at[7]);
+    b->weight = (sfem_real *)(void *)(p + at[8]);
+    b->handle_node = (sfem_int *)(void *)(p + at[9]);
+    b->rows = (sfem_real *)(void *)(p + at[10]);
+    b->force = (sfem_real *)(void *)(p + at[11]);
+    b->force_node = (sfem_int *)(void *)(p + at[12]);
+}
+
+static uint64_t sfemi_modal_key(const sfem_modal *b)
+{
+    const sfem_int sizes[3] = {b->def.max_handles, b->def.max_handle_nodes, (sfem_int)b->def.warp};
+    return sfemi_state_hash(b->reduced->head->checksum, sizes, sizeof sizes);
+}
+
+static void sfemi_modal_series(sfem_modal *b)
+{
+    const int kind = sfemi_modal_path_kind(b);
+    sfem_real c[2][SFEMI_TURN_TERMS];
+    int k, j;
+    for (j = 0; j < 2; ++j) {
+        sfemi_turn_series(kind + j, SFEMI_TURN_TERMS, c[j]);
+        for (k = 0; k < SFEMI_TURN_TERMS; ++k) b->turn[SFEMI_TURN_TERMS * j + k] = c[j][k];
+        for (k = 0; k < SFEMI_TURN_TERMS32; ++k) b->turn32[SFEMI_TURN_TERMS32 * j + k] = (float)c[j][k];
+    }
+    b->turn[2 * SFEMI_TURN_TERMS] = kind;
+    b->turn32[2 * SFEMI_TURN_TERMS32] = (float)kind;
+}
+
+SFEM_DEF void sfem_modal_free(sfem_modal *b)
+{
+    sfem_allocator al;
+    if (!b) return;
+    al = b->def.allocator;
+    sfem_reduced_free(b->reduced);
+    sfemi_delete(&al, b->head);
+    sfemi_delete(&al, b->backup);
+    sfemi_delete(&al, b->next);
+    sfemi_delete(&al, b->oscillator);
+    sfemi_delete(&al, b->s);
+    sfemi_delete(&al, b->place);
+    sfemi_delete(&al, b->drawn);
+    sfemi_delete(&al, b->drawn_q32);
+    sfemi_delete(&al, b);
+}
+
+SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def, sfem_modal **out,
+                                       sfem_error *err)
+{
+    const sfem_allocator *al = &def->allocator;
+    const size_t rows = 3 * (size_t)(def->max_handles > 0 ? def->max_handles : 0);
+    sfem_modal *b = NULL;
+    sfem_status status = sfemi_modal_check(def, err);
+    char *block = NULL;
+    if (status != SFEM_OK) return status;
+    SFEMI_NEW(sfem_modal, b, al, 1);
+    b->def = *def;
+    sfemi_reduced_retain(reduced);
+    b->reduced = reduced;
+    b->kernels = sfemi_modal_kernels_of(sfemi_path());
+    b->m = (size_t)reduced->head->modes;
+    b->stride = (size_t)reduced->head->stride;
+    sfemi_modal_lay_out(b, NULL);
+    SFEMI_NEW(char, block, al, b->state_bytes);
+    sfemi_modal_lay_out(b, block);
+    SFEMI_NEW(char, b->backup, al, b->small_bytes);
+    SFEMI_NEW(sfem_real, b->next, al, 6 * b->stride + 1);
+    b->b = b->next + b->stride;
+    b->qp = b->b + b->stride;
+    b->vp = b->qp + b->stride;
+    b->inverse = b->vp + b->stride;
+    b->drawn_q = b->inverse + b->stride;
+    SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
+    SFEMI_NEW(sfem_real, b->s, al, rows * rows + 3 * rows + 1);
+    b->arm = b->s + rows * rows;
+    b->l = b->arm + rows;
+    b->residual = b->l + rows;
+    SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
+    SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
+    SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
+    b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
+               b->stride * (6 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+                            sizeof(float)) +
+               (rows * rows + 3 * rows) * sizeof(sfem_real) +
+               (size_t)reduced->head->nodes * sizeof(sfem_int);
+    sfemi_modal_series(b);
+    memcpy(b->head->magic, "sfemmod", 8);
+    b->head->version = SFEMI_MODAL_VERSION;
+    b->head->size = b->state_bytes;
+    b->head->key = sfemi_modal_key(b);
+    b->head->beta = def->beta;
+    b->head->gamma = def->gamma;
+    memcpy(b->head->gravity, def->gravity, sizeof def->gravity);
+    memcpy(b->head->rigid.x, reduced->head->centre, sizeof b->head->rigid.x);
+    b->head->rigid.r[0] = b->head->rigid.r[4] = b->head->rigid.r[8] = 1;
+    *out = b;
+    return SFEM_OK;
+done:
+    sfem_modal_free(b);
+    return status;
+}
+
+/* --- loads ----------------------------------------------------------------------------------- */
+
+SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
+{
+    const sfem_int n = b->reduced->head->nodes;
+    sfem_int i;
+    for (i = 0; force && i < n; ++i)
+        if (!sfemi_all_finite(force + 3 * (size_t)i, 3))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the force on node %d is not finite", (int)i);
+    for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
+    b->head->forces = 0;
+    for (i = 0; force && i < n; ++i) {
+        const sfem_real *f = force + 3 * (size_t)i;
+        if (f[0] == 0 && f[1] == 0 && f[2] == 0) continue;
+        memcpy(b->force + 3 * (size_t)b->head->forces, f, 3 * sizeof *f);
+        b->force_node[b->head->forces] = i;
+        b->place[i] = ++b->head->forces;
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
+                                               sfem_error *err)
+{
+    sfem_int at;
+    int c;
+    if (node < 0 || node >= b->reduced->head->nodes)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "there is no node %d, the body has %d", (int)node,
+                             (int)b->reduced->head->nodes);
+    if (!sfemi_all_finite(f, 3))
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d is not finite", (int)node);
+    if (!b->place[node]) {
+        at = b->head->forces++;
+        b->force_node[at] = node;
+        b->place[node] = at + 1;
+        memset(b->force + 3 * (size_t)at, 0, 3 * sizeof *f);
+    }
+    at = b->place[node] - 1;
+    for (c = 0; c < 3; ++c) b->force[3 * (size_t)at + (size_t)c] += f[c];
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *b, const sfem_real g[3], sfem_error *err)
+{
+    if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    memcpy(b->head->gravity, g, 3 * sizeof *g);
+    return SFEM_OK;
+}
+
+/* Gravity on a held body: Phi^T M g where nothing warps, else each group turned as one. */
+static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_real *f)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_real *g = b->head->gravity;
+    sfem_int i;
+    if (b->reduced->head->free || (g[0] == 0 && g[1] == 0 && g[2] == 0)) return;
+    if (b->def.warp == SFEM_WARP_NONE) {
+        b->kernels->add3(b->stride, r->gravity, g, f);
+        return;
+    }
+    for (i = 0; i < r->head->groups; ++i) {
+        const size_t at = 3 * b->stride * (size_t)i;
+        sfem_real w[3], turned[3], k1, k2;
+        b->kernels->dot3(b->stride, r->group_psi + at, q, w);
+        sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+        sfemi_turn_apply(-k1, k2, w, g, turned);
+        b->kernels->add3(b->stride, r->group_phi + at, turned, f);
+    }
+}
+
+/* f = Phi^T R(q)^T F, and of a free body the force and torque on its frame. */
+static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_rigid *frame = &b->head->rigid;
+    sfem_int i;
+    int c;
+    memset(f, 0, b->stride * sizeof *f);
+    memset(b->pose_torque, 0, sizeof b->pose_torque);
+    for (c = 0; c < 3; ++c) b->pose_force[c] = r->head->mass * b->head->gravity[c];
+    for (i = 0; i < b->head->forces; ++i) {
+        const sfem_int node = b->force_node[i];
+        const sfem_real *F = b->force + 3 * (size_t)i;
+        sfem_real local[3] = {F[0], F[1], F[2]}, w[3], k1, k2;
+        if (r->head->free) {
+            sfem_real arm[3], torque[3];
+            sfemi_modal_displace(b, node, q, arm);
+            for (c = 0; c < 3; ++c) arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
+            sfemi_turn_vector(frame->r, arm, arm);
+            sfemi_cross(arm, F, torque);
+            for (c = 0; c < 3; ++c) b->pose_force[c] += F[c], b->pose_torque[c] += torque[c];
+            sfemi_turn_back(frame->r, F, local);
+        }
+        if (b->def.warp != SFEM_WARP_NONE) {
+            sfemi_modal_rotation(b, node, q, w);
+            sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+            sfemi_turn_apply(-k1, k2, w, local, local);
+        }
+        b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+    }
+    sfemi_modal_weight(b, q, f);
+}
+
+SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
+{
+    sfemi_modal_load_at(b, b->q, b->b);
+    memcpy(load, b->b, b->m * sizeof *load);
+}
+
+/* --- the frame of a free body ---------------------------------------------------------------- */
+
+static void sfemi_frame_velocity(const sfem_modal *b, const sfem_real r[9], const sfem_real momentum[3],
+                                 sfem_real w[3])
+{
+    sfemi_turn_back(r, momentum, w);
+    sfemi_turn_vector(b->reduced->head->inverse, w, w);
+    sfemi_turn_vector(r, w, w);
+}
+
+/* r1 = r0 exp [h W]x, I W = (r0 exp [h W/2]x)^T mean: the implicit midpoint rule for the mean angular momentum
+ * of the step. */
+static void sfemi_frame_turn(const sfem_modal *b, const sfem_real r0[9], const sfem_real mean[3], sfem_real h,
+                             sfem_real r1[9])
+{
+    sfem_real local[3], w[3] = {0, 0, 0}, turn[9], square[9];
+    int k, c;
+    sfemi_turn_back(r0, mean, local);
+    for (k = 0; k < 50; ++k) {
+        sfem_real half[3], next[3], change = 0, size = 0;
+        for (c = 0; c < 3; ++c) half[c] = h / 2 * w[c];
+        sfemi_turn_matrix(SFEMI_TURN_ROTATION, half, turn);
+        sfemi_turn_back(turn, local, next);
+        sfemi_turn_vector(b->reduced->head->inverse, next, next);
+        for (c = 0; c < 3; ++c) {
+            change = fmax(change, fabs(next[c] - w[c]));
+            size = fmax(size, fabs(next[c]));
+            w[c] = next[c];
+        }
+        if (change <= 1e-16 * size) break;
+    }
+    for (c = 0; c < 3; ++c) w[c] *= h;
+    sfemi_turn_matrix(SFEMI_TURN_ROTATION, w, turn);
+    sfemi_mul3(r0, turn, r1);
+    sfemi_mul3_tn(r1, r1, square); /* R (3 - R^T R)/2: what rounding took from its orthogonality */
+    for (c = 0; c < 9; ++c) square[c] = (c % 4 ? 0 : 1.5) - square[c] / 2;
+    sfemi_mul3(r1, square, turn);
+    memcpy(r1, turn, sizeof turn);
+}
+
+/* The pose after a step of the frame under force and torque at its end. */
+static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, sfem_real gamma,
+                             const sfem_real force[3], const sfem_real torque[3], sfemi_modal_head *to)
+{
+    const sfemi_modal_head *from = b->head;
+    sfem_real mean[3];
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real a = force[c] / b->reduced->head->mass;
+        to->rigid.x[c] = from->rigid.x[c] + h * from->rigid.v[c] +
+                         h * h * ((0.5 - beta) * from->accel[c] + beta * a);
+        to->rigid.v[c] = from->rigid.v[c] + h * ((1 - gamma) * from->accel[c] + gamma * a);
+        mean[c] = from->momentum[c] + h * ((0.5 - beta) * from->torque[c] + beta * torque[c]);
+        to->momentum[c] = from->momentum[c] + h * ((1 - gamma) * from->torque[c] + gamma * torque[c]);
+        to->accel[c] = a;
+        to->torque[c] = torque[c];
+    }
+    sfemi_frame_turn(b, from->rigid.r, mean, h, to->rigid.r);
+}
+
+/* --- handles ---------------------------------------------------------------------------------
+ *
+ * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation that displaces
+ * node k; of a free body's frame also the identity and -[arm]x, with mass and inertia in A. With those,
+ * S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps d l, d the mean of S's diagonal, by
+ * (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at once where nothing warps; else x is not linear
+ * in q, and a few repetitions with J renewed bring the handles to their targets. */
+
+/* x and, unless NULL, J at q in the given pose; arm is x - the frame's place, in the world. */
+static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, const sfem_real *q,
+                              const sfem_rigid *frame, sfem_real x[3], sfem_real arm[3], sfem_real *rows)
+{
+    const sfem_reduced *r = b->reduced;
+    const size_t stride = b->stride;
+    const int loose = r->head->free;
+    sfem_int p;
+    size_t k;
+    int i, c;
+    for (c = 0; c < 3; ++c) arm[c] = 0;
+    if (rows) memset(rows, 0, 3 * stride * sizeof *rows);
+    for (p = h->first; p < h->first + h->count; ++p) {
+        const sfem_int node = b->handle_node[p];
+        const sfem_real *phi = r->phi + 3 * stride * (size_t)node;
+        sfem_real t[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, w[3], u[3];
+        sfemi_modal_linear(b, node, q, u);
+        if (b->def.warp != SFEM_WARP_NONE) {
+            sfemi_modal_rotation(b, node, q, w);
+            sfemi_turn_matrix(sfemi_modal_path_kind(b), w, t);
+            sfemi_turn_vector(t, u, u);
+        }
+        for (c = 0; c < 3; ++c)
+            arm[c] += b->weight[p] *
+                      (r->x[3 * (size_t)node + (size_t)c] - (loose ? r->head->centre[c] : 0) + u[c]);
+        if (!rows) continue;
+        if (loose) {
+            sfem_real turned[9];
+            sfemi_mul3(frame->r, t, turned);
+            memcpy(t, turned, sizeof t);
+        }
+        for (i = 0; i < 3; ++i)
+            for (c = 0; c < 3; ++c) {
+                const sfem_real s = b->weight[p] * t[3 * i + c];
+                for (k = 0; k < stride; ++k) rows[(size_t)i * stride + k] += s * phi[(size_t)c * stride + k];
+            }
+    }
+    if (loose) sfemi_turn_vector(frame->r, arm, arm);
+    for (c = 0; c < 3; ++c) x[c] = arm[c] + (loose ? frame->x[c] : 0);
+}
+
+/* The slots in use, in a fixed order: returns how many. */
+static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
+{
+    while (slot < b->def.max_handles && !b->handle[slot].used) ++slot;
+    return slot;
+}
+
+/* S = J A^-1 J^T over all rows in use, factored with the compliance added; inverse NULL: A = I. Rows that move
+ * nothing get a zero pivot. Returns eps times the mean diagonal. */
+static sfem_real sfemi_handle_factor(sfem_modal *b, const sfem_real *inverse, const sfem_real r[9])
+{
+    const sfemi_reduced_head *head = b->reduced->head;
+    const sfem_int n = 3 * b->head->handles;
+    sfem_int hi, hj, i = 0, j, c, d, rows = 0, left = 0;
+    sfem_real *s = b->s, most = 0, mean = 0, world[9], half[9];
+    size_t k;
+    if (head->free) {
+        sfemi_mul3(r, head->inverse, half);
+        sfemi_mul3_nt(half, r, world);
+    }
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        for (j = 0, hj = sfemi_handle_next(b, 0); hj <= hi; hj = sfemi_handle_next(b, hj + 1), j += 3) {
+            for (c = 0; c < 3; ++c) {
+                const sfem_real *x = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
+                for (d = 0; d < 3; ++d) {
+                    const sfem_real *y = b->rows + (3 * (size_t)hj + (size_t)d) * b->stride;
+                    sfem_real sum = 0;
+                    for (k = 0; k < b->m; ++k) sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
+                    if (head->free) { /* I/mass + [ai]x^T W [aj]x */
+                        sfem_real e[3] = {0, 0, 0}, g[3] = {0, 0, 0}, p[3], w[3];
+                        e[c] = g[d] = 1;
+                        sfemi_cross(b->arm + i, e, p); /* the torque of a unit force along c */
+                        sfemi_cross(b->arm + j, g, w);
+                        sfemi_turn_vector(world, w, w);
+                        sum += (c == d ? 1 / head->mass : 0) + sfemi_dot3(p, w);
+                    }
+                    s[(i + c) * n + j + d] = sum;
+                }
+            }
+        }
+    }
+    for (i = 0; i < n; ++i) most = fmax(most, s[i * n + i]);
+    for (i = 0; i < n; ++i)
+        if (s[i * n + i] > 1e-12 * most) mean += s[i * n + i], ++rows;
+    mean = rows ? b->def.compliance * mean / rows : 0;
+    for (i = 0; i < n; ++i) {
+        if (s[i * n + i] > 1e-12 * most) s[i * n + i] += mean;
+        else
+            for (j = 0; j < n; ++j) { /* nothing moves it */
+                if (j <= i) s[i * n + j] = 0;
+                else s[j * n + i] = 0;
+            }
+    }
+    sfemi_grip_factor(s, n, n);
+    for (i = 0; i < n; ++i) left += !(s[i * n + i] > 0);
+    b->head->rows_left = left;
+    return mean;
+}
+
+/* y -= J^T l, all rows in use */
+static void sfemi_handle_subtract(const sfem_modal *b, const sfem_real *l, sfem_real *y)
+{
+    sfem_int hi, i = 0;
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        const sfem_real minus[3] = {-l[i], -l[i + 1], -l[i + 2]};
+        b->kernels->add3(b->stride, b->rows + 3 * (size_t)hi * b->stride, minus, y);
+    }
+}
+
+/* The force -sum l and torque -sum arm x l on the frame, added to those of the loads. */
+static void sfemi_handle_frame_force(const sfem_modal *b, const sfem_real *l, sfem_real force[3],
+                                     sfem_real torque[3])
+{
+    sfem_int i;
+    int c;
+    memcpy(force, b->pose_force, 3 * sizeof *force);
+    memcpy(torque, b->pose_torque, 3 * sizeof *torque);
+    for (i = 0; i < 3 * b->head->handles; i += 3) {
+        sfem_real t[3];
+        sfemi_cross(b->arm + i, l + i, t);
+        for (c = 0; c < 3; ++c) force[c] -= l[i + c], torque[c] -= t[c];
+    }
+}
+
+/* Takes from v (and the frame's velocity) or a (and its acceleration) what moves the handles from `from` on, the
+ * others left as they are; the multipliers go to b->l. The rows belong to the present state. */
+static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations)
+{
+    sfemi_modal_head *head = b->head;
+    const int loose = b->reduced->head->free;
+    sfem_real *y = accelerations ? b->a : b->v, *linear = accelerations ? head->accel : head->rigid.v;
+    sfem_real *angular = accelerations ? head->torque : head->momentum, w[3];
+    const sfem_int n = 3 * head->handles;
+    sfem_int hi, i = 0;
+    int c;
+    sfemi_handle_factor(b, NULL, head->rigid.r);
+    if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real turn[3] = {0, 0, 0};
+        for (c = 0; c < 3; ++c) b->l[i + c] = 0;
+        if (from >= 0 && hi != from) continue;
+        b->kernels->dot3(b->stride, b->rows + 3 * (size_t)hi * b->stride, y, b->l + i);
+        if (!loose) continue;
+        sfemi_cross(w, b->arm + i, turn);
+        for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
+    }
+    sfemi_grip_solve(b->s, n, n, b->l, 1);
+    sfemi_handle_subtract(b, b->l, y);
+    for (i = 0; loose && i < n; i += 3) {
+        sfem_real t[3];
+        sfemi_cross(b->arm + i, b->l + i, t);
+        for (c = 0; c < 3; ++c) linear[c] -= b->l[i + c] / b->reduced->head->mass, angular[c] -= t[c];
+    }
+}
+
+/* Rows, arms and places at the present state. */
+static void sfemi_handle_locate(sfem_modal *b)
+{
+    sfem_int hi, i = 0;
+    sfem_real x[3];
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        sfemi_handle_rows(b, b->handle + hi, b->q, &b->head->rigid, x, b->arm + i,
+                          b->rows + 3 * (size_t)hi * b->stride);
+}
+
+/* a = f - c v - lambda q, less what the handles hold of it. */
+static void sfemi_modal_accelerate(sfem_modal *b)
+{
+    const sfem_reduced *r = b->reduced;
+    sfem_int hi, i = 0;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) b->a[k] = b->f[k] - r->damping[k] * b->v[k] - r->lambda[k] * b->q[k];
+    for (c = 0; c < 3; ++c) b->head->accel[c] = b->pose_force[c] / r->head->mass;
+    memcpy(b->head->torque, b->pose_torque, sizeof b->pose_torque);
+    if (b->head->handles == 0) return;
+    sfemi_handle_locate(b);
+    sfemi_handle_project(b, -1, 1);
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        memcpy(b->handle[hi].l, b->l + i, 3 * sizeof *b->l);
+}
+
+SFEM_DEF void sfem_modal_start(sfem_modal *b)
+{
+    sfemi_modal_load_at(b, b->q, b->f);
+    sfemi_modal_accelerate(b);
+    b->head->started = 1;
+}
+
+static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_int *node,
+                                     const sfem_real *weight, sfem_int *handle, sfem_error *err)
+{
+    sfemi_modal_handle *h;
+    sfem_int slot, k;
+    sfem_real arm[3];
+    for (k = 0; k < count; ++k)
+        if (node[k] < 0 || node[k] >= b->reduced->head->nodes)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[k], -1, "there is no node %d, the body has %d",
+                                 (int)node[k], (int)b->reduced->head->nodes);
+    for (slot = 0; slot < b->def.max_handles && b->handle[slot].used; ++slot) continue;
+    if (slot == b->def.max_handles) return sfemi_fail(err, SFEM_FULL, "all %d handles are in use", (int)slot);
+    if (count > b->def.max_handle_nodes - b->head->handle_nodes)
+        return sfemi_fail(err, SFEM_FULL, "%d nodes more would be held, of max_handle_nodes %d are %d in use",
+                          (int)count, (int)b->def.max_handle_nodes, (int)b->head->handle_nodes);
+    h = b->handle + slot;
+    memset(h, 0, sizeof *h);
+    h->used = 1;
+    h->first = b->head->handle_nodes;
+    h->count = count;
+    for (k = 0; k < count; ++k) {
+        b->handle_node[h->first + k] = node[k];
+        b->weight[h->first + k] = weight ? weight[k] : 1.0 / count;
+    }
+    b->head->handle_nodes += count;
+    ++b->head->handles;
+    sfemi_handle_rows(b, h, b->q, &b->head->rigid, h->target, arm, NULL);
+    sfemi_modal_wake(b);
+    sfemi_handle_locate(b);
+    sfemi_handle_project(b, slot, 0);
+    if (b->head->started) {
+        sfem_int hi, i = 0;
+        int c;
+        sfemi_handle_project(b, slot, 1);
+        for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+            for (c = 0; c < 3; ++c) b->handle[hi].l[c] += b->l[i + c];
+    }
+    *handle = slot;
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *b, sfem_int node, sfem_int *handle, sfem_error *err)
+{
+    return sfemi_handle_grab(b, 1, &node, NULL, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *b, sfem_int count, const sfem_int *node,
+                                            const sfem_real *weight, sfem_int *handle, sfem_error *err)
+{
+    sfem_real sum = 0;
+    sfem_int k;
+    if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a region of %d nodes", (int)count);
+    for (k = 0; weight && k < count; ++k) sum += weight[k];
+    if (weight && !(fabs(sum - 1) <= 1e-6)) /* also NaN */
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the weights of a region add up to %g, not 1", sum);
+    return sfemi_handle_grab(b, count, node, weight, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle, const sfem_real target[3],
+                                            sfem_error *err)
+{
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    if (!sfemi_all_finite(target, 3))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
+    memcpy(b->handle[handle].target, target, 3 * sizeof *target);
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
+{
+    sfemi_modal_handle *h = b->handle + handle;
+    sfem_int k, after;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && h->used);
+    after = b->head->handle_nodes - h->first - h->count;
+    memmove(b->handle_node + h->first, b->handle_node + h->first + h->count, (size_t)after * sizeof(sfem_int));
+    memmove(b->weight + h->first, b->weight + h->first + h->count, (size_t)after * sizeof(sfem_real));
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->handle[k].used && b->handle[k].first > h->first) b->handle[k].first -= h->count;
+    b->head->handle_nodes -= h->count;
+    --b->head->handles;
+    memset(h, 0, sizeof *h);
+    if (b->head->started) {
+        sfemi_modal_load_at(b, b->q, b->next); /* the frame's forces; f stays that of the last step */
+        sfemi_modal_accelerate(b);
+    }
+}
+
+SFEM_DEF void sfem_modal_handle_position(const sfem_modal *b, sfem_int handle, sfem_real x[3])
+{
+    sfem_real arm[3];
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    sfemi_handle_rows(b, b->handle + handle, b->q, &b->head->rigid, x, arm, NULL);
+}
+
+SFEM_DEF void sfem_modal_handle_force(const sfem_modal *b, sfem_int handle, sfem_real force[3])
+{
+    int c;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    for (c = 0; c < 3; ++c) force[c] = -b->handle[handle].l[c];
+}
+
+SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *b, sfem_int handle, sfem_real *force)
+{
+    const sfem_real *rows = b->rows + 3 * (size_t)handle * b->stride, *l = b->handle[handle].l;
+    size_t k;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    for (k = 0; k < b->m; ++k)
+        force[k] = -(rows[k] * l[0] + rows[b->stride + k] * l[1] + rows[2 * b->stride + k] * l[2]);
+}
+
+/* --- steps ----------------------------------------------------------------------------------- */
+
+static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta, sfem_real gamma)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    if (b->h == h && b->beta == beta && b->gamma == gamma) return;
+    for (k = 0; k < b->m; ++k)
+        b->inverse[k] = 1 / (1 + gamma * h * r->damping[k] + beta * h * h * r->lambda[k]);
+    b->h = h;
+    b->beta = beta;
+    b->gamma = gamma;
+}
+
+/* q = qp + scale inverse (b - J^T l), and of a free body the pose at the end of the step. */
+static void sfemi_handle_respond(sfem_modal *b, sfem_real scale, sfem_real h, sfem_real beta, sfem_real gamma,
+                                 sfemi_modal_head *to)
+{
+    size_t k;
+    memcpy(b->a, b->b, b->stride * sizeof *b->a);
+    sfemi_handle_subtract(b, b->l, b->a);
+    for (k = 0; k < b->m; ++k) {
+        b->a[k] *= b->inverse[k];
+        b->q[k] = b->qp[k] + scale * b->a[k];
+    }
+    if (b->reduced->head->free) {
+        sfem_real force[3], torque[3];
+        sfemi_handle_frame_force(b, b->l, force, torque);
+        sfemi_frame_step(b, h, beta, gamma, force, torque, to);
+    }
+}
+
+/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T l) of the end
+ * of the step, l in the handles, and J, in rows, that of the last solve. */
+static void sfemi_handle_solve(sfem_modal *b, sfem_real scale, sfem_real h, sfem_real beta, sfem_real gamma,
+                               sfemi_modal_head *to)
+{
+    const sfemi_reduced_head *r = b->reduced->head;
+    const sfem_int n = 3 * b->head->handles;
+    const sfem_int most = b->def.warp == SFEM_WARP_NONE && !r->free ? 1 : b->def.handle_iterations;
+    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
+    sfem_int it, hi, i;
+    int c;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        for (c = 0; c < 3; ++c) b->l[i + c] = b->head->rows_left ? 0 : b->handle[hi].l[c];
+    to->iterations = 0;
+    for (it = 0; it < most; ++it) {
+        sfem_real x[3], arm[3], worst = 0, eps;
+        if (it == 0) sfemi_handle_locate(b);
+        else
+            for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+                sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, b->arm + i,
+                                  b->rows + 3 * (size_t)hi * b->stride);
+        eps = sfemi_handle_factor(b, b->inverse, to->rigid.r);
+        sfemi_handle_respond(b, scale, h, beta, gamma, to);
+        for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+            sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, arm, NULL);
+            for (c = 0; c < 3; ++c) {
+                const sfem_real gap = x[c] - b->handle[hi].target[c] - scale * eps * b->l[i + c];
+                if (b->s[(i + c) * n + i + c] > 0) worst = fmax(worst, fabs(gap));
+                b->residual[i + c] = gap / scale;
+            }
+        }
+        sfemi_grip_solve(b->s, n, n, b->residual, 1);
+        for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
+        sfemi_handle_respond(b, scale, h, beta, gamma, to);
+        ++to->iterations;
+        if (worst <= 1e-10 * size) break;
+    }
+    to->rows_left = b->head->rows_left;
+    to->residual = 0;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real x[3], arm[3];
+        sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, arm, NULL);
+        for (c = 0; c < 3; ++c) {
+            b->handle[hi].l[c] = b->l[i + c];
+            to->residual = fmax(to->residual, fabs(x[c] - b->handle[hi].target[c]));
+        }
+    }
+}
+
+static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem_real gamma,
+                                sfemi_modal_head *to)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    sfemi_modal_coefficients(b, h, beta, gamma);
+    if (b->head->handles == 0) {
+        for (k = 0; k < b->m; ++k) {
+            sfem_real q, v, a;
+            if (b->asleep[k]) continue;
+            q = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
+            v = b->v[k] + (1 - gamma) * h * b->a[k];
+            a = b->inverse[k] * (b->next[k] - r->damping[k] * v - r->lambda[k] * q);
+            b->q[k] = q + beta * h * h * a;
+            b->v[k] = v + gamma * h * a;
+            b->a[k] = a;
+        }
+        if (r->head->free) sfemi_frame_step(b, h, beta, gamma, b->pose_force, b->pose_torque, to);
+        return;
+    }
+    for (k = 0; k < b->m; ++k) {
+        b->qp[k] = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
+        b->vp[k] = b->v[k] + (1 - gamma) * h * b->a[k];
+        b->b[k] = b->next[k] - r->damping[k] * b->vp[k] - r->lambda[k] * b->qp[k];
+    }
+    sfemi_handle_solve(b, beta * h * h, h, beta, gamma, to);
+    for (k = 0; k < b->m; ++k) b->v[k] = b->vp[k] + gamma * h * b->a[k];
+}
+
+static void sfemi_modal_exact(sfem_modal *b, sfem_real h, sfemi_modal_head *to)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    if (b->exact_h != h)
+        for (k = 0; k < b->m; ++k)
+            b->oscillator[k] = sfemi_oscillator_make(r->lambda[k], r->damping[k] / 2, h);
+    b->exact_h = h;
+    for (k = 0; k < b->m; ++k) {
+        const sfemi_oscillator *o = b->oscillator + k;
+        const sfem_real q = b->q[k], v = b->v[k], f = b->f[k], slope = (b->next[k] - f) / h;
+        if (b->asleep[k]) continue;
+        b->q[k] = (o->s_dot + r->damping[k] * o->s) * q + o->s * v + o->p * f + o->t * slope;
+        b->v[k] = -r->lambda[k] * o->s * q + o->s_dot * v + o->s * f + o->p * slope;
+        b->a[k] = b->next[k] - r->damping[k] * b->v[k] - r->lambda[k] * b->q[k];
+    }
+    /* linear acceleration over the step */
+    if (r->head->free) sfemi_frame_step(b, h, 1.0 / 6, 0.5, b->pose_force, b->pose_torque, to);
+}
+
+/* Wakes the modes whose load has changed by more than their share of the tolerance bears. */
+static void sfemi_modal_rouse(sfem_modal *b)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_real share = b->def.tolerance / (sfem_real)(b->m + !b->m);
+    size_t k;
+    for (k = 0; k < b->m; ++k) {
+        const sfem_real change = fabs(b->next[k] - b->rest[k]);
+        if (!b->asleep[k] || change == 0) continue;
+        if (r->lambda[k] > 0 && change * r->gain[k] * r->amplitude[k] <= r->lambda[k] * share / 2) continue;
+        b->asleep[k] = 0;
+    }
+}
+
+static void sfemi_modal_settle(sfem_modal *b)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_real share = b->def.tolerance / (sfem_real)(b->m + !b->m);
+    size_t k;
+    for (k = 0; k < b->m; ++k) {
+        const sfem_real lambda = r->lambda[k];
+        sfem_real rest;
+        if (b->asleep[k]) continue;
+        if (lambda == 0) {
+            b->asleep[k] = b->v[k] == 0 && b->a[k] == 0 && b->next[k] == 0;
+            b->rest[k] = 0;
+            continue;
+        }
+        rest = b->next[k] / lambda;
+        if (!(sqrt((b->q[k] - rest) * (b->q[k] - rest) + b->v[k] * b->v[k] / lambda) * r->amplitude[k] <=
+              share / 2))
+            continue;
+        b->asleep[k] = 1;
+        b->q[k] = fabs(rest) * r->amplitude[k] <= share / 4 ? 0 : rest;
+        b->v[k] = b->a[k] = 0;
+        b->rest[k] = b->next[k];
+    }
+}
+
+/* The first mode that is not finite, or -1; the frame counts as mode m. */
+static sfem_int sfemi_modal_not_finite(const sfem_modal *b, const sfemi_modal_head *to)
+{
+    size_t k;
+    for (k = 0; k < b->m; ++k)
+        if (!sfemi_finite(b->q[k]) || !sfemi_finite(b->v[k]) || !sfemi_finite(b->a[k])) return (sfem_int)k;
+    if (!sfemi_all_finite(to->rigid.x, 3) || !sfemi_all_finite(to->rigid.r, 9) ||
+        !sfemi_all_finite(to->momentum, 3) || !sfemi_all_finite(to->rigid.v, 3))
+        return (sfem_int)b->m;
+    return -1;
+}
+
+SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
+{
+    const int held = b->head->handles > 0;
+    const int exact = b->def.integrator == SFEM_MODAL_EXACT && !held;
+    const sfem_real beta = held ? b->def.handle_beta : b->def.beta;
+    const sfem_real gamma = held ? b->def.handle_gamma : b->def.gamma;
+    sfemi_modal_head to;
+    sfem_int bad;
+    if (!(h > 0 && sfemi_finite(h)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s, must be above 0", h);
+    memcpy(b->backup, b->head, b->small_bytes);
+    sfemi_modal_load_at(b, b->q, b->next);
+    if (!b->head->started) {
+        memcpy(b->f, b->next, b->stride * sizeof *b->f);
+        sfemi_modal_accelerate(b);
+        b->head->started = 1;
+    }
+    if (held) sfemi_modal_wake(b);
+    else sfemi_modal_rouse(b);
+    to = *b->head;
+    if (exact) sfemi_modal_exact(b, h, &to);
+    else sfemi_modal_newmark(b, h, beta, gamma, &to);
+    bad = sfemi_modal_not_finite(b, &to);
+    if (bad >= 0) {
+        memcpy(b->head, b->backup, b->small_bytes);
+        return bad < (sfem_int)b->m
+                   ? sfemi_fail(err, SFEM_NOT_FINITE, "the step makes mode %d not finite", (int)bad)
+                   : sfemi_fail(err, SFEM_NOT_FINITE, "the step makes the frame not finite");
+    }
+    to.time += h;
+    ++to.steps;
+    to.beta = exact ? 1.0 / 6 : beta; /* what accelerations that are linear over the step would have */
+    to.gamma = exact ? 0.5 : gamma;
+    if (!held) to.residual = 0, to.iterations = to.rows_left = 0;
+    *b->head = to;
+    memcpy(b->f, b->next, b->stride * sizeof *b->f);
+    if (!held) sfemi_modal_settle(b);
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *acceleration, sfem_real h,
+                                          sfem_real beta, sfem_real gamma, sfem_error *err)
+{
+    const sfem_real none[3] = {0, 0, 0};
+    size_t k;
+    if (!(h > 0 && sfemi_finite(h)) || !(beta >= 0 && gamma >= 0 && sfemi_finite(beta) && sfemi_finite(gamma)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s by Newmark (%g, %g)", h, beta, gamma);
+    for (k = 0; k < b->m; ++k)
+        if (!sfemi_finite(acceleration[k]))
+            return sfemi_fail(err, SFEM_NOT_FINITE, "the acceleration of mode %d is not finite", (int)k);
+    sfemi_modal_wake(b);
+    for (k = 0; k < b->m; ++k) {
+        const sfem_real a = b->a[k], next = acceleration[k];
+        b->q[k] += h * b->v[k] + h * h * ((0.5 - beta) * a + beta * next);
+        b->v[k] += h * ((1 - gamma) * a + gamma * next);
+        b->a[k] = next;
+    }
+    if (b->reduced->head->free) {
+        memset(b->head->accel, 0, sizeof b->head->accel);
+        memset(b->head->torque, 0, sizeof b->head->torque);
+        sfemi_frame_step(b, h, beta, gamma, none, none, b->head);
+    }
+    b->head->time += h;
+    ++b->head->steps;
+    b->head->beta = beta;
+    b->head->gamma = gamma;
+    b->head->started = 1;
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *b) { return b->q; }
+SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *b) { return b->v; }
+SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *b) { return b->a; }
+SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *b) { return b->head->time; }
+
+SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *q, const sfem_real *v,
+                                                const sfem_real *a, sfem_error *err)
+{
+    const size_t bytes = b->m * sizeof *q;
+    if ((q && !sfemi_all_finite(q, b->m)) || (v && !sfemi_all_finite(v, b->m)) ||
+        (a && !sfemi_all_finite(a, b->m)))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "a coordinate is not finite");
+    if (q) memcpy(b->q, q, bytes);
+    if (v) memcpy(b->v, v, bytes);
+    if (a) memcpy(b->a, a, bytes);
+    b->head->started = a != NULL;
+    sfemi_modal_wake(b);
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+/* --- statics --------------------------------------------------------------------------------- */
+
+enum { SFEMI_STATIC_ITERATIONS = 200 };
+
+static sfem_real sfemi_modal_largest_rotation(const sfem_modal *b)
+{
+    sfem_real most = 0, w[3];
+    sfem_int i;
+    if (b->def.warp == SFEM_WARP_NONE) return 0;
+    for (i = 0; i < b->reduced->head->nodes; ++i) {
+        sfemi_modal_rotation(b, i, b->q, w);
+        most = fmax(most, sfemi_dot3(w, w));
+    }
+    return sqrt(most);
+}
+
+/* One round of q = lambda^-1 (f(q) - J^T l); returns how far any node can have moved, over how far it is. */
+static sfem_real sfemi_modal_static_round(sfem_modal *b, sfemi_modal_head *to)
+{
+    const sfem_reduced *r = b->reduced;
+    sfem_real change = 0, size = 0;
+    size_t k;
+    memcpy(b->vp, b->q, b->stride * sizeof *b->vp); /* vp: the last q */
+    sfemi_modal_load_at(b, b->q, b->b);
+    for (k = 0; k < b->m; ++k) {
+        b->inverse[k] = r->lambda[k] > 0 ? 1 / r->lambda[k] : 0;
+        b->qp[k] = r->lambda[k] > 0 ? 0 : b->q[k];
+        b->q[k] = b->qp[k] + b->inverse[k] * b->b[k];
+    }
+    if (b->head->handles > 0) {
+        memcpy(b->q, b->vp, b->stride * sizeof *b->q);
+        sfemi_handle_solve(b, 1, 0, 0, 0, to);
+    }
+    for (k = 0; k < b->m; ++k) {
+        change += fabs(b->q[k] - b->vp[k]) * r->amplitude[k];
+        size += fabs(b->q[k]) * r->amplitude[k];
+    }
+    return size > 0 ? change / size : 0;
+}
+
+SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_info *info, sfem_error *err)
+{
+    const sfem_reduced *r = b->reduced;
+    sfem_modal_static_info got;
+    sfemi_modal_head to = *b->head;
+    sfem_status status = SFEM_OK;
+    size_t k;
+    memset(&got, 0, sizeof got);
+    if (b->head->handles > 0 && r->head->free)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a free body held by handles: step it to rest instead");
+    sfemi_modal_load_at(b, b->q, b->b);
+    for (k = 0; k < b->m; ++k)
+        if (r->lambda[k] == 0 && b->b[k] != 0)
+            return sfemi_fail(err, SFEM_SINGULAR, "mode %d is loaded and has no stiffness", (int)k);
+    memcpy(b->backup, b->head, b->small_bytes);
+    b->h = 0;
+    sfemi_modal_wake(b);
+    do got.change = sfemi_modal_static_round(b, &to);
+    while (++got.iterations < SFEMI_STATIC_ITERATIONS && sfemi_finite(got.change) && got.change < 1e100 &&
+           got.change > 1e-12 && (b->def.warp != SFEM_WARP_NONE || got.iterations < 2));
+    got.rotation = sfemi_modal_largest_rotation(b);
+    if (info) *info = got;
+    if (sfemi_modal_not_finite(b, b->head) >= 0)
+        status = sfemi_fail(err, SFEM_NOT_FINITE, "the static solution is not finite");
+    else if (got.rotation >= 3.14159265358979)
+        status = sfemi_fail(err, SFEM_NOT_CONVERGED, "a node turns by %.3g, warping is valid below pi",
+                            got.rotation);
+    else if (b->def.warp != SFEM_WARP_NONE && got.change > 1e-9)
+        status = sfemi_fail(err, SFEM_NOT_CONVERGED,
+                            "no rest in %d iterations: nodes still move by %.2g of the displacement",
+                            (int)got.iterations, got.change);
+    if (status != SFEM_OK) {
+        memcpy(b->head, b->backup, b->small_bytes);
+        return status;
+    }
+    b->head->residual = to.residual;
+    b->head->iterations = to.iterations;
+    memcpy(b->f, b->b, b->stride * sizeof *b->f);
+    memset(b->v, 0, b->stride * sizeof *b->v);
+    memset(b->a, 0, b->stride * sizeof *b->a);
+    b->head->started = 1;
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+/* --- reconstruction -------------------------------------------------------------------------- */
+
+enum { SFEMI_VIEW_BLOCK = 16 }; /* tiles that a task reconstructs on its stack */
+
+typedef struct sfemi_view_job {
+    const sfem_modal *modal;
+    const sfem_reduced_view *view;
+    double *x;      /* where to: doubles, three a node, or */
+    char *floats;   /* floats, with a stride */
+    size_t stride;
+    int displacement;
+} sfemi_view_job;
+
+static void sfemi_view_run(const sfemi_view_job *j, size_t tile, size_t tiles, void *out)
+{
+    const sfem_modal *b = j->modal;
+    const sfem_reduced_view *v = j->view;
+    const int loose = b->reduced->head->free, warp = b->def.warp != SFEM_WARP_NONE;
+    const int rest = loose || !j->displacement;
+    const size_t row = 3 * SFEMI_TILE * tile, at = row * b->m;
+    int c;
+    if (v->precision == SFEM_MIXED) {
+        float r[9];
+        for (c = 0; c < 9; ++c) r[c] = (float)b->head->rigid.r[c];
+        b->kernels->tiles32(tiles, b->m, (const float *)v->phi + at, warp ? (const float *)v->psi + at : NULL,
+                            rest ? (const float *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
+                            b->drawn_q32, b->turn32, loose ? r : NULL, (float *)out);
+    } else {
+        b->kernels->tiles(tiles, b->m, (const double *)v->phi + at,
+                          warp ? (const double *)v->psi + at : NULL,
+                          rest ? (const double *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
+                          b->drawn_q, b->turn, loose ? b->head->rigid.r : NULL, (double *)out);
+    }
+}
+
+/* tiles [tile][3][8] to triples; for float output the shift is added in float */
+#define SFEMI_VIEW_COPY(name, From, To)                                                              \
+    static void name(const From *from, size_t count, const sfem_real *shift, char *to, size_t stride) \
+    {                                                                                                \
+        const To s0 = (To)shift[0], s1 = (To)shift[1], s2 = (To)shift[2];                            \
+        size_t i, lane;                                                                              \
+        for (i = 0; i < count; i += SFEMI_TILE, from += 3 * SFEMI_TILE)                              \
+            for (lane = 0; lane < SFEMI_TILE && i + lane < count; ++lane, to += stride) {            \
+                To *x = (To *)(void *)to;                                                            \
+                x[0] = (To)from[lane] + s0;                                                          \
+                x[1] = (To)from[SFEMI_TILE + lane] + s1;                                             \
+                x[2] = (To)from[2 * SFEMI_TILE + lane] + s2;                                         \
+            }                                                                                        \
+    }
+SFEMI_VIEW_COPY(sfemi_view_copy_dd, double, double)
+SFEMI_VIEW_COPY(sfemi_view_copy_df, double, float)
+SFEMI_VIEW_COPY(sfemi_view_copy_fd, float, double)
+SFEMI_VIEW_COPY(sfemi_view_copy_ff, float, float)
+#undef SFEMI_VIEW_COPY
+
+static void sfemi_view_task(void *data, sfem_int index)
+{
+    const sfemi_view_job *j = (const sfemi_view_job *)data;
+    const sfem_reduced_view *v = j->view;
+    const size_t first = (size_t)index * SFEMI_VIEW_BLOCK, left = (size_t)v->tiles - first;
+    const size_t tiles = left < SFEMI_VIEW_BLOCK ? left : SFEMI_VIEW_BLOCK, node = first * SFEMI_TILE;
+    const size_t rest = (size_t)v->count - node, count = rest < tiles * SFEMI_TILE ? rest : tiles * SFEMI_TILE;
+    const sfem_real none[3] = {0, 0, 0};
+    const sfem_real *shift = j->modal->reduced->head->free ? j->modal->head->rigid.x : none;
+    double tile[3 * SFEMI_TILE * SFEMI_VIEW_BLOCK];
+    const float *tile32 = (const float *)(void *)tile;
+    size_t i;
+    int c;
+    sfemi_view_run(j, first, tiles, tile);
+    if (j->floats) {
+        char *to = j->floats + node * j->stride;
+        if (v->precision == SFEM_MIXED) sfemi_view_copy_ff(tile32, count, shift, to, j->stride);
+        else sfemi_view_copy_df(tile, count, shift, to, j->stride);
+        return;
+    }
+    if (v->precision == SFEM_MIXED)
+        sfemi_view_copy_fd(tile32, count, shift, (char *)(j->x + 3 * node), 3 * sizeof(double));
+    else sfemi_view_copy_dd(tile, count, shift, (char *)(j->x + 3 * node), 3 * sizeof(double));
+    if (j->displacement && j->modal->reduced->head->free)
+        for (i = node; i < node + count; ++i)
+            for (c = 0; c < 3; ++c)
+                j->x[3 * i + (size_t)c] -= j->modal->reduced->x[3 * (size_t)v->node[i] + (size_t)c];
+}
+
+static void sfemi_view_reconstruct(const sfem_modal *b, const sfem_reduced_view *v, int displacement, double *x,
+                                   float *floats, size_t stride)
+{
+    sfemi_view_job j;
+    SFEM_ASSERT(v->reduced == b->reduced);
+    j.modal = b;
+    j.view = v;
+    j.x = x;
+    j.floats = (char *)floats;
+    j.stride = stride;
+    j.displacement = displacement;
+    sfemi_run(&b->def.exec, (v->tiles + SFEMI_VIEW_BLOCK - 1) / SFEMI_VIEW_BLOCK, sfemi_view_task, &j);
+}
+
+SFEM_DEF void sfem_modal_positions(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *x)
+{
+    sfemi_view_reconstruct(b, view, 0, x, NULL, 0);
+}
+
+SFEM_DEF void sfem_modal_displacements(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *u)
+{
+    sfemi_view_reconstruct(b, view, 1, u, NULL, 0);
+}
+
+SFEM_DEF void sfem_modal_to_floats(const sfem_modal *b, const sfem_reduced_view *view, float *x, size_t stride)
+{
+    sfemi_view_reconstruct(b, view, 0, NULL, x, stride);
+}
+
+/* d/dt of u + a w x u + b w x (w x u) */
+static void sfemi_turn_rate(int kind, const sfem_real w[3], const sfem_real wdot[3], const sfem_real u[3],
+                            const sfem_real udot[3], sfem_real out[3])
+{
+    const sfem_real t = sfemi_dot3(w, w), rate = 2 * sfemi_dot3(w, wdot);
+    sfem_real a, b, da = 0, db = 0, c[2][SFEMI_TURN_TERMS], wu[3], wwu[3], p[3], q[3], dwu[3], s[3];
+    int k;
+    sfemi_turn_coefficients(kind, w, &a, &b);
+    if (t < 10) {
+        sfemi_turn_series(kind, SFEMI_TURN_TERMS, c[0]);
+        sfemi_turn_series(kind + 1, SFEMI_TURN_TERMS, c[1]);
+        for (k = SFEMI_TURN_TERMS - 1; k > 0; --k) da = da * t + k * c[0][k], db = db * t + k * c[1][k];
+    } else {
+        const sfem_real th = sqrt(t), sinc = sin(th) / th, dsinc = (cos(th) - sinc) / (2 * t);
+        da = kind == SFEMI_TURN_PATH ? (sinc / 2 - a) / t : dsinc;
+        db = kind == SFEMI_TURN_PATH ? (-dsinc - b) / t : (sinc / 2 - b) / t;
+    }
+    sfemi_cross(w, u, wu);
+    sfemi_cross(w, wu, wwu);
+    sfemi_cross(wdot, u, p);
+    sfemi_cross(w, udot, q);
+    for (k = 0; k < 3; ++k) dwu[k] = p[k] + q[k]; /* d/dt w x u */
+    sfemi_cross(wdot, wu, p);
+    sfemi_cross(w, dwu, s);
+    for (k = 0; k < 3; ++k)
+        out[k] = udot[k] + da * rate * wu[k] + a * dwu[k] + db * rate * wwu[k] + b * (p[k] + s[k]);
+}
+
+SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3], sfem_real v[3],
+                              sfem_real w[3])
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_rigid *frame = &b->head->rigid;
+    sfem_real arm[3], rotation[3] = {0, 0, 0};
+    int c;
+    SFEM_ASSERT(node >= 0 && node < r->head->nodes);
+    sfemi_modal_displace(b, node, b->q, arm);
+    sfemi_modal_rotation(b, node, b->q, rotation);
+    for (c = 0; c < 3; ++c)
+        arm[c] += r->x[3 * (size_t)node + (size_t)c] - (r->head->free ? r->head->centre[c] : 0);
+    if (r->head->free) sfemi_turn_vector(frame->r, arm, arm);
+    for (c = 0; c < 3; ++c) x[c] = arm[c] + (r->head->free ? frame->x[c] : 0);
+    if (w) memcpy(w, rotation, sizeof rotation);
+    if (v) {
+        sfem_real u[3], udot[3], wdot[3], spin[3], turn[3];
+        sfemi_modal_linear(b, node, b->v, v);
+        if (b->def.warp != SFEM_WARP_NONE) {
+            memcpy(udot, v, sizeof udot);
+            sfemi_modal_linear(b, node, b->q, u);
+            sfemi_modal_rotation(b, node, b->v, wdot);
+            sfemi_turn_rate(sfemi_modal_path_kind(b), rotation, wdot, u, udot, v);
+        }
+        if (!r->head->free) return;
+        sfemi_turn_vector(frame->r, v, v);
+        sfemi_frame_velocity(b, frame->r, b->head->momentum, spin);
+        sfemi_cross(spin, arm, turn);
+        for (c = 0; c < 3; ++c) v[c] += frame->v[c] + turn[c];
+    }
+}
+
+SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *b)
+{
+    sfem_rigid rigid = b->head->rigid;
+    sfemi_frame_velocity(b, rigid.r, b->head->momentum, rigid.w);
+    return rigid;
+}
+
+SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *b, const sfem_rigid *rigid, sfem_error *err)
+{
+    sfemi_modal_head *h = b->head;
+    sfem_real local[3], proper[9];
+    if (!b->reduced->head->free)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the body is held: it has no frame");
+    if (!sfemi_all_finite(rigid->x, 3) || !sfemi_all_finite(rigid->r, 9) || !sfemi_all_finite(rigid->v, 3) ||
+        !sfemi_all_finite(rigid->w, 3))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the frame is not finite");
+    sfemi_cofactor3(rigid->r, proper);
+    if (!(sfemi_dot3(rigid->r, proper) > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the frame is no rotation: its determinant is not above 0");
+    sfem_polar(rigid->r, proper, NULL);
+    h->rigid = *rigid;
+    memcpy(h->rigid.r, proper, sizeof proper);
+    memset(h->rigid.w, 0, sizeof h->rigid.w);
+    sfemi_turn_back(proper, rigid->w, local);
+    sfemi_turn_vector(b->reduced->head->inertia, local, local);
+    sfemi_turn_vector(proper, local, h->momentum);
+    h->started = 0;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_modal_momentum(const sfem_modal *b, sfem_real linear[3], sfem_real angular[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) {
+        linear[c] = b->reduced->head->mass * b->head->rigid.v[c];
+        angular[c] = b->head->momentum[c];
+    }
+}
+
+/* --- state and figures ----------------------------------------------------------------------- */
+
+SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b) { return b->state_bytes; }
+
+static uint64_t sfemi_modal_checksum(const void *block, size_t bytes)
+{
+    sfemi_modal_head head;
+    memcpy(&head, block, sizeof head);
+    head.checksum = 0;
+    return sfemi_state_hash(sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head),
+                            (const char *)block + sizeof head, bytes - sizeof head);
+}
+
+SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
+{
+    sfemi_modal_head head = *b->head;
+    memcpy(memory, b->head, b->state_bytes);
+    head.checksum = 0;
+    memcpy(memory, &head, sizeof head);
+    head.checksum = sfemi_modal_checksum(memory, b->state_bytes);
+    memcpy(memory, &head, sizeof head);
+}
+
+SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes, sfem_error *err)
+{
+    sfemi_modal_head head;
+    sfem_int i;
+    if (bytes < sizeof head)
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a state", (unsigned long)bytes);
+    memcpy(&head, memory, sizeof head);
+    if (memcmp(head.magic, "sfemmod", 8) != 0 || head.version != SFEMI_MODAL_VERSION)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no state of a modal body of this version");
+    if (head.size != bytes || sfemi_modal_checksum(memory, bytes) != head.checksum)
+        return sfemi_fail(err, SFEM_FORMAT, "the state is damaged: its checksum does not fit");
+    if (head.key != b->head->key || head.size != b->state_bytes)
+        return sfemi_fail(err, SFEM_MISMATCH, "the state is of another body");
+    for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
+    memcpy(b->head, memory, bytes);
+    for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = i + 1;
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
+{
+    const sfemi_modal_head *h = b->head;
+    sfem_modal_info info;
+    sfem_real w[3];
+    size_t k;
+    int c;
+    memset(&info, 0, sizeof info);
+    info.modes = (sfem_int)b->m;
+    for (k = 0; k < b->m; ++k) {
+        info.awake += !b->asleep[k];
+        info.kinetic += b->v[k] * b->v[k] / 2;
+        info.elastic += b->reduced->lambda[k] * b->q[k] * b->q[k] / 2;
+    }
+    if (b->reduced->head->free) {
+        sfemi_frame_velocity(b, h->rigid.r, h->momentum, w);
+        for (c = 0; c < 3; ++c)
+            info.kinetic += (b->reduced->head->mass * h->rigid.v[c] * h->rigid.v[c] + w[c] * h->momentum[c]) / 2;
+    }
+    info.drawn = b->drawn_count;
+    info.handles = h->handles;
+    info.handle_iterations = h->iterations;
+    info.handle_residual = h->residual;
+    info.handle_rows_left = h->rows_left;
+    info.beta = h->beta;
+    info.gamma = h->gamma;
+    info.steps = h->steps;
+    info.state_bytes = b->state_bytes;
+    info.body_bytes = b->bytes;
+    return info;
+}
 
 /* ============================================================================================
  * >>link   packets of accelerations, key frames
@@ -14669,6 +17782,94 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_dots)(size_t n, const double *
     for (; i < n; ++i)
         for (p = 0; p < 4; ++p) out[p] += a[(size_t)p * m + i] * x[i];
 }
+
+/* One column of the symmetric matrix that Householder's reduction works on, from its diagonal down: a -=
+ * v wj + w vj, the rank-two change of the last reflection, then what the column does to the product y
+ * with the next one, u: y += a uj below the diagonal; returns the sum of a u there. */
+static SFEMI_TARGET double SFEMI_KERNEL(sfemi_eigen_column)(size_t n, double *a, const double *v,
+                                                            const double *w, const double *u,
+                                                            double *y)
+{
+    const SFEMI_V vj = SFEMI_DUP(v[0]), wj = SFEMI_DUP(w[0]), uj = SFEMI_DUP(u[0]);
+    SFEMI_V s = SFEMI_DUP(0);
+    double part[SFEMI_W], sum = 0;
+    size_t i;
+    int q;
+    a[0] -= 2 * v[0] * w[0];
+    for (i = 1; i + SFEMI_W <= n; i += SFEMI_W) {
+        SFEMI_V x = SFEMI_FNMA(SFEMI_LD(v + i), wj, SFEMI_LD(a + i));
+        x = SFEMI_FNMA(SFEMI_LD(w + i), vj, x);
+        SFEMI_ST(a + i, x);
+        s = SFEMI_FMA(x, SFEMI_LD(u + i), s);
+        SFEMI_ST(y + i, SFEMI_FMA(x, uj, SFEMI_LD(y + i)));
+    }
+    SFEMI_ST(part, s);
+    for (q = 0; q < SFEMI_W; ++q) sum += part[q];
+    for (; i < n; ++i) {
+        a[i] -= v[i] * w[0] + w[i] * v[0];
+        sum += a[i] * u[i];
+        y[i] += a[i] * u[0];
+    }
+    return sum;
+}
+
+/* x -= tau v (v.x) */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_eigen_reflect)(size_t n, const double *v, double tau,
+                                                           double *x)
+{
+    SFEMI_V s = SFEMI_DUP(0), t = SFEMI_DUP(0), f;
+    double part[SFEMI_W], sum = 0;
+    size_t i;
+    int q;
+    for (i = 0; i + 2 * SFEMI_W <= n; i += 2 * SFEMI_W) {
+        s = SFEMI_FMA(SFEMI_LD(v + i), SFEMI_LD(x + i), s);
+        t = SFEMI_FMA(SFEMI_LD(v + i + SFEMI_W), SFEMI_LD(x + i + SFEMI_W), t);
+    }
+    SFEMI_ST(part, SFEMI_ADD(s, t));
+    for (q = 0; q < SFEMI_W; ++q) sum += part[q];
+    for (; i < n; ++i) sum += v[i] * x[i];
+    sum *= tau;
+    f = SFEMI_DUP(sum);
+    for (i = 0; i + SFEMI_W <= n; i += SFEMI_W)
+        SFEMI_ST(x + i, SFEMI_FNMA(SFEMI_LD(v + i), f, SFEMI_LD(x + i)));
+    for (; i < n; ++i) x[i] -= v[i] * sum;
+}
+
+/* A sweep of plane rotations on neighbouring columns of z, h apart, the last pair first: columns k and
+ * k+1 become c_k z_k - s_k z_k+1 and s_k z_k + c_k z_k+1, k = count-1 ... 0; any rows. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_eigen_sweep)(size_t rows, size_t count, double *z,
+                                                         size_t h, const double *c, const double *s)
+{
+    size_t i = 0, k;
+    for (; i + 3 * SFEMI_W <= rows; i += 3 * SFEMI_W) {
+        double *p = z + count * h + i;
+        SFEMI_V x0 = SFEMI_LD(p), x1 = SFEMI_LD(p + SFEMI_W), x2 = SFEMI_LD(p + 2 * SFEMI_W);
+        for (k = count; k-- > 0; p -= h) {
+            const SFEMI_V ck = SFEMI_DUP(c[k]), sk = SFEMI_DUP(s[k]);
+            double *o = p - h;
+            const SFEMI_V y0 = SFEMI_LD(o), y1 = SFEMI_LD(o + SFEMI_W),
+                          y2 = SFEMI_LD(o + 2 * SFEMI_W);
+            SFEMI_ST(p, SFEMI_FMA(sk, y0, SFEMI_MUL(ck, x0)));
+            SFEMI_ST(p + SFEMI_W, SFEMI_FMA(sk, y1, SFEMI_MUL(ck, x1)));
+            SFEMI_ST(p + 2 * SFEMI_W, SFEMI_FMA(sk, y2, SFEMI_MUL(ck, x2)));
+            x0 = SFEMI_FNMA(sk, x0, SFEMI_MUL(ck, y0));
+            x1 = SFEMI_FNMA(sk, x1, SFEMI_MUL(ck, y1));
+            x2 = SFEMI_FNMA(sk, x2, SFEMI_MUL(ck, y2));
+        }
+        SFEMI_ST(p, x0);
+        SFEMI_ST(p + SFEMI_W, x1);
+        SFEMI_ST(p + 2 * SFEMI_W, x2);
+    }
+    for (; i < rows; ++i) {
+        double *p = z + count * h + i, x = p[0];
+        for (k = count; k-- > 0; p -= h) {
+            const double y = p[-(ptrdiff_t)h];
+            p[0] = s[k] * y + c[k] * x;
+            x = c[k] * y - s[k] * x;
+        }
+        p[0] = x;
+    }
+}
 #endif
 
 /* Replaces the n columns of a finished diagonal tile [L11; L21] by [X; -L21 X], X = L11^-1, from
@@ -15069,6 +18270,180 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
     }
 }
 #undef SFEMI_OUTER
+
+/* --- modal bodies ------------------------------------------------------------------------------ */
+
+#if SFEMI_BITS == 64
+/* out[c] = sum_k rows[c][k] q[k], for rows of n numbers, n a multiple of 8 */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modal_dot3)(size_t n, const double *rows, const double *q,
+                                                        double *out)
+{
+    SFEMI_V a = SFEMI_DUP(0), b = SFEMI_DUP(0), c = SFEMI_DUP(0);
+    double part[3][SFEMI_W];
+    size_t k;
+    int i;
+    for (k = 0; k < n; k += SFEMI_W) {
+        const SFEMI_V x = SFEMI_LD(q + k);
+        a = SFEMI_FMA(SFEMI_LD(rows + k), x, a);
+        b = SFEMI_FMA(SFEMI_LD(rows + n + k), x, b);
+        c = SFEMI_FMA(SFEMI_LD(rows + 2 * n + k), x, c);
+    }
+    SFEMI_ST(part[0], a);
+    SFEMI_ST(part[1], b);
+    SFEMI_ST(part[2], c);
+    for (i = 0; i < 3; ++i) {
+        const double *p = part[i];
+#if SFEMI_W == 8
+        out[i] = ((p[0] + p[4]) + (p[2] + p[6])) + ((p[1] + p[5]) + (p[3] + p[7]));
+#else
+        out[i] = (p[0] + p[2]) + (p[1] + p[3]);
+#endif
+    }
+}
+
+/* y[k] += sum_c rows[c][k] f[c] */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modal_add3)(size_t n, const double *rows, const double *f,
+                                                        double *y)
+{
+    const SFEMI_V a = SFEMI_DUP(f[0]), b = SFEMI_DUP(f[1]), c = SFEMI_DUP(f[2]);
+    size_t k;
+    for (k = 0; k < n; k += SFEMI_W) {
+        SFEMI_V s = SFEMI_FMA(SFEMI_LD(rows + k), a, SFEMI_LD(y + k));
+        s = SFEMI_FMA(SFEMI_LD(rows + n + k), b, s);
+        SFEMI_ST(y + k, SFEMI_FMA(SFEMI_LD(rows + 2 * n + k), c, s));
+    }
+}
+#endif
+
+#if SFEMI_BITS == 64
+#define SFEMI_TERMS 14
+#else
+#define SFEMI_TERMS 10
+#endif
+
+/* The coefficients of lanes beyond the polynomial's reach: th^2 of 10 and more. */
+static void SFEMI_KERNEL(sfemi_modal_far)(const SFEMI_R *t, int path, SFEMI_R *a, SFEMI_R *b)
+{
+    int i;
+    for (i = 0; i < SFEMI_W; ++i) {
+        const double s = (double)t[i], th = sqrt(s), half = sin(th / 2), k = 2 * half * half / s;
+        if (t[i] < 10) continue;
+        a[i] = (SFEMI_R)(path ? k : sin(th) / th);
+        b[i] = (SFEMI_R)(path ? (1 - sin(th) / th) / s : k);
+    }
+}
+
+/* W nodes: u + a w x u + b w x (w x u), the place at rest added, turned with the frame. Components are
+ * 8 numbers apart. */
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_modal_finish)(SFEMI_V u0, SFEMI_V u1, SFEMI_V u2, int warp, SFEMI_V w0, SFEMI_V w1,
+                                 SFEMI_V w2, const SFEMI_R *rest, const SFEMI_R *turn,
+                                 const SFEMI_R *frame, SFEMI_R *out)
+{
+    if (warp) {
+        const SFEMI_V t = SFEMI_FMA(w0, w0, SFEMI_FMA(w1, w1, SFEMI_MUL(w2, w2)));
+        SFEMI_V a = SFEMI_DUP(turn[SFEMI_TERMS - 1]), b = SFEMI_DUP(turn[2 * SFEMI_TERMS - 1]);
+        SFEMI_V c0, c1, c2, d0, d1, d2;
+        SFEMI_R part[SFEMI_W], exact[2][SFEMI_W];
+        int k, beyond = 0;
+        for (k = SFEMI_TERMS - 2; k >= 0; --k) {
+            a = SFEMI_FMA(a, t, SFEMI_DUP(turn[k]));
+            b = SFEMI_FMA(b, t, SFEMI_DUP(turn[SFEMI_TERMS + k]));
+        }
+        SFEMI_ST(part, t);
+        for (k = 0; k < SFEMI_W; ++k) beyond |= part[k] >= 10;
+        if (beyond) {
+            SFEMI_ST(exact[0], a);
+            SFEMI_ST(exact[1], b);
+            SFEMI_KERNEL(sfemi_modal_far)(part, turn[2 * SFEMI_TERMS] != 0, exact[0], exact[1]);
+            a = SFEMI_LD(exact[0]);
+            b = SFEMI_LD(exact[1]);
+        }
+        c0 = SFEMI_FNMA(w2, u1, SFEMI_MUL(w1, u2)); /* w x u */
+        c1 = SFEMI_FNMA(w0, u2, SFEMI_MUL(w2, u0));
+        c2 = SFEMI_FNMA(w1, u0, SFEMI_MUL(w0, u1));
+        d0 = SFEMI_FMA(b, c0, SFEMI_MUL(a, u0)); /* a u + b w x u */
+        d1 = SFEMI_FMA(b, c1, SFEMI_MUL(a, u1));
+        d2 = SFEMI_FMA(b, c2, SFEMI_MUL(a, u2));
+        u0 = SFEMI_ADD(u0, SFEMI_FNMA(w2, d1, SFEMI_MUL(w1, d2)));
+        u1 = SFEMI_ADD(u1, SFEMI_FNMA(w0, d2, SFEMI_MUL(w2, d0)));
+        u2 = SFEMI_ADD(u2, SFEMI_FNMA(w1, d0, SFEMI_MUL(w0, d1)));
+    }
+    if (rest) {
+        u0 = SFEMI_ADD(u0, SFEMI_LD(rest));
+        u1 = SFEMI_ADD(u1, SFEMI_LD(rest + 8));
+        u2 = SFEMI_ADD(u2, SFEMI_LD(rest + 16));
+    }
+    if (frame) {
+        const SFEMI_V x = u0, y = u1, z = u2;
+        u0 = SFEMI_FMA(SFEMI_DUP(frame[0]), x,
+                       SFEMI_FMA(SFEMI_DUP(frame[1]), y, SFEMI_MUL(SFEMI_DUP(frame[2]), z)));
+        u1 = SFEMI_FMA(SFEMI_DUP(frame[3]), x,
+                       SFEMI_FMA(SFEMI_DUP(frame[4]), y, SFEMI_MUL(SFEMI_DUP(frame[5]), z)));
+        u2 = SFEMI_FMA(SFEMI_DUP(frame[6]), x,
+                       SFEMI_FMA(SFEMI_DUP(frame[7]), y, SFEMI_MUL(SFEMI_DUP(frame[8]), z)));
+    }
+    SFEMI_ST(out, u0);
+    SFEMI_ST(out + 8, u1);
+    SFEMI_ST(out + 16, u2);
+}
+
+/* out [tiles][3][8] from phi and psi [tiles][modes][3][8] (psi NULL: nothing warps), rest [tiles][3][8]
+ * or NULL, the coordinates q of the `count` modes index. Two vectors of nodes go side by side. */
+static SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, const SFEMI_R *psi,
+                                const SFEMI_R *rest, size_t count, const sfem_int *index,
+                                const SFEMI_R *q, const SFEMI_R *turn, const SFEMI_R *frame, SFEMI_R *out)
+{
+    const size_t strips = tiles * 8 / SFEMI_W;
+    size_t s, k;
+    for (s = 0; s < strips; s += 2) {
+        const size_t s1 = s + 1 < strips ? s + 1 : s;
+        const size_t tile0 = s * SFEMI_W / 8, tile1 = s1 * SFEMI_W / 8;
+        const size_t lane0 = s * SFEMI_W % 8, lane1 = s1 * SFEMI_W % 8;
+        const SFEMI_R *p0 = phi + 24 * modes * tile0 + lane0, *p1 = phi + 24 * modes * tile1 + lane1;
+        const SFEMI_R *r0 = rest ? rest + 24 * tile0 + lane0 : NULL;
+        const SFEMI_R *r1 = rest ? rest + 24 * tile1 + lane1 : NULL;
+        SFEMI_R *o0 = out + 24 * tile0 + lane0, *o1 = out + 24 * tile1 + lane1;
+        SFEMI_V a0 = SFEMI_DUP(0), a1 = a0, a2 = a0, b0 = a0, b1 = a0, b2 = a0;
+        if (psi) {
+            const SFEMI_R *y0 = psi + (p0 - phi), *y1 = psi + (p1 - phi);
+            SFEMI_V c0 = a0, c1 = a0, c2 = a0, d0 = a0, d1 = a0, d2 = a0;
+            for (k = 0; k < count; ++k) {
+                const size_t at = 24 * (size_t)index[k];
+                const SFEMI_V x = SFEMI_DUP(q[k]);
+                a0 = SFEMI_FMA(SFEMI_LD(p0 + at), x, a0);
+                a1 = SFEMI_FMA(SFEMI_LD(p0 + at + 8), x, a1);
+                a2 = SFEMI_FMA(SFEMI_LD(p0 + at + 16), x, a2);
+                b0 = SFEMI_FMA(SFEMI_LD(p1 + at), x, b0);
+                b1 = SFEMI_FMA(SFEMI_LD(p1 + at + 8), x, b1);
+                b2 = SFEMI_FMA(SFEMI_LD(p1 + at + 16), x, b2);
+                c0 = SFEMI_FMA(SFEMI_LD(y0 + at), x, c0);
+                c1 = SFEMI_FMA(SFEMI_LD(y0 + at + 8), x, c1);
+                c2 = SFEMI_FMA(SFEMI_LD(y0 + at + 16), x, c2);
+                d0 = SFEMI_FMA(SFEMI_LD(y1 + at), x, d0);
+                d1 = SFEMI_FMA(SFEMI_LD(y1 + at + 8), x, d1);
+                d2 = SFEMI_FMA(SFEMI_LD(y1 + at + 16), x, d2);
+            }
+            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 1, c0, c1, c2, r0, turn, frame, o0);
+            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 1, d0, d1, d2, r1, turn, frame, o1);
+        } else {
+            for (k = 0; k < count; ++k) {
+                const size_t at = 24 * (size_t)index[k];
+                const SFEMI_V x = SFEMI_DUP(q[k]);
+                a0 = SFEMI_FMA(SFEMI_LD(p0 + at), x, a0);
+                a1 = SFEMI_FMA(SFEMI_LD(p0 + at + 8), x, a1);
+                a2 = SFEMI_FMA(SFEMI_LD(p0 + at + 16), x, a2);
+                b0 = SFEMI_FMA(SFEMI_LD(p1 + at), x, b0);
+                b1 = SFEMI_FMA(SFEMI_LD(p1 + at + 8), x, b1);
+                b2 = SFEMI_FMA(SFEMI_LD(p1 + at + 16), x, b2);
+            }
+            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 0, a0, a1, a2, r0, turn, frame, o0);
+            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 0, b0, b1, b2, r1, turn, frame, o1);
+        }
+    }
+}
+#undef SFEMI_TERMS
 
 #undef SFEMI_TARGET
 #undef SFEMI_R
