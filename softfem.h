@@ -17005,27 +17005,34 @@ static sfem_real sfemi_modal_largest_rotation(const sfem_modal *b)
     return sqrt(most);
 }
 
-/* One round of q = lambda^-1 (f(q) - J^T l); returns how far any node can have moved, over how far it is. */
-static sfem_real sfemi_modal_static_round(sfem_modal *b, sfemi_modal_head *to)
+/* One round of q = lambda^-1 (f(q) - J^T l), of which q takes a part that follows from how the last two
+ * residuals differ [Aitken 1926; Irons, Tuck 1969]: bent far, the plain iteration swings round its goal, and
+ * finally away from it. Returns how far any node is from where the round puts it, over its displacement. */
+static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_modal_head *to)
 {
     const sfem_reduced *r = b->reduced;
-    sfem_real change = 0, size = 0;
+    sfem_real *from = b->vp, *last = b->next; /* q and the residual before */
+    sfem_real change = 0, size = 0, dot = 0, square = 0;
     size_t k;
-    memcpy(b->vp, b->q, b->stride * sizeof *b->vp); /* vp: the last q */
+    memcpy(from, b->q, b->stride * sizeof *from);
     sfemi_modal_load_at(b, b->q, b->b);
     for (k = 0; k < b->m; ++k) {
         b->inverse[k] = r->lambda[k] > 0 ? 1 / r->lambda[k] : 0;
         b->qp[k] = r->lambda[k] > 0 ? 0 : b->q[k];
-        b->q[k] = b->qp[k] + b->inverse[k] * b->b[k];
     }
-    if (b->head->handles > 0) {
-        memcpy(b->q, b->vp, b->stride * sizeof *b->q);
-        sfemi_handle_solve(b, 1, 0, 0, 0, to);
-    }
+    if (b->head->handles > 0) sfemi_handle_solve(b, 1, 0, 0, 0, to);
+    else
+        for (k = 0; k < b->m; ++k) b->q[k] = b->qp[k] + b->inverse[k] * b->b[k];
     for (k = 0; k < b->m; ++k) {
-        change += fabs(b->q[k] - b->vp[k]) * r->amplitude[k];
+        const sfem_real residual = b->q[k] - from[k], difference = residual - last[k];
+        change += fabs(residual) * r->amplitude[k];
         size += fabs(b->q[k]) * r->amplitude[k];
+        dot += last[k] * difference;
+        square += difference * difference;
+        last[k] = residual;
     }
+    *part = *part == 0 || !(square > 0) ? 1 : fmin(fmax(-*part * dot / square, 0.05), 2.0);
+    for (k = 0; k < b->m; ++k) b->q[k] = from[k] + *part * last[k];
     return size > 0 ? change / size : 0;
 }
 
@@ -17034,6 +17041,7 @@ SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_in
     const sfem_reduced *r = b->reduced;
     sfem_modal_static_info got;
     sfemi_modal_head to = *b->head;
+    sfem_real part = 0;
     sfem_status status = SFEM_OK;
     size_t k;
     memset(&got, 0, sizeof got);
@@ -17045,8 +17053,9 @@ SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_in
             return sfemi_fail(err, SFEM_SINGULAR, "mode %d is loaded and has no stiffness", (int)k);
     memcpy(b->backup, b->head, b->small_bytes);
     b->h = 0;
+    memset(b->next, 0, b->stride * sizeof *b->next);
     sfemi_modal_wake(b);
-    do got.change = sfemi_modal_static_round(b, &to);
+    do got.change = sfemi_modal_static_round(b, &part, &to);
     while (++got.iterations < SFEMI_STATIC_ITERATIONS && sfemi_finite(got.change) && got.change < 1e100 &&
            got.change > 1e-12 && (b->def.warp != SFEM_WARP_NONE || got.iterations < 2));
     got.rotation = sfemi_modal_largest_rotation(b);
@@ -17134,7 +17143,8 @@ static void sfemi_view_task(void *data, sfem_int index)
     const sfemi_view_job *j = (const sfemi_view_job *)data;
     const sfem_reduced_view *v = j->view;
     const size_t first = (size_t)index * SFEMI_VIEW_BLOCK, left = (size_t)v->tiles - first;
-    const size_t tiles = left < SFEMI_VIEW_BLOCK ? left : SFEMI_VIEW_BLOCK, node = first * SFEMI_TILE;
+    const size_t tiles = left < (size_t)SFEMI_VIEW_BLOCK ? left : (size_t)SFEMI_VIEW_BLOCK;
+    const size_t node = first * SFEMI_TILE;
     const size_t rest = (size_t)v->count - node, count = rest < tiles * SFEMI_TILE ? rest : tiles * SFEMI_TILE;
     const sfem_real none[3] = {0, 0, 0};
     const sfem_real *shift = j->modal->reduced->head->free ? j->modal->head->rigid.x : none;
