@@ -14551,6 +14551,33 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
  * >>modes   eigenvalues and modes
  * ============================================================================================ */
 
+typedef struct sfemi_modes_kernels {
+    void (*dots)(size_t, size_t, const double *, size_t, const double *, double *);
+    void (*combine)(int, size_t, size_t, const double *, size_t, const double *, double *);
+    void (*gram)(size_t, const double *, const double *, double *);
+    void (*turn)(size_t, const double *, double *);
+    void (*row)(int, int, int, const sfem_int *, const double *, const double *, const double *, double *);
+    void (*project)(int, int, const double *, size_t, double *, double *);
+    void (*scale)(const double *, const double *, double *);
+} sfemi_modes_kernels;
+
+static const sfemi_modes_kernels *sfemi_modes_kernels_of(int path)
+{
+#define SFEMI_TABLE(p)                                                                              \
+    {sfemi_modes_dots_64_##p, sfemi_modes_combine_64_##p, sfemi_modes_gram_64_##p,                  \
+     sfemi_modes_turn_64_##p, sfemi_modes_row_64_##p,     sfemi_modes_project_64_##p,               \
+     sfemi_modes_scale_64_##p}
+    static const sfemi_modes_kernels table[] = {
+        SFEMI_TABLE(0),
+#if SFEMI_X86
+        SFEMI_TABLE(1),
+        SFEMI_TABLE(2),
+#endif
+    };
+#undef SFEMI_TABLE
+    return table + path;
+}
+
 /* What the solvers work on: the free nodes, renumbered as they come. Held axes keep a row of their own
  * with K's diagonal in it and no mass, so that they are eigenvalues at infinity and never counted.
  * Blocks of eight vectors stand interleaved, [3n][8], as the factor solves for them. */
@@ -14572,6 +14599,7 @@ typedef struct sfemi_modes_system {
     sfem_int *piece;      /* [n] */
     sfem_int *motions;    /* [pieces] rigid modes of each */
     sfem_real *z, *mz;    /* [6][3n] the k-th rigid mode of every piece, and M times it */
+    sfem_real *half;      /* [6][3n] root(M) times it while Lanczos works on such, or NULL */
     sfem_real *dot;       /* [pieces][6][8] scratch */
 } sfemi_modes_system;
 
@@ -14587,6 +14615,7 @@ static void sfemi_modes_system_free(sfemi_modes_system *s)
     sfemi_delete(s->al, s->motions);
     if (s->mz != s->z) sfemi_delete(s->al, s->mz);
     sfemi_delete(s->al, s->z);
+    sfemi_delete(s->al, s->half);
     sfemi_delete(s->al, s->dot);
 }
 
@@ -14681,56 +14710,28 @@ done:
 /* y = M x for eight vectors that are zero on held axes. */
 static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    const size_t rows = 3 * (size_t)s->n;
-    sfem_int i, at;
-    size_t r, q;
+    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfem_int *row = s->k.row;
+    sfem_int i;
+    size_t r;
     if (!s->scalar) {
-        for (r = 0; r < rows; ++r)
-            for (q = 0; q < 8; ++q) y[8 * r + q] = s->mass[r] * x[8 * r + q];
+        for (i = 0; i < s->n; ++i) f->scale(s->mass + 3 * (size_t)i, x + 24 * (size_t)i, y + 24 * (size_t)i);
         return;
     }
-    for (i = 0; i < s->n; ++i) {
-        const sfem_real *xi = x + 24 * (size_t)i;
-        sfem_real sum[24];
-        memset(sum, 0, sizeof sum);
-        for (at = s->k.row[i]; at < s->k.row[i + 1] - 1; ++at) {
-            const sfem_real m = s->scalar[at], *xj = x + 24 * (size_t)s->k.col[at];
-            sfem_real *yj = y + 24 * (size_t)s->k.col[at];
-            for (q = 0; q < 24; ++q) {
-                sum[q] += m * xj[q];
-                yj[q] += m * xi[q];
-            }
-        }
-        for (q = 0; q < 24; ++q) y[24 * (size_t)i + q] = sum[q] + s->scalar[at] * xi[q];
-    }
-    for (r = 0; r < rows; ++r)
-        for (q = 0; q < 8 && s->mass[r] == 0; ++q) y[8 * r + q] = 0;
+    memset(y, 0, 24 * (size_t)s->n * sizeof *y);
+    for (i = 0; i < s->n; ++i) f->row(i, row[i], row[i + 1], s->k.col, s->k.val, s->scalar, x, y);
+    for (r = 0; r < 3 * (size_t)s->n; ++r)
+        if (s->mass[r] == 0) memset(y + 8 * r, 0, 8 * sizeof *y);
 }
 
 /* y = K x for eight vectors. */
 static void sfemi_modes_stiffness(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    sfem_int i, at;
-    size_t q;
-    int r, c;
-    for (i = 0; i < s->n; ++i) {
-        const sfem_real *xi = x + 24 * (size_t)i, *b;
-        sfem_real sum[24];
-        memset(sum, 0, sizeof sum);
-        for (at = s->k.row[i]; at < s->k.row[i + 1]; ++at) {
-            const sfem_real *xj = x + 24 * (size_t)s->k.col[at];
-            sfem_real *yj = y + 24 * (size_t)s->k.col[at];
-            b = s->k.val + 9 * (size_t)at;
-            for (r = 0; r < 3; ++r)
-                for (c = 0; c < 3; ++c)
-                    for (q = 0; q < 8; ++q) sum[8 * r + (int)q] += b[3 * r + c] * xj[8 * c + (int)q];
-            if (s->k.col[at] == i) continue;
-            for (r = 0; r < 3; ++r)
-                for (c = 0; c < 3; ++c)
-                    for (q = 0; q < 8; ++q) yj[8 * c + (int)q] += b[3 * r + c] * xi[8 * r + (int)q];
-        }
-        memcpy(y + 24 * (size_t)i, sum, sizeof sum);
-    }
+    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfem_int *row = s->k.row;
+    sfem_int i;
+    memset(y, 0, 24 * (size_t)s->n * sizeof *y);
+    for (i = 0; i < s->n; ++i) f->row(i, row[i], row[i + 1], s->k.col, s->k.val, NULL, x, y);
 }
 
 /* --- rigid modes ----------------------------------------------------------------------------- */
@@ -14794,36 +14795,21 @@ static sfem_int sfemi_modes_allowed(sfem_real *g, sfem_real *motion)
     return count;
 }
 
-/* Takes the rigid part out of eight vectors: x -= Z (MZ)^T x, piece by piece. half: x is root(M) times a
- * displacement, and so are z and mz then. */
+/* Takes the rigid part out of eight vectors: x -= Z (MZ)^T x, piece by piece. Of root(M) times
+ * displacements where s->half is set: then x -= root(M) Z (root(M) Z)^T x. */
 static void sfemi_modes_deflate(const sfemi_modes_system *s, sfem_real *x)
 {
+    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
     const size_t rows = 3 * (size_t)s->n;
     sfem_int i;
-    size_t q, r;
-    int k;
     if (s->rigid == 0) return;
     memset(s->dot, 0, 48 * (size_t)s->pieces * sizeof *s->dot);
-    for (i = 0; i < s->n; ++i) {
-        const sfem_int p = s->piece[i];
-        for (k = 0; k < s->motions[p]; ++k) {
-            sfem_real *d = s->dot + 48 * (size_t)p + 8 * k;
-            for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
-                const sfem_real z = s->mz[(size_t)k * rows + r];
-                for (q = 0; q < 8; ++q) d[q] += z * x[8 * r + q];
-            }
-        }
-    }
-    for (i = 0; i < s->n; ++i) {
-        const sfem_int p = s->piece[i];
-        for (k = 0; k < s->motions[p]; ++k) {
-            const sfem_real *d = s->dot + 48 * (size_t)p + 8 * k;
-            for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
-                const sfem_real z = s->z[(size_t)k * rows + r];
-                for (q = 0; q < 8; ++q) x[8 * r + q] -= z * d[q];
-            }
-        }
-    }
+    for (i = 0; i < s->n; ++i)
+        f->project(0, s->motions[s->piece[i]], (s->half ? s->half : s->mz) + 3 * (size_t)i, rows,
+                   x + 24 * (size_t)i, s->dot + 48 * (size_t)s->piece[i]);
+    for (i = 0; i < s->n; ++i)
+        f->project(1, s->motions[s->piece[i]], (s->half ? s->half : s->z) + 3 * (size_t)i, rows,
+                   x + 24 * (size_t)i, s->dot + 48 * (size_t)s->piece[i]);
 }
 
 /* The k-th mode of every piece made M-orthogonal to those before it, twice, and of length 1. */
@@ -15147,6 +15133,855 @@ done:
     return status;
 }
 
+/* --- block Lanczos ---------------------------------------------------------------------------
+ *
+ * With lumped mass the operator is root(M) (K - sigma M)^-1 root(M) and the basis orthonormal; with a
+ * consistent one (K - sigma M)^-1 M, and the basis M-orthonormal. A step turns the newest block Q_j of
+ * the basis V into W = Op Q_j less its part in V; W = Q_j+1 R; the coefficients V^T Op Q_j are a column
+ * of T = V^T Op V, so that T needs no special form after a restart. Its Ritz pairs (theta, s) have
+ * residuals |R s_last|, and lambda = sigma + 1/theta. */
+#define SFEMI_MODES_CHUNK 1920 /* rows to a task: fixed, so that sums do not depend on threads */
+
+typedef struct sfemi_lanczos {
+    sfemi_modes_system *s;
+    const sfemi_modes_kernels *f;
+    const sfem_exec *exec;
+    sfem_modes_info *info;
+    sfem_ldl *ldl;
+    sfem_matrix a;       /* K - sigma M; shares its pattern with K */
+    size_t rows, padded; /* 3n, and that in multiples of 24 */
+    sfem_int chunks, panels, capacity, wanted, m;
+    sfem_int kept;       /* of the m, those that a restart has kept */
+    int fresh;           /* the newest block has just been put behind a restart's */
+    sfem_real sigma, top;
+    sfem_real *v;        /* [panels][padded][24] the basis */
+    sfem_real *w;        /* [padded][8] the newest block */
+    sfem_real *mw;       /* [padded][8] M times it; w itself where the mass is lumped */
+    sfem_real *work;     /* of solves */
+    sfem_real *c, *part; /* [24 panels][8], and such for each chunk */
+    sfem_real *t;        /* [capacity][capacity] column-major, upper half */
+    sfem_real *ritz;     /* [capacity][capacity] eigenvectors of T */
+    sfem_real *theta, *rho; /* [capacity] Ritz values, falling, and residuals */
+    sfem_real *small;    /* scratch of eigenvalues */
+    sfem_real r[64];     /* R, row-major */
+    uint64_t random;
+} sfemi_lanczos;
+
+static void sfemi_lanczos_free(sfemi_lanczos *z)
+{
+    const sfem_allocator *al = z->s->al;
+    sfem_ldl_free(z->ldl);
+    sfemi_delete(al, z->a.val);
+    sfemi_delete(al, z->v);
+    if (z->mw != z->w) sfemi_delete(al, z->mw);
+    sfemi_delete(al, z->w);
+    sfemi_delete(al, z->work);
+    sfemi_delete(al, z->c);
+    sfemi_delete(al, z->part);
+    sfemi_delete(al, z->t);
+    sfemi_delete(al, z->ritz);
+    sfemi_delete(al, z->theta);
+    sfemi_delete(al, z->rho);
+    sfemi_delete(al, z->small);
+}
+
+typedef struct sfemi_lanczos_job {
+    const sfemi_lanczos *z;
+    sfem_int first, panels; /* of the basis */
+    int minus;
+    const sfem_real *c;
+    sfem_real *w;
+    sfem_int kept; /* columns that sfemi_lanczos_compress makes */
+} sfemi_lanczos_job;
+
+static size_t sfemi_lanczos_rows(const sfemi_lanczos *z, sfem_int chunk)
+{
+    const size_t left = z->padded - (size_t)chunk * SFEMI_MODES_CHUNK;
+    return left < SFEMI_MODES_CHUNK ? left : SFEMI_MODES_CHUNK;
+}
+
+static void sfemi_lanczos_dots_chunk(void *data, sfem_int chunk)
+{
+    const sfemi_lanczos_job *job = (const sfemi_lanczos_job *)data;
+    const sfemi_lanczos *z = job->z;
+    const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK, size = 192 * (size_t)job->panels;
+    sfem_real *part = z->part + (size_t)chunk * 192 * (size_t)z->panels;
+    memset(part, 0, size * sizeof *part);
+    z->f->dots(sfemi_lanczos_rows(z, chunk), (size_t)job->panels,
+               z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, z->mw + 8 * at, part);
+}
+
+static void sfemi_lanczos_combine_chunk(void *data, sfem_int chunk)
+{
+    const sfemi_lanczos_job *job = (const sfemi_lanczos_job *)data;
+    const sfemi_lanczos *z = job->z;
+    const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK;
+    z->f->combine(job->minus, sfemi_lanczos_rows(z, chunk), (size_t)job->panels,
+                  z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, job->c,
+                  job->w + 8 * at);
+}
+
+/* MW = M W */
+static void sfemi_lanczos_mass(sfemi_lanczos *z)
+{
+    if (z->mw != z->w) sfemi_modes_mass(z->s, z->w, z->mw);
+}
+
+/* W -= V V^T M W with the panels that hold the columns from `first` on; T's newest columns, at `column`,
+ * get what is taken out. */
+static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_int column)
+{
+    sfemi_lanczos_job job;
+    size_t i, size;
+    sfem_int k;
+    int q;
+    if (z->m == 0) return;
+    job.z = z;
+    job.first = first / 24;
+    job.panels = (z->m + 23) / 24 - job.first;
+    job.minus = 1;
+    job.c = z->c;
+    job.w = z->w;
+    job.kept = 0;
+    size = 192 * (size_t)job.panels;
+    sfemi_lanczos_mass(z);
+    sfemi_run(z->exec, z->chunks, sfemi_lanczos_dots_chunk, &job);
+    memset(z->c, 0, size * sizeof *z->c);
+    for (k = 0; k < z->chunks; ++k)
+        for (i = 0; i < size; ++i) z->c[i] += z->part[(size_t)k * 192 * (size_t)z->panels + i];
+    for (i = 8 * (size_t)(z->m - 24 * job.first); i < size; ++i) z->c[i] = 0; /* no vectors there */
+    sfemi_run(z->exec, z->chunks, sfemi_lanczos_combine_chunk, &job);
+    for (k = 24 * job.first; column >= 0 && k < z->m; ++k)
+        for (q = 0; q < 8; ++q)
+            z->t[(size_t)k + (size_t)(column + q) * (size_t)z->capacity] +=
+                z->c[8 * (k - 24 * job.first) + q];
+}
+
+/* W = Op W. */
+static void sfemi_lanczos_apply(sfemi_lanczos *z)
+{
+    const sfemi_symbolic *y = z->ldl->symbolic;
+    const sfem_real *root = z->s->root;
+    sfemi_solve q;
+    sfem_int i;
+    memset(&q, 0, sizeof q);
+    q.ldl = z->ldl;
+    q.block = 8;
+    q.pace = z->ldl->pace + 2;
+    q.w = z->work;
+    q.scratch = z->work + sfemi_solve_rows(y) * q.block;
+    q.done = (sfemi_counter *)(void *)(q.scratch + y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH);
+    for (i = 0; i < y->n; ++i) {
+        const size_t at = (size_t)y->order[i];
+        if (root) z->f->scale(root + 3 * at, z->w + 24 * at, q.w + 24 * (size_t)i);
+        else memcpy(q.w + 24 * (size_t)i, z->mw + 24 * at, 24 * sizeof *q.w);
+    }
+    sfemi_solve_sweeps(&q, z->exec, sfemi_solve_forward, sfemi_solve_backward);
+    for (i = 0; i < y->n; ++i) {
+        const size_t at = (size_t)y->order[i];
+        if (root) z->f->scale(root + 3 * at, q.w + 24 * (size_t)i, z->w + 24 * at);
+        else memcpy(z->w + 24 * at, q.w + 24 * (size_t)i, 24 * sizeof *q.w);
+    }
+    ++z->info->steps;
+    z->info->solves += 8;
+}
+
+/* Random numbers in columns of W, zero on held axes. */
+static void sfemi_lanczos_scatter(sfemi_lanczos *z, const int *bad)
+{
+    size_t r;
+    int q;
+    for (r = 0; r < z->rows; ++r)
+        for (q = 0; q < 8; ++q)
+            if (bad[q]) {
+                z->random = z->random * 6364136223846793005u + 1442695040888963407u;
+                z->w[8 * r + (size_t)q] =
+                    z->s->mass[r] == 0 ? 0 : (sfem_real)(z->random >> 11) / 9007199254740992.0 - 0.5;
+            }
+}
+
+/* One pass of W = Q R by Cholesky of the Gram matrix; columns that hang on others, or are below `least`
+ * in length, are marked: their row of R is 0. Returns how far R was from the identity. */
+static sfem_real sfemi_lanczos_cholesky(sfemi_lanczos *z, sfem_real least, sfem_real *r, int *bad)
+{
+    sfem_real g[96], inverse[64], unit[8], far = 0;
+    int i, j, k;
+    memset(g, 0, sizeof g);
+    sfemi_lanczos_mass(z);
+    z->f->gram(z->padded, z->w, z->mw, g);
+    memset(r, 0, 64 * sizeof *r);
+    memset(inverse, 0, sizeof inverse);
+    for (i = 0; i < 8; ++i) unit[i] = g[9 * i];
+    for (i = 0; i < 8; ++i) {
+        bad[i] = !(g[9 * i] > 1e-9 * unit[i]) || !(unit[i] > least * least);
+        if (bad[i]) continue;
+        r[9 * i] = sqrt(g[9 * i]);
+        for (j = i + 1; j < 8; ++j) r[8 * i + j] = g[8 * i + j] / r[9 * i];
+        for (j = i + 1; j < 8; ++j)
+            for (k = j; k < 8; ++k) g[8 * j + k] -= r[8 * i + j] * r[8 * i + k];
+    }
+    for (i = 0; i < 8; ++i)
+        for (j = i; j < 8; ++j) far = fmax(far, fabs(r[8 * i + j] - (i == j)));
+    for (j = 0; j < 8; ++j) {
+        if (bad[j]) continue;
+        inverse[9 * j] = 1 / r[9 * j];
+        for (i = j; i-- > 0;) {
+            for (k = i + 1; k <= j; ++k) inverse[8 * i + j] -= r[8 * i + k] * inverse[8 * k + j];
+            if (!bad[i]) inverse[8 * i + j] /= r[9 * i];
+            else inverse[8 * i + j] = 0;
+        }
+    }
+    z->f->turn(z->padded, inverse, z->w);
+    if (z->mw != z->w) z->f->turn(z->padded, inverse, z->mw);
+    return far;
+}
+
+/* W = Q R, R to z->r. Columns that are lost in rounding become random ones, orthogonal to the rest. */
+static void sfemi_lanczos_normalise(sfemi_lanczos *z, sfem_real least)
+{
+    sfem_real r[64], product[64], far;
+    int bad[8], lost, i, j, k, pass;
+    for (i = 0; i < 64; ++i) z->r[i] = i % 9 == 0;
+    for (pass = 0; pass < 8; ++pass) {
+        far = sfemi_lanczos_cholesky(z, pass ? 0 : least, r, bad);
+        memset(product, 0, sizeof product);
+        for (i = 0; i < 8; ++i)
+            for (k = i; k < 8; ++k)
+                for (j = k; j < 8; ++j) product[8 * i + j] += r[8 * i + k] * z->r[8 * k + j];
+        memcpy(z->r, product, sizeof product);
+        for (lost = i = 0; i < 8; ++i) lost += bad[i];
+        if (lost) {
+            sfemi_lanczos_scatter(z, bad);
+            for (i = 0; i < 2; ++i) {
+                sfemi_modes_deflate(z->s, z->w);
+                sfemi_lanczos_orthogonalise(z, 0, -1);
+            }
+        } else if (far < 1e-6)
+            break;
+    }
+}
+
+/* Puts W behind the basis. */
+static void sfemi_lanczos_append(sfemi_lanczos *z)
+{
+    const sfem_int at = z->m;
+    size_t r;
+    int q;
+    for (q = 0; q < 8; ++q) {
+        sfem_real *to = z->v + (size_t)((at + q) / 24) * 24 * z->padded + (size_t)((at + q) % 24);
+        for (r = 0; r < z->padded; ++r) to[24 * r] = z->w[8 * r + (size_t)q];
+    }
+    z->m += 8;
+    if (z->m > z->info->basis) z->info->basis = z->m;
+}
+
+/* T gets the columns of the newest block, W the next one. The recurrence comes first: what is then left
+ * in the rest of the basis is of the size of rounding, so that one pass over all of it does; after a
+ * restart two. */
+static void sfemi_lanczos_step(sfemi_lanczos *z)
+{
+    const sfem_int column = z->m - 8;
+    sfem_int q;
+    for (q = 0; q < 8; ++q)
+        memset(z->t + (size_t)(column + q) * (size_t)z->capacity, 0, (size_t)z->capacity * sizeof *z->t);
+    sfemi_lanczos_apply(z);
+    sfemi_modes_deflate(z->s, z->w);
+    sfemi_lanczos_orthogonalise(z, z->fresh || z->m < 24 ? 0 : z->m - 16, column);
+    sfemi_lanczos_orthogonalise(z, 0, column);
+    sfemi_modes_deflate(z->s, z->w);
+    for (q = 0; q < 8; ++q)
+        z->top = fmax(z->top, fabs(z->t[(size_t)(column + q) * ((size_t)z->capacity + 1)]));
+    sfemi_lanczos_normalise(z, 1e-14 * z->top);
+    z->fresh = 0;
+}
+
+/* |R s| for the last eight numbers of an eigenvector of T. */
+static sfem_real sfemi_lanczos_residual(const sfemi_lanczos *z, const sfem_real *s)
+{
+    sfem_real sum = 0;
+    int i, j;
+    for (i = 0; i < 8; ++i) {
+        sfem_real d = 0;
+        for (j = i; j < 8; ++j) d += z->r[8 * i + j] * s[j];
+        sum += d * d;
+    }
+    return sqrt(sum);
+}
+
+/* T's lower half to `to` [m][m]. */
+static void sfemi_lanczos_copy(const sfemi_lanczos *z, sfem_real *to)
+{
+    const size_t m = (size_t)z->m, h = (size_t)z->capacity;
+    size_t i, j;
+    for (j = 0; j < m; ++j)
+        for (i = j; i < m; ++i) to[i + j * m] = z->t[j + i * h];
+}
+
+/* theta and rho, falling, by the eigenvalues of T and the last eight numbers of its eigenvectors. */
+static int sfemi_lanczos_values(sfemi_lanczos *z)
+{
+    const size_t m = (size_t)z->m;
+    sfem_real *d = z->theta, *e = z->small, *tau = e + m, *work = tau + m, *rows = work + 3 * m, *x;
+    size_t i, k;
+    int q;
+    sfemi_lanczos_copy(z, z->ritz);
+    sfemi_eigen_reduce(m, z->ritz, d, e, tau, work);
+    for (q = 0; q < 8; ++q) { /* the last rows of Q = H_0 H_1 ...: rows [m][8] */
+        x = work;
+        memset(x, 0, m * sizeof *x);
+        x[m - 8 + (size_t)q] = 1;
+        for (k = 0; k + 1 < m; ++k)
+            sfemi_eigen_kernels_of(sfemi_path())
+                ->reflect(m - k - 1, z->ritz + k * m + k + 1, tau[k], x + k + 1);
+        for (i = 0; i < m; ++i) rows[8 * i + (size_t)q] = x[i];
+    }
+    if (!sfemi_eigen_ql(m, d, e, 8, rows, 8, work)) return 0;
+    for (i = 0; i < m; ++i) d[i] = -d[i];
+    sfemi_eigen_sort(m, d, 8, rows, 8);
+    for (i = 0; i < m; ++i) {
+        d[i] = -d[i];
+        z->rho[i] = sfemi_lanczos_residual(z, rows + 8 * i);
+    }
+    return 1;
+}
+
+/* The same with all eigenvectors, in z->ritz, largest theta first. */
+static int sfemi_lanczos_vectors(sfemi_lanczos *z)
+{
+    const size_t m = (size_t)z->m;
+    sfem_real *a = z->ritz;
+    size_t i, j;
+    sfemi_lanczos_copy(z, a);
+    for (j = 0; j < m; ++j)
+        for (i = j; i < m; ++i) a[i + j * m] = -a[i + j * m];
+    if (sfem_dense_eigen((sfem_int)m, a, NULL, z->theta, z->small, NULL) != SFEM_OK) return 0;
+    for (i = 0; i < m; ++i) {
+        z->theta[i] = -z->theta[i];
+        z->rho[i] = sfemi_lanczos_residual(z, a + i * m + m - 8);
+    }
+    return 1;
+}
+
+/* c [24 panels][8] = eight columns of ritz from `first` on, those from `end` on 0. */
+static void sfemi_lanczos_pick(const sfemi_lanczos *z, sfem_int first, sfem_int end, sfem_real *c)
+{
+    sfem_int i, q;
+    memset(c, 0, 192 * (size_t)z->panels * sizeof *c);
+    for (q = 0; q < 8 && first + q < end; ++q)
+        for (i = 0; i < z->m; ++i) c[8 * i + q] = z->ritz[(size_t)(first + q) * (size_t)z->m + (size_t)i];
+}
+
+/* V = V S in place, 96 rows at a time: c holds the blocks of S, one behind the other. */
+static void sfemi_lanczos_compress_chunk(void *data, sfem_int chunk)
+{
+    const sfemi_lanczos_job *job = (const sfemi_lanczos_job *)data;
+    const sfemi_lanczos *z = job->z;
+    const size_t start = (size_t)chunk * SFEMI_MODES_CHUNK, rows = sfemi_lanczos_rows(z, chunk);
+    const size_t size = 192 * (size_t)z->panels;
+    sfem_real *to = job->w + (size_t)chunk * 96 * 24 * (size_t)z->panels;
+    size_t at, r;
+    sfem_int k, q;
+    for (at = start; at < start + rows; at += 96) {
+        const size_t some = start + rows - at < 96 ? start + rows - at : 96;
+        memset(to, 0, 96 * 24 * (size_t)z->panels * sizeof *to);
+        for (k = 0; k < job->kept; k += 8)
+            z->f->combine(0, some, (size_t)job->panels, z->v + 24 * at, 24 * z->padded,
+                          job->c + size * (size_t)(k / 8), to + 96 * (size_t)k);
+        for (k = 0; k < 24 * job->panels; ++k) {
+            sfem_real *v = z->v + (size_t)(k / 24) * 24 * z->padded + 24 * at + (size_t)(k % 24);
+            const sfem_real *from = to + 96 * (size_t)(k / 8 * 8);
+            q = k % 8;
+            for (r = 0; r < some; ++r) v[24 * r] = k < job->kept ? from[8 * r + (size_t)q] : 0;
+        }
+    }
+}
+
+/* A thick restart: the basis becomes the first `keep` Ritz vectors, T their values. */
+static sfem_status sfemi_lanczos_restart(sfemi_lanczos *z, sfem_int keep, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_lanczos_job job;
+    sfem_real *c = NULL, *to = NULL;
+    sfem_int k;
+    if (!sfemi_lanczos_vectors(z))
+        return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
+    SFEMI_NEW(sfem_real, c, z->s->al, 192 * (size_t)z->panels * ((size_t)keep / 8 + 1));
+    SFEMI_NEW(sfem_real, to, z->s->al, 96 * 24 * (size_t)z->panels * (size_t)z->chunks);
+    for (k = 0; k < keep; k += 8)
+        sfemi_lanczos_pick(z, k, keep, c + 192 * (size_t)z->panels * (size_t)(k / 8));
+    job.z = z;
+    job.first = 0;
+    job.panels = (z->m + 23) / 24;
+    job.minus = 0;
+    job.c = c;
+    job.w = to;
+    job.kept = keep;
+    sfemi_run(z->exec, z->chunks, sfemi_lanczos_compress_chunk, &job);
+    memset(z->t, 0, (size_t)z->capacity * (size_t)z->capacity * sizeof *z->t);
+    for (k = 0; k < keep; ++k) z->t[(size_t)k * ((size_t)z->capacity + 1)] = z->theta[k];
+    z->m = z->kept = keep;
+    z->fresh = 1;
+    ++z->info->restarts;
+done:
+    sfemi_delete(z->s->al, c);
+    sfemi_delete(z->s->al, to);
+    return status;
+}
+
+/* A random block, orthogonal to all that the basis holds, as the newest. */
+static void sfemi_lanczos_begin(sfemi_lanczos *z)
+{
+    static const int all[8] = {1, 1, 1, 1, 1, 1, 1, 1};
+    int turn;
+    sfemi_lanczos_scatter(z, all);
+    for (turn = 0; turn < 2; ++turn) {
+        sfemi_modes_deflate(z->s, z->w);
+        sfemi_lanczos_orthogonalise(z, 0, -1);
+    }
+    sfemi_lanczos_normalise(z, 0);
+    memset(z->r, 0, sizeof z->r);
+    sfemi_lanczos_append(z);
+    z->fresh = 1;
+}
+
+static sfem_real sfemi_lanczos_lambda(const sfemi_lanczos *z, sfem_real theta)
+{
+    return theta > 0 ? z->sigma + 1 / theta : HUGE_VAL;
+}
+
+/* The largest rho / theta of the first `count`, or HUGE_VAL. */
+static sfem_real sfemi_lanczos_worst(const sfemi_lanczos *z, sfem_int count)
+{
+    sfem_real worst = 0;
+    sfem_int i;
+    if (count > z->m) return HUGE_VAL;
+    for (i = 0; i < count; ++i) {
+        if (!(z->theta[i] > 0)) return HUGE_VAL;
+        worst = fmax(worst, z->rho[i] / z->theta[i]);
+    }
+    return worst;
+}
+
+/* A place in the gap above the wanted values, 0 if there is none yet: above the cluster, if any, that the
+ * last of them belongs to, and below what the next one may be. *end: Ritz values below it. */
+static int sfemi_lanczos_gap(const sfemi_lanczos *z, int attempt, sfem_real *bound, sfem_int *end)
+{
+    static const sfem_real part[5] = {0.5, 0.3, 0.7, 0.1, 0.9};
+    sfem_int i;
+    for (i = z->wanted; i < z->m; ++i) {
+        const sfem_real low = sfemi_lanczos_lambda(z, z->theta[i - 1]);
+        const sfem_real high = sfemi_lanczos_lambda(z, z->theta[i] + z->rho[i]);
+        if (!(z->rho[i - 1] <= 1e-5 * z->theta[i - 1])) return 0;
+        if (!(high - low > 1e-6 * fabs(low))) continue;
+        *bound = low + part[attempt] * fmin(high - low, 0.05 * fabs(low));
+        *end = i;
+        return 1;
+    }
+    return 0;
+}
+
+/* A = K - shift M, and its factor. */
+static sfem_status sfemi_lanczos_factor(sfemi_lanczos *z, sfem_real shift, sfem_error *err)
+{
+    const sfemi_modes_system *s = z->s;
+    sfem_status status = SFEM_OK;
+    sfem_real *x = NULL;
+    sfem_int i, at;
+    int c;
+    memcpy(z->a.val, s->k.val, 9 * (size_t)s->k.row[s->n] * sizeof *z->a.val);
+    for (i = 0; i < s->n; ++i)
+        for (at = s->k.row[i]; at < s->k.row[i + 1]; ++at)
+            for (c = 0; c < 3; ++c) {
+                const sfem_real m = s->scalar ? s->scalar[at] : at + 1 == s->k.row[i + 1] ? s->mass[3 * i + c] : 0;
+                if (s->mass[3 * (size_t)i + (size_t)c] == 0 ||
+                    s->mass[3 * (size_t)s->k.col[at] + (size_t)c] == 0)
+                    continue;
+                z->a.val[9 * (size_t)at + (size_t)(4 * c)] -= shift * m;
+            }
+    ++z->info->factorisations;
+    if (z->ldl) return sfem_ldl_refactor(z->ldl, &z->a, err);
+    SFEMI_NEW(sfem_real, x, s->al, 3 * (size_t)s->n);
+    for (i = 0; i < s->n; ++i)
+        memcpy(x + 3 * (size_t)i, s->model->mesh.x + 3 * (size_t)s->node[i], 3 * sizeof *x);
+    {
+        sfem_ldl_def def = sfem_default_ldl_def();
+        def.ordering = s->def->ordering;
+        def.positive = 0;
+        def.allocator = *s->al;
+        def.exec = s->def->exec;
+        def.x = x;
+        status = sfem_ldl_create(&def, &z->a, &z->ldl, err);
+    }
+done:
+    sfemi_delete(s->al, x);
+    return status;
+}
+
+/* Lowest eigenvalue of a free body, roughly, from above: Rayleigh's quotient of bending and stretching
+ * fields along the principal axes of each piece, the least of all pieces. */
+static sfem_status sfemi_modes_estimate(const sfemi_modes_system *s, sfem_real *out, sfem_error *err)
+{
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_real *moment = NULL, *x = NULL, *y = NULL, *sums = NULL, value[3], work[15];
+    sfem_status status = SFEM_OK;
+    sfem_int i, p;
+    size_t r;
+    int a, c, q;
+    SFEMI_NEW(sfem_real, moment, s->al, 13 * (size_t)s->pieces); /* mass, centre, second moments */
+    SFEMI_NEW(sfem_real, sums, s->al, 16 * (size_t)s->pieces);
+    SFEMI_NEW(sfem_real, x, s->al, 8 * rows);
+    SFEMI_NEW(sfem_real, y, s->al, 8 * rows);
+    for (i = 0; i < s->n; ++i) {
+        sfem_real *m = moment + 13 * s->piece[i];
+        const sfem_real mass = s->model->node_mass[s->node[i]];
+        *m += mass;
+        for (c = 0; c < 3; ++c) m[1 + c] += mass * s->model->mesh.x[3 * (size_t)s->node[i] + (size_t)c];
+    }
+    for (p = 0; p < s->pieces; ++p)
+        for (c = 0; c < 3; ++c) moment[13 * p + 1 + c] /= moment[13 * p];
+    for (i = 0; i < s->n; ++i) {
+        sfem_real *m = moment + 13 * s->piece[i], d[3];
+        sfemi_sub3(s->model->mesh.x + 3 * (size_t)s->node[i], m + 1, d);
+        for (c = 0; c < 9; ++c) m[4 + c] += s->model->node_mass[s->node[i]] * d[c / 3] * d[c % 3];
+    }
+    for (p = 0; p < s->pieces; ++p)
+        SFEMI_TRY(sfem_dense_eigen(3, moment + 13 * p + 4, NULL, value, work, err));
+    for (i = 0; i < s->n; ++i) { /* axes ascend: 2 is the longest; field a, c bends axis a toward c */
+        static const int bent[6] = {2, 2, 1, 1, 0, 0}, toward[6] = {0, 1, 0, 2, 1, 2};
+        const sfem_real *m = moment + 13 * s->piece[i];
+        sfem_real d[3], l[3];
+        sfemi_sub3(s->model->mesh.x + 3 * (size_t)s->node[i], m + 1, d);
+        for (a = 0; a < 3; ++a) l[a] = sfemi_dot3(d, m + 4 + 3 * a);
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            if (s->mass[at] == 0) continue;
+            for (q = 0; q < 6; ++q)
+                x[8 * at + (size_t)q] = l[bent[q]] * l[bent[q]] / 2 * m[4 + 3 * toward[q] + c] -
+                                        l[bent[q]] * l[toward[q]] * m[4 + 3 * bent[q] + c];
+            for (q = 6; q < 8; ++q) x[8 * at + (size_t)q] = l[q - 5] * m[4 + 3 * (q - 5) + c];
+        }
+    }
+    sfemi_modes_deflate(s, x);
+    for (c = 0; c < 2; ++c) {
+        if (c == 0) sfemi_modes_stiffness(s, x, y);
+        else sfemi_modes_mass(s, x, y);
+        for (r = 0; r < rows; ++r)
+            for (q = 0; q < 8; ++q)
+                sums[16 * s->piece[r / 3] + 8 * c + q] += x[8 * r + (size_t)q] * y[8 * r + (size_t)q];
+    }
+    *out = HUGE_VAL;
+    for (p = 0; p < s->pieces; ++p)
+        for (q = 0; q < 8; ++q)
+            if (sums[16 * p + 8 + q] > 0) *out = fmin(*out, sums[16 * p + q] / sums[16 * p + 8 + q]);
+done:
+    sfemi_delete(s->al, moment);
+    sfemi_delete(s->al, sums);
+    sfemi_delete(s->al, x);
+    sfemi_delete(s->al, y);
+    return status;
+}
+
+/* The factor of K - sigma M, sigma = 0 if the body is held and digits suffice, else below 0 by about a
+ * fourth of the lowest elastic eigenvalue, and by enough for K + |sigma| M to be positive in rounding. */
+static sfem_status sfemi_lanczos_shift(sfemi_lanczos *z, sfem_error *err)
+{
+    const sfemi_modes_system *s = z->s;
+    sfem_real low = 0, top = 0;
+    sfem_status status;
+    sfem_int i;
+    int c, attempt;
+    z->sigma = 0;
+    if (s->rigid == 0) {
+        status = sfemi_lanczos_factor(z, 0, err);
+        if (status == SFEM_OUT_OF_MEMORY || status == SFEM_TOO_LARGE) return status;
+        if (status == SFEM_OK && sfem_ldl_get_info(z->ldl).negative == 0) return SFEM_OK;
+    }
+    status = sfemi_modes_estimate(s, &low, err);
+    if (status != SFEM_OK) return status;
+    for (i = 0; i < s->n; ++i)
+        for (c = 0; c < 3; ++c)
+            if (s->mass[3 * i + c] > 0)
+                top = fmax(top, s->k.val[9 * ((size_t)s->k.row[i + 1] - 1) + (size_t)(4 * c)] /
+                                    s->mass[3 * i + c]);
+    z->sigma = -fmin(fmax(low / 4, 1e-13 * top), top);
+    for (attempt = 0; attempt < 3; ++attempt, z->sigma *= 30) {
+        status = sfemi_lanczos_factor(z, z->sigma, err);
+        if (status == SFEM_OUT_OF_MEMORY || status == SFEM_TOO_LARGE) return status;
+        if (status == SFEM_OK && sfem_ldl_get_info(z->ldl).negative == 0) return SFEM_OK;
+    }
+    return sfemi_fail(err, SFEM_NOT_SPD,
+                      "K + %g M is not positive definite: a tet without stiffness, or no digits left",
+                      -z->sigma / 30);
+}
+
+static sfem_status sfemi_lanczos_create(sfemi_modes_system *s, sfem_modes_info *info,
+                                        sfemi_lanczos *z, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    memset(z, 0, sizeof *z);
+    z->s = s;
+    z->f = sfemi_modes_kernels_of(sfemi_path());
+    z->exec = &s->def->exec;
+    z->info = info;
+    z->rows = 3 * (size_t)s->n;
+    z->padded = (z->rows + 23) / 24 * 24;
+    z->chunks = (sfem_int)((z->padded + SFEMI_MODES_CHUNK - 1) / SFEMI_MODES_CHUNK);
+    z->random = 0x9e3779b97f4a7c15u ^ s->def->seed;
+    z->a = s->k;
+    z->a.val = NULL;
+    SFEMI_NEW(sfem_real, z->a.val, s->al, 9 * (size_t)s->k.row[s->n]);
+done:
+    return status;
+}
+
+static sfem_int sfemi_lanczos_capacity(const sfem_modes_def *def, sfem_int wanted)
+{
+    const sfem_int least = wanted + 32;
+    const sfem_int capacity = def->max_basis ? def->max_basis : wanted + wanted / 2 + 72;
+    return ((capacity < least ? least : capacity) + 7) / 8 * 8;
+}
+
+static sfem_status sfemi_lanczos_reserve(sfemi_lanczos *z, sfem_int wanted, sfem_error *err)
+{
+    const sfem_allocator *al = z->s->al;
+    const size_t h = (size_t)sfemi_lanczos_capacity(z->s->def, wanted);
+    sfem_status status = SFEM_OK;
+    size_t i;
+    z->wanted = wanted;
+    z->capacity = (sfem_int)h;
+    z->panels = (sfem_int)((h + 23) / 24);
+    SFEMI_NEW(sfem_real, z->v, al, (size_t)z->panels * 24 * z->padded);
+    SFEMI_NEW(sfem_real, z->w, al, 8 * z->padded + 8);
+    z->mw = z->w;
+    if (z->s->scalar) SFEMI_NEW(sfem_real, z->mw, al, 8 * z->padded + 8);
+    SFEMI_NEW(sfem_real, z->work, al, sfem_ldl_work_size(z->ldl, 8));
+    SFEMI_NEW(sfem_real, z->c, al, 192 * (size_t)z->panels);
+    SFEMI_NEW(sfem_real, z->part, al, 192 * (size_t)z->panels * (size_t)z->chunks);
+    SFEMI_NEW(sfem_real, z->t, al, h * h);
+    SFEMI_NEW(sfem_real, z->ritz, al, h * h);
+    SFEMI_NEW(sfem_real, z->theta, al, h);
+    SFEMI_NEW(sfem_real, z->rho, al, h);
+    SFEMI_NEW(sfem_real, z->small, al, 14 * h);
+    if (z->s->root && z->s->rigid) {
+        SFEMI_NEW(sfem_real, z->s->half, al, 6 * z->rows);
+        for (i = 0; i < 6 * z->rows; ++i) z->s->half[i] = z->s->root[i % z->rows] * z->s->z[i];
+    }
+done:
+    return status;
+}
+
+/* Ritz values below the bound. By the minimax principle no more than eigenvalues there. */
+static sfem_int sfemi_lanczos_below(const sfemi_lanczos *z, sfem_real bound)
+{
+    sfem_int i = 0;
+    while (i < z->m && sfemi_lanczos_lambda(z, z->theta[i]) < bound) ++i;
+    return i;
+}
+
+/* How many eigenvalues lie below the bound: SFEM_SINGULAR where that cannot be told. */
+static sfem_status sfemi_lanczos_count(sfemi_lanczos *z, sfem_real bound, sfem_error *err)
+{
+    const sfem_status status = sfemi_lanczos_factor(z, bound, err);
+    if (status != SFEM_OK) return status;
+    z->info->below = sfem_ldl_get_info(z->ldl).negative;
+    z->info->bound = bound;
+    return SFEM_OK;
+}
+
+/* Counts in the gap above what is wanted: info->proved if nothing is missing; info->below stays -1 if
+ * there is no gap yet. */
+static sfem_status sfemi_lanczos_prove(sfemi_lanczos *z, sfem_error *err)
+{
+    sfem_real bound = 0;
+    sfem_status status = SFEM_OK;
+    sfem_int end = 0;
+    int attempt;
+    for (attempt = 0; attempt < 5; ++attempt) {
+        if (!sfemi_lanczos_gap(z, attempt, &bound, &end)) return SFEM_OK;
+        status = sfemi_lanczos_count(z, bound, err);
+        if (status != SFEM_OK && status != SFEM_SINGULAR) return status;
+        if (status == SFEM_OK && z->info->below >= z->s->rigid + end) break;
+    }
+    if (attempt == 5)
+        return sfemi_fail(err, SFEM_SINGULAR, "eigenvalues below %g 1/s^2 cannot be counted: digits run out",
+                          bound);
+    z->info->proved = z->info->below == z->s->rigid + end;
+    return SFEM_OK;
+}
+
+/* Makes the restart that something is missing for: all that has converged is kept, then chance. */
+static sfem_status sfemi_lanczos_search(sfemi_lanczos *z, int refactor, sfem_error *err)
+{
+    sfem_status status = refactor ? sfemi_lanczos_factor(z, z->sigma, err) : SFEM_OK;
+    sfem_int keep = 0;
+    if (status != SFEM_OK) return status;
+    while (keep < z->m && keep < z->capacity - 24 && z->rho[keep] <= z->s->def->tolerance * z->theta[keep])
+        ++keep;
+    status = sfemi_lanczos_restart(z, keep, err);
+    if (status == SFEM_OK) sfemi_lanczos_begin(z);
+    return status;
+}
+
+/* When to look at the Ritz values next, by the rate at which the worst of the wanted ones falls: a look
+ * costs as much as many steps on a small body. */
+static sfem_int sfemi_lanczos_next(const sfemi_lanczos *z, sfem_int before, sfem_real was, sfem_real worst)
+{
+    const sfem_real tol = z->s->def->tolerance;
+    sfem_real columns = 16;
+    if (worst < 1 && was < HUGE_VAL && was > worst && z->m > before)
+        columns = (z->m - before) * log(worst / tol) / log(was / worst);
+    else if (worst < 1)
+        columns = 8 * log10(worst / tol) / 3;
+    columns = fmin(fmax(columns, 1.0), 64.0);
+    return z->m + ((sfem_int)columns + 7) / 8 * 8;
+}
+
+/* Steps and restarts until the wanted ones have converged and nothing is missing below the bound. */
+static sfem_status sfemi_lanczos_iterate(sfemi_lanczos *z, sfem_error *err)
+{
+    const sfem_modes_def *def = z->s->def;
+    const sfem_int restarts = def->max_restarts ? def->max_restarts : 40;
+    sfem_int next = z->wanted + z->wanted / 2 + 32, before = 0;
+    sfem_real worst = HUGE_VAL, was;
+    sfem_status status = SFEM_OK;
+    int searching = 0;
+    sfemi_lanczos_begin(z);
+    for (;;) {
+        int full;
+        sfemi_lanczos_step(z);
+        full = z->m + 8 > z->capacity;
+        if (full || z->m >= next) {
+            if (!sfemi_lanczos_values(z))
+                return sfemi_fail(err, SFEM_NOT_CONVERGED,
+                                  "an eigenvalue of the Lanczos matrix does not converge");
+            was = worst;
+            worst = sfemi_lanczos_worst(z, z->wanted);
+            next = sfemi_lanczos_next(z, before, was, worst);
+            before = z->m;
+            if (worst <= def->tolerance) {
+                const int counted = z->info->below >= 0;
+                if (!counted && def->no_proof) return SFEM_OK;
+                if (!counted) status = sfemi_lanczos_prove(z, err);
+                else z->info->proved = sfemi_lanczos_below(z, z->info->bound) + z->s->rigid == z->info->below;
+                if (status != SFEM_OK || z->info->proved) return status;
+                if (z->info->below >= 0 && (!searching || full)) {
+                    if (z->info->restarts >= restarts) break;
+                    z->info->recovered =
+                        z->info->below - z->s->rigid - sfemi_lanczos_below(z, z->info->bound);
+                    status = sfemi_lanczos_search(z, !counted, err);
+                    if (status != SFEM_OK) return status;
+                    searching = 1;
+                    worst = HUGE_VAL;
+                    next = z->m + 32;
+                    continue;
+                }
+                next = z->m + 8;
+            }
+        }
+        if (full) {
+            if (z->info->restarts >= restarts) break;
+            status = sfemi_lanczos_restart(z, z->wanted + (z->m - z->wanted) / 3, err);
+            if (status != SFEM_OK) return status;
+            worst = HUGE_VAL;
+            next = z->m + 16;
+        }
+        sfemi_lanczos_append(z);
+    }
+    if (worst <= def->tolerance)
+        return sfemi_fail(err, SFEM_SINGULAR,
+                          "%d eigenvalues are counted below %g 1/s^2, of which only %d are found after %d "
+                          "restarts", (int)z->info->below, z->info->bound,
+                          (int)(sfemi_lanczos_below(z, z->info->bound) + z->s->rigid), (int)restarts);
+    return sfemi_fail(err, SFEM_NOT_CONVERGED,
+                      "after %d restarts the worst of %d modes is still off by %g: more max_restarts, or a "
+                      "larger max_basis", (int)restarts, (int)z->wanted, worst);
+}
+
+/* The wanted Ritz vectors, as displacements. */
+static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_error *err)
+{
+    const sfemi_modes_system *s = z->s;
+    sfem_status status = sfemi_modes_result(s, z->wanted, out, err);
+    sfem_real *lambda = NULL;
+    sfemi_lanczos_job job;
+    sfem_int k, i;
+    int q, c;
+    if (status != SFEM_OK) return status;
+    if (!sfemi_lanczos_vectors(z))
+        return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
+    SFEMI_NEW(sfem_real, lambda, s->al, z->m);
+    for (i = 0; i < z->m; ++i) lambda[i] = sfemi_lanczos_lambda(z, z->theta[i]);
+    memcpy(out->lambda + out->rigid, lambda, (size_t)z->wanted * sizeof *lambda);
+    out->info.cut = sfemi_modes_cut(lambda, z->wanted, z->m);
+    job.z = z;
+    job.first = 0;
+    job.panels = (z->m + 23) / 24;
+    job.minus = 0;
+    job.c = z->c;
+    job.w = z->w;
+    job.kept = 0;
+    for (k = 0; k < z->wanted; k += 8) {
+        sfemi_lanczos_pick(z, k, z->wanted, z->c);
+        memset(z->w, 0, 8 * z->padded * sizeof *z->w);
+        sfemi_run(z->exec, z->chunks, sfemi_lanczos_combine_chunk, &job);
+        for (q = 0; q < 8 && k + q < z->wanted; ++q) {
+            sfem_real *phi = out->phi + (size_t)(out->rigid + k + q) * 3 * (size_t)out->nodes;
+            for (i = 0; i < s->n; ++i)
+                for (c = 0; c < 3; ++c) {
+                    const size_t at = 3 * (size_t)i + (size_t)c;
+                    if (s->mass[at] > 0)
+                        phi[3 * (size_t)s->node[i] + (size_t)c] =
+                            z->w[8 * at + (size_t)q] / (s->root ? s->root[at] : 1);
+                }
+        }
+    }
+    out->info.converged = z->wanted;
+    out->info.sigma = z->sigma;
+done:
+    sfemi_delete(s->al, lambda);
+    return status;
+}
+
+/* How many lie below the frequency asked for; a count that hits an eigenvalue is moved up a little. */
+static sfem_status sfemi_lanczos_census(sfemi_lanczos *z, sfem_int *wanted, sfem_error *err)
+{
+    const sfem_real omega = z->s->def->below_hz * 6.283185307179586;
+    sfem_status status = SFEM_OK;
+    int attempt;
+    for (attempt = 0; attempt < 4; ++attempt) {
+        status = sfemi_lanczos_count(z, omega * omega * (1 + attempt * 3e-9), err);
+        if (status != SFEM_SINGULAR) break;
+    }
+    *wanted = z->info->below - z->s->rigid;
+    return status;
+}
+
+static sfem_status sfemi_modes_lanczos(sfemi_modes_system *s, sfem_modes *out, int *too_few,
+                                       sfem_error *err)
+{
+    sfem_int wanted = s->def->modes;
+    sfem_status status;
+    sfemi_lanczos z;
+    out->info.below = out->info.cut = -1;
+    SFEMI_TRY(sfemi_lanczos_create(s, &out->info, &z, err));
+    if (s->def->below_hz > 0) SFEMI_TRY(sfemi_lanczos_census(&z, &wanted, err));
+    *too_few = sfemi_lanczos_capacity(s->def, wanted) + 16 > s->axes - s->rigid;
+    if (*too_few) goto done;
+    if (wanted > 0) {
+        SFEMI_TRY(sfemi_lanczos_shift(&z, err));
+        SFEMI_TRY(sfemi_lanczos_reserve(&z, wanted, err));
+        SFEMI_TRY(sfemi_lanczos_iterate(&z, err));
+        SFEMI_TRY(sfemi_lanczos_result(&z, out, err));
+    } else {
+        SFEMI_TRY(sfemi_modes_result(s, 0, out, err));
+        out->info.proved = s->def->below_hz > 0;
+        out->info.cut = -1;
+    }
+done:
+    sfemi_lanczos_free(&z);
+    return status;
+}
+
 /* --- the whole ------------------------------------------------------------------------------- */
 
 SFEM_DEF sfem_modes_def sfem_default_modes_def(void)
@@ -15180,9 +16015,11 @@ SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *
     sfemi_modes_system s;
     sfem_modes result;
     sfem_status status;
+    int dense;
     SFEM_ASSERT(model && def && out);
     memset(&result, 0, sizeof result);
     memset(&s, 0, sizeof s);
+    dense = def->dense;
     s.al = &def->allocator;
     result.allocator = def->allocator;
     SFEMI_TRY(sfemi_modes_check(def, err));
@@ -15191,7 +16028,8 @@ SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *
         status = sfemi_modes_too_many(&s, err);
         goto done;
     }
-    SFEMI_TRY(sfemi_modes_dense(&s, &result, err));
+    if (!dense) SFEMI_TRY(sfemi_modes_lanczos(&s, &result, &dense, err));
+    if (dense) SFEMI_TRY(sfemi_modes_dense(&s, &result, err));
     SFEMI_TRY(sfemi_modes_errors(&s, &result, err));
     *out = result;
 done:
@@ -18454,6 +19292,142 @@ SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, 
     }
 }
 #undef SFEMI_TERMS
+
+/* --- blocks of vectors -----------------------------------------------------------------------
+ *
+ * Tall matrices of the eigen-solver: a basis in panels of 24 columns, each [rows][24], stride numbers
+ * apart, and blocks [rows][8]; rows a multiple of 24, 96 at a time so that they stay in the first-level
+ * cache. */
+#if SFEMI_BITS == 64
+
+/* c [24 panels][8] += V^T W */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_dots)(size_t rows, size_t panels, const double *v,
+                                                        size_t stride, const double *w, double *c)
+{
+    size_t at, p, r;
+    for (at = 0; at < rows; at += 96) {
+        const size_t depth = rows - at < 96 ? rows - at : 96;
+        for (p = 0; p < panels; ++p)
+            for (r = 0; r < 24; r += 3 * SFEMI_W / 2)
+                SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, depth, v + p * stride + 24 * at + r, 24, 1,
+                                              w + 8 * at, c + 8 * (24 * p + r));
+    }
+}
+
+/* W -= V c, or += */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_combine)(int minus, size_t rows, size_t panels,
+                                                           const double *v, size_t stride,
+                                                           const double *c, double *w)
+{
+    size_t at, p, r;
+    for (at = 0; at < rows; at += 96) {
+        const size_t end = rows - at < 96 ? rows : at + 96;
+        for (p = 0; p < panels; ++p)
+            for (r = at; r < end; r += 3 * SFEMI_W / 2) {
+                if (minus)
+                    SFEMI_KERNEL(sfemi_ldl_outer)(1, 1, 24, v + p * stride + 24 * r, 1, 24, c + 192 * p,
+                                                  w + 8 * r);
+                else
+                    SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, 24, v + p * stride + 24 * r, 1, 24, c + 192 * p,
+                                                  w + 8 * r);
+            }
+    }
+}
+
+/* g [12][8] += A^T B for blocks, of which 8 rows are meant; reads 4 numbers past the end of A. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_gram)(size_t rows, const double *a, const double *b,
+                                                        double *g)
+{
+    size_t at, r;
+    for (at = 0; at < rows; at += 96)
+        for (r = 0; r < 12; r += 3 * SFEMI_W / 2)
+            SFEMI_KERNEL(sfemi_ldl_outer)(1, 0, rows - at < 96 ? rows - at : 96, a + 8 * at + r, 8, 1,
+                                          b + 8 * at, g + 8 * r);
+}
+
+/* W = W c, c [8][8] */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_turn)(size_t rows, const double *c, double *w)
+{
+    size_t r;
+    for (r = 0; r < rows; r += 3 * SFEMI_W / 2)
+        SFEMI_KERNEL(sfemi_ldl_outer)(0, 0, 8, w + 8 * r, 1, 8, c, w + 8 * r);
+}
+
+/* y += A x for eight vectors and blocks of 3x3 (val), or of m I (scalar): row i of the lower half, and
+ * its mirror image. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_row)(int i, int first, int last, const sfem_int *col,
+                                                       const double *val, const double *scalar,
+                                                       const double *x, double *y)
+{
+    const double *xi = x + 24 * (ptrdiff_t)i;
+    double sum[24];
+    int k, c, q;
+    for (q = 0; q < 24; q += SFEMI_W) SFEMI_ST(sum + q, SFEMI_DUP(0));
+    for (k = first; k < last; ++k) {
+        const double *b = val + 9 * (ptrdiff_t)k, *xj = x + 24 * (ptrdiff_t)col[k];
+        double *yj = y + 24 * (ptrdiff_t)col[k];
+        const int mirror = col[k] != i;
+        if (scalar) {
+            const SFEMI_V m = SFEMI_DUP(scalar[k]);
+            for (q = 0; q < 24; q += SFEMI_W) {
+                SFEMI_ST(sum + q, SFEMI_FMA(m, SFEMI_LD(xj + q), SFEMI_LD(sum + q)));
+                if (mirror) SFEMI_ST(yj + q, SFEMI_FMA(m, SFEMI_LD(xi + q), SFEMI_LD(yj + q)));
+            }
+            continue;
+        }
+        for (q = 0; q < 8; q += SFEMI_W) {
+            const SFEMI_V x0 = SFEMI_LD(xj + q), x1 = SFEMI_LD(xj + 8 + q), x2 = SFEMI_LD(xj + 16 + q);
+            for (c = 0; c < 3; ++c) {
+                SFEMI_V s = SFEMI_LD(sum + 8 * c + q);
+                s = SFEMI_FMA(SFEMI_DUP(b[3 * c]), x0, s);
+                s = SFEMI_FMA(SFEMI_DUP(b[3 * c + 1]), x1, s);
+                SFEMI_ST(sum + 8 * c + q, SFEMI_FMA(SFEMI_DUP(b[3 * c + 2]), x2, s));
+            }
+        }
+        for (q = 0; mirror && q < 8; q += SFEMI_W) {
+            const SFEMI_V x0 = SFEMI_LD(xi + q), x1 = SFEMI_LD(xi + 8 + q), x2 = SFEMI_LD(xi + 16 + q);
+            for (c = 0; c < 3; ++c) {
+                SFEMI_V s = SFEMI_LD(yj + 8 * c + q);
+                s = SFEMI_FMA(SFEMI_DUP(b[c]), x0, s);
+                s = SFEMI_FMA(SFEMI_DUP(b[3 + c]), x1, s);
+                SFEMI_ST(yj + 8 * c + q, SFEMI_FMA(SFEMI_DUP(b[6 + c]), x2, s));
+            }
+        }
+    }
+    for (q = 0; q < 24; q += SFEMI_W)
+        SFEMI_ST(y + 24 * (ptrdiff_t)i + q,
+                 SFEMI_ADD(SFEMI_LD(y + 24 * (ptrdiff_t)i + q), SFEMI_LD(sum + q)));
+}
+
+/* d [k][8] += z_k^T x and x -= z_k d_k over the three rows of a node, k < count; z_k a stride apart */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_project)(int subtract, int count, const double *z,
+                                                           size_t stride, double *x, double *d)
+{
+    int k, c, q;
+    for (k = 0; k < count; ++k, z += stride, d += 8)
+        for (q = 0; q < 8; q += SFEMI_W) {
+            if (subtract) {
+                const SFEMI_V f = SFEMI_LD(d + q);
+                for (c = 0; c < 3; ++c)
+                    SFEMI_ST(x + 8 * c + q, SFEMI_FNMA(SFEMI_DUP(z[c]), f, SFEMI_LD(x + 8 * c + q)));
+            } else {
+                SFEMI_V s = SFEMI_LD(d + q);
+                for (c = 0; c < 3; ++c) s = SFEMI_FMA(SFEMI_DUP(z[c]), SFEMI_LD(x + 8 * c + q), s);
+                SFEMI_ST(d + q, s);
+            }
+        }
+}
+
+/* to = from * factor for the three rows of a node */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, const double *from,
+                                                         double *to)
+{
+    int c, q;
+    for (c = 0; c < 3; ++c)
+        for (q = 0; q < 8; q += SFEMI_W)
+            SFEMI_ST(to + 8 * c + q, SFEMI_MUL(SFEMI_DUP(factor[c]), SFEMI_LD(from + 8 * c + q)));
+}
+#endif
 
 #undef SFEMI_TARGET
 #undef SFEMI_R
