@@ -1068,8 +1068,8 @@ typedef enum sfem_lost {
     SFEM_LOST_ZERO,         /* the source's: no acceleration */
     SFEM_LOST_HELD,         /* that of the step before */
     SFEM_LOST_EXTRAPOLATED, /* on a line through the last two; in a run of losses held after the first */
-    SFEM_LOST_SIMULATED     /* the mode's own, under the load that its present state implies, f = q'' +
-                             * c q' + k q, held; needs k and c. Exact where loads are constant */
+    SFEM_LOST_PREDICTED     /* as the mode would swing on under a constant load, for which the last two
+                             * are enough; needs its k and c. Wrong by the change of the load alone */
 } sfem_lost;
 
 typedef struct sfem_link_def {
@@ -1088,7 +1088,7 @@ typedef struct sfem_link_def {
     sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory 48 bytes a
                           * step and mode */
     const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised modes, >= 0,
-                          * for SFEM_LOST_SIMULATED; copied; no damping: NULL */
+                          * for SFEM_LOST_PREDICTED; copied; no damping: NULL */
     sfem_allocator allocator;
 } sfem_link_def;
 
@@ -14230,10 +14230,10 @@ static sfem_status sfemi_link_check(const sfem_link_def *d, sfem_error *err)
     if (d->window < 4 || d->window > 32768)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the window of the link is %d, not 4 to 32768 steps",
                           (int)d->window);
-    if ((unsigned)d->lost > (unsigned)SFEM_LOST_SIMULATED)
+    if ((unsigned)d->lost > (unsigned)SFEM_LOST_PREDICTED)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no sfem_lost %d", (int)d->lost);
-    if (d->lost == SFEM_LOST_SIMULATED && !d->stiffness)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "SFEM_LOST_SIMULATED needs the modes' stiffness");
+    if (d->lost == SFEM_LOST_PREDICTED && !d->stiffness)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "SFEM_LOST_PREDICTED needs the modes' stiffness");
     if ((size_t)d->modes > most / slot / (2 * (size_t)d->window))
         return sfemi_fail(err, SFEM_TOO_LARGE, "%d modes and a window of %d steps are too many",
                           (int)d->modes, (int)d->window);
@@ -14377,6 +14377,7 @@ struct sfem_receiver {
     sfem_link_def def;
     sfemi_link_crc crc;
     sfem_real *q, *v, *a;      /* [m] in the present step */
+    sfem_real *last;           /* [m] q'' one step before, as sfemi_link_remember leaves it */
     sfem_real *ring;           /* [2 window][3][m] q'', q, q'; the last two of key frames to come */
     sfem_real *incoming;       /* [3][m] the packet that is being read, in the same order */
     sfem_real *k, *c;          /* [m] or NULL */
@@ -14429,10 +14430,11 @@ SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receive
     SFEMI_NEW(sfem_receiver, r, &def->allocator, 1);
     r->def = *def;
     r->def.stiffness = r->def.damping = NULL;
-    SFEMI_NEW(sfem_real, r->q, &def->allocator, 6 * m);
+    SFEMI_NEW(sfem_real, r->q, &def->allocator, 7 * m);
     r->v = r->q + m;
     r->a = r->v + m;
-    r->incoming = r->a + m;
+    r->last = r->a + m;
+    r->incoming = r->last + m;
     SFEMI_NEW(sfem_real, r->ring, &def->allocator, 2 * (size_t)def->window * 3 * m);
     SFEMI_NEW(unsigned char, r->known, &def->allocator, 2 * (size_t)def->window);
     SFEMI_TRY(sfemi_link_coefficients(r, "stiffness", def->stiffness, &r->k, err));
@@ -14481,27 +14483,68 @@ static void sfemi_link_integrate(sfem_receiver *r, const sfem_real *next)
     }
 }
 
+/* What predicts, of one mode: half the trace, and the determinant, of Newmark's amplification matrix of
+ * (q, q'). Without k it is the straight line through the last two. */
+typedef struct sfemi_link_swing {
+    sfem_real h, k, c, d, cosine, det; /* k h^2, c h, the 1 + gamma c h + beta k h^2 of [A.7] */
+} sfemi_link_swing;
+
+static sfemi_link_swing sfemi_link_swing_of(const sfem_receiver *r, sfem_int i)
+{
+    const sfem_real h = r->def.h, gamma = r->def.gamma;
+    const int modal = r->def.lost == SFEM_LOST_PREDICTED;
+    sfemi_link_swing s;
+    s.h = h;
+    s.k = modal ? r->k[i] * h * h : 0;
+    s.c = modal && r->c ? r->c[i] * h : 0;
+    s.d = 1 + gamma * s.c + r->def.beta * s.k;
+    s.cosine = 1 - 0.5 * (s.c + s.k * (gamma + 0.5)) / s.d;
+    s.det = 1 - (s.c + s.k * (gamma - 0.5)) / s.d;
+    return s;
+}
+
+/* The acceleration of the next step under a constant load: by Cayley and Hamilton tr q'' - det q''-.
+ * Straight after a key frame there is no q''-, but q' is to be trusted. (To solve for the load that the
+ * present q and q' imply is the same as long as nothing was lost, but feeds what q' has drifted by back
+ * into q'': beyond omega h = 2 that grows from loss to loss.) */
+static sfem_real sfemi_link_predict(const sfem_receiver *r, const sfemi_link_swing *s, sfem_int i)
+{
+    const sfem_real a = r->a[i];
+    if (r->step - 1 > r->key) return 2 * s->cosine * a - s->det * r->last[i];
+    return (a * (1 - s->c * (1 - r->def.gamma) - s->k * (0.5 - r->def.beta)) - s->k * r->v[i] / s->h) /
+           s->d;
+}
+
 /* What is taken for the acceleration of a step that has none, before it is integrated. */
 static void sfemi_link_substitute(const sfem_receiver *r, sfem_real *next)
 {
-    const sfem_real h = r->def.h, beta = r->def.beta, gamma = r->def.gamma;
-    const sfem_real *before = sfemi_link_at(r, r->step - 2);
-    const int line = r->run == 1 && r->step - 2 >= r->key &&
-                     r->known[sfemi_link_slot(r, r->step - 2)] != SFEMI_STEP_UNKNOWN;
     sfem_int i;
     for (i = 0; i < r->def.modes; ++i) {
-        const sfem_real a = r->a[i], k = r->k ? r->k[i] : 0, c = r->c ? r->c[i] : 0;
-        sfem_real x = 0;
-        switch (r->def.lost) {
-        case SFEM_LOST_HELD: x = a; break;
-        case SFEM_LOST_EXTRAPOLATED: x = line ? 2 * a - before[i] : a; break;
-        case SFEM_LOST_SIMULATED: /* f - c v~ - k q~ over the mode's 1 + gamma h c + beta h^2 k */
-            x = a - c * (1 - gamma) * h * a - k * (h * r->v[i] + h * h * (0.5 - beta) * a);
-            x /= 1 + gamma * h * c + beta * h * h * k;
-            break;
-        case SFEM_LOST_ZERO: break;
+        sfem_real x = r->def.lost == SFEM_LOST_ZERO ? 0 : r->a[i];
+        if (r->def.lost == SFEM_LOST_PREDICTED ||
+            (r->def.lost == SFEM_LOST_EXTRAPOLATED && r->run == 1)) {
+            const sfemi_link_swing s = sfemi_link_swing_of(r, i);
+            x = sfemi_link_predict(r, &s, i);
         }
         next[i] = sfemi_finite(x) ? x : 0;
+    }
+}
+
+/* After the step to next, which has come, or was substituted: q''-, as the predictor is to see it. A
+ * true value behind a predicted one is off by some e: the load has changed. Were q''- left as it was, e
+ * would look like a jump in speed and swing by e/sin(omega h); with e cos(omega h) added it swings by e,
+ * and an error of the predictor can only shrink. */
+static void sfemi_link_remember(sfem_receiver *r, const sfem_real *next, int behind_loss)
+{
+    sfem_int i;
+    if (r->def.lost < SFEM_LOST_EXTRAPOLATED) return;
+    for (i = 0; i < r->def.modes; ++i) {
+        sfem_real last = r->a[i];
+        if (behind_loss) {
+            const sfemi_link_swing s = sfemi_link_swing_of(r, i);
+            last += s.cosine * (next[i] - sfemi_link_predict(r, &s, i));
+        }
+        r->last[i] = sfemi_finite(last) ? last : 0;
     }
 }
 
@@ -14510,6 +14553,7 @@ SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
     sfem_receiver *r = receiver;
     unsigned char *known;
     sfem_real *next;
+    int missed;
     SFEM_ASSERT(r);
     if (!r->info.started) return 0;
     ++r->step;
@@ -14517,11 +14561,12 @@ SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
     r->known[sfemi_link_slot(r, r->step + r->def.window)] = SFEMI_STEP_UNKNOWN;
     known = r->known + sfemi_link_slot(r, r->step);
     next = sfemi_link_at(r, r->step);
+    missed = *known == SFEMI_STEP_UNKNOWN;
     if (*known == SFEMI_STEP_KEY) {
         sfemi_link_take_key(r, next, r->step);
         ++r->info.keys;
     } else {
-        if (*known == SFEMI_STEP_UNKNOWN) {
+        if (missed) {
             if (r->run < 2) ++r->run;
             sfemi_link_substitute(r, next);
             *known = SFEMI_STEP_MISSED;
@@ -14529,10 +14574,11 @@ SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
         } else {
             ++r->info.received;
         }
+        sfemi_link_remember(r, next, !missed && r->run > 0);
         sfemi_link_integrate(r, next);
     }
-    if (*known != SFEMI_STEP_MISSED) r->run = 0;
-    return *known != SFEMI_STEP_MISSED;
+    if (!missed) r->run = 0;
+    return !missed;
 }
 
 /* Decodes a packet into r->incoming. Nothing is looked at before the length and the checksum vouch for
@@ -14597,7 +14643,12 @@ static void sfemi_link_correct(sfem_receiver *r, int64_t step)
         r->q[i] = q;
         r->v[i] = v;
         used[i] = r->incoming[i];
-        if (r->step == step) r->a[i] = used[i];
+        if (r->step == step) {
+            r->a[i] = used[i];
+            r->last[i] += sfemi_link_swing_of(r, i).cosine * d;
+        } else if (r->step == step + 1) {
+            r->last[i] = used[i];
+        }
     }
 }
 
@@ -14607,7 +14658,10 @@ static void sfemi_link_replay(sfem_receiver *r, int64_t step)
     int64_t t;
     memcpy(sfemi_link_at(r, step), r->incoming, (size_t)r->def.modes * sizeof(sfem_real));
     sfemi_link_take_key(r, r->incoming, step);
-    for (t = step + 1; t <= r->step; ++t) sfemi_link_integrate(r, sfemi_link_at(r, t));
+    for (t = step + 1; t <= r->step; ++t) {
+        memcpy(r->last, r->a, (size_t)r->def.modes * sizeof(sfem_real));
+        sfemi_link_integrate(r, sfemi_link_at(r, t));
+    }
     ++r->info.late_keys;
 }
 
