@@ -1057,7 +1057,8 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
  *     0  4 bytes "SFLK"           12  u32 stream                24  f64 h
  *     4  u32 CRC-32 [IEEE 802.3]  16  u32 sequence number       32  count numbers, q'' of this step;
  *        of all from 8 on         20  u32 count                     of a key frame 3 count, q, q', q''
- *     8  u8 1, the version; u8 kind, 1 accelerations, 2 key frame; u8 bytes in a number, 4 or 8; u8 0
+ *     8  u8 1, the version; u8 kind, 1 accelerations, 2 key frame; u8 bytes in a number, 4 or 8;
+ *        u8 held, 0 or 1: which beta and gamma this step was made with
  * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits, and lets
  * one in 2^32 others pass; it does not keep out who means harm. */
 
@@ -1073,9 +1074,10 @@ typedef enum sfem_lost {
 } sfem_lost;
 
 typedef struct sfem_link_def {
-    sfem_int modes;      /* m >= 1; both sides: modes, h, stream, beta and gamma alike */
+    sfem_int modes;      /* m >= 1; both sides: modes, h, stream, betas and gammas alike */
     sfem_real h;         /* s, > 0 */
     sfem_real beta, gamma; /* >= 0; 1/4, 1/2 */
+    sfem_real held_beta, held_gamma; /* the same for steps of a body with handles; .3025, .6 */
     uint32_t stream;     /* any number: tells several bodies on one socket apart */
     /* the sender's */
     sfem_int key_every;  /* every so many packets, the first included, is a key frame; 0: the first alone; 30 */
@@ -1116,6 +1118,9 @@ SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, 
                                        sfem_error *err);
 SFEM_DEF void sfem_sender_request_key(sfem_sender *sender); /* make the next packet a key frame */
 SFEM_DEF int sfem_sender_key_due(const sfem_sender *sender); /* will it be one? */
+/* From the next packet on steps are made with held_beta, held_gamma (1), or with beta, gamma (0). A change
+ * asks for a key frame: where handles come and go, velocities jump. */
+SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held);
 
 SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receiver **out,
                                           sfem_error *err);
@@ -14210,6 +14215,8 @@ SFEM_DEF sfem_link_def sfem_default_link_def(void)
     d.h = 1 / 60.0;
     d.beta = 0.25;
     d.gamma = 0.5;
+    d.held_beta = 0.3025;
+    d.held_gamma = 0.6;
     d.key_every = 30;
     d.window = 32;
     return d;
@@ -14220,11 +14227,14 @@ static sfem_status sfemi_link_check(const sfem_link_def *d, sfem_error *err)
     const size_t slot = 3 * sizeof(sfem_real), most = (size_t)-1 / 4;
     if (d->modes < 1)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a link needs 1 mode at least, not %d", (int)d->modes);
-    if (!sfemi_finite(d->h) || !sfemi_finite(d->beta) || !sfemi_finite(d->gamma))
+    if (!sfemi_finite(d->h) || !sfemi_finite(d->beta) || !sfemi_finite(d->gamma) ||
+        !sfemi_finite(d->held_beta) || !sfemi_finite(d->held_gamma))
         return sfemi_fail(err, SFEM_NOT_FINITE, "h, beta or gamma of the link is not finite");
-    if (!(d->h > 0) || !(d->beta >= 0) || !(d->gamma >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the link needs h > 0, beta >= 0, gamma >= 0, not %g, %g, %g",
-                          d->h, d->beta, d->gamma);
+    if (!(d->h > 0) || !(d->beta >= 0) || !(d->gamma >= 0) || !(d->held_beta >= 0) ||
+        !(d->held_gamma >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the link needs h > 0, beta >= 0, gamma >= 0, not %g, %g, %g (%g, %g)", d->h,
+                          d->beta, d->gamma, d->held_beta, d->held_gamma);
     if (d->key_every < 0)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a key frame every %d packets", (int)d->key_every);
     if (d->window < 4 || d->window > 32768)
@@ -14252,6 +14262,7 @@ struct sfem_sender {
     sfemi_link_crc crc;
     uint32_t sequence; /* of the next packet */
     sfem_int until_key; /* packets before the next key frame; < 0: none comes by itself */
+    int held;
 };
 
 SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out, sfem_error *err)
@@ -14294,6 +14305,13 @@ SFEM_DEF int sfem_sender_key_due(const sfem_sender *sender)
 {
     SFEM_ASSERT(sender);
     return sender->until_key == 0;
+}
+
+SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held)
+{
+    SFEM_ASSERT(sender);
+    if (sender->held != (held != 0)) sender->until_key = 0;
+    sender->held = held != 0;
 }
 
 static sfem_status sfemi_link_write(const sfem_sender *s, const char *name, const sfem_real *x,
@@ -14345,7 +14363,7 @@ SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, 
     p[8] = SFEMI_LINK_VERSION;
     p[9] = key ? SFEMI_LINK_KEY : SFEMI_LINK_ACCELERATIONS;
     p[10] = (unsigned char)number;
-    p[11] = 0;
+    p[11] = (unsigned char)sender->held;
     sfemi_link_put(p + 12, d->stream, 4);
     sfemi_link_put(p + 16, sender->sequence, 4);
     sfemi_link_put(p + 20, (uint64_t)d->modes, 4);
@@ -14381,7 +14399,8 @@ struct sfem_receiver {
     sfem_real *ring;           /* [2 window][3][m] q'', q, q'; the last two of key frames to come */
     sfem_real *incoming;       /* [3][m] the packet that is being read, in the same order */
     sfem_real *k, *c;          /* [m] or NULL */
-    unsigned char *known;      /* [2 window] */
+    unsigned char *known, *held; /* [2 window] each */
+    sfem_real beta, gamma;     /* of the step that is being made */
     int64_t step, newest, key; /* the present step; of the newest packet; of the last key frame in q */
     int run;                   /* steps missed in a row, up to 2 */
     sfem_receiver_info info;
@@ -14436,7 +14455,8 @@ SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receive
     r->last = r->a + m;
     r->incoming = r->last + m;
     SFEMI_NEW(sfem_real, r->ring, &def->allocator, 2 * (size_t)def->window * 3 * m);
-    SFEMI_NEW(unsigned char, r->known, &def->allocator, 2 * (size_t)def->window);
+    SFEMI_NEW(unsigned char, r->known, &def->allocator, 4 * (size_t)def->window);
+    r->held = r->known + 2 * def->window;
     SFEMI_TRY(sfemi_link_coefficients(r, "stiffness", def->stiffness, &r->k, err));
     SFEMI_TRY(sfemi_link_coefficients(r, "damping", def->damping, &r->c, err));
     sfemi_link_crc_make(&r->crc);
@@ -14465,16 +14485,23 @@ static void sfemi_link_take_key(sfem_receiver *r, const sfem_real *frame, int64_
     r->key = step;
 }
 
+static void sfemi_link_method(sfem_receiver *r, int64_t step)
+{
+    const int held = r->held[sfemi_link_slot(r, step)];
+    r->beta = held ? r->def.held_beta : r->def.beta;
+    r->gamma = held ? r->def.held_gamma : r->def.gamma;
+}
+
 /* One step of (q, v, a) to the acceleration next, [A.8-A.11]. */
 static void sfemi_link_integrate(sfem_receiver *r, const sfem_real *next)
 {
-    const sfem_real h = r->def.h, beta = r->def.beta, gamma = r->def.gamma;
-    const sfem_real h2 = h * h, old_q = h2 * (0.5 - beta), old_v = h * (1 - gamma);
+    const sfem_real h = r->def.h, h2 = h * h, old_q = h2 * (0.5 - r->beta), new_q = h2 * r->beta;
+    const sfem_real old_v = h * (1 - r->gamma), new_v = h * r->gamma;
     sfem_int i;
     for (i = 0; i < r->def.modes; ++i) {
         const sfem_real a = next[i];
-        const sfem_real q = r->q[i] + h * r->v[i] + old_q * r->a[i] + beta * h2 * a;
-        const sfem_real v = r->v[i] + old_v * r->a[i] + gamma * h * a;
+        const sfem_real q = r->q[i] + h * r->v[i] + old_q * r->a[i] + new_q * a;
+        const sfem_real v = r->v[i] + old_v * r->a[i] + new_v * a;
         const int fits = sfemi_finite(q) && sfemi_finite(v);
         if (fits) r->q[i] = q;
         else ++r->info.overflows;
@@ -14491,13 +14518,13 @@ typedef struct sfemi_link_swing {
 
 static sfemi_link_swing sfemi_link_swing_of(const sfem_receiver *r, sfem_int i)
 {
-    const sfem_real h = r->def.h, gamma = r->def.gamma;
+    const sfem_real h = r->def.h, gamma = r->gamma;
     const int modal = r->def.lost == SFEM_LOST_PREDICTED;
     sfemi_link_swing s;
     s.h = h;
     s.k = modal ? r->k[i] * h * h : 0;
     s.c = modal && r->c ? r->c[i] * h : 0;
-    s.d = 1 + gamma * s.c + r->def.beta * s.k;
+    s.d = 1 + gamma * s.c + r->beta * s.k;
     s.cosine = 1 - 0.5 * (s.c + s.k * (gamma + 0.5)) / s.d;
     s.det = 1 - (s.c + s.k * (gamma - 0.5)) / s.d;
     return s;
@@ -14511,8 +14538,7 @@ static sfem_real sfemi_link_predict(const sfem_receiver *r, const sfemi_link_swi
 {
     const sfem_real a = r->a[i];
     if (r->step - 1 > r->key) return 2 * s->cosine * a - s->det * r->last[i];
-    return (a * (1 - s->c * (1 - r->def.gamma) - s->k * (0.5 - r->def.beta)) - s->k * r->v[i] / s->h) /
-           s->d;
+    return (a * (1 - s->c * (1 - r->gamma) - s->k * (0.5 - r->beta)) - s->k * r->v[i] / s->h) / s->d;
 }
 
 /* What is taken for the acceleration of a step that has none, before it is integrated. */
@@ -14562,6 +14588,8 @@ SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
     known = r->known + sfemi_link_slot(r, r->step);
     next = sfemi_link_at(r, r->step);
     missed = *known == SFEMI_STEP_UNKNOWN;
+    if (missed) r->held[sfemi_link_slot(r, r->step)] = r->held[sfemi_link_slot(r, r->step - 1)];
+    sfemi_link_method(r, r->step);
     if (*known == SFEMI_STEP_KEY) {
         sfemi_link_take_key(r, next, r->step);
         ++r->info.keys;
@@ -14584,7 +14612,7 @@ SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
 /* Decodes a packet into r->incoming. Nothing is looked at before the length and the checksum vouch for
  * it. */
 static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, size_t bytes, int *key,
-                                     uint32_t *sequence)
+                                     int *held, uint32_t *sequence)
 {
     const size_t m = (size_t)r->def.modes;
     const sfem_real h = r->def.h;
@@ -14598,9 +14626,10 @@ static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, s
         sfemi_link_get(p + 20, 4) != m || sfemi_link_get(p + 24, 8) != wanted_h)
         return SFEM_ARRIVAL_FOREIGN;
     *key = p[9] == SFEMI_LINK_KEY;
+    *held = p[11];
     *sequence = (uint32_t)sfemi_link_get(p + 16, 4);
     number = p[10];
-    if ((!*key && p[9] != SFEMI_LINK_ACCELERATIONS) || (number != 4 && number != 8) || p[11] ||
+    if ((!*key && p[9] != SFEMI_LINK_ACCELERATIONS) || (number != 4 && number != 8) || p[11] > 1 ||
         bytes != sfemi_link_size(r->def.modes, *key, (int)number))
         return SFEM_ARRIVAL_CORRUPTED;
     count = (*key ? 3 : 1) * m;
@@ -14613,11 +14642,12 @@ static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, s
 }
 
 /* Begins, or goes on, at the key frame in r->incoming. */
-static void sfemi_link_begin(sfem_receiver *r, int64_t step)
+static void sfemi_link_begin(sfem_receiver *r, int64_t step, int held)
 {
     memset(r->known, SFEMI_STEP_UNKNOWN, 2 * (size_t)r->def.window);
     memcpy(sfemi_link_at(r, step), r->incoming, 3 * (size_t)r->def.modes * sizeof(sfem_real));
     r->known[sfemi_link_slot(r, step)] = SFEMI_STEP_KEY;
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
     r->step = r->newest = step;
     r->run = 0;
     r->info.started = 1;
@@ -14625,48 +14655,68 @@ static void sfemi_link_begin(sfem_receiver *r, int64_t step)
     sfemi_link_take_key(r, r->incoming, step);
 }
 
-/* The theorem: what an acceleration that differs by d, so many steps ago, means now. */
-static void sfemi_link_correct(sfem_receiver *r, int64_t step)
+/* The theorem: what an acceleration that differs from the one used, so many steps ago, means now; with
+ * the step's method, should that differ, too. */
+static void sfemi_link_correct(sfem_receiver *r, int64_t step, int held)
 {
     const sfem_real h = r->def.h, ago = (sfem_real)(r->step - step);
-    const sfem_real of_v = r->step == step ? r->def.gamma : 1;
-    const sfem_real of_q = r->step == step ? r->def.beta : ago - 0.5 + r->def.gamma;
     sfem_real *used = sfemi_link_at(r, step);
+    const sfem_real *before = sfemi_link_at(r, step - 1);
+    sfem_real old_beta, old_gamma, beta, gamma, of_q = 0, of_v = 0;
     sfem_int i;
+    sfemi_link_method(r, step);
+    old_beta = r->beta;
+    old_gamma = r->gamma;
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+    sfemi_link_method(r, step);
+    beta = r->beta;
+    gamma = r->gamma;
+    if (step < r->step) {
+        sfemi_link_method(r, step + 1);
+        of_v = h * (1 - r->gamma);
+        of_q = h * h * (0.5 - r->beta) + (ago - 1) * h * of_v;
+    }
     for (i = 0; i < r->def.modes; ++i) {
-        const sfem_real d = r->incoming[i] - used[i];
-        const sfem_real q = r->q[i] + of_q * h * h * d, v = r->v[i] + of_v * h * d;
+        const sfem_real a = r->incoming[i], d = a - used[i];
+        const sfem_real other_v = gamma != old_gamma ? (old_gamma - gamma) * (before[i] - used[i]) : 0;
+        const sfem_real other_q = beta != old_beta ? (old_beta - beta) * (before[i] - used[i]) : 0;
+        const sfem_real dv = h * (gamma * d + other_v), dq = h * h * (beta * d + other_q);
+        const sfem_real q = r->q[i] + dq + ago * h * dv + of_q * d, v = r->v[i] + dv + of_v * d;
         if (!sfemi_finite(q) || !sfemi_finite(v)) {
             ++r->info.overflows;
             continue;
         }
         r->q[i] = q;
         r->v[i] = v;
-        used[i] = r->incoming[i];
-        if (r->step == step) {
-            r->a[i] = used[i];
+        used[i] = a;
+        if (step == r->step) {
+            r->a[i] = a;
             r->last[i] += sfemi_link_swing_of(r, i).cosine * d;
-        } else if (r->step == step + 1) {
-            r->last[i] = used[i];
+        } else if (step == r->step - 1) {
+            r->last[i] = a;
         }
     }
 }
 
 /* A late key frame: from there to the present again, over the accelerations that were used. */
-static void sfemi_link_replay(sfem_receiver *r, int64_t step)
+static void sfemi_link_replay(sfem_receiver *r, int64_t step, int held)
 {
     int64_t t;
     memcpy(sfemi_link_at(r, step), r->incoming, (size_t)r->def.modes * sizeof(sfem_real));
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
     sfemi_link_take_key(r, r->incoming, step);
     for (t = step + 1; t <= r->step; ++t) {
+        const size_t slot = sfemi_link_slot(r, t);
+        if (r->known[slot] == SFEMI_STEP_MISSED) r->held[slot] = r->held[sfemi_link_slot(r, t - 1)];
         memcpy(r->last, r->a, (size_t)r->def.modes * sizeof(sfem_real));
+        sfemi_link_method(r, t);
         sfemi_link_integrate(r, sfemi_link_at(r, t));
     }
     ++r->info.late_keys;
 }
 
 /* A sound packet finds its step. */
-static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, uint32_t sequence)
+static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32_t sequence)
 {
     const size_t count = (key ? 3 : 1) * (size_t)r->def.modes;
     /* the step nearest to the present one with that sequence number; 2^32 keeps all positive */
@@ -14675,7 +14725,7 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, uint32_t sequenc
     unsigned char *known;
     if (!r->info.started) {
         if (!key) return SFEM_ARRIVAL_EARLY;
-        sfemi_link_begin(r, INT64_C(0x100000000) + (int64_t)sequence);
+        sfemi_link_begin(r, INT64_C(0x100000000) + (int64_t)sequence, held);
         return SFEM_ARRIVAL_TAKEN;
     }
     if (step > r->newest) r->newest = step;
@@ -14683,7 +14733,7 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, uint32_t sequenc
         if (!key) return SFEM_ARRIVAL_EARLY;
         ++r->info.jumps;
         r->info.skipped += step - r->step;
-        sfemi_link_begin(r, step);
+        sfemi_link_begin(r, step, held);
         return SFEM_ARRIVAL_TAKEN;
     }
     if (step <= r->step - r->def.window) return SFEM_ARRIVAL_DROPPED;
@@ -14692,15 +14742,17 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, uint32_t sequenc
     if (step > r->step) {
         memcpy(sfemi_link_at(r, step), r->incoming, count * sizeof(sfem_real));
         *known = key ? SFEMI_STEP_KEY : SFEMI_STEP_ARRIVED;
+        r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
         return SFEM_ARRIVAL_TAKEN;
     }
-    if (step <= r->key || r->def.drop_late) {
+    if (step <= r->key || r->def.drop_late || /* or the step before it, of another method, is gone */
+        (!key && held != r->held[sfemi_link_slot(r, step)] && step - 1 <= r->step - r->def.window)) {
         *known = SFEMI_STEP_DONE;
         return SFEM_ARRIVAL_DROPPED;
     }
     *known = key ? SFEMI_STEP_KEY : SFEMI_STEP_ARRIVED;
-    if (key) sfemi_link_replay(r, step);
-    else sfemi_link_correct(r, step);
+    if (key) sfemi_link_replay(r, step, held);
+    else sfemi_link_correct(r, step, held);
     return SFEM_ARRIVAL_LATE;
 }
 
@@ -14708,10 +14760,11 @@ SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *pa
 {
     sfem_arrival arrival;
     uint32_t sequence = 0;
-    int key = 0;
+    int key = 0, held = 0;
     SFEM_ASSERT(receiver && (packet || !bytes));
-    arrival = sfemi_link_parse(receiver, (const unsigned char *)packet, bytes, &key, &sequence);
-    if (arrival == SFEM_ARRIVAL_TAKEN) arrival = sfemi_link_place(receiver, key, sequence);
+    arrival = sfemi_link_parse(receiver, (const unsigned char *)packet, bytes, &key, &held,
+                               &sequence);
+    if (arrival == SFEM_ARRIVAL_TAKEN) arrival = sfemi_link_place(receiver, key, held, sequence);
     ++receiver->info.arrivals[arrival];
     return arrival;
 }
