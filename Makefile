@@ -56,6 +56,9 @@ test: check check-examples ## build and run every test, and every example once
 bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
 
+bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distortion against loss
+	$(BUILD)/bench/link
+
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
@@ -193,5 +196,5 @@ $(BUILD)/cmocka:
 force:
 .DELETE_ON_ERROR:
 .SECONDARY:
-.PHONY: help run test bench bench-solver examples strict asan tsan analyze format coverage clean \
-        check check-examples force
+.PHONY: help run test bench bench-link bench-solver examples strict asan tsan analyze format \
+        coverage clean check check-examples force
