@@ -515,6 +515,17 @@ SFEM_DEF void sfem_dense_cholesky_solve(sfem_int n, const sfem_real *a, sfem_int
 SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
                                    sfem_real *x /* [rhs][n] */);
 
+/* A x = lambda B x, all of it: B (NULL: the identity) symmetric positive definite, both lower halves.
+ * lambda [n] ascends; vector k is written over A, at a + k n, with x_i.B x_j = delta_ij, and B is
+ * overwritten with its Cholesky factor. Householder's reduction to a tridiagonal matrix, then implicit
+ * QL [Bowdler, Martin, Reinsch, Wilkinson 1968]: errors of a few rounding errors of the largest
+ * |lambda|, whatever the others. About 9 n^3 operations, with B 11 n^3.
+ *   work    [5 n] reals
+ *   errors  SFEM_NOT_SPD (B; err->node is the row / 3), SFEM_NOT_FINITE, SFEM_NOT_CONVERGED (never
+ *           seen); A and B are then void */
+SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sfem_real *lambda,
+                                      sfem_real *work, sfem_error *err);
+
 /* --- conjugate gradients [Hestenes and Stiefel 1952] ------------------------------------------ */
 
 typedef struct sfem_cg_def {
@@ -1029,6 +1040,85 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
 /* ============================================================================================
  * >>api-modes   eigenvalues and modes
  * ============================================================================================ */
+
+/* K phi = lambda M phi: the lowest modes of a model at rest, phi_i.M phi_j = delta_ij, omega =
+ * sqrt(lambda). Block Lanczos on (K - sigma M)^-1 M, eight right sides a pass [Lanczos 1950; Golub,
+ * Underwood 1977; Ericsson, Ruhe 1980], all vectors kept M-orthogonal, restarted from what it has
+ * [Wu, Simon 2000]; and a count: of K - tau M = L S L^T as many signs are negative as eigenvalues lie
+ * below tau [Sylvester 1852]. With tau in the gap above the last mode asked for, a mode that Lanczos
+ * missed is noticed; a new random block, orthogonal to all that is known, then finds it. */
+typedef struct sfem_modes_def {
+    sfem_int modes;           /* so many of the lowest, rigid ones not counted; >= 0, 20 */
+    sfem_real below_hz;       /* > 0: instead, all below this frequency, as many as there are */
+    int rigid;                /* return the rigid modes too, first; else they are only kept out */
+    const sfem_int *pins;     /* [pin_count] nodes held, as in sfem_body_def */
+    const unsigned char *pin_axes; /* [pin_count] which axes of them, SFEM_AXIS_*; NULL: all */
+    sfem_int pin_count;
+    sfem_real tolerance;      /* of the backward error, see below; 1e-13, from 1e-15 to 1e-2 */
+    int dense;                /* by sfem_dense_eigen: O(n^3), 72 n^2 bytes, n free nodes. Bodies of so few
+                               * axes that Lanczos has no room for its basis are solved so anyway */
+    int no_proof;             /* spare the count, and the factorisation that it needs */
+    sfem_int max_basis;       /* Lanczos vectors at most; 0: three for every two modes, and 72 */
+    sfem_int max_restarts;    /* 0: 40 */
+    uint32_t seed;            /* of the random start */
+    sfem_ordering ordering;   /* of the factorisation */
+    sfem_allocator allocator; /* of the result, and of all that is made on the way */
+    sfem_exec exec;
+} sfem_modes_def;
+
+typedef struct sfem_modes_info {
+    int dense;                /* by the dense solver */
+    int proved;               /* no mode below the last is missing: counted */
+    sfem_int converged;       /* elastic modes within the tolerance: all, or it is an error */
+    sfem_int solves;          /* right sides solved for */
+    sfem_int steps;           /* passes of eight of them */
+    sfem_int restarts;        /* thick ones, and those for what was missing */
+    sfem_int recovered;       /* modes that only the count brought to light */
+    sfem_int factorisations;
+    sfem_int basis;           /* most vectors at a time */
+    sfem_int below;           /* counted eigenvalues below `bound`, rigid ones among them; -1: not */
+    sfem_real bound, sigma;   /* 1/s^2, tau and sigma as above */
+    sfem_int cut;             /* further modes that differ from the last by less than 1e-6 of its
+                               * lambda and were not asked for: it splits a multiple one. -1: not known */
+} sfem_modes_info;
+
+typedef struct sfem_modes {
+    sfem_int nodes, count, rigid; /* rigid of the count come first, with lambda = 0 */
+    sfem_real *lambda; /* [count] 1/s^2, ascending */
+    sfem_real *phi;    /* [count][nodes][3] kg^-1/2; zero where pinned */
+    sfem_real *error;  /* [count] backward error |K phi - lambda M phi| / ((|K| + lambda |M|) |phi|),
+                        * |K| the largest sum of a row's absolute values, |phi| Euclidean */
+    sfem_modes_info info;
+    sfem_allocator allocator;
+} sfem_modes;
+
+SFEM_DEF sfem_modes_def sfem_default_modes_def(void);
+
+/* Fills *out, whatever it held; sfem_modes_free it afterwards.
+ *
+ * A piece is what hangs together by its nodes. Its rigid motions are those of six that its pins allow
+ * (two held axes of an edge leave a hinge): they are built from the coordinates, exactly, piece by
+ * piece, and Lanczos works beside them. Pieces that meet in a node or an edge only move against each
+ * other without strain; that shows as elastic modes with lambda near 0. Nodes in no tet stay still.
+ *
+ * Of a multiple eigenvalue the vectors are some basis of its space. Where the last of `modes` splits
+ * one, so many of its copies are returned as were asked for: info.cut says how many were left out. An
+ * eigenvalue within 1e-8 of below_hz may count as below or not.
+ *
+ *   errors  SFEM_BAD_ARGUMENT   modes < 0 or more than there are, a pin, a tolerance; below_hz not
+ *                               finite
+ *           SFEM_NOT_CONVERGED  which mode, and how far off
+ *           SFEM_NOT_SPD        K - sigma M has lost its sign: a stiffness of 0, or digits run out
+ *           SFEM_SINGULAR       no bound in the gap above the last mode could be counted at, or the
+ *                               count keeps exceeding what is found
+ *           SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
+ *   cost    two factorisations and one pass of eight solves for about 5 modes; memory for the factor
+ *           and max_basis + 40 vectors. Same bits for any number of threads. */
+SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *def, sfem_modes *out,
+                                       sfem_error *err);
+SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL allowed */
+
+SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(lambda) / 2 pi */
 
 /* ============================================================================================
  * >>api-reduced   modal bodies: oscillators, warping, handles
@@ -5659,6 +5749,26 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
     return table + path;
 }
 
+typedef struct sfemi_eigen_kernels {
+    double (*column)(size_t, double *, const double *, const double *, const double *, double *);
+    void (*reflect)(size_t, const double *, double, double *);
+    void (*sweep)(size_t, size_t, double *, size_t, const double *, const double *);
+} sfemi_eigen_kernels;
+
+static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
+{
+#define SFEMI_TABLE(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
+    static const sfemi_eigen_kernels table[] = {
+        SFEMI_TABLE(0),
+#if SFEMI_X86
+        SFEMI_TABLE(1),
+        SFEMI_TABLE(2),
+#endif
+    };
+#undef SFEMI_TABLE
+    return table + path;
+}
+
 /* --- symbolic analysis ----------------------------------------------------------------------- */
 
 /* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1]
@@ -7306,37 +7416,52 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
                          lost, (long)at);
 }
 
-static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
+/* x = L^-1 x: eight columns, then what they do to the rows below. */
+static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
     const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
     const size_t m = (size_t)n;
-    size_t i, j, end;
-    for (; rhs > 0; --rhs, x += m) {
-        for (j = 0; j < m; j = end) { /* eight columns, then what they do to the rows below */
-            size_t p;
-            end = j + 8 < m ? j + 8 : m;
-            for (p = j; p < end; ++p) {
-                if (!unit) x[p] /= a[p * (m + 1)];
-                for (i = p + 1; i < end; ++i) x[i] -= a[i + p * m] * x[p];
-            }
-            if (end < m) k->dense_minus(m - end, a + end + j * m, m, x + j, x + end);
+    size_t i, j, p, end;
+    for (j = 0; j < m; j = end) {
+        end = j + 8 < m ? j + 8 : m;
+        for (p = j; p < end; ++p) {
+            if (!unit) x[p] /= a[p * (m + 1)];
+            for (i = p + 1; i < end; ++i) x[i] -= a[i + p * m] * x[p];
         }
+        if (end < m) k->dense_minus(m - end, a + end + j * m, m, x + j, x + end);
+    }
+}
+
+/* x = L^-T x: four columns, from the last. */
+static void sfemi_dense_backward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
+{
+    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const size_t m = (size_t)n;
+    size_t i, j, p, end;
+    for (end = m; end > 0; end = j) {
+        double dot[4] = {0, 0, 0, 0};
+        j = end > 4 ? end - 4 : 0;
+        if (end - j == 4) k->dense_dots(m - end, a + end + j * m, m, x + end, dot);
+        else
+            for (p = j; p < end; ++p)
+                for (i = end; i < m; ++i) dot[p - j] += a[i + p * m] * x[i];
+        for (p = end; p-- > j;) {
+            x[p] -= dot[p - j];
+            for (i = p + 1; i < end; ++i) x[p] -= a[i + p * m] * x[i];
+            if (!unit) x[p] /= a[p * (m + 1)];
+        }
+    }
+}
+
+static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x, int unit)
+{
+    const size_t m = (size_t)n;
+    size_t j;
+    for (; rhs > 0; --rhs, x += m) {
+        sfemi_dense_forward(n, a, x, unit);
         if (unit)
             for (j = 0; j < m; ++j) x[j] /= a[j * (m + 1)];
-        for (end = m; end > 0; end = j) { /* four columns, from the last */
-            double dot[4] = {0, 0, 0, 0};
-            size_t p;
-            j = end > 4 ? end - 4 : 0;
-            if (end - j == 4) k->dense_dots(m - end, a + end + j * m, m, x + end, dot);
-            else
-                for (p = j; p < end; ++p)
-                    for (i = end; i < m; ++i) dot[p - j] += a[i + p * m] * x[i];
-            for (p = end; p-- > j;) {
-                x[p] -= dot[p - j];
-                for (i = p + 1; i < end; ++i) x[p] -= a[i + p * m] * x[i];
-                if (!unit) x[p] /= a[p * (m + 1)];
-            }
-        }
+        sfemi_dense_backward(n, a, x, unit);
     }
 }
 
@@ -7348,6 +7473,193 @@ SFEM_DEF void sfem_dense_cholesky_solve(sfem_int n, const sfem_real *a, sfem_int
 SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x)
 {
     sfemi_dense_solve(n, a, rhs, x, 1);
+}
+
+/* --- dense eigenvalues ------------------------------------------------------------------------ */
+
+/* Householder's reduction of the lower half of a to the tridiagonal matrix d, e: a = Q T Q^T, Q = H_0 H_1
+ * ..., H_k = I - tau_k v v^T with v in column k below the diagonal, its first entry 1. The matrix is
+ * read once a step: each reflection's change is applied while the next product is formed. work: 3 n. */
+static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *e, sfem_real *tau,
+                               sfem_real *work)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    sfem_real *w = work, *y = work + n, *v = work + 2 * n;
+    size_t k, i, j;
+    memset(w, 0, n * sizeof *w);
+    memset(v, 0, n * sizeof *v);
+    for (k = 0; k < n; ++k) { /* w and v hold the last reflection, for the rows from k on */
+        sfem_real *u = a + k * n, rest = 0, most = 0, dot = 0, beta, t;
+        for (i = k; i < n; ++i) u[i] -= v[i] * w[k] + w[i] * v[k];
+        d[k] = u[k];
+        e[k] = tau[k] = 0;
+        if (k + 1 == n) break;
+        for (i = k + 1; i < n; ++i) most = fmax(most, fabs(u[i]));
+        beta = most > 0 ? 1 / most : 0;
+        for (i = k + 2; i < n; ++i) rest += (u[i] * beta) * (u[i] * beta);
+        e[k] = u[k + 1];
+        if (rest > 0) {
+            beta = most * sqrt(rest + (u[k + 1] / most) * (u[k + 1] / most));
+            if (u[k + 1] > 0) beta = -beta;
+            t = u[k + 1] - beta;
+            tau[k] = -t / beta;
+            e[k] = beta;
+            for (i = k + 2; i < n; ++i) u[i] /= t;
+        }
+        u[k + 1] = 1;
+        memset(y + k + 1, 0, (n - k - 1) * sizeof *y);
+        for (j = k + 1; j < n; ++j) {
+            sfem_real *c = a + j * n + j;
+            t = f->column(n - j, c, v + j, w + j, u + j, y + j);
+            y[j] += t + c[0] * u[j];
+        }
+        for (i = k + 1; i < n; ++i) dot += (y[i] *= tau[k]) * u[i];
+        for (i = k + 1; i < n; ++i) {
+            v[i] = u[i];
+            w[i] = y[i] - tau[k] / 2 * dot * u[i];
+        }
+    }
+}
+
+/* Writes Q over the reflections that made it. */
+static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    size_t k, i, j;
+    for (k = n - 1; k-- > 0;) /* H_k stands in column k + 1, so that it starts on the diagonal */
+        memcpy(a + (k + 1) * n + k + 1, a + k * n + k + 1, (n - k - 1) * sizeof *a);
+    for (k = n; k-- > 1;) {
+        sfem_real *v = a + k * n;
+        for (j = k + 1; j < n; ++j) f->reflect(n - k, v + k, tau[k - 1], a + j * n + k);
+        for (i = 0; i < k; ++i) v[i] = 0;
+        for (i = k; i < n; ++i) v[i] *= -tau[k - 1];
+        v[k] += 1;
+    }
+    for (i = 0; i < n; ++i) a[i] = i == 0;
+}
+
+/* Implicit QL on the tridiagonal matrix with diagonal d and e beside it; its rotations are applied to
+ * the columns of z [n][h], of which the first `rows` numbers are used. work: 2 n. Returns 0 if an
+ * eigenvalue does not come out. */
+static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfem_real *z, size_t h,
+                          sfem_real *work)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    sfem_real *cosine = work, *sine = work + n;
+    size_t l, m, i;
+    int turns;
+    if (n > 0) e[n - 1] = 0;
+    for (l = 0; l < n; ++l)
+        for (turns = 0;; ++turns) {
+            sfem_real g, r, s = 1, c = 1, p = 0;
+            for (m = l; m + 1 < n; ++m) {
+                const sfem_real size = fabs(d[m]) + fabs(d[m + 1]);
+                if (fabs(e[m]) <= 1.2e-16 * size + 1e-280) break;
+            }
+            if (m == l) break;
+            if (turns == 80) return 0;
+            g = (d[l + 1] - d[l]) / (2 * e[l]);
+            r = hypot(g, 1.0);
+            g = d[m] - d[l] + e[l] / (g + (g < 0 ? -r : r));
+            for (i = m; i > l; --i) {
+                const sfem_real b = c * e[i - 1];
+                sfem_real t = s * e[i - 1];
+                e[i] = r = sqrt(t * t + g * g);
+                if (!(r > 1e-290)) break; /* underflow: the matrix falls apart here */
+                s = t / r;
+                c = g / r;
+                g = d[i] - p;
+                t = (d[i - 1] - g) * s + 2 * c * b;
+                d[i] = g + (p = s * t);
+                g = c * t - b;
+                cosine[i - 1] = c;
+                sine[i - 1] = s;
+            }
+            if (rows && m > i) f->sweep(rows, m - i, z + i * h, h, cosine + i, sine + i);
+            if (i > l) {
+                d[i] -= p;
+                e[m] = 0;
+                continue;
+            }
+            d[l] -= p;
+            e[l] = g;
+            e[m] = 0;
+        }
+    return 1;
+}
+
+/* Ascending, the columns of z with them. */
+static void sfemi_eigen_sort(size_t n, sfem_real *d, size_t rows, sfem_real *z, size_t h)
+{
+    size_t i, j, k;
+    for (i = 0; i + 1 < n; ++i) {
+        sfem_real t;
+        for (k = i, j = i + 1; j < n; ++j)
+            if (d[j] < d[k]) k = j;
+        if (k == i) continue;
+        t = d[i];
+        d[i] = d[k];
+        d[k] = t;
+        for (j = 0; j < rows; ++j) {
+            t = z[i * h + j];
+            z[i * h + j] = z[k * h + j];
+            z[k * h + j] = t;
+        }
+    }
+}
+
+/* A = L^-1 A L^-T, all of it, from its lower half. */
+static void sfemi_eigen_standard(size_t n, sfem_real *a, const sfem_real *l)
+{
+    size_t i, j, turn;
+    for (j = 0; j < n; ++j)
+        for (i = j + 1; i < n; ++i) a[j + i * n] = a[i + j * n];
+    for (turn = 0; turn < 2; ++turn) {
+        for (j = 0; j < n; ++j) sfemi_dense_forward((sfem_int)n, l, a + j * n, 0);
+        for (j = 0; j < n; ++j)
+            for (i = j + 1; i < n; ++i) {
+                const sfem_real t = a[j + i * n];
+                a[j + i * n] = a[i + j * n];
+                a[i + j * n] = t;
+            }
+    }
+}
+
+SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sfem_real *lambda,
+                                      sfem_real *work, sfem_error *err)
+{
+    const size_t m = (size_t)n;
+    sfem_real most = 0, scale;
+    sfem_status status;
+    size_t i, j;
+    int e = 0;
+    SFEM_ASSERT(n >= 0 && (n == 0 || (a && lambda && work)));
+    if (n == 0) return SFEM_OK;
+    if (b) {
+        status = sfem_dense_cholesky(n, b, err);
+        if (status != SFEM_OK) return status;
+        sfemi_eigen_standard(m, a, b);
+    }
+    for (j = 0; j < m; ++j)
+        for (i = j; i < m; ++i) {
+            if (!sfemi_finite(a[i + j * m]))
+                return sfemi_fail_at(err, SFEM_NOT_FINITE, (sfem_int)(i / 3), -1,
+                                     "row %ld, column %ld of the dense matrix is not finite", (long)i,
+                                     (long)j);
+            most = fmax(most, fabs(a[i + j * m]));
+        }
+    if (most > 0) (void)frexp(most, &e);
+    scale = ldexp(1.0, -e);
+    for (i = 0; i < m * m; ++i) a[i] *= scale;
+    sfemi_eigen_reduce(m, a, lambda, work, work + m, work + 2 * m);
+    sfemi_eigen_form(m, a, work + m);
+    if (!sfemi_eigen_ql(m, lambda, work, m, a, m, work + 2 * m))
+        return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of a dense matrix of %ld rows does not "
+                          "converge", (long)n);
+    sfemi_eigen_sort(m, lambda, m, a, m);
+    for (i = 0; i < m; ++i) lambda[i] = ldexp(lambda[i], e);
+    for (j = 0; b && j < m; ++j) sfemi_dense_backward(n, b, a + j * m, 0);
+    return SFEM_OK;
 }
 
 /* --- conjugate gradients --------------------------------------------------------------------- */
@@ -14129,6 +14441,670 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
  * >>modes   eigenvalues and modes
  * ============================================================================================ */
 
+/* What the solvers work on: the free nodes, renumbered as they come. Held axes keep a row of their own
+ * with K's diagonal in it and no mass, so that they are eigenvalues at infinity and never counted.
+ * Blocks of eight vectors stand interleaved, [3n][8], as the factor solves for them. */
+#define SFEMI_MODES_BLOCK 8
+
+typedef struct sfemi_modes_system {
+    const sfem_model *model;
+    const sfem_modes_def *def;
+    const sfem_allocator *al;
+    sfem_int n, axes;     /* free nodes; their free axes */
+    sfem_int *node;       /* [n] numbers in the mesh */
+    unsigned char *mask;  /* [nodes] axes held */
+    sfem_matrix k;        /* K */
+    sfem_real *mass;      /* [3n] lumped, 0 on held axes; or row sums */
+    sfem_real *root;      /* [3n] its square root, where lumped; else NULL */
+    sfem_real *scalar;    /* [blocks] consistent mass, or NULL */
+    sfem_real norm_k, norm_m;
+    sfem_int pieces, rigid;
+    sfem_int *piece;      /* [n] */
+    sfem_int *motions;    /* [pieces] rigid modes of each */
+    sfem_real *z, *mz;    /* [6][3n] the k-th rigid mode of every piece, and M times it */
+    sfem_real *dot;       /* [pieces][6][8] scratch */
+} sfemi_modes_system;
+
+static void sfemi_modes_system_free(sfemi_modes_system *s)
+{
+    sfem_matrix_free(&s->k, s->al);
+    sfemi_delete(s->al, s->node);
+    sfemi_delete(s->al, s->mask);
+    sfemi_delete(s->al, s->mass);
+    sfemi_delete(s->al, s->root);
+    sfemi_delete(s->al, s->scalar);
+    sfemi_delete(s->al, s->piece);
+    sfemi_delete(s->al, s->motions);
+    if (s->mz != s->z) sfemi_delete(s->al, s->mz);
+    sfemi_delete(s->al, s->z);
+    sfemi_delete(s->al, s->dot);
+}
+
+static sfem_status sfemi_modes_mask(sfemi_modes_system *s, sfem_error *err)
+{
+    const sfem_modes_def *def = s->def;
+    const sfem_int nodes = s->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int c;
+    if (def->pin_count < 0 || (def->pin_count > 0 && !def->pins))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin_count is %d without pins", (int)def->pin_count);
+    SFEMI_NEW(unsigned char, s->mask, s->al, nodes);
+    for (i = 0; i < def->pin_count; ++i) {
+        const sfem_int node = def->pins[i];
+        const int held = def->pin_axes ? (int)def->pin_axes[i] : (int)SFEM_AXIS_ALL;
+        if (node < 0 || node >= nodes)
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin %d names node %d, the mesh has %d", (int)i,
+                              (int)node, (int)nodes);
+        if (held < 1 || held > SFEM_AXIS_ALL)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1,
+                                 "pin %d holds axes %d, must be 1 to 7", (int)i, held);
+        s->mask[node] = (unsigned char)(s->mask[node] | held);
+    }
+    for (i = 0; i < nodes; ++i) {
+        if (s->model->node_mass[i] == 0) s->mask[i] = SFEM_AXIS_ALL;
+        s->n += s->mask[i] != SFEM_AXIS_ALL;
+    }
+    SFEMI_NEW(sfem_int, s->node, s->al, s->n);
+    for (s->n = i = 0; i < nodes; ++i) {
+        if (s->mask[i] == SFEM_AXIS_ALL) continue;
+        s->node[s->n++] = i;
+        for (c = 0; c < 3; ++c) s->axes += !(s->mask[i] >> c & 1);
+    }
+done:
+    return status;
+}
+
+/* K, M and their norms on the free nodes. */
+static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
+{
+    const sfem_model *m = s->model;
+    sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_real *sum = NULL;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    int r, c;
+    SFEMI_NEW(sfem_int, number, s->al, m->mesh.nodes); /* 1 + its row, 0: not free */
+    SFEMI_NEW(sfem_real, sum, s->al, 3 * (size_t)s->n);
+    for (k = 0; k < s->n; ++k) number[s->node[k]] = k + 1;
+    for (k = 0; k < s->n; ++k)
+        for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
+            blocks += number[m->col[at]] > 0;
+    SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, s->al, &row, &col, &s->k, err));
+    SFEMI_NEW(sfem_real, s->mass, s->al, 3 * (size_t)s->n);
+    if (m->block_mass)
+        SFEMI_NEW(sfem_real, s->scalar, s->al, blocks);
+    else
+        SFEMI_NEW(sfem_real, s->root, s->al, 3 * (size_t)s->n);
+    for (blocks = k = 0; k < s->n; ++k) {
+        const sfem_int node = s->node[k];
+        for (at = m->row[node]; at < m->row[node + 1]; ++at) {
+            const sfem_int other = m->col[at], j = number[other] - 1;
+            sfem_real *b = s->k.val + 9 * (size_t)blocks;
+            if (j < 0) continue;
+            memcpy(b, m->stiffness.val + 9 * (size_t)at, 9 * sizeof *b);
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c) {
+                    if (((s->mask[node] >> r & 1) || (s->mask[other] >> c & 1)) && !(j == k && r == c))
+                        b[3 * r + c] = 0;
+                    sum[3 * (size_t)k + (size_t)r] += fabs(b[3 * r + c]);
+                    if (j != k) sum[3 * (size_t)j + (size_t)c] += fabs(b[3 * r + c]);
+                }
+            if (s->scalar) s->scalar[blocks] = m->block_mass[at];
+            col[blocks++] = j;
+        }
+        row[k + 1] = blocks;
+        for (c = 0; c < 3; ++c) {
+            const size_t at3 = 3 * (size_t)k + (size_t)c;
+            s->mass[at3] = s->mask[node] >> c & 1 ? 0 : m->node_mass[node];
+            s->norm_m = fmax(s->norm_m, s->mass[at3]);
+            if (s->root) s->root[at3] = sqrt(s->mass[at3]);
+        }
+    }
+    for (i = 0; i < 3 * (size_t)s->n; ++i) s->norm_k = fmax(s->norm_k, sum[i]);
+done:
+    sfemi_delete(s->al, number);
+    sfemi_delete(s->al, sum);
+    return status;
+}
+
+/* y = M x for eight vectors that are zero on held axes. */
+static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
+{
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int i, at;
+    size_t r, q;
+    if (!s->scalar) {
+        for (r = 0; r < rows; ++r)
+            for (q = 0; q < 8; ++q) y[8 * r + q] = s->mass[r] * x[8 * r + q];
+        return;
+    }
+    for (i = 0; i < s->n; ++i) {
+        const sfem_real *xi = x + 24 * (size_t)i;
+        sfem_real sum[24];
+        memset(sum, 0, sizeof sum);
+        for (at = s->k.row[i]; at < s->k.row[i + 1] - 1; ++at) {
+            const sfem_real m = s->scalar[at], *xj = x + 24 * (size_t)s->k.col[at];
+            sfem_real *yj = y + 24 * (size_t)s->k.col[at];
+            for (q = 0; q < 24; ++q) {
+                sum[q] += m * xj[q];
+                yj[q] += m * xi[q];
+            }
+        }
+        for (q = 0; q < 24; ++q) y[24 * (size_t)i + q] = sum[q] + s->scalar[at] * xi[q];
+    }
+    for (r = 0; r < rows; ++r)
+        for (q = 0; q < 8 && s->mass[r] == 0; ++q) y[8 * r + q] = 0;
+}
+
+/* y = K x for eight vectors. */
+static void sfemi_modes_stiffness(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
+{
+    sfem_int i, at;
+    size_t q;
+    int r, c;
+    for (i = 0; i < s->n; ++i) {
+        const sfem_real *xi = x + 24 * (size_t)i, *b;
+        sfem_real sum[24];
+        memset(sum, 0, sizeof sum);
+        for (at = s->k.row[i]; at < s->k.row[i + 1]; ++at) {
+            const sfem_real *xj = x + 24 * (size_t)s->k.col[at];
+            sfem_real *yj = y + 24 * (size_t)s->k.col[at];
+            b = s->k.val + 9 * (size_t)at;
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    for (q = 0; q < 8; ++q) sum[8 * r + (int)q] += b[3 * r + c] * xj[8 * c + (int)q];
+            if (s->k.col[at] == i) continue;
+            for (r = 0; r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    for (q = 0; q < 8; ++q) yj[8 * c + (int)q] += b[3 * r + c] * xi[8 * r + (int)q];
+        }
+        memcpy(y + 24 * (size_t)i, sum, sizeof sum);
+    }
+}
+
+/* --- rigid modes ----------------------------------------------------------------------------- */
+
+/* Pieces: what shares a tet, as sets with a representative; numbered by their first node. */
+static sfem_status sfemi_modes_pieces(sfemi_modes_system *s, sfem_int *of, sfem_error *err)
+{
+    const sfem_mesh *mesh = &s->model->mesh;
+    sfem_status status = SFEM_OK;
+    sfem_int *number = NULL, i, k, e;
+    int c;
+    for (i = 0; i < mesh->nodes; ++i) of[i] = i;
+    for (e = 0; e < mesh->tets; ++e)
+        for (c = 1; c < 4; ++c) {
+            sfem_int a = mesh->tet[4 * (size_t)e], b = mesh->tet[4 * (size_t)e + (size_t)c];
+            while (of[a] != a) a = of[a] = of[of[a]];
+            while (of[b] != b) b = of[b] = of[of[b]];
+            if (a < b) of[b] = a;
+            else of[a] = b;
+        }
+    SFEMI_NEW(sfem_int, number, s->al, mesh->nodes); /* 1 + piece of a representative */
+    SFEMI_NEW(sfem_int, s->piece, s->al, s->n);
+    for (i = 0; i < mesh->nodes; ++i) of[i] = of[of[i]]; /* roots come first: one step does */
+    for (k = 0; k < s->n; ++k) {
+        sfem_int *at = number + of[s->node[k]];
+        if (!*at) *at = ++s->pieces;
+        s->piece[k] = *at - 1;
+    }
+    for (i = 0; i < mesh->nodes; ++i) of[i] = number[of[i]] - 1; /* -1: nothing free there */
+done:
+    sfemi_delete(s->al, number);
+    return status;
+}
+
+/* The six rigid motions of a place x - centre = r, as the columns of a 3x6 matrix. */
+static void sfemi_modes_motion(const sfem_real *r, sfem_real *b)
+{
+    memset(b, 0, 18 * sizeof *b);
+    b[0] = b[7] = b[14] = 1;
+    b[4] = r[2];
+    b[5] = -r[1];
+    b[9] = -r[2];
+    b[11] = r[0];
+    b[15] = r[1];
+    b[16] = -r[0];
+}
+
+/* Which of six motions the pins of a piece leave: the null space of the Gram matrix g [6][6] of its held
+ * axes, as columns of motion [6][6]; returns how many. Where nothing is held, all of them as they are. */
+static sfem_int sfemi_modes_allowed(sfem_real *g, sfem_real *motion)
+{
+    sfem_real value[6], work[30], trace = 0;
+    sfem_int i, count = 0;
+    for (i = 0; i < 6; ++i) trace += g[7 * i];
+    memset(motion, 0, 36 * sizeof *motion);
+    for (i = 0; i < 6; ++i) motion[7 * i] = 1;
+    if (trace == 0) return 6;
+    if (sfem_dense_eigen(6, g, NULL, value, work, NULL) != SFEM_OK) return 0; /* not finite: no mesh's */
+    while (count < 6 && value[count] <= 1e-13 * trace) ++count;
+    memcpy(motion, g, 36 * sizeof *motion);
+    return count;
+}
+
+/* Takes the rigid part out of eight vectors: x -= Z (MZ)^T x, piece by piece. half: x is root(M) times a
+ * displacement, and so are z and mz then. */
+static void sfemi_modes_deflate(const sfemi_modes_system *s, sfem_real *x)
+{
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int i;
+    size_t q, r;
+    int k;
+    if (s->rigid == 0) return;
+    memset(s->dot, 0, 48 * (size_t)s->pieces * sizeof *s->dot);
+    for (i = 0; i < s->n; ++i) {
+        const sfem_int p = s->piece[i];
+        for (k = 0; k < s->motions[p]; ++k) {
+            sfem_real *d = s->dot + 48 * (size_t)p + 8 * k;
+            for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
+                const sfem_real z = s->mz[(size_t)k * rows + r];
+                for (q = 0; q < 8; ++q) d[q] += z * x[8 * r + q];
+            }
+        }
+    }
+    for (i = 0; i < s->n; ++i) {
+        const sfem_int p = s->piece[i];
+        for (k = 0; k < s->motions[p]; ++k) {
+            const sfem_real *d = s->dot + 48 * (size_t)p + 8 * k;
+            for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
+                const sfem_real z = s->z[(size_t)k * rows + r];
+                for (q = 0; q < 8; ++q) x[8 * r + q] -= z * d[q];
+            }
+        }
+    }
+}
+
+/* The k-th mode of every piece made M-orthogonal to those before it, twice, and of length 1. */
+static void sfemi_modes_orthonormalise(sfemi_modes_system *s, sfem_real *x, sfem_real *y)
+{
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int *motions = s->motions, i, p;
+    size_t r;
+    int k, j, turn;
+    for (k = 0; k < 6; ++k) {
+        sfem_real *z = s->z + (size_t)k * rows, *mz = s->mz + (size_t)k * rows;
+        for (turn = 0; turn < 3; ++turn) {
+            memset(s->dot, 0, 48 * (size_t)s->pieces * sizeof *s->dot);
+            for (r = 0; r < rows; ++r) x[8 * r] = z[r];
+            sfemi_modes_mass(s, x, y);
+            for (r = 0; r < rows; ++r) mz[r] = y[8 * r];
+            for (i = 0; i < s->n; ++i)
+                for (j = 0; j <= k; ++j)
+                    s->dot[48 * (size_t)s->piece[i] + (size_t)j] +=
+                        sfemi_dot3(s->z + (size_t)j * rows + 3 * (size_t)i, mz + 3 * (size_t)i);
+            for (i = 0; i < s->n; ++i) {
+                const sfem_real *d = s->dot + 48 * (size_t)s->piece[i];
+                if (k >= motions[s->piece[i]]) continue;
+                for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
+                    for (j = 0; j < k && turn < 2; ++j) z[r] -= d[j] * s->z[(size_t)j * rows + r];
+                    if (turn == 2) z[r] /= sqrt(d[k]);
+                    if (turn == 2) mz[r] /= sqrt(d[k]);
+                }
+            }
+        }
+    }
+    for (p = 0; p < s->pieces; ++p) s->rigid += motions[p];
+}
+
+static sfem_status sfemi_modes_rigid(sfemi_modes_system *s, sfem_error *err)
+{
+    const sfem_mesh *mesh = &s->model->mesh;
+    const size_t rows = 3 * (size_t)s->n;
+    sfem_int *of = NULL, i, p;
+    sfem_real *centre = NULL, *gram = NULL, *motion = NULL, *x = NULL, *y = NULL, r[3], b[18];
+    sfem_status status = SFEM_OK;
+    int c, j, k;
+    SFEMI_NEW(sfem_int, of, s->al, mesh->nodes);
+    SFEMI_TRY(sfemi_modes_pieces(s, of, err));
+    SFEMI_NEW(sfem_real, centre, s->al, 5 * (size_t)s->pieces); /* with mass and radius */
+    SFEMI_NEW(sfem_real, gram, s->al, 36 * (size_t)s->pieces);
+    SFEMI_NEW(sfem_real, motion, s->al, 36 * (size_t)s->pieces);
+    SFEMI_NEW(sfem_real, x, s->al, 8 * rows);
+    SFEMI_NEW(sfem_real, y, s->al, 8 * rows);
+    SFEMI_NEW(sfem_int, s->motions, s->al, s->pieces);
+    SFEMI_NEW(sfem_real, s->dot, s->al, 48 * (size_t)s->pieces);
+    SFEMI_NEW(sfem_real, s->z, s->al, 6 * rows);
+    SFEMI_NEW(sfem_real, s->mz, s->al, 6 * rows);
+    for (i = 0; i < mesh->nodes; ++i)
+        for (c = 0; c < 3 && of[i] >= 0; ++c)
+            centre[5 * of[i] + c] += s->model->node_mass[i] * mesh->x[3 * (size_t)i + (size_t)c];
+    for (i = 0; i < mesh->nodes; ++i)
+        if (of[i] >= 0) centre[5 * of[i] + 3] += s->model->node_mass[i];
+    for (p = 0; p < s->pieces; ++p)
+        for (c = 0; c < 3; ++c) centre[5 * p + c] /= centre[5 * p + 3];
+    for (i = 0; i < mesh->nodes; ++i) {
+        if (of[i] < 0) continue;
+        sfemi_sub3(mesh->x + 3 * (size_t)i, centre + 5 * of[i], r);
+        centre[5 * of[i] + 4] = fmax(centre[5 * of[i] + 4], sqrt(sfemi_dot3(r, r)));
+    }
+    for (i = 0; i < mesh->nodes; ++i) {
+        if (of[i] < 0 || !s->mask[i]) continue;
+        sfemi_sub3(mesh->x + 3 * (size_t)i, centre + 5 * of[i], r);
+        for (c = 0; c < 3; ++c) r[c] /= centre[5 * of[i] + 4];
+        sfemi_modes_motion(r, b);
+        for (c = 0; c < 3; ++c)
+            for (j = 0; j < 36 && (s->mask[i] >> c & 1); ++j)
+                gram[36 * of[i] + j] += b[6 * c + j / 6] * b[6 * c + j % 6];
+    }
+    for (p = 0; p < s->pieces; ++p)
+        s->motions[p] = sfemi_modes_allowed(gram + 36 * p, motion + 36 * p);
+    for (i = 0; i < s->n; ++i) {
+        p = s->piece[i];
+        sfemi_sub3(mesh->x + 3 * (size_t)s->node[i], centre + 5 * p, r);
+        for (c = 0; c < 3; ++c) r[c] /= centre[5 * p + 4];
+        sfemi_modes_motion(r, b);
+        for (k = 0; k < s->motions[p]; ++k)
+            for (c = 0; c < 3; ++c) {
+                sfem_real *z = s->z + (size_t)k * rows + 3 * (size_t)i + (size_t)c;
+                for (j = 0; j < 6 && !(s->mask[s->node[i]] >> c & 1); ++j)
+                    *z += b[6 * c + j] * motion[36 * p + 6 * k + j];
+            }
+    }
+    sfemi_modes_orthonormalise(s, x, y);
+done:
+    sfemi_delete(s->al, of);
+    sfemi_delete(s->al, centre);
+    sfemi_delete(s->al, gram);
+    sfemi_delete(s->al, motion);
+    sfemi_delete(s->al, x);
+    sfemi_delete(s->al, y);
+    return status;
+}
+
+static sfem_status sfemi_modes_system_create(const sfem_model *model, const sfem_modes_def *def,
+                                             sfemi_modes_system *s, sfem_error *err)
+{
+    sfem_status status;
+    memset(s, 0, sizeof *s);
+    s->model = model;
+    s->def = def;
+    s->al = &def->allocator;
+    SFEMI_TRY(sfemi_modes_mask(s, err));
+    SFEMI_TRY(sfemi_modes_matrices(s, err));
+    SFEMI_TRY(sfemi_modes_rigid(s, err));
+done:
+    return status;
+}
+
+/* --- results --------------------------------------------------------------------------------- */
+
+/* Room for so many elastic modes; the rigid ones are written, if wanted, piece by piece. */
+static sfem_status sfemi_modes_result(const sfemi_modes_system *s, sfem_int elastic, sfem_modes *out,
+                                      sfem_error *err)
+{
+    const size_t rows = 3 * (size_t)s->n, nodes3 = 3 * (size_t)s->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    sfem_int p, k, i, at = 0;
+    int c;
+    out->nodes = s->model->mesh.nodes;
+    out->rigid = s->def->rigid ? s->rigid : 0;
+    out->count = out->rigid + elastic;
+    SFEMI_NEW(sfem_real, out->lambda, s->al, out->count);
+    SFEMI_NEW(sfem_real, out->error, s->al, out->count);
+    SFEMI_NEW(sfem_real, out->phi, s->al, (size_t)out->count * nodes3);
+    for (p = 0; p < s->pieces && out->rigid; at += s->motions[p++])
+        for (i = 0; i < s->n; ++i)
+            for (k = 0; k < s->motions[p] && s->piece[i] == p; ++k)
+                for (c = 0; c < 3; ++c)
+                    out->phi[(size_t)(at + k) * nodes3 + 3 * (size_t)s->node[i] + (size_t)c] =
+                        s->z[(size_t)k * rows + 3 * (size_t)i + (size_t)c];
+done:
+    return status;
+}
+
+/* Backward errors of all modes, eight at a time: a task is a block of modes. */
+typedef struct sfemi_modes_measure {
+    const sfemi_modes_system *s;
+    sfem_modes *out;
+    sfem_real *work; /* [blocks][3][3n][8] */
+} sfemi_modes_measure;
+
+static void sfemi_modes_measure_block(void *data, sfem_int block)
+{
+    const sfemi_modes_measure *job = (const sfemi_modes_measure *)data;
+    const sfemi_modes_system *s = job->s;
+    const size_t rows = 3 * (size_t)s->n, nodes3 = 3 * (size_t)job->out->nodes;
+    const sfem_int first = 8 * block, left = job->out->count - first, some = left < 8 ? left : 8;
+    sfem_real *x = job->work + 24 * rows * (size_t)block, *kx = x + 8 * rows, *mx = kx + 8 * rows;
+    sfem_real rest[8], length[8];
+    sfem_int i, q;
+    size_t r;
+    memset(rest, 0, sizeof rest);
+    memset(length, 0, sizeof length);
+    memset(x, 0, 8 * rows * sizeof *x);
+    for (q = 0; q < some; ++q) {
+        const sfem_real *phi = job->out->phi + (size_t)(first + q) * nodes3;
+        for (i = 0; i < s->n; ++i)
+            for (r = 0; r < 3; ++r)
+                x[8 * (3 * (size_t)i + r) + (size_t)q] = phi[3 * (size_t)s->node[i] + r];
+    }
+    sfemi_modes_stiffness(s, x, kx);
+    sfemi_modes_mass(s, x, mx);
+    for (r = 0; r < rows; ++r)
+        for (q = 0; q < some; ++q) {
+            const size_t at = 8 * r + (size_t)q;
+            const sfem_real d = kx[at] - job->out->lambda[first + q] * mx[at];
+            rest[q] += d * d;
+            length[q] += x[at] * x[at];
+        }
+    for (q = 0; q < some; ++q)
+        job->out->error[first + q] =
+            length[q] > 0 ? sqrt(rest[q] / length[q]) /
+                                (s->norm_k + fabs(job->out->lambda[first + q]) * s->norm_m)
+                          : 0;
+}
+
+static sfem_status sfemi_modes_errors(const sfemi_modes_system *s, sfem_modes *out, sfem_error *err)
+{
+    const sfem_int blocks = (out->count + 7) / 8;
+    sfem_status status = SFEM_OK;
+    sfemi_modes_measure job;
+    job.s = s;
+    job.out = out;
+    SFEMI_NEW(sfem_real, job.work, s->al, (size_t)blocks * 72 * (size_t)s->n);
+    sfemi_run(&s->def->exec, blocks, sfemi_modes_measure_block, &job);
+    sfemi_delete(s->al, job.work);
+done:
+    return status;
+}
+
+static sfem_status sfemi_modes_too_many(const sfemi_modes_system *s, sfem_error *err)
+{
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                      "%d elastic modes asked for, but %d free axes less %d rigid modes leave %d",
+                      (int)s->def->modes, (int)s->axes, (int)s->rigid, (int)(s->axes - s->rigid));
+}
+
+/* How many after the last of `taken` ascending values are equal to it. */
+static sfem_int sfemi_modes_cut(const sfem_real *lambda, sfem_int taken, sfem_int count)
+{
+    sfem_int i = taken;
+    while (taken > 0 && i < count && lambda[i] - lambda[taken - 1] <= 1e-6 * fabs(lambda[taken - 1]))
+        ++i;
+    return i - taken;
+}
+
+/* --- the dense solver ------------------------------------------------------------------------ */
+
+/* A = K (lumped mass: root(M)^-1 K root(M)^-1) on the free axes, whose rows are in `axis`, and M in b.
+ * Rigid modes are moved out of the way: A + beta (MZ)(MZ)^T, beta above all eigenvalues [Gershgorin;
+ * a consistent mass is at least 1/5 of the lumped one]. */
+static void sfemi_modes_fill(const sfemi_modes_system *s, const sfem_int *axis, sfem_real *a,
+                             sfem_real *b)
+{
+    const size_t m = (size_t)s->axes, rows = 3 * (size_t)s->n;
+    sfem_real beta = 0;
+    sfem_int i, at;
+    size_t r, q, p;
+    int k, c, d;
+    for (i = 0; i < s->n; ++i)
+        for (at = s->k.row[i]; at < s->k.row[i + 1]; ++at)
+            for (c = 0; c < 3; ++c)
+                for (d = 0; d < 3; ++d) {
+                    const size_t u = 3 * (size_t)i + (size_t)c, v = 3 * (size_t)s->k.col[at] + (size_t)d;
+                    const sfem_int x = axis[u], y = axis[v];
+                    if (x < 0 || y < 0 || x < y) continue;
+                    a[(size_t)x + m * (size_t)y] = s->k.val[9 * (size_t)at + (size_t)(3 * c + d)] /
+                                                   (b ? 1 : s->root[u] * s->root[v]);
+                    if (b && c == d) b[(size_t)x + m * (size_t)y] = s->scalar[at];
+                }
+    if (s->rigid == 0) return;
+    for (q = 0; q < m; ++q) { /* of A, or of A over the row sums of M */
+        sfem_real sum = 0;
+        for (p = 0; p < m; ++p) sum += fabs(p < q ? a[q + m * p] : a[p + m * q]);
+        for (r = 0; b && r < rows; ++r)
+            if (axis[r] == (sfem_int)q) sum *= 5 / s->mass[r];
+        beta = fmax(beta, sum);
+    }
+    for (r = 0; r < rows; ++r)
+        for (q = 0; q <= r; ++q) {
+            sfem_real dot = 0;
+            const sfem_int piece = s->piece[r / 3];
+            if (axis[r] < 0 || axis[q] < 0 || s->piece[q / 3] != piece) continue;
+            for (k = 0; k < s->motions[piece]; ++k)
+                dot += s->mz[(size_t)k * rows + r] * s->mz[(size_t)k * rows + q];
+            a[(size_t)axis[r] + m * (size_t)axis[q]] += beta * dot / (b ? 1 : s->root[r] * s->root[q]);
+        }
+}
+
+/* Rayleigh's quotient from the tets' own strains: better than the eigenvalue of a matrix whose largest
+ * eigenvalue is far away; then ascending again. */
+static void sfemi_modes_refine(const sfemi_modes_system *s, sfem_modes *out)
+{
+    const size_t nodes3 = 3 * (size_t)out->nodes;
+    sfem_int i, k;
+    size_t r;
+    for (k = out->rigid; k < out->count; ++k) {
+        const sfem_real lambda = 2 * sfem_model_elastic_energy(s->model, out->phi + (size_t)k * nodes3);
+        for (i = k; i > out->rigid && lambda < out->lambda[i - 1]; --i) {
+            sfem_real *p = out->phi + (size_t)i * nodes3, *o = p - nodes3;
+            out->lambda[i] = out->lambda[i - 1];
+            for (r = 0; r < nodes3; ++r) {
+                const sfem_real t = p[r];
+                p[r] = o[r];
+                o[r] = t;
+            }
+        }
+        out->lambda[i] = lambda;
+    }
+}
+
+static sfem_status sfemi_modes_dense(const sfemi_modes_system *s, sfem_modes *out, sfem_error *err)
+{
+    const size_t m = (size_t)s->axes, rows = 3 * (size_t)s->n, nodes3 = 3 * (size_t)s->model->mesh.nodes;
+    const sfem_real bound = s->def->below_hz * 6.283185307179586;
+    sfem_real *a = NULL, *b = NULL, *lambda = NULL, *work = NULL;
+    sfem_int *axis = NULL, elastic = s->axes - s->rigid, take = 0, k;
+    sfem_status status = SFEM_OK;
+    size_t r, q = 0;
+    SFEMI_NEW(sfem_int, axis, s->al, rows);
+    SFEMI_NEW(sfem_real, a, s->al, m * m);
+    if (s->scalar) SFEMI_NEW(sfem_real, b, s->al, m * m);
+    SFEMI_NEW(sfem_real, lambda, s->al, m);
+    SFEMI_NEW(sfem_real, work, s->al, 5 * m);
+    for (r = 0; r < rows; ++r) axis[r] = s->mask[s->node[r / 3]] >> (r % 3) & 1 ? -1 : (sfem_int)q++;
+    sfemi_modes_fill(s, axis, a, b);
+    SFEMI_TRY(sfem_dense_eigen(s->axes, a, b, lambda, work, err));
+    if (s->def->below_hz > 0)
+        while (take < elastic && lambda[take] < bound * bound) ++take;
+    else
+        take = s->def->modes;
+    SFEMI_TRY(sfemi_modes_result(s, take, out, err));
+    for (k = 0; k < take; ++k) {
+        sfem_real *phi = out->phi + (size_t)(out->rigid + k) * nodes3;
+        out->lambda[out->rigid + k] = lambda[k];
+        for (r = 0; r < rows; ++r)
+            if (axis[r] >= 0)
+                phi[3 * (size_t)s->node[r / 3] + r % 3] =
+                    a[(size_t)k * m + (size_t)axis[r]] / (b ? 1 : s->root[r]);
+    }
+    sfemi_modes_refine(s, out);
+    out->info.dense = out->info.proved = 1;
+    out->info.converged = take;
+    out->info.cut = sfemi_modes_cut(lambda, take, elastic);
+    out->info.below = s->rigid + take + out->info.cut;
+    out->info.bound = s->def->below_hz > 0 ? bound * bound
+                      : take > 0           ? lambda[take + out->info.cut - 1] * (1 + 1e-6)
+                                           : 0;
+done:
+    sfemi_delete(s->al, axis);
+    sfemi_delete(s->al, a);
+    sfemi_delete(s->al, b);
+    sfemi_delete(s->al, lambda);
+    sfemi_delete(s->al, work);
+    return status;
+}
+
+/* --- the whole ------------------------------------------------------------------------------- */
+
+SFEM_DEF sfem_modes_def sfem_default_modes_def(void)
+{
+    sfem_modes_def def;
+    memset(&def, 0, sizeof def);
+    def.modes = 20;
+    def.tolerance = 1e-13;
+    return def;
+}
+
+static sfem_status sfemi_modes_check(const sfem_modes_def *def, sfem_error *err)
+{
+    if (!sfemi_finite(def->below_hz) || def->below_hz < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "below_hz is %g, must be 0 or a frequency",
+                          def->below_hz);
+    if (def->modes < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "modes is %d, must be >= 0", (int)def->modes);
+    if (!(def->tolerance >= 1e-15 && def->tolerance <= 1e-2))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "tolerance is %g, must be 1e-15 to 1e-2",
+                          def->tolerance);
+    if (def->max_basis < 0 || def->max_restarts < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_basis %d or max_restarts %d is negative",
+                          (int)def->max_basis, (int)def->max_restarts);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *def, sfem_modes *out,
+                                       sfem_error *err)
+{
+    sfemi_modes_system s;
+    sfem_modes result;
+    sfem_status status;
+    SFEM_ASSERT(model && def && out);
+    memset(&result, 0, sizeof result);
+    memset(&s, 0, sizeof s);
+    s.al = &def->allocator;
+    result.allocator = def->allocator;
+    SFEMI_TRY(sfemi_modes_check(def, err));
+    SFEMI_TRY(sfemi_modes_system_create(model, def, &s, err));
+    if (def->below_hz == 0 && def->modes > s.axes - s.rigid) {
+        status = sfemi_modes_too_many(&s, err);
+        goto done;
+    }
+    SFEMI_TRY(sfemi_modes_dense(&s, &result, err));
+    SFEMI_TRY(sfemi_modes_errors(&s, &result, err));
+    *out = result;
+done:
+    sfemi_modes_system_free(&s);
+    if (status != SFEM_OK) sfem_modes_free(&result);
+    return status;
+}
+
+SFEM_DEF void sfem_modes_free(sfem_modes *modes)
+{
+    if (!modes) return;
+    sfemi_delete(&modes->allocator, modes->lambda);
+    sfemi_delete(&modes->allocator, modes->phi);
+    sfemi_delete(&modes->allocator, modes->error);
+    memset(modes, 0, sizeof *modes);
+}
+
+SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k)
+{
+    SFEM_ASSERT(modes && k >= 0 && k < modes->count);
+    return sqrt(fmax(modes->lambda[k], 0.0)) / 6.283185307179586;
+}
+
 /* ============================================================================================
  * >>reduced   modal bodies: oscillators, warping, handles
  * ============================================================================================ */
@@ -15229,6 +16205,94 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_dots)(size_t n, const double *
     }
     for (; i < n; ++i)
         for (p = 0; p < 4; ++p) out[p] += a[(size_t)p * m + i] * x[i];
+}
+
+/* One column of the symmetric matrix that Householder's reduction works on, from its diagonal down: a -=
+ * v wj + w vj, the rank-two change of the last reflection, then what the column does to the product y
+ * with the next one, u: y += a uj below the diagonal; returns the sum of a u there. */
+static SFEMI_TARGET double SFEMI_KERNEL(sfemi_eigen_column)(size_t n, double *a, const double *v,
+                                                            const double *w, const double *u,
+                                                            double *y)
+{
+    const SFEMI_V vj = SFEMI_DUP(v[0]), wj = SFEMI_DUP(w[0]), uj = SFEMI_DUP(u[0]);
+    SFEMI_V s = SFEMI_DUP(0);
+    double part[SFEMI_W], sum = 0;
+    size_t i;
+    int q;
+    a[0] -= 2 * v[0] * w[0];
+    for (i = 1; i + SFEMI_W <= n; i += SFEMI_W) {
+        SFEMI_V x = SFEMI_FNMA(SFEMI_LD(v + i), wj, SFEMI_LD(a + i));
+        x = SFEMI_FNMA(SFEMI_LD(w + i), vj, x);
+        SFEMI_ST(a + i, x);
+        s = SFEMI_FMA(x, SFEMI_LD(u + i), s);
+        SFEMI_ST(y + i, SFEMI_FMA(x, uj, SFEMI_LD(y + i)));
+    }
+    SFEMI_ST(part, s);
+    for (q = 0; q < SFEMI_W; ++q) sum += part[q];
+    for (; i < n; ++i) {
+        a[i] -= v[i] * w[0] + w[i] * v[0];
+        sum += a[i] * u[i];
+        y[i] += a[i] * u[0];
+    }
+    return sum;
+}
+
+/* x -= tau v (v.x) */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_eigen_reflect)(size_t n, const double *v, double tau,
+                                                           double *x)
+{
+    SFEMI_V s = SFEMI_DUP(0), t = SFEMI_DUP(0), f;
+    double part[SFEMI_W], sum = 0;
+    size_t i;
+    int q;
+    for (i = 0; i + 2 * SFEMI_W <= n; i += 2 * SFEMI_W) {
+        s = SFEMI_FMA(SFEMI_LD(v + i), SFEMI_LD(x + i), s);
+        t = SFEMI_FMA(SFEMI_LD(v + i + SFEMI_W), SFEMI_LD(x + i + SFEMI_W), t);
+    }
+    SFEMI_ST(part, SFEMI_ADD(s, t));
+    for (q = 0; q < SFEMI_W; ++q) sum += part[q];
+    for (; i < n; ++i) sum += v[i] * x[i];
+    sum *= tau;
+    f = SFEMI_DUP(sum);
+    for (i = 0; i + SFEMI_W <= n; i += SFEMI_W)
+        SFEMI_ST(x + i, SFEMI_FNMA(SFEMI_LD(v + i), f, SFEMI_LD(x + i)));
+    for (; i < n; ++i) x[i] -= v[i] * sum;
+}
+
+/* A sweep of plane rotations on neighbouring columns of z, h apart, the last pair first: columns k and
+ * k+1 become c_k z_k - s_k z_k+1 and s_k z_k + c_k z_k+1, k = count-1 ... 0; any rows. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_eigen_sweep)(size_t rows, size_t count, double *z,
+                                                         size_t h, const double *c, const double *s)
+{
+    size_t i = 0, k;
+    for (; i + 3 * SFEMI_W <= rows; i += 3 * SFEMI_W) {
+        double *p = z + count * h + i;
+        SFEMI_V x0 = SFEMI_LD(p), x1 = SFEMI_LD(p + SFEMI_W), x2 = SFEMI_LD(p + 2 * SFEMI_W);
+        for (k = count; k-- > 0; p -= h) {
+            const SFEMI_V ck = SFEMI_DUP(c[k]), sk = SFEMI_DUP(s[k]);
+            double *o = p - h;
+            const SFEMI_V y0 = SFEMI_LD(o), y1 = SFEMI_LD(o + SFEMI_W),
+                          y2 = SFEMI_LD(o + 2 * SFEMI_W);
+            SFEMI_ST(p, SFEMI_FMA(sk, y0, SFEMI_MUL(ck, x0)));
+            SFEMI_ST(p + SFEMI_W, SFEMI_FMA(sk, y1, SFEMI_MUL(ck, x1)));
+            SFEMI_ST(p + 2 * SFEMI_W, SFEMI_FMA(sk, y2, SFEMI_MUL(ck, x2)));
+            x0 = SFEMI_FNMA(sk, x0, SFEMI_MUL(ck, y0));
+            x1 = SFEMI_FNMA(sk, x1, SFEMI_MUL(ck, y1));
+            x2 = SFEMI_FNMA(sk, x2, SFEMI_MUL(ck, y2));
+        }
+        SFEMI_ST(p, x0);
+        SFEMI_ST(p + SFEMI_W, x1);
+        SFEMI_ST(p + 2 * SFEMI_W, x2);
+    }
+    for (; i < rows; ++i) {
+        double *p = z + count * h + i, x = p[0];
+        for (k = count; k-- > 0; p -= h) {
+            const double y = p[-(ptrdiff_t)h];
+            p[0] = s[k] * y + c[k] * x;
+            x = c[k] * y - s[k] * x;
+        }
+        p[0] = x;
+    }
 }
 #endif
 
