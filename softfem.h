@@ -1124,6 +1124,254 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(l
  * >>api-reduced   modal bodies: oscillators, warping, handles
  * ============================================================================================ */
 
+/* THE REDUCED MODEL. A body moves in m of its modes, u = Phi q, each an oscillator of its own:
+ *     q'' + c q' + lambda q = Phi^T F,   c = alpha + beta lambda or 2 ratio sqrt(lambda)
+ * A reduced model holds what that takes, m numbers an axis and node, and nothing of the mesh but rest
+ * positions and the surface. It never changes, is shared by any number of bodies and threads, and is
+ * reference-counted: each view and each body holds one. It needs the model only while it is created, and can
+ * be saved to one block and loaded without it.
+ *
+ * WARPING [Choi and Ko 2005]. Modes turn nodes along straight lines: bent far, a bar grows. With w = Psi q,
+ * half the curl of Phi q, the rotation vector of each node, th = |w|,
+ *     R  = I + sin th/th [w]x + (1 - cos th)/th^2 [w]x^2            the node's rotation
+ *     Rt = I + (1 - cos th)/th^2 [w]x + (1 - sin th/th)/th^2 [w]x^2   its mean over the path, int R(s w) ds
+ * displacements become R Phi q (SFEM_WARP_ROTATION, as the source prints it) or Rt Phi q (SFEM_WARP_PATH, the
+ * default: five times closer to the nonlinear body); handles see the same displacement; loads become
+ * Phi^T (R^T F) with either. Valid while |w| < pi; what lies beyond is drawn, but means nothing. */
+typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sfem_warp;
+
+typedef struct sfem_reduced sfem_reduced;
+
+typedef struct sfem_reduced_def {
+    sfem_real alpha, beta;   /* Rayleigh damping, >= 0: c = alpha + beta lambda, 1/s, s */
+    const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or NULL. A mode
+                              * of lambda = 0 has no ratio: its c is alpha */
+    int free;                /* 1: the body is free. Modes of lambda = 0 are left out, a rigid frame takes
+                              * their place; 0: it is held; -1: free if six of the modes are rigid. Say 1
+                              * where they were left out of the modes */
+    sfem_int gravity_groups; /* gravity on a warped body: the nodes turn in so many groups, each as the mean
+                              * of its nodes; as many as nodes, or more: each node for itself. >= 1 */
+    sfem_allocator allocator;
+} sfem_reduced_def;
+
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 64 groups */
+
+/* Takes over all the modes (rigid ones as the definition says). Psi_i = sum V_e curl_e/2 / sum V_e over the
+ * tets of node i.
+ *   errors  SFEM_MISMATCH (modes of another number of nodes), SFEM_NOT_FINITE (mode),
+ *           SFEM_BAD_ARGUMENT (damping; free, but the modes move the body as a whole, or it is in more
+ *           pieces than one: the mode is named), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
+ *   cost    O(m (nodes + tets)); 48 m bytes a node */
+SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
+                                         const sfem_reduced_def *def, sfem_reduced **out,
+                                         sfem_error *err);
+SFEM_DEF void sfem_reduced_free(sfem_reduced *reduced); /* NULL allowed; goes with its last user */
+
+typedef struct sfem_reduced_info {
+    sfem_int nodes, modes;
+    int free;                             /* has a rigid frame */
+    sfem_int surface_nodes, surface_triangles;
+    const sfem_int *surface_node;         /* [surface_nodes] node numbers, ascending */
+    const sfem_int *surface_tri;          /* [surface_triangles][3] indices into surface_node */
+    const sfem_real *lambda, *damping;    /* [modes] omega^2, 1/s^2; c, 1/s */
+    const sfem_real *x;                   /* [nodes][3] rest positions, m */
+    const sfem_real *node_mass;           /* [nodes] kg */
+    sfem_real mass, centre[3], inertia[9]; /* kg; m; kg m^2 about the centre, at rest */
+    size_t bytes;
+} sfem_reduced_info;
+SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *reduced);
+
+/* Phi or Psi of one node: [3][modes], to be written. */
+SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *reduced, sfem_int node, sfem_real *phi,
+                                      sfem_real *psi);
+
+/* One block of bytes: version, sizes, checksum, and all the rest. For machines of the same byte order.
+ *   errors  SFEM_FORMAT (not a reduced model, of another version or byte order, damaged, cut short),
+ *           SFEM_OUT_OF_MEMORY */
+SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *reduced);
+SFEM_DEF void sfem_reduced_save(const sfem_reduced *reduced, void *memory);
+SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const sfem_allocator *allocator,
+                                       sfem_reduced **out, sfem_error *err);
+
+/* VIEWS. The rows of those nodes that are to be drawn, packed for the vector units: what is reconstructed
+ * through a view costs what the view holds, and reads nothing else. Immutable and shared, as the model.
+ * SFEM_MIXED keeps the rows in float and sums in float: half the memory traffic, errors of 1e-6 of the
+ * displacement and 1e-7 of the size of the body.
+ *   node  [count], in the order of the output, or NULL: all
+ *   errors  SFEM_BAD_ARGUMENT (node), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE */
+typedef struct sfem_reduced_view sfem_reduced_view;
+SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *reduced, sfem_int count,
+                                              const sfem_int *node, sfem_precision precision,
+                                              sfem_reduced_view **out, sfem_error *err);
+/* The nodes of info.surface_node: info.surface_tri are indices into what such a view writes. */
+SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *reduced, sfem_precision precision,
+                                               sfem_reduced_view **out, sfem_error *err);
+SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed */
+SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
+
+/* A MODAL BODY. Two integrators:
+ *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [000 A.7-A.13]
+ *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: no period error
+ *                       and no instability at any h and any damping, the start of a load excepted, exact
+ *                       at the steps. With handles it steps as the other does. */
+typedef enum sfem_modal_integrator { SFEM_MODAL_NEWMARK, SFEM_MODAL_EXACT } sfem_modal_integrator;
+
+typedef struct sfem_modal sfem_modal;
+
+typedef struct sfem_modal_def {
+    sfem_modal_integrator integrator;
+    sfem_warp warp;
+    sfem_real beta, gamma;               /* > 0, >= 1/2 */
+    sfem_real handle_beta, handle_gamma; /* while a handle is held: constraints on positions ring under
+                                          * (1/4, 1/2), with growing amplitude */
+    sfem_real compliance;                /* eps >= 0 of handles, times the mean of the diagonal of
+                                          * J A^-1 J^T: what noisy targets and dependent handles need */
+    sfem_int handle_iterations;          /* at most so many corrections a step bring warped handles to their
+                                          * targets, >= 1 */
+    sfem_int max_handles, max_handle_nodes; /* handles at a time, and nodes in all their regions */
+    sfem_real tolerance;                 /* m, >= 0: modes that can be left out of a step without moving any
+                                          * node by more than this, all together, are; see
+                                          * sfem_modal_info */
+    sfem_real gravity[3];                /* m/s^2 */
+    sfem_allocator allocator;
+    sfem_exec exec;                      /* threads for reconstruction */
+} sfem_modal_def;
+
+/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-5, 4 iterations; 16 handles of
+ * 64 nodes in all; tolerance 0; no gravity. */
+SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
+
+/* A body at rest. Everything that it will ever need is allocated here: about 44 bytes a node and 200 a mode.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def, sfem_modal **out,
+                                       sfem_error *err);
+SFEM_DEF void sfem_modal_free(sfem_modal *modal); /* NULL allowed */
+
+/* One step of h > 0 seconds; h may change from step to step (coefficients are renewed: about 0.1 us a mode).
+ * Loads are turned by the rotations at the start of the step. A free body's frame follows Newmark's formulas
+ * with the angular momentum for a velocity; its rotation, exp of the mean angular velocity, by the implicit
+ * midpoint rule, is always proper, and both momenta are kept to rounding where no force acts.
+ * Approximations: mass and inertia are those of the rest shape, and the frame's accelerations do not act on
+ * the modes.
+ *   errors  SFEM_BAD_ARGUMENT (h), SFEM_NOT_FINITE (mode): the state is then as it was
+ *   cost    O(m) and the nodes that are loaded, 6 m multiply-adds each; a handle O(m) a node, all together
+ *           (3 handles)^3; allocates nothing */
+SFEM_DEF sfem_status sfem_modal_step(sfem_modal *modal, sfem_real h, sfem_error *err);
+
+/* The step of a receiver: takes accelerations [modes] as given and integrates, by Newmark's formulas alone:
+ * q += h q' + h^2 ((1/2 - beta) a + beta a+),  q' += h ((1 - gamma) a + gamma a+). Loads and handles are
+ * not asked; a frame moves on with the momenta that it has. What sender and receiver start from must agree,
+ * q'' as well (see sfem_modal_set_coordinates). Same errors. */
+SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *modal, const sfem_real *acceleration, sfem_real h,
+                                          sfem_real beta, sfem_real gamma, sfem_error *err);
+
+/* Coordinates [modes]: q, q', q'' at the end of the last step. Pointers into the body, valid while it
+ * lives; they stay in place. Before the first step q'' is that of the loads, once sfem_modal_start
+ * has been called. */
+SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *modal);
+SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *modal);
+SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *modal);
+SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *modal); /* s */
+/* New ones; NULL leaves as it is. Where q'' is given, it is taken, and the body counts as started; else it
+ * follows from the loads when the next step begins. Errors: SFEM_NOT_FINITE. */
+SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_real *q, const sfem_real *v,
+                                                const sfem_real *a, sfem_error *err);
+/* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for that. */
+SFEM_DEF void sfem_modal_start(sfem_modal *modal);
+
+/* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs the
+ * nodes whose force is not zero.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
+SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *modal, const sfem_real *force, sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *modal, sfem_int node, const sfem_real f[3],
+                                               sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3], sfem_error *err);
+/* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
+SFEM_DEF void sfem_modal_load(sfem_modal *modal, sfem_real *load);
+
+/* Rest under the present loads and handles: q = lambda^-1 (Phi^T R(q)^T F - J^T l), iterated from the present q
+ * (once where nothing warps). Velocities become zero; a frame stays where it is, as if held at it.
+ *   info    NULL allowed; also written where it does not converge
+ *   errors  SFEM_NOT_CONVERGED (200 iterations, or a node turned by pi: a bar bent by more than some 80 % of its
+ *           length has no answer here), SFEM_SINGULAR (a loaded mode of lambda 0), SFEM_NOT_FINITE: the state is
+ *           as it was */
+typedef struct sfem_modal_static_info {
+    sfem_int iterations;
+    sfem_real change;   /* of the last one, of any node at most, over the largest displacement */
+    sfem_real rotation; /* largest |w| */
+} sfem_modal_static_info;
+SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *modal, sfem_modal_static_info *info,
+                                             sfem_error *err);
+
+/* Reconstruction, through a view of the same reduced model: [count][3] in the view's order. Allocates nothing,
+ * reads nothing but the state; the same bits for any number of threads. to_floats writes three floats for
+ * entry i at i stride bytes from the first.
+ *   cost    by what is in the view: a node in 20 modes some 4 ns, warped 7, in doubles twice that */
+SFEM_DEF void sfem_modal_positions(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *x);
+SFEM_DEF void sfem_modal_displacements(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *u);
+SFEM_DEF void sfem_modal_to_floats(const sfem_modal *modal, const sfem_reduced_view *view, float *x,
+                                   size_t stride);
+/* One node, from the full rows: its position and velocity (of the warped displacement, too); the velocity
+ * and the rotation vector w may be NULL. */
+SFEM_DEF void sfem_modal_node(const sfem_modal *modal, sfem_int node, sfem_real x[3], sfem_real v[3],
+                              sfem_real w[3]);
+
+/* The frame of a free body: a node is at x + R (X - centre + u). A new one keeps the modes; the rotation is
+ * made proper. SFEM_BAD_ARGUMENT for a body that is held, or an R with det R <= 0; SFEM_NOT_FINITE. */
+typedef struct sfem_rigid {
+    sfem_real x[3], r[9]; /* centre of mass, m; rotation, row-major */
+    sfem_real v[3], w[3]; /* its velocity, m/s; angular velocity, 1/s, in the world */
+} sfem_rigid;
+SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *modal);
+SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *modal, const sfem_rigid *rigid, sfem_error *err);
+SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3], sfem_real angular[3]);
+
+/* HANDLES hold a node, or the mean of a region's displacement, at a target by Lagrange multipliers:
+ *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)  [000 A.14-A.17]
+ * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it. Nodes that
+ * do not move in any mode carry no force. Handles that contradict or repeat one another, or that are more
+ * than the modes can follow, share what is left by least squares, weighted by the compliance.
+ *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
+ *   target  a position, m (of a region: the weighted mean of its nodes')
+ *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes), SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *modal, sfem_int node, sfem_int *handle,
+                                          sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *modal, sfem_int count, const sfem_int *node,
+                                            const sfem_real *weight, sfem_int *handle, sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *modal, sfem_int handle, const sfem_real target[3],
+                                            sfem_error *err);
+SFEM_DEF void sfem_modal_release_handle(sfem_modal *modal, sfem_int handle);
+SFEM_DEF void sfem_modal_handle_position(const sfem_modal *modal, sfem_int handle, sfem_real x[3]);
+/* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The hand, and so
+ * a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in modes it is
+ * J^T (-l) = Phi^T Rt^T f, [modes], with the rotations that it was computed with. */
+SFEM_DEF void sfem_modal_handle_force(const sfem_modal *modal, sfem_int handle, sfem_real force[3]);
+SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *modal, sfem_int handle, sfem_real *force);
+
+/* Its whole state as one block, for any body of the same reduced model and definition on the same machine.
+ *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
+SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *modal);
+SFEM_DEF void sfem_modal_save_state(const sfem_modal *modal, void *memory);
+SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *modal, const void *memory, size_t bytes,
+                                           sfem_error *err);
+
+/* A mode sleeps, and is neither stepped nor drawn (unless its rest is not 0), while |load - load when it fell
+ * asleep| G/lambda, with G = coth(pi xi/(2 sqrt(1 - xi^2))) the most that any load of that size can make of it,
+ * moves no node by more than half its share of the tolerance, and fell asleep when its own swing could not.
+ * Undamped modes sleep only as long as their load is what it was. */
+typedef struct sfem_modal_info {
+    sfem_int modes, awake, drawn;
+    sfem_int handles;
+    sfem_int handle_iterations;  /* of the last step, */
+    sfem_real handle_residual;   /* and the largest distance of a handle from its target, m */
+    sfem_int handle_rows_left;   /* rows (of 3 a handle) that no mode can move, or that others determine */
+    sfem_real beta, gamma;       /* of the last step: what a receiver has to integrate with */
+    sfem_real kinetic, elastic;  /* J, of the modes and the frame */
+    int64_t steps;
+    size_t state_bytes, body_bytes;
+} sfem_modal_info;
+SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
+
 /* ============================================================================================
  * >>api-link   modal motion over a lossy link
  * ============================================================================================ */
@@ -15107,7 +15355,2149 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k)
 
 /* ============================================================================================
  * >>reduced   modal bodies: oscillators, warping, handles
+ *
+ * Everything a modal body needs of its mesh stands in one block, which is also the file format. Rows of Phi
+ * and Psi are padded to whole vectors of modes, with zeros. What is drawn comes from views: tiles of 8 nodes,
+ * [tile][mode][xyz][8], so that a mode is three (with warping six) multiply-adds of whole vectors.
+ *
+ * Warping needs two functions of th^2 a node; both are entire, and a polynomial of degree 13 gives them in
+ * double for th up to pi, without a square root, a sine or a case for small angles.
+ *
+ * Literature: Choi and Ko 2005, "Modal warping: real-time simulation of large rotational deformation and
+ * manipulation"; Newmark 1959; for the frame's rotation the implicit midpoint rule on the group.
  * ============================================================================================ */
+
+#define SFEMI_TILE 8 /* nodes */
+/* of the polynomials, as in >>kernels */
+enum { SFEMI_TURN_TERMS = 14, SFEMI_TURN_TERMS32 = 10, SFEMI_TURN_ROTATION = 0, SFEMI_TURN_PATH = 1 };
+
+typedef struct sfemi_modal_kernels {
+    void (*dot3)(size_t, const double *, const double *, double *);
+    void (*add3)(size_t, const double *, const double *, double *);
+    void (*tiles)(size_t, size_t, const double *, const double *, const double *, size_t, const sfem_int *,
+                  const double *, const double *, const double *, double *);
+    void (*tiles32)(size_t, size_t, const float *, const float *, const float *, size_t, const sfem_int *,
+                    const float *, const float *, const float *, float *);
+} sfemi_modal_kernels;
+
+static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
+{
+#define SFEMI_TABLE(p)                                                                               \
+    {sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p,                     \
+     sfemi_modal_tiles_32_##p}
+    static const sfemi_modal_kernels table[] = {
+        SFEMI_TABLE(0),
+#if SFEMI_X86
+        SFEMI_TABLE(1),
+        SFEMI_TABLE(2),
+#endif
+    };
+#undef SFEMI_TABLE
+    return table + path;
+}
+
+/* --- rotations ------------------------------------------------------------------------------- */
+
+/* (-1)^k / (2k + 1 + first)!, the series in th^2 of sin th/th, (1 - cos th)/th^2, (1 - sin th/th)/th^2 */
+static void sfemi_turn_series(int first, int terms, sfem_real *out)
+{
+    sfem_real term = 1;
+    int k;
+    for (k = 2; k <= 1 + first; ++k) term /= k;
+    for (k = 0; k < terms; ++k) {
+        out[k] = term;
+        term /= -(sfem_real)((2 * k + 2 + first) * (2 * k + 3 + first));
+    }
+}
+
+/* The two coefficients of I + a [w]x + b [w]x^2: of the rotation exp [w]x, or of its mean over the path. */
+static void sfemi_turn_coefficients(int kind, const sfem_real w[3], sfem_real *a, sfem_real *b)
+{
+    const sfem_real t = sfemi_dot3(w, w);
+    if (t < 10) {
+        sfem_real c[2][SFEMI_TURN_TERMS];
+        const int terms = t < 0.01 ? 6 : SFEMI_TURN_TERMS;
+        int k;
+        sfemi_turn_series(kind, terms, c[0]);
+        sfemi_turn_series(kind + 1, terms, c[1]);
+        *a = c[0][terms - 1];
+        *b = c[1][terms - 1];
+        for (k = terms - 2; k >= 0; --k) *a = *a * t + c[0][k], *b = *b * t + c[1][k];
+    } else {
+        const sfem_real th = sqrt(t), half = sin(th / 2);
+        *a = kind == SFEMI_TURN_PATH ? 2 * half * half / t : sin(th) / th;
+        *b = kind == SFEMI_TURN_PATH ? (1 - sin(th) / th) / t : 2 * half * half / t;
+    }
+}
+
+/* out = u + a w x u + b w x (w x u); with -a the transpose. out may be u. */
+static void sfemi_turn_apply(sfem_real a, sfem_real b, const sfem_real w[3], const sfem_real u[3],
+                             sfem_real out[3])
+{
+    sfem_real wu[3], wwu[3];
+    int c;
+    sfemi_cross(w, u, wu);
+    sfemi_cross(w, wu, wwu);
+    for (c = 0; c < 3; ++c) out[c] = u[c] + a * wu[c] + b * wwu[c];
+}
+
+static void sfemi_turn_matrix(int kind, const sfem_real w[3], sfem_real r[9])
+{
+    sfem_real a, b;
+    int i, j;
+    sfemi_turn_coefficients(kind, w, &a, &b);
+    for (i = 0; i < 3; ++i) {
+        const int next = (i + 1) % 3, last = (i + 2) % 3;
+        for (j = 0; j < 3; ++j) r[3 * i + j] = b * w[i] * w[j];
+        r[4 * i] += 1 - b * sfemi_dot3(w, w);
+        r[3 * i + next] -= a * w[last];
+        r[3 * i + last] += a * w[next];
+    }
+}
+
+static void sfemi_turn_vector(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
+{
+    const sfem_real v[3] = {x[0], x[1], x[2]};
+    int c;
+    for (c = 0; c < 3; ++c) y[c] = sfemi_dot3(m + 3 * c, v);
+}
+
+static void sfemi_turn_back(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
+{
+    const sfem_real v[3] = {x[0], x[1], x[2]};
+    int c;
+    for (c = 0; c < 3; ++c) y[c] = m[c] * v[0] + m[3 + c] * v[1] + m[6 + c] * v[2];
+}
+
+/* --- the reduced model ----------------------------------------------------------------------- */
+
+typedef struct sfemi_reduced_head {
+    char magic[8];
+    uint32_t version, order; /* order: 0x01020304 as this machine writes it */
+    uint64_t size, checksum;
+    sfem_int nodes, modes, stride, free; /* stride: modes, padded */
+    sfem_int surface_nodes, surface_triangles, groups, unused;
+    sfem_real mass, centre[3], inertia[9], inverse[9];
+} sfemi_reduced_head;
+
+struct sfem_reduced {
+    sfem_allocator allocator;
+    int lock;
+    sfem_int references;
+    void *block;
+    sfemi_reduced_head *head;
+    sfem_real *x, *mass;             /* [nodes][3], [nodes] */
+    sfem_real *lambda, *damping;     /* [stride] */
+    sfem_real *amplitude, *gain;     /* [stride] largest |phi| of any node; G of sfem_modal_info, may be inf */
+    sfem_real *gravity;              /* [3][stride] Phi^T M e_c */
+    sfem_real *phi, *psi;            /* [nodes][3][stride] */
+    sfem_real *group_phi, *group_psi; /* [groups][3][stride]: sums of m phi, means of psi */
+    sfem_int *surface_node, *surface_tri;
+};
+
+enum { SFEMI_REDUCED_ARRAYS = 13, SFEMI_REDUCED_VERSION = 1 };
+
+/* Where the arrays stand in the block: at[k] bytes from its start, at[last] its size; 0 on overflow. */
+static int sfemi_reduced_layout(const sfemi_reduced_head *h, size_t at[SFEMI_REDUCED_ARRAYS + 1])
+{
+    const double n = h->nodes, m = h->stride, g = h->groups, real = sizeof(sfem_real);
+    const double bytes[SFEMI_REDUCED_ARRAYS] = {
+        3 * n * real,     n * real,         m * real, m * real, m * real, m * real, 3 * m * real,
+        3 * n * m * real, 3 * n * m * real, 3 * g * m * real, 3 * g * m * real,
+        h->surface_nodes * (double)sizeof(sfem_int), 3.0 * h->surface_triangles * (double)sizeof(sfem_int)};
+    double total = sizeof *h;
+    int k;
+    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k) total += bytes[k] + SFEMI_ALIGN;
+    if (total > (double)((size_t)-1 / 2) || total > 4e15) return 0;
+    at[0] = (sizeof *h + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k)
+        at[k + 1] = (at[k] + (size_t)bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    return 1;
+}
+
+static void sfemi_reduced_lay_out(sfem_reduced *r, const size_t at[SFEMI_REDUCED_ARRAYS + 1])
+{
+    char *b = (char *)r->block;
+    sfem_real **real[11];
+    int k;
+    real[0] = &r->x, real[1] = &r->mass, real[2] = &r->lambda, real[3] = &r->damping;
+    real[4] = &r->amplitude, real[5] = &r->gain, real[6] = &r->gravity, real[7] = &r->phi;
+    real[8] = &r->psi, real[9] = &r->group_phi, real[10] = &r->group_psi;
+    r->head = (sfemi_reduced_head *)r->block;
+    for (k = 0; k < 11; ++k) *real[k] = (sfem_real *)(void *)(b + at[k]);
+    r->surface_node = (sfem_int *)(void *)(b + at[11]);
+    r->surface_tri = (sfem_int *)(void *)(b + at[12]);
+}
+
+static uint64_t sfemi_reduced_checksum(const void *block, size_t bytes)
+{
+    sfemi_reduced_head head;
+    memcpy(&head, block, sizeof head);
+    head.checksum = 0;
+    return sfemi_state_hash(sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head),
+                            (const char *)block + sizeof head, bytes - sizeof head);
+}
+
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
+{
+    sfem_reduced_def def;
+    memset(&def, 0, sizeof def);
+    def.free = -1;
+    def.gravity_groups = 64;
+    return def;
+}
+
+SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
+{
+    sfem_allocator al;
+    sfem_int left;
+    if (!r) return;
+    sfemi_lock(&r->lock);
+    left = --r->references;
+    sfemi_unlock(&r->lock);
+    if (left > 0) return;
+    al = r->allocator;
+    sfemi_delete(&al, r->block);
+    sfemi_delete(&al, r);
+}
+
+static void sfemi_reduced_retain(sfem_reduced *r)
+{
+    sfemi_lock(&r->lock);
+    ++r->references;
+    sfemi_unlock(&r->lock);
+}
+
+/* Memory for a model of the sizes in head. */
+static sfem_status sfemi_reduced_new(const sfemi_reduced_head *head, const sfem_allocator *al,
+                                     sfem_reduced **out, sfem_error *err)
+{
+    size_t at[SFEMI_REDUCED_ARRAYS + 1];
+    sfem_reduced *r = NULL;
+    sfem_status status = SFEM_OK;
+    if (!sfemi_reduced_layout(head, at))
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d modes of %d nodes do not fit into memory",
+                          (int)head->modes, (int)head->nodes);
+    SFEMI_NEW(sfem_reduced, r, al, 1);
+    r->allocator = *al;
+    r->references = 1;
+    r->block = sfemi_new(al, at[SFEMI_REDUCED_ARRAYS], 1);
+    if (!r->block) {
+        status = sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: a reduced model");
+        goto done;
+    }
+    sfemi_reduced_lay_out(r, at);
+    *r->head = *head;
+    r->head->size = at[SFEMI_REDUCED_ARRAYS];
+    *out = r;
+    return SFEM_OK;
+done:
+    sfem_reduced_free(r);
+    return status;
+}
+
+/* Psi: half the curl of each mode, constant in a tet, averaged at the nodes by volume. */
+static void sfemi_reduced_curl(sfem_reduced *r, const sfem_model *model, sfem_real *volume)
+{
+    const size_t m = (size_t)r->head->stride;
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int e, i;
+    size_t k;
+    int a, b, c;
+    for (e = 0; e < mesh->tets; ++e) {
+        const sfem_int *t = mesh->tet + 4 * (size_t)e;
+        sfem_real g[4][3];
+        const sfem_real v = sfemi_element_gradients(mesh, e, g);
+        for (b = 0; b < 4; ++b) volume[t[b]] += v;
+        for (a = 0; a < 4; ++a) {
+            const sfem_real *p = r->phi + 3 * m * (size_t)t[a];
+            for (c = 0; c < 3; ++c) {
+                const int c1 = (c + 1) % 3, c2 = (c + 2) % 3;
+                const sfem_real g1 = v / 2 * g[a][c1], g2 = v / 2 * g[a][c2];
+                for (b = 0; b < 4; ++b) {
+                    sfem_real *w = r->psi + 3 * m * (size_t)t[b] + m * (size_t)c;
+                    for (k = 0; k < m; ++k)
+                        w[k] += g1 * p[m * (size_t)c2 + k] - g2 * p[m * (size_t)c1 + k];
+                }
+            }
+        }
+    }
+    for (i = 0; i < mesh->nodes; ++i)
+        if (volume[i] > 0)
+            for (k = 0; k < 3 * m; ++k) r->psi[3 * m * (size_t)i + k] /= volume[i];
+}
+
+/* Mass, centre, inertia. */
+static void sfemi_reduced_rigid(sfem_reduced *r)
+{
+    sfemi_reduced_head *h = r->head;
+    sfem_int i;
+    int a, b;
+    for (i = 0; i < h->nodes; ++i) {
+        h->mass += r->mass[i];
+        for (a = 0; a < 3; ++a) h->centre[a] += r->mass[i] * r->x[3 * (size_t)i + (size_t)a];
+    }
+    for (a = 0; a < 3; ++a) h->centre[a] /= h->mass;
+    for (i = 0; i < h->nodes; ++i) {
+        sfem_real d[3];
+        sfemi_sub3(r->x + 3 * (size_t)i, h->centre, d);
+        for (a = 0; a < 3; ++a)
+            for (b = 0; b < 3; ++b)
+                h->inertia[3 * a + b] += r->mass[i] * ((a == b ? sfemi_dot3(d, d) : 0) - d[a] * d[b]);
+    }
+    sfemi_cofactor3(h->inertia, h->inverse); /* symmetric */
+    {
+        const sfem_real det = sfemi_dot3(h->inertia, h->inverse);
+        for (a = 0; a < 9; ++a) h->inverse[a] /= det;
+    }
+}
+
+/* Groups of nodes round centres that are each the farthest from all before [Gonzalez 1985]. */
+static void sfemi_reduced_groups(sfem_reduced *r, sfem_real *distance, sfem_int *owner)
+{
+    const size_t m = (size_t)r->head->stride;
+    const sfem_int n = r->head->nodes, groups = r->head->groups;
+    sfem_int i, g, next = 0;
+    size_t k;
+    for (i = 0; i < n; ++i) distance[i] = HUGE_VAL, owner[i] = groups == n ? i : 0;
+    for (g = 0; g < groups && groups < n; ++g) {
+        const sfem_real *centre = r->x + 3 * (size_t)next;
+        sfem_real most = -1;
+        for (i = 0; i < n; ++i) {
+            sfem_real d[3], s;
+            sfemi_sub3(r->x + 3 * (size_t)i, centre, d);
+            s = sfemi_dot3(d, d);
+            if (s < distance[i]) distance[i] = s, owner[i] = g;
+        }
+        for (i = 0; i < n; ++i)
+            if (distance[i] > most) most = distance[i], next = i;
+    }
+    for (i = 0; i < n; ++i) distance[i] = 0; /* from here on the groups' masses */
+    for (i = 0; i < n; ++i) {
+        const size_t from = 3 * m * (size_t)i, to = 3 * m * (size_t)owner[i];
+        distance[owner[i]] += r->mass[i];
+        for (k = 0; k < 3 * m; ++k) {
+            r->group_phi[to + k] += r->mass[i] * r->phi[from + k];
+            r->group_psi[to + k] += r->mass[i] * r->psi[from + k];
+        }
+    }
+    for (g = 0; g < groups; ++g)
+        if (distance[g] > 0)
+            for (k = 0; k < 3 * m; ++k) r->group_psi[3 * m * (size_t)g + k] /= distance[g];
+}
+
+static void sfemi_reduced_constants(sfem_reduced *r, const sfem_reduced_def *def, sfem_int skipped)
+{
+    const size_t m = (size_t)r->head->stride;
+    sfem_int k, i;
+    size_t c;
+    for (k = 0; k < r->head->modes; ++k) {
+        const sfem_real omega = sqrt(r->lambda[k]);
+        sfem_real xi, s;
+        r->damping[k] = def->alpha + def->beta * r->lambda[k];
+        if (def->ratio && omega > 0) r->damping[k] = 2 * def->ratio[skipped + k] * omega;
+        xi = omega > 0 ? r->damping[k] / (2 * omega) : 0;
+        s = xi < 1 ? tanh(acos(-1.0) / 2 * xi / sqrt(1 - xi * xi)) : 1;
+        r->gain[k] = s > 0 ? 1 / s : HUGE_VAL;
+        for (i = 0; i < r->head->nodes; ++i) {
+            sfem_real size = 0;
+            for (c = 0; c < 3; ++c) {
+                const sfem_real p = r->phi[(3 * (size_t)i + c) * m + (size_t)k];
+                size += p * p;
+                r->gravity[c * m + (size_t)k] += r->mass[i] * p;
+            }
+            r->amplitude[k] = fmax(r->amplitude[k], sqrt(size));
+        }
+    }
+}
+
+/* Numbers the nodes of the surface in ascending order, the others -1; returns how many there are. */
+static sfem_int sfemi_reduced_surface_nodes(const sfem_surface *s, sfem_int nodes, sfem_int *number)
+{
+    sfem_int i, count = 0;
+    for (i = 0; i < nodes; ++i) number[i] = -1;
+    for (i = 0; i < 3 * s->triangles; ++i) number[s->tri[i]] = 0;
+    for (i = 0; i < nodes; ++i)
+        if (number[i] == 0) number[i] = count++;
+    return count;
+}
+
+/* A free body's modes must leave it where it is: nothing of them may be a rigid motion, and it must be one
+ * piece. work: [2][3 nodes]. */
+static sfem_status sfemi_reduced_check_free(const sfem_reduced *r, const sfem_model *model, sfem_int *label,
+                                            sfem_real *work, sfem_error *err)
+{
+    const size_t m = (size_t)r->head->stride, n = (size_t)r->head->nodes;
+    sfem_real *field = work, *product = work + 3 * n;
+    sfem_int pieces, k;
+    sfem_status status = sfem_mesh_components(&model->mesh, label, &pieces, err);
+    size_t i;
+    int axis, c;
+    if (status != SFEM_OK) return status;
+    if (pieces != 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "one frame for %d free pieces: reduce them one by one",
+                          (int)pieces);
+    for (axis = 0; axis < 6; ++axis) {
+        sfem_real size = 0;
+        for (i = 0; i < n; ++i) {
+            sfem_real e[3] = {0, 0, 0}, d[3];
+            e[axis % 3] = 1;
+            sfemi_sub3(r->x + 3 * i, r->head->centre, d);
+            if (axis < 3) memcpy(field + 3 * i, e, sizeof e);
+            else sfemi_cross(e, d, field + 3 * i);
+        }
+        sfem_model_multiply_mass(model, field, product, NULL);
+        for (i = 0; i < 3 * n; ++i) size += field[i] * product[i];
+        for (k = 0; k < r->head->modes; ++k) {
+            sfem_real part = 0;
+            for (i = 0; i < n; ++i)
+                for (c = 0; c < 3; ++c)
+                    part += product[3 * i + (size_t)c] * r->phi[(3 * i + (size_t)c) * m + (size_t)k];
+            if (fabs(part) > 1e-5 * sqrt(size))
+                return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                                  "mode %d moves the body as a whole: it is not free, or the mode is rigid",
+                                  (int)k);
+        }
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes *modes,
+                                       const sfem_reduced_def *def, sfem_error *err)
+{
+    sfem_int k;
+    if (modes->nodes != model->mesh.nodes)
+        return sfemi_fail(err, SFEM_MISMATCH, "modes of %d nodes, a model of %d", (int)modes->nodes,
+                          (int)model->mesh.nodes);
+    if (def->gravity_groups < 1 || def->free < -1 || def->free > 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "gravity_groups %d must be above 0, free %d in -1..1",
+                          (int)def->gravity_groups, def->free);
+    if (!(def->alpha >= 0) || !(def->beta >= 0) || !sfemi_finite(def->alpha) || !sfemi_finite(def->beta))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping %g, %g must be 0 or more", def->alpha,
+                          def->beta);
+    for (k = 0; k < modes->count; ++k) {
+        if (!sfemi_finite(modes->lambda[k]) ||
+            !sfemi_all_finite(modes->phi + 3 * (size_t)k * (size_t)modes->nodes, 3 * (size_t)modes->nodes))
+            return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d is not finite", (int)k);
+        if (def->ratio && !(def->ratio[k] >= 0 && sfemi_finite(def->ratio[k])))
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "damping ratio %g of mode %d must be 0 or more",
+                              def->ratio[k], (int)k);
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
+                                         const sfem_reduced_def *def, sfem_reduced **out, sfem_error *err)
+{
+    const sfem_allocator *al = &def->allocator;
+    const sfem_mesh *mesh = &model->mesh;
+    const size_t n = (size_t)mesh->nodes;
+    sfem_surface surface;
+    sfemi_reduced_head head;
+    sfem_reduced *r = NULL;
+    sfem_real *work = NULL;
+    sfem_int *number = NULL, k, i, skipped;
+    sfem_status status = sfemi_reduced_check(model, modes, def, err);
+    size_t c;
+    if (status != SFEM_OK) return status;
+    memset(&surface, 0, sizeof surface);
+    memset(&head, 0, sizeof head);
+    memcpy(head.magic, "sfemred", 8);
+    head.version = SFEMI_REDUCED_VERSION;
+    head.order = 0x01020304u;
+    head.nodes = mesh->nodes;
+    head.free = def->free >= 0 ? def->free : modes->rigid == 6;
+    skipped = head.free ? modes->rigid : 0;
+    head.modes = modes->count - skipped;
+    head.stride = (head.modes + 7) / 8 * 8;
+    head.groups = def->gravity_groups < mesh->nodes ? def->gravity_groups : mesh->nodes;
+    SFEMI_NEW(sfem_int, number, al, n);
+    SFEMI_NEW(sfem_real, work, al, 6 * n);
+    SFEMI_TRY(sfem_mesh_surface(mesh, al, &surface, err));
+    head.surface_nodes = sfemi_reduced_surface_nodes(&surface, mesh->nodes, number);
+    head.surface_triangles = surface.triangles;
+    SFEMI_TRY(sfemi_reduced_new(&head, al, &r, err));
+    for (i = 0; i < mesh->nodes; ++i)
+        if (number[i] >= 0) r->surface_node[number[i]] = i;
+    for (i = 0; i < 3 * surface.triangles; ++i) r->surface_tri[i] = number[surface.tri[i]];
+    memcpy(r->x, mesh->x, 3 * n * sizeof *r->x);
+    memcpy(r->mass, model->node_mass, n * sizeof *r->mass);
+    for (k = 0; k < head.modes; ++k) {
+        const sfem_real *phi = modes->phi + 3 * n * (size_t)(skipped + k);
+        r->lambda[k] = fmax(modes->lambda[skipped + k], 0.0);
+        for (c = 0; c < 3 * n; ++c) r->phi[c * (size_t)head.stride + (size_t)k] = phi[c];
+    }
+    sfemi_reduced_rigid(r);
+    if (head.free) SFEMI_TRY(sfemi_reduced_check_free(r, model, number, work, err));
+    memset(work, 0, n * sizeof *work);
+    sfemi_reduced_curl(r, model, work);
+    sfemi_reduced_groups(r, work, number);
+    sfemi_reduced_constants(r, def, skipped);
+    r->head->checksum = sfemi_reduced_checksum(r->block, (size_t)r->head->size);
+    *out = r;
+    r = NULL;
+done:
+    sfem_surface_free(&surface);
+    sfemi_delete(al, number);
+    sfemi_delete(al, work);
+    sfem_reduced_free(r);
+    return status;
+}
+
+SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
+{
+    sfem_reduced_info info;
+    memset(&info, 0, sizeof info);
+    info.nodes = r->head->nodes;
+    info.modes = r->head->modes;
+    info.free = r->head->free;
+    info.surface_nodes = r->head->surface_nodes;
+    info.surface_triangles = r->head->surface_triangles;
+    info.surface_node = r->surface_node;
+    info.surface_tri = r->surface_tri;
+    info.lambda = r->lambda;
+    info.damping = r->damping;
+    info.x = r->x;
+    info.node_mass = r->mass;
+    info.mass = r->head->mass;
+    memcpy(info.centre, r->head->centre, sizeof info.centre);
+    memcpy(info.inertia, r->head->inertia, sizeof info.inertia);
+    info.bytes = (size_t)r->head->size;
+    return info;
+}
+
+SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *r, sfem_int node, sfem_real *phi, sfem_real *psi)
+{
+    const size_t m = (size_t)r->head->modes, stride = (size_t)r->head->stride, at = 3 * stride * (size_t)node;
+    size_t c;
+    SFEM_ASSERT(node >= 0 && node < r->head->nodes);
+    for (c = 0; c < 3; ++c) {
+        if (phi) memcpy(phi + c * m, r->phi + at + c * stride, m * sizeof *phi);
+        if (psi) memcpy(psi + c * m, r->psi + at + c * stride, m * sizeof *psi);
+    }
+}
+
+SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r) { return (size_t)r->head->size; }
+
+SFEM_DEF void sfem_reduced_save(const sfem_reduced *r, void *memory)
+{
+    memcpy(memory, r->block, (size_t)r->head->size);
+}
+
+/* Sizes that belong together, numbers in their ranges: a checksum is no signature. */
+static int sfemi_reduced_sound(const sfem_reduced *r)
+{
+    const sfemi_reduced_head *h = r->head;
+    const size_t m = (size_t)h->stride;
+    sfem_int i;
+    for (i = 0; i < h->surface_nodes; ++i)
+        if (r->surface_node[i] < 0 || r->surface_node[i] >= h->nodes) return 0;
+    for (i = 0; i < 3 * h->surface_triangles; ++i)
+        if (r->surface_tri[i] < 0 || r->surface_tri[i] >= h->surface_nodes) return 0;
+    for (i = 0; i < h->stride; ++i)
+        if (!(r->lambda[i] >= 0 && r->damping[i] >= 0 && r->amplitude[i] >= 0)) return 0;
+    return h->mass > 0 && sfemi_all_finite(&h->mass, 22) && sfemi_all_finite(r->lambda, 2 * m) &&
+           sfemi_all_finite(r->x, 3 * (size_t)h->nodes) &&
+           sfemi_all_finite(r->phi, 3 * m * (size_t)h->nodes) &&
+           sfemi_all_finite(r->psi, 3 * m * (size_t)h->nodes);
+}
+
+SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const sfem_allocator *allocator,
+                                       sfem_reduced **out, sfem_error *err)
+{
+    const sfem_allocator plain = {NULL, NULL, NULL};
+    const sfem_allocator *al = allocator ? allocator : &plain;
+    size_t at[SFEMI_REDUCED_ARRAYS + 1];
+    sfemi_reduced_head h;
+    sfem_reduced *r = NULL;
+    sfem_status status;
+    if (bytes < sizeof h)
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a reduced model", (unsigned long)bytes);
+    memcpy(&h, memory, sizeof h);
+    if (memcmp(h.magic, "sfemred", 8) != 0) return sfemi_fail(err, SFEM_FORMAT, "this is no reduced model");
+    if (h.order != 0x01020304u)
+        return sfemi_fail(err, SFEM_FORMAT, "the reduced model was saved on a machine of another byte order");
+    if (h.version != SFEMI_REDUCED_VERSION)
+        return sfemi_fail(err, SFEM_FORMAT, "the reduced model is of version %u, this reads %d",
+                          (unsigned)h.version, SFEMI_REDUCED_VERSION);
+    if (h.size != bytes)
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes of a reduced model of %lu", (unsigned long)bytes,
+                          (unsigned long)h.size);
+    if (h.nodes < 1 || h.modes < 0 || h.stride < h.modes || h.stride % 8 || h.groups < 0 ||
+        h.surface_nodes < 0 || h.surface_triangles < 0 || h.surface_triangles > INT32_MAX / 3 ||
+        !sfemi_reduced_layout(&h, at) || at[SFEMI_REDUCED_ARRAYS] != bytes ||
+        sfemi_reduced_checksum(memory, bytes) != h.checksum)
+        return sfemi_fail(err, SFEM_FORMAT, "the reduced model is damaged: its checksum does not fit");
+    SFEMI_TRY(sfemi_reduced_new(&h, al, &r, err));
+    memcpy(r->block, memory, bytes);
+    if (!sfemi_reduced_sound(r)) {
+        status = sfemi_fail(err, SFEM_FORMAT, "the reduced model holds numbers out of their ranges");
+        goto done;
+    }
+    *out = r;
+    return SFEM_OK;
+done:
+    sfem_reduced_free(r);
+    return status;
+}
+
+/* --- views ----------------------------------------------------------------------------------- */
+
+struct sfem_reduced_view {
+    sfem_reduced *reduced;
+    sfem_allocator allocator;
+    sfem_int count, tiles;
+    sfem_precision precision;
+    sfem_int *node;          /* [count] */
+    void *phi, *psi, *rest;  /* [tiles][modes][3][8], twice, [tiles][3][8]; double or float */
+};
+
+SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *v)
+{
+    sfem_allocator al;
+    if (!v) return;
+    al = v->allocator;
+    sfem_reduced_free(v->reduced);
+    sfemi_delete(&al, v->node);
+    sfemi_delete(&al, v->phi);
+    sfemi_delete(&al, v->psi);
+    sfemi_delete(&al, v->rest);
+    sfemi_delete(&al, v);
+}
+
+static void sfemi_view_put(const sfem_reduced_view *v, void *array, size_t at, sfem_real value)
+{
+    if (v->precision == SFEM_MIXED) ((float *)array)[at] = (float)value;
+    else ((double *)array)[at] = value;
+}
+
+static void sfemi_view_fill(sfem_reduced_view *v)
+{
+    const sfem_reduced *r = v->reduced;
+    const size_t m = (size_t)r->head->modes, stride = (size_t)r->head->stride;
+    size_t i, c, k;
+    for (i = 0; i < (size_t)v->count; ++i) {
+        const size_t tile = i / SFEMI_TILE, lane = i % SFEMI_TILE, node = (size_t)v->node[i];
+        for (c = 0; c < 3; ++c) {
+            const size_t row = (3 * node + c) * stride;
+            sfemi_view_put(v, v->rest, (3 * tile + c) * SFEMI_TILE + lane,
+                           r->x[3 * node + c] - (r->head->free ? r->head->centre[c] : 0));
+            for (k = 0; k < m; ++k) {
+                const size_t at = ((tile * m + k) * 3 + c) * SFEMI_TILE + lane;
+                sfemi_view_put(v, v->phi, at, r->phi[row + k]);
+                sfemi_view_put(v, v->psi, at, r->psi[row + k]);
+            }
+        }
+    }
+}
+
+SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *r, sfem_int count, const sfem_int *node,
+                                              sfem_precision precision, sfem_reduced_view **out,
+                                              sfem_error *err)
+{
+    const sfem_allocator al = r->allocator;
+    const size_t m = (size_t)r->head->modes, real = precision == SFEM_MIXED ? sizeof(float) : sizeof(double);
+    sfem_reduced_view *v = NULL;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    size_t tiles;
+    if (!node) count = r->head->nodes;
+    if (count < 0) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a view of %d nodes", (int)count);
+    for (i = 0; node && i < count; ++i)
+        if (node[i] < 0 || node[i] >= r->head->nodes)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[i], -1, "there is no node %d, the body has %d",
+                                 (int)node[i], (int)r->head->nodes);
+    tiles = ((size_t)count + SFEMI_TILE - 1) / SFEMI_TILE;
+    if (m && tiles > ((size_t)-1 / 64 / SFEMI_TILE) / m)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d nodes in %d modes do not fit into memory", (int)count,
+                          (int)r->head->modes);
+    SFEMI_NEW(sfem_reduced_view, v, &al, 1);
+    v->allocator = al;
+    v->count = count;
+    v->tiles = (sfem_int)tiles;
+    v->precision = precision;
+    SFEMI_NEW(sfem_int, v->node, &al, (size_t)count + !count);
+    SFEMI_NEW(char, v->phi, &al, 3 * SFEMI_TILE * real * (tiles * m + 1));
+    SFEMI_NEW(char, v->psi, &al, 3 * SFEMI_TILE * real * (tiles * m + 1));
+    SFEMI_NEW(char, v->rest, &al, 3 * SFEMI_TILE * real * (tiles + 1));
+    for (i = 0; i < count; ++i) v->node[i] = node ? node[i] : i;
+    sfemi_reduced_retain(r);
+    v->reduced = r;
+    sfemi_view_fill(v);
+    *out = v;
+    return SFEM_OK;
+done:
+    sfem_reduced_view_free(v);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *r, sfem_precision precision,
+                                               sfem_reduced_view **out, sfem_error *err)
+{
+    return sfem_reduced_view_create(r, r->head->surface_nodes, r->surface_node, precision, out, err);
+}
+
+SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *v) { return v->count; }
+
+/* --- oscillators ------------------------------------------------------------------------------
+ *
+ * q'' + 2 c q' + omega^2 q = f0 + (f1 - f0) t/h.  S, the response to a unit impulse, P, that to a unit force
+ * (P' = S), and T, that to a unit ramp (T' = P), give
+ *     q1 = (S' + 2c S) q0 + S v0 + P f0 + T/h (f1 - f0),   v1 = -omega^2 S q0 + S' v0 + S f0 + P/h (f1 - f0)
+ * with S' + 2c S = 1 - omega^2 P and S + 2c P + omega^2 T = h. Three ways to compute them, each where it loses
+ * no digits. */
+typedef struct sfemi_oscillator {
+    sfem_real s, s_dot, p, t; /* S, S', P, T at h */
+} sfemi_oscillator;
+
+/* expm1(z)/z and (that - 1)/z for z <= 0 */
+static void sfemi_oscillator_phi(sfem_real z, sfem_real *phi1, sfem_real *phi2)
+{
+    if (z > -0.5) {
+        sfem_real term = 0.5;
+        int k;
+        for (*phi2 = 0, k = 3; k < 20; ++k) {
+            *phi2 += term;
+            term *= z / k;
+        }
+        *phi1 = 1 + z * *phi2;
+    } else {
+        *phi1 = expm1(z) / z;
+        *phi2 = (*phi1 - 1) / z;
+    }
+}
+
+static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfem_real h)
+{
+    const sfem_real ch = c * h, o2 = omega2 * h * h, d = o2 - ch * ch; /* (damped frequency h)^2 */
+    sfemi_oscillator r;
+    if (2 * ch <= 1 && o2 <= 1) { /* series of T: T'' + 2c T' + omega^2 T = t */
+        sfem_real before = 0, b = 1.0 / 6; /* coefficients k - 1 and k of T/h^3 at t = h */
+        int k;
+        r.t = b, r.p = 3 * b, r.s = 6 * b, r.s_dot = 6 * b;
+        for (k = 4; k < 26; ++k) {
+            const sfem_real next = -(2 * ch * (k - 1) * b + o2 * before) / (k * (k - 1));
+            before = b;
+            b = next;
+            r.t += b;
+            r.p += k * b;
+            r.s += k * (k - 1) * b;
+            r.s_dot += (sfem_real)k * (k - 1) * (k - 2) * b;
+        }
+        r.t *= h * h * h;
+        r.p *= h * h;
+        r.s *= h;
+    } else if (d < -0.1) { /* two decays, r1 the slow one: divided differences of exponentials */
+        const sfem_real s = sqrt(-d), r1 = -o2 / (ch + s), r2 = -(ch + s), e1 = exp(r1), e2 = exp(r2);
+        sfem_real a1, a2, b1, b2;
+        sfemi_oscillator_phi(r1, &a1, &a2);
+        sfemi_oscillator_phi(r2, &b1, &b2);
+        r.s = h * -e1 * expm1(-2 * s) / (2 * s);
+        r.s_dot = (r1 * e1 - r2 * e2) / (2 * s);
+        r.p = h * h * (a1 - b1) / (2 * s);
+        r.t = h * h * h * (a2 - b2) / (2 * s);
+    } else { /* omega h is not small here: dividing by omega^2 is safe */
+        const sfem_real e = exp(-ch), x = sqrt(fabs(d)), x2 = d / 6 * (1 - d / 20);
+        const sfem_real sine = fabs(d) < 1e-4 ? 1 - x2 : d > 0 ? sin(x) / x : sinh(x) / x;
+        const sfem_real cosine = d > 0 ? cos(x) : cosh(x);
+        r.s = h * e * sine;
+        r.s_dot = e * (cosine - ch * sine);
+        r.p = (1 - e * (cosine + ch * sine)) / omega2;
+        r.t = (h - r.s - 2 * c * r.p) / omega2;
+    }
+    return r;
+}
+
+/* --- modal bodies: the state ----------------------------------------------------------------- */
+
+typedef struct sfemi_modal_head {
+    char magic[8];
+    uint32_t version, unused;
+    uint64_t size, key, checksum;
+    sfem_real time, beta, gamma; /* of the last step */
+    sfem_real gravity[3];
+    sfem_rigid rigid;            /* rigid.w is not kept: it follows from */
+    sfem_real momentum[3];       /* the angular momentum, world */
+    sfem_real accel[3], torque[3]; /* of the frame at the end of the last step */
+    sfem_real residual;
+    sfem_int started, forces;    /* a belongs to the state; nodes with forces */
+    sfem_int handles, handle_nodes, iterations, rows_left;
+    int64_t steps;
+} sfemi_modal_head;
+
+typedef struct sfemi_modal_handle {
+    sfem_real target[3], l[3]; /* m; N, on the hand */
+    sfem_int used, first, count, unused;
+} sfemi_modal_handle;
+
+struct sfem_modal {
+    sfem_modal_def def;
+    sfem_reduced *reduced;
+    const sfemi_modal_kernels *kernels;
+    size_t m, stride, state_bytes, small_bytes, bytes; /* small: what a failed step restores */
+    /* the state, one block */
+    sfemi_modal_head *head;
+    sfem_real *q, *v, *a, *f;      /* [stride] */
+    sfem_real *rest;               /* [stride] the load with which a mode fell asleep */
+    sfem_int *asleep;              /* [stride] */
+    sfemi_modal_handle *handle;    /* [max_handles] */
+    sfem_real *weight;             /* [max_handle_nodes] */
+    sfem_int *handle_node;         /* [max_handle_nodes] */
+    sfem_real *rows;               /* [max_handles][3][stride] J of the last step */
+    sfem_real *force;              /* [nodes][3], by place in force_node */
+    sfem_int *force_node;          /* [nodes] */
+    /* scratch */
+    void *backup;                  /* small_bytes */
+    sfem_real *next, *b, *qp, *vp, *inverse; /* [stride] */
+    sfemi_oscillator *oscillator;  /* [stride] */
+    sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H], [3H], [3H] */
+    sfem_int *place;               /* [nodes] a node's place in force_node + 1, or 0 */
+    sfem_int *drawn;               /* [stride] modes whose q is not 0 */
+    double *drawn_q;               /* [stride] */
+    float *drawn_q32;              /* [stride] */
+    sfem_int drawn_count;
+    sfem_real h, beta, gamma;      /* what inverse is for; h = 0: nothing */
+    sfem_real exact_h;
+    sfem_real pose_force[3], pose_torque[3]; /* of the loads at the end of the step */
+    double turn[2 * SFEMI_TURN_TERMS + 1];
+    float turn32[2 * SFEMI_TURN_TERMS32 + 1];
+};
+
+enum { SFEMI_MODAL_ARRAYS = 13, SFEMI_MODAL_VERSION = 1 };
+
+static int sfemi_modal_path_kind(const sfem_modal *b)
+{
+    return b->def.warp == SFEM_WARP_PATH ? SFEMI_TURN_PATH : SFEMI_TURN_ROTATION;
+}
+
+/* w = Psi q and u = Phi q of one node; either may be NULL. */
+static void sfemi_modal_rotation(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real w[3])
+{
+    b->kernels->dot3(b->stride, b->reduced->psi + 3 * b->stride * (size_t)node, q, w);
+}
+
+static void sfemi_modal_linear(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real u[3])
+{
+    b->kernels->dot3(b->stride, b->reduced->phi + 3 * b->stride * (size_t)node, q, u);
+}
+
+/* The displacement of a node in the frame: Phi q, R Phi q or Rt Phi q. */
+static void sfemi_modal_displace(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real u[3])
+{
+    sfem_real w[3], k1, k2;
+    sfemi_modal_linear(b, node, q, u);
+    if (b->def.warp == SFEM_WARP_NONE) return;
+    sfemi_modal_rotation(b, node, q, w);
+    sfemi_turn_coefficients(sfemi_modal_path_kind(b), w, &k1, &k2);
+    sfemi_turn_apply(k1, k2, w, u, u);
+}
+
+/* What is drawn: the modes that are not 0. */
+static void sfemi_modal_pack(sfem_modal *b)
+{
+    size_t k;
+    sfem_int count = 0;
+    for (k = 0; k < b->m; ++k) {
+        if (b->q[k] == 0) continue;
+        b->drawn[count] = (sfem_int)k;
+        b->drawn_q[count] = b->q[k];
+        b->drawn_q32[count++] = (float)b->q[k];
+    }
+    b->drawn_count = count;
+}
+
+static void sfemi_modal_wake(sfem_modal *b)
+{
+    memset(b->asleep, 0, b->stride * sizeof *b->asleep);
+}
+
+SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
+{
+    sfem_modal_def def;
+    memset(&def, 0, sizeof def);
+    def.warp = SFEM_WARP_PATH;
+    def.beta = 0.25;
+    def.gamma = 0.5;
+    def.handle_beta = 0.3025;
+    def.handle_gamma = 0.6;
+    def.compliance = 1e-5;
+    def.handle_iterations = 4;
+    def.max_handles = 16;
+    def.max_handle_nodes = 64;
+    return def;
+}
+
+static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
+{
+    const sfem_real number[9] = {d->beta, d->gamma, d->handle_beta, d->handle_gamma, d->compliance,
+                                 d->tolerance, d->gravity[0], d->gravity[1], d->gravity[2]};
+    if (!sfemi_all_finite(number, 9))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "a number of the definition of a modal body is not finite");
+    if (!(d->beta > 0 && d->handle_beta > 0 && d->gamma >= 0.5 && d->handle_gamma >= 0.5))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark %g, %g and with handles %g, %g: beta > 0, gamma >= 1/2",
+                          d->beta, d->gamma, d->handle_beta, d->handle_gamma);
+    if (!(d->compliance >= 0) || !(d->tolerance >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "compliance %g and tolerance %g must be 0 or more",
+                          d->compliance, d->tolerance);
+    if (d->max_handles < 0 || d->max_handle_nodes < 0 || d->handle_iterations < 1 || d->max_handles > 10000)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d handles of %d nodes, %d iterations", (int)d->max_handles,
+                          (int)d->max_handle_nodes, (int)d->handle_iterations);
+    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_EXACT)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "warp %d or integrator %d is not one of them", (int)d->warp,
+                          (int)d->integrator);
+    return SFEM_OK;
+}
+
+/* The state's arrays in one block; with block = NULL only the sizes. */
+static void sfemi_modal_lay_out(sfem_modal *b, void *block)
+{
+    const size_t real = b->stride * sizeof(sfem_real), handles = (size_t)b->def.max_handles;
+    const size_t held = (size_t)b->def.max_handle_nodes, n = (size_t)b->reduced->head->nodes;
+    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head), real, real, real, real, real,
+                                              b->stride * sizeof(sfem_int),
+                                              handles * sizeof(sfemi_modal_handle),
+                                              held * sizeof(sfem_real), held * sizeof(sfem_int),
+                                              3 * handles * real, 3 * n * sizeof(sfem_real),
+                                              n * sizeof(sfem_int)};
+    size_t at[SFEMI_MODAL_ARRAYS + 1];
+    char *p = (char *)block;
+    int k;
+    at[0] = 0;
+    for (k = 0; k < SFEMI_MODAL_ARRAYS; ++k)
+        at[k + 1] = (at[k] + bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    b->state_bytes = at[SFEMI_MODAL_ARRAYS];
+    b->small_bytes = at[8];
+    if (!p) return;
+    b->head = (sfemi_modal_head *)(void *)p;
+    b->q = (sfem_real *)(void *)(p + at[1]);
+    b->v = (sfem_real *)(void *)(p + at[2]);
+    b->a = (sfem_real *)(void *)(p + at[3]);
+    b->f = (sfem_real *)(void *)(p + at[4]);
+    b->rest = (sfem_real *)(void *)(p + at[5]);
+    b->asleep = (sfem_int *)(void *)(p + at[6]);
+    b->handle = (sfemi_modal_handle *)(void *)(p + at[7]);
+    b->weight = (sfem_real *)(void *)(p + at[8]);
+    b->handle_node = (sfem_int *)(void *)(p + at[9]);
+    b->rows = (sfem_real *)(void *)(p + at[10]);
+    b->force = (sfem_real *)(void *)(p + at[11]);
+    b->force_node = (sfem_int *)(void *)(p + at[12]);
+}
+
+static uint64_t sfemi_modal_key(const sfem_modal *b)
+{
+    const sfem_int sizes[3] = {b->def.max_handles, b->def.max_handle_nodes, (sfem_int)b->def.warp};
+    return sfemi_state_hash(b->reduced->head->checksum, sizes, sizeof sizes);
+}
+
+static void sfemi_modal_series(sfem_modal *b)
+{
+    const int kind = sfemi_modal_path_kind(b);
+    sfem_real c[2][SFEMI_TURN_TERMS];
+    int k, j;
+    for (j = 0; j < 2; ++j) {
+        sfemi_turn_series(kind + j, SFEMI_TURN_TERMS, c[j]);
+        for (k = 0; k < SFEMI_TURN_TERMS; ++k) b->turn[SFEMI_TURN_TERMS * j + k] = c[j][k];
+        for (k = 0; k < SFEMI_TURN_TERMS32; ++k) b->turn32[SFEMI_TURN_TERMS32 * j + k] = (float)c[j][k];
+    }
+    b->turn[2 * SFEMI_TURN_TERMS] = kind;
+    b->turn32[2 * SFEMI_TURN_TERMS32] = (float)kind;
+}
+
+SFEM_DEF void sfem_modal_free(sfem_modal *b)
+{
+    sfem_allocator al;
+    if (!b) return;
+    al = b->def.allocator;
+    sfem_reduced_free(b->reduced);
+    sfemi_delete(&al, b->head);
+    sfemi_delete(&al, b->backup);
+    sfemi_delete(&al, b->next);
+    sfemi_delete(&al, b->oscillator);
+    sfemi_delete(&al, b->s);
+    sfemi_delete(&al, b->place);
+    sfemi_delete(&al, b->drawn);
+    sfemi_delete(&al, b->drawn_q32);
+    sfemi_delete(&al, b);
+}
+
+SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def, sfem_modal **out,
+                                       sfem_error *err)
+{
+    const sfem_allocator *al = &def->allocator;
+    const size_t rows = 3 * (size_t)(def->max_handles > 0 ? def->max_handles : 0);
+    sfem_modal *b = NULL;
+    sfem_status status = sfemi_modal_check(def, err);
+    char *block = NULL;
+    if (status != SFEM_OK) return status;
+    SFEMI_NEW(sfem_modal, b, al, 1);
+    b->def = *def;
+    sfemi_reduced_retain(reduced);
+    b->reduced = reduced;
+    b->kernels = sfemi_modal_kernels_of(sfemi_path());
+    b->m = (size_t)reduced->head->modes;
+    b->stride = (size_t)reduced->head->stride;
+    sfemi_modal_lay_out(b, NULL);
+    SFEMI_NEW(char, block, al, b->state_bytes);
+    sfemi_modal_lay_out(b, block);
+    SFEMI_NEW(char, b->backup, al, b->small_bytes);
+    SFEMI_NEW(sfem_real, b->next, al, 6 * b->stride + 1);
+    b->b = b->next + b->stride;
+    b->qp = b->b + b->stride;
+    b->vp = b->qp + b->stride;
+    b->inverse = b->vp + b->stride;
+    b->drawn_q = b->inverse + b->stride;
+    SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
+    SFEMI_NEW(sfem_real, b->s, al, rows * rows + 3 * rows + 1);
+    b->arm = b->s + rows * rows;
+    b->l = b->arm + rows;
+    b->residual = b->l + rows;
+    SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
+    SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
+    SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
+    b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
+               b->stride * (6 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+                            sizeof(float)) +
+               (rows * rows + 3 * rows) * sizeof(sfem_real) +
+               (size_t)reduced->head->nodes * sizeof(sfem_int);
+    sfemi_modal_series(b);
+    memcpy(b->head->magic, "sfemmod", 8);
+    b->head->version = SFEMI_MODAL_VERSION;
+    b->head->size = b->state_bytes;
+    b->head->key = sfemi_modal_key(b);
+    b->head->beta = def->beta;
+    b->head->gamma = def->gamma;
+    memcpy(b->head->gravity, def->gravity, sizeof def->gravity);
+    memcpy(b->head->rigid.x, reduced->head->centre, sizeof b->head->rigid.x);
+    b->head->rigid.r[0] = b->head->rigid.r[4] = b->head->rigid.r[8] = 1;
+    *out = b;
+    return SFEM_OK;
+done:
+    sfem_modal_free(b);
+    return status;
+}
+
+/* --- loads ----------------------------------------------------------------------------------- */
+
+SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
+{
+    const sfem_int n = b->reduced->head->nodes;
+    sfem_int i;
+    for (i = 0; force && i < n; ++i)
+        if (!sfemi_all_finite(force + 3 * (size_t)i, 3))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the force on node %d is not finite", (int)i);
+    for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
+    b->head->forces = 0;
+    for (i = 0; force && i < n; ++i) {
+        const sfem_real *f = force + 3 * (size_t)i;
+        if (f[0] == 0 && f[1] == 0 && f[2] == 0) continue;
+        memcpy(b->force + 3 * (size_t)b->head->forces, f, 3 * sizeof *f);
+        b->force_node[b->head->forces] = i;
+        b->place[i] = ++b->head->forces;
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
+                                               sfem_error *err)
+{
+    sfem_int at;
+    int c;
+    if (node < 0 || node >= b->reduced->head->nodes)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "there is no node %d, the body has %d", (int)node,
+                             (int)b->reduced->head->nodes);
+    if (!sfemi_all_finite(f, 3))
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d is not finite", (int)node);
+    if (!b->place[node]) {
+        at = b->head->forces++;
+        b->force_node[at] = node;
+        b->place[node] = at + 1;
+        memset(b->force + 3 * (size_t)at, 0, 3 * sizeof *f);
+    }
+    at = b->place[node] - 1;
+    for (c = 0; c < 3; ++c) b->force[3 * (size_t)at + (size_t)c] += f[c];
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *b, const sfem_real g[3], sfem_error *err)
+{
+    if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    memcpy(b->head->gravity, g, 3 * sizeof *g);
+    return SFEM_OK;
+}
+
+/* Gravity on a held body: Phi^T M g where nothing warps, else each group turned as one. */
+static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_real *f)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_real *g = b->head->gravity;
+    sfem_int i;
+    if (b->reduced->head->free || (g[0] == 0 && g[1] == 0 && g[2] == 0)) return;
+    if (b->def.warp == SFEM_WARP_NONE) {
+        b->kernels->add3(b->stride, r->gravity, g, f);
+        return;
+    }
+    for (i = 0; i < r->head->groups; ++i) {
+        const size_t at = 3 * b->stride * (size_t)i;
+        sfem_real w[3], turned[3], k1, k2;
+        b->kernels->dot3(b->stride, r->group_psi + at, q, w);
+        sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+        sfemi_turn_apply(-k1, k2, w, g, turned);
+        b->kernels->add3(b->stride, r->group_phi + at, turned, f);
+    }
+}
+
+/* f = Phi^T R(q)^T F, and of a free body the force and torque on its frame. */
+static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_rigid *frame = &b->head->rigid;
+    sfem_int i;
+    int c;
+    memset(f, 0, b->stride * sizeof *f);
+    memset(b->pose_torque, 0, sizeof b->pose_torque);
+    for (c = 0; c < 3; ++c) b->pose_force[c] = r->head->mass * b->head->gravity[c];
+    for (i = 0; i < b->head->forces; ++i) {
+        const sfem_int node = b->force_node[i];
+        const sfem_real *F = b->force + 3 * (size_t)i;
+        sfem_real local[3] = {F[0], F[1], F[2]}, w[3], k1, k2;
+        if (r->head->free) {
+            sfem_real arm[3], torque[3];
+            sfemi_modal_displace(b, node, q, arm);
+            for (c = 0; c < 3; ++c) arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
+            sfemi_turn_vector(frame->r, arm, arm);
+            sfemi_cross(arm, F, torque);
+            for (c = 0; c < 3; ++c) b->pose_force[c] += F[c], b->pose_torque[c] += torque[c];
+            sfemi_turn_back(frame->r, F, local);
+        }
+        if (b->def.warp != SFEM_WARP_NONE) {
+            sfemi_modal_rotation(b, node, q, w);
+            sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+            sfemi_turn_apply(-k1, k2, w, local, local);
+        }
+        b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+    }
+    sfemi_modal_weight(b, q, f);
+}
+
+SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
+{
+    sfemi_modal_load_at(b, b->q, b->b);
+    memcpy(load, b->b, b->m * sizeof *load);
+}
+
+/* --- the frame of a free body ---------------------------------------------------------------- */
+
+static void sfemi_frame_velocity(const sfem_modal *b, const sfem_real r[9], const sfem_real momentum[3],
+                                 sfem_real w[3])
+{
+    sfemi_turn_back(r, momentum, w);
+    sfemi_turn_vector(b->reduced->head->inverse, w, w);
+    sfemi_turn_vector(r, w, w);
+}
+
+/* r1 = r0 exp [h W]x, I W = (r0 exp [h W/2]x)^T mean: the implicit midpoint rule for the mean angular momentum
+ * of the step. */
+static void sfemi_frame_turn(const sfem_modal *b, const sfem_real r0[9], const sfem_real mean[3], sfem_real h,
+                             sfem_real r1[9])
+{
+    sfem_real local[3], w[3] = {0, 0, 0}, turn[9], square[9];
+    int k, c;
+    sfemi_turn_back(r0, mean, local);
+    for (k = 0; k < 50; ++k) {
+        sfem_real half[3], next[3], change = 0, size = 0;
+        for (c = 0; c < 3; ++c) half[c] = h / 2 * w[c];
+        sfemi_turn_matrix(SFEMI_TURN_ROTATION, half, turn);
+        sfemi_turn_back(turn, local, next);
+        sfemi_turn_vector(b->reduced->head->inverse, next, next);
+        for (c = 0; c < 3; ++c) {
+            change = fmax(change, fabs(next[c] - w[c]));
+            size = fmax(size, fabs(next[c]));
+            w[c] = next[c];
+        }
+        if (change <= 1e-16 * size) break;
+    }
+    for (c = 0; c < 3; ++c) w[c] *= h;
+    sfemi_turn_matrix(SFEMI_TURN_ROTATION, w, turn);
+    sfemi_mul3(r0, turn, r1);
+    sfemi_mul3_tn(r1, r1, square); /* R (3 - R^T R)/2: what rounding took from its orthogonality */
+    for (c = 0; c < 9; ++c) square[c] = (c % 4 ? 0 : 1.5) - square[c] / 2;
+    sfemi_mul3(r1, square, turn);
+    memcpy(r1, turn, sizeof turn);
+}
+
+/* The pose after a step of the frame under force and torque at its end. */
+static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, sfem_real gamma,
+                             const sfem_real force[3], const sfem_real torque[3], sfemi_modal_head *to)
+{
+    const sfemi_modal_head *from = b->head;
+    sfem_real mean[3];
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real a = force[c] / b->reduced->head->mass;
+        to->rigid.x[c] = from->rigid.x[c] + h * from->rigid.v[c] +
+                         h * h * ((0.5 - beta) * from->accel[c] + beta * a);
+        to->rigid.v[c] = from->rigid.v[c] + h * ((1 - gamma) * from->accel[c] + gamma * a);
+        mean[c] = from->momentum[c] + h * ((0.5 - beta) * from->torque[c] + beta * torque[c]);
+        to->momentum[c] = from->momentum[c] + h * ((1 - gamma) * from->torque[c] + gamma * torque[c]);
+        to->accel[c] = a;
+        to->torque[c] = torque[c];
+    }
+    sfemi_frame_turn(b, from->rigid.r, mean, h, to->rigid.r);
+}
+
+/* --- handles ---------------------------------------------------------------------------------
+ *
+ * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation that displaces
+ * node k; of a free body's frame also the identity and -[arm]x, with mass and inertia in A. With those,
+ * S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps d l, d the mean of S's diagonal, by
+ * (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at once where nothing warps; else x is not linear
+ * in q, and a few repetitions with J renewed bring the handles to their targets. */
+
+/* x and, unless NULL, J at q in the given pose; arm is x - the frame's place, in the world. */
+static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, const sfem_real *q,
+                              const sfem_rigid *frame, sfem_real x[3], sfem_real arm[3], sfem_real *rows)
+{
+    const sfem_reduced *r = b->reduced;
+    const size_t stride = b->stride;
+    const int loose = r->head->free;
+    sfem_int p;
+    size_t k;
+    int i, c;
+    for (c = 0; c < 3; ++c) arm[c] = 0;
+    if (rows) memset(rows, 0, 3 * stride * sizeof *rows);
+    for (p = h->first; p < h->first + h->count; ++p) {
+        const sfem_int node = b->handle_node[p];
+        const sfem_real *phi = r->phi + 3 * stride * (size_t)node;
+        sfem_real t[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, w[3], u[3];
+        sfemi_modal_linear(b, node, q, u);
+        if (b->def.warp != SFEM_WARP_NONE) {
+            sfemi_modal_rotation(b, node, q, w);
+            sfemi_turn_matrix(sfemi_modal_path_kind(b), w, t);
+            sfemi_turn_vector(t, u, u);
+        }
+        for (c = 0; c < 3; ++c)
+            arm[c] += b->weight[p] *
+                      (r->x[3 * (size_t)node + (size_t)c] - (loose ? r->head->centre[c] : 0) + u[c]);
+        if (!rows) continue;
+        if (loose) {
+            sfem_real turned[9];
+            sfemi_mul3(frame->r, t, turned);
+            memcpy(t, turned, sizeof t);
+        }
+        for (i = 0; i < 3; ++i)
+            for (c = 0; c < 3; ++c) {
+                const sfem_real s = b->weight[p] * t[3 * i + c];
+                for (k = 0; k < stride; ++k) rows[(size_t)i * stride + k] += s * phi[(size_t)c * stride + k];
+            }
+    }
+    if (loose) sfemi_turn_vector(frame->r, arm, arm);
+    for (c = 0; c < 3; ++c) x[c] = arm[c] + (loose ? frame->x[c] : 0);
+}
+
+/* The slots in use, in a fixed order: returns how many. */
+static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
+{
+    while (slot < b->def.max_handles && !b->handle[slot].used) ++slot;
+    return slot;
+}
+
+/* S = J A^-1 J^T over all rows in use, factored with the compliance added; inverse NULL: A = I. Rows that move
+ * nothing get a zero pivot. Returns eps times the mean diagonal. */
+static sfem_real sfemi_handle_factor(sfem_modal *b, const sfem_real *inverse, const sfem_real r[9])
+{
+    const sfemi_reduced_head *head = b->reduced->head;
+    const sfem_int n = 3 * b->head->handles;
+    sfem_int hi, hj, i = 0, j, c, d, rows = 0, left = 0;
+    sfem_real *s = b->s, most = 0, mean = 0, world[9], half[9];
+    size_t k;
+    if (head->free) {
+        sfemi_mul3(r, head->inverse, half);
+        sfemi_mul3_nt(half, r, world);
+    }
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        for (j = 0, hj = sfemi_handle_next(b, 0); hj <= hi; hj = sfemi_handle_next(b, hj + 1), j += 3) {
+            for (c = 0; c < 3; ++c) {
+                const sfem_real *x = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
+                for (d = 0; d < 3; ++d) {
+                    const sfem_real *y = b->rows + (3 * (size_t)hj + (size_t)d) * b->stride;
+                    sfem_real sum = 0;
+                    for (k = 0; k < b->m; ++k) sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
+                    if (head->free) { /* I/mass + [ai]x^T W [aj]x */
+                        sfem_real e[3] = {0, 0, 0}, g[3] = {0, 0, 0}, p[3], w[3];
+                        e[c] = g[d] = 1;
+                        sfemi_cross(b->arm + i, e, p); /* the torque of a unit force along c */
+                        sfemi_cross(b->arm + j, g, w);
+                        sfemi_turn_vector(world, w, w);
+                        sum += (c == d ? 1 / head->mass : 0) + sfemi_dot3(p, w);
+                    }
+                    s[(i + c) * n + j + d] = sum;
+                }
+            }
+        }
+    }
+    for (i = 0; i < n; ++i) most = fmax(most, s[i * n + i]);
+    for (i = 0; i < n; ++i)
+        if (s[i * n + i] > 1e-12 * most) mean += s[i * n + i], ++rows;
+    mean = rows ? b->def.compliance * mean / rows : 0;
+    for (i = 0; i < n; ++i) {
+        if (s[i * n + i] > 1e-12 * most) s[i * n + i] += mean;
+        else
+            for (j = 0; j < n; ++j) { /* nothing moves it */
+                if (j <= i) s[i * n + j] = 0;
+                else s[j * n + i] = 0;
+            }
+    }
+    sfemi_grip_factor(s, n, n);
+    for (i = 0; i < n; ++i) left += !(s[i * n + i] > 0);
+    b->head->rows_left = left;
+    return mean;
+}
+
+/* y -= J^T l, all rows in use */
+static void sfemi_handle_subtract(const sfem_modal *b, const sfem_real *l, sfem_real *y)
+{
+    sfem_int hi, i = 0;
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        const sfem_real minus[3] = {-l[i], -l[i + 1], -l[i + 2]};
+        b->kernels->add3(b->stride, b->rows + 3 * (size_t)hi * b->stride, minus, y);
+    }
+}
+
+/* The force -sum l and torque -sum arm x l on the frame, added to those of the loads. */
+static void sfemi_handle_frame_force(const sfem_modal *b, const sfem_real *l, sfem_real force[3],
+                                     sfem_real torque[3])
+{
+    sfem_int i;
+    int c;
+    memcpy(force, b->pose_force, 3 * sizeof *force);
+    memcpy(torque, b->pose_torque, 3 * sizeof *torque);
+    for (i = 0; i < 3 * b->head->handles; i += 3) {
+        sfem_real t[3];
+        sfemi_cross(b->arm + i, l + i, t);
+        for (c = 0; c < 3; ++c) force[c] -= l[i + c], torque[c] -= t[c];
+    }
+}
+
+/* Takes from v (and the frame's velocity) or a (and its acceleration) what moves the handles from `from` on, the
+ * others left as they are; the multipliers go to b->l. The rows belong to the present state. */
+static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations)
+{
+    sfemi_modal_head *head = b->head;
+    const int loose = b->reduced->head->free;
+    sfem_real *y = accelerations ? b->a : b->v, *linear = accelerations ? head->accel : head->rigid.v;
+    sfem_real *angular = accelerations ? head->torque : head->momentum, w[3];
+    const sfem_int n = 3 * head->handles;
+    sfem_int hi, i = 0;
+    int c;
+    sfemi_handle_factor(b, NULL, head->rigid.r);
+    if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real turn[3] = {0, 0, 0};
+        for (c = 0; c < 3; ++c) b->l[i + c] = 0;
+        if (from >= 0 && hi != from) continue;
+        b->kernels->dot3(b->stride, b->rows + 3 * (size_t)hi * b->stride, y, b->l + i);
+        if (!loose) continue;
+        sfemi_cross(w, b->arm + i, turn);
+        for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
+    }
+    sfemi_grip_solve(b->s, n, n, b->l, 1);
+    sfemi_handle_subtract(b, b->l, y);
+    for (i = 0; loose && i < n; i += 3) {
+        sfem_real t[3];
+        sfemi_cross(b->arm + i, b->l + i, t);
+        for (c = 0; c < 3; ++c) linear[c] -= b->l[i + c] / b->reduced->head->mass, angular[c] -= t[c];
+    }
+}
+
+/* Rows, arms and places at the present state. */
+static void sfemi_handle_locate(sfem_modal *b)
+{
+    sfem_int hi, i = 0;
+    sfem_real x[3];
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        sfemi_handle_rows(b, b->handle + hi, b->q, &b->head->rigid, x, b->arm + i,
+                          b->rows + 3 * (size_t)hi * b->stride);
+}
+
+/* a = f - c v - lambda q, less what the handles hold of it. */
+static void sfemi_modal_accelerate(sfem_modal *b)
+{
+    const sfem_reduced *r = b->reduced;
+    sfem_int hi, i = 0;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) b->a[k] = b->f[k] - r->damping[k] * b->v[k] - r->lambda[k] * b->q[k];
+    for (c = 0; c < 3; ++c) b->head->accel[c] = b->pose_force[c] / r->head->mass;
+    memcpy(b->head->torque, b->pose_torque, sizeof b->pose_torque);
+    if (b->head->handles == 0) return;
+    sfemi_handle_locate(b);
+    sfemi_handle_project(b, -1, 1);
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        memcpy(b->handle[hi].l, b->l + i, 3 * sizeof *b->l);
+}
+
+SFEM_DEF void sfem_modal_start(sfem_modal *b)
+{
+    sfemi_modal_load_at(b, b->q, b->f);
+    sfemi_modal_accelerate(b);
+    b->head->started = 1;
+}
+
+static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_int *node,
+                                     const sfem_real *weight, sfem_int *handle, sfem_error *err)
+{
+    sfemi_modal_handle *h;
+    sfem_int slot, k;
+    sfem_real arm[3];
+    for (k = 0; k < count; ++k)
+        if (node[k] < 0 || node[k] >= b->reduced->head->nodes)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[k], -1, "there is no node %d, the body has %d",
+                                 (int)node[k], (int)b->reduced->head->nodes);
+    for (slot = 0; slot < b->def.max_handles && b->handle[slot].used; ++slot) continue;
+    if (slot == b->def.max_handles) return sfemi_fail(err, SFEM_FULL, "all %d handles are in use", (int)slot);
+    if (count > b->def.max_handle_nodes - b->head->handle_nodes)
+        return sfemi_fail(err, SFEM_FULL, "%d nodes more would be held, of max_handle_nodes %d are %d in use",
+                          (int)count, (int)b->def.max_handle_nodes, (int)b->head->handle_nodes);
+    h = b->handle + slot;
+    memset(h, 0, sizeof *h);
+    h->used = 1;
+    h->first = b->head->handle_nodes;
+    h->count = count;
+    for (k = 0; k < count; ++k) {
+        b->handle_node[h->first + k] = node[k];
+        b->weight[h->first + k] = weight ? weight[k] : 1.0 / count;
+    }
+    b->head->handle_nodes += count;
+    ++b->head->handles;
+    sfemi_handle_rows(b, h, b->q, &b->head->rigid, h->target, arm, NULL);
+    sfemi_modal_wake(b);
+    sfemi_handle_locate(b);
+    sfemi_handle_project(b, slot, 0);
+    if (b->head->started) {
+        sfem_int hi, i = 0;
+        int c;
+        sfemi_handle_project(b, slot, 1);
+        for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+            for (c = 0; c < 3; ++c) b->handle[hi].l[c] += b->l[i + c];
+    }
+    *handle = slot;
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *b, sfem_int node, sfem_int *handle, sfem_error *err)
+{
+    return sfemi_handle_grab(b, 1, &node, NULL, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *b, sfem_int count, const sfem_int *node,
+                                            const sfem_real *weight, sfem_int *handle, sfem_error *err)
+{
+    sfem_real sum = 0;
+    sfem_int k;
+    if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a region of %d nodes", (int)count);
+    for (k = 0; weight && k < count; ++k) sum += weight[k];
+    if (weight && !(fabs(sum - 1) <= 1e-6)) /* also NaN */
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the weights of a region add up to %g, not 1", sum);
+    return sfemi_handle_grab(b, count, node, weight, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle, const sfem_real target[3],
+                                            sfem_error *err)
+{
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    if (!sfemi_all_finite(target, 3))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
+    memcpy(b->handle[handle].target, target, 3 * sizeof *target);
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
+{
+    sfemi_modal_handle *h = b->handle + handle;
+    sfem_int k, after;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && h->used);
+    after = b->head->handle_nodes - h->first - h->count;
+    memmove(b->handle_node + h->first, b->handle_node + h->first + h->count, (size_t)after * sizeof(sfem_int));
+    memmove(b->weight + h->first, b->weight + h->first + h->count, (size_t)after * sizeof(sfem_real));
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->handle[k].used && b->handle[k].first > h->first) b->handle[k].first -= h->count;
+    b->head->handle_nodes -= h->count;
+    --b->head->handles;
+    memset(h, 0, sizeof *h);
+    if (b->head->started) {
+        sfemi_modal_load_at(b, b->q, b->next); /* the frame's forces; f stays that of the last step */
+        sfemi_modal_accelerate(b);
+    }
+}
+
+SFEM_DEF void sfem_modal_handle_position(const sfem_modal *b, sfem_int handle, sfem_real x[3])
+{
+    sfem_real arm[3];
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    sfemi_handle_rows(b, b->handle + handle, b->q, &b->head->rigid, x, arm, NULL);
+}
+
+SFEM_DEF void sfem_modal_handle_force(const sfem_modal *b, sfem_int handle, sfem_real force[3])
+{
+    int c;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    for (c = 0; c < 3; ++c) force[c] = -b->handle[handle].l[c];
+}
+
+SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *b, sfem_int handle, sfem_real *force)
+{
+    const sfem_real *rows = b->rows + 3 * (size_t)handle * b->stride, *l = b->handle[handle].l;
+    size_t k;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    for (k = 0; k < b->m; ++k)
+        force[k] = -(rows[k] * l[0] + rows[b->stride + k] * l[1] + rows[2 * b->stride + k] * l[2]);
+}
+
+/* --- steps ----------------------------------------------------------------------------------- */
+
+static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta, sfem_real gamma)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    if (b->h == h && b->beta == beta && b->gamma == gamma) return;
+    for (k = 0; k < b->m; ++k)
+        b->inverse[k] = 1 / (1 + gamma * h * r->damping[k] + beta * h * h * r->lambda[k]);
+    b->h = h;
+    b->beta = beta;
+    b->gamma = gamma;
+}
+
+/* q = qp + scale inverse (b - J^T l), and of a free body the pose at the end of the step. */
+static void sfemi_handle_respond(sfem_modal *b, sfem_real scale, sfem_real h, sfem_real beta, sfem_real gamma,
+                                 sfemi_modal_head *to)
+{
+    size_t k;
+    memcpy(b->a, b->b, b->stride * sizeof *b->a);
+    sfemi_handle_subtract(b, b->l, b->a);
+    for (k = 0; k < b->m; ++k) {
+        b->a[k] *= b->inverse[k];
+        b->q[k] = b->qp[k] + scale * b->a[k];
+    }
+    if (b->reduced->head->free) {
+        sfem_real force[3], torque[3];
+        sfemi_handle_frame_force(b, b->l, force, torque);
+        sfemi_frame_step(b, h, beta, gamma, force, torque, to);
+    }
+}
+
+/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T l) of the end
+ * of the step, l in the handles, and J, in rows, that of the last solve. */
+static void sfemi_handle_solve(sfem_modal *b, sfem_real scale, sfem_real h, sfem_real beta, sfem_real gamma,
+                               sfemi_modal_head *to)
+{
+    const sfemi_reduced_head *r = b->reduced->head;
+    const sfem_int n = 3 * b->head->handles;
+    const sfem_int most = b->def.warp == SFEM_WARP_NONE && !r->free ? 1 : b->def.handle_iterations;
+    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
+    sfem_int it, hi, i;
+    int c;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        for (c = 0; c < 3; ++c) b->l[i + c] = b->head->rows_left ? 0 : b->handle[hi].l[c];
+    to->iterations = 0;
+    for (it = 0; it < most; ++it) {
+        sfem_real x[3], arm[3], worst = 0, eps;
+        if (it == 0) sfemi_handle_locate(b);
+        else
+            for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+                sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, b->arm + i,
+                                  b->rows + 3 * (size_t)hi * b->stride);
+        eps = sfemi_handle_factor(b, b->inverse, to->rigid.r);
+        sfemi_handle_respond(b, scale, h, beta, gamma, to);
+        for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+            sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, arm, NULL);
+            for (c = 0; c < 3; ++c) {
+                const sfem_real gap = x[c] - b->handle[hi].target[c] - scale * eps * b->l[i + c];
+                if (b->s[(i + c) * n + i + c] > 0) worst = fmax(worst, fabs(gap));
+                b->residual[i + c] = gap / scale;
+            }
+        }
+        sfemi_grip_solve(b->s, n, n, b->residual, 1);
+        for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
+        sfemi_handle_respond(b, scale, h, beta, gamma, to);
+        ++to->iterations;
+        if (worst <= 1e-10 * size) break;
+    }
+    to->rows_left = b->head->rows_left;
+    to->residual = 0;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real x[3], arm[3];
+        sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, arm, NULL);
+        for (c = 0; c < 3; ++c) {
+            b->handle[hi].l[c] = b->l[i + c];
+            to->residual = fmax(to->residual, fabs(x[c] - b->handle[hi].target[c]));
+        }
+    }
+}
+
+static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem_real gamma,
+                                sfemi_modal_head *to)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    sfemi_modal_coefficients(b, h, beta, gamma);
+    if (b->head->handles == 0) {
+        for (k = 0; k < b->m; ++k) {
+            sfem_real q, v, a;
+            if (b->asleep[k]) continue;
+            q = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
+            v = b->v[k] + (1 - gamma) * h * b->a[k];
+            a = b->inverse[k] * (b->next[k] - r->damping[k] * v - r->lambda[k] * q);
+            b->q[k] = q + beta * h * h * a;
+            b->v[k] = v + gamma * h * a;
+            b->a[k] = a;
+        }
+        if (r->head->free) sfemi_frame_step(b, h, beta, gamma, b->pose_force, b->pose_torque, to);
+        return;
+    }
+    for (k = 0; k < b->m; ++k) {
+        b->qp[k] = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
+        b->vp[k] = b->v[k] + (1 - gamma) * h * b->a[k];
+        b->b[k] = b->next[k] - r->damping[k] * b->vp[k] - r->lambda[k] * b->qp[k];
+    }
+    sfemi_handle_solve(b, beta * h * h, h, beta, gamma, to);
+    for (k = 0; k < b->m; ++k) b->v[k] = b->vp[k] + gamma * h * b->a[k];
+}
+
+static void sfemi_modal_exact(sfem_modal *b, sfem_real h, sfemi_modal_head *to)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    if (b->exact_h != h)
+        for (k = 0; k < b->m; ++k)
+            b->oscillator[k] = sfemi_oscillator_make(r->lambda[k], r->damping[k] / 2, h);
+    b->exact_h = h;
+    for (k = 0; k < b->m; ++k) {
+        const sfemi_oscillator *o = b->oscillator + k;
+        const sfem_real q = b->q[k], v = b->v[k], f = b->f[k], slope = (b->next[k] - f) / h;
+        if (b->asleep[k]) continue;
+        b->q[k] = (o->s_dot + r->damping[k] * o->s) * q + o->s * v + o->p * f + o->t * slope;
+        b->v[k] = -r->lambda[k] * o->s * q + o->s_dot * v + o->s * f + o->p * slope;
+        b->a[k] = b->next[k] - r->damping[k] * b->v[k] - r->lambda[k] * b->q[k];
+    }
+    /* linear acceleration over the step */
+    if (r->head->free) sfemi_frame_step(b, h, 1.0 / 6, 0.5, b->pose_force, b->pose_torque, to);
+}
+
+/* Wakes the modes whose load has changed by more than their share of the tolerance bears. */
+static void sfemi_modal_rouse(sfem_modal *b)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_real share = b->def.tolerance / (sfem_real)(b->m + !b->m);
+    size_t k;
+    for (k = 0; k < b->m; ++k) {
+        const sfem_real change = fabs(b->next[k] - b->rest[k]);
+        if (!b->asleep[k] || change == 0) continue;
+        if (r->lambda[k] > 0 && change * r->gain[k] * r->amplitude[k] <= r->lambda[k] * share / 2) continue;
+        b->asleep[k] = 0;
+    }
+}
+
+static void sfemi_modal_settle(sfem_modal *b)
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_real share = b->def.tolerance / (sfem_real)(b->m + !b->m);
+    size_t k;
+    for (k = 0; k < b->m; ++k) {
+        const sfem_real lambda = r->lambda[k];
+        sfem_real rest;
+        if (b->asleep[k]) continue;
+        if (lambda == 0) {
+            b->asleep[k] = b->v[k] == 0 && b->a[k] == 0 && b->next[k] == 0;
+            b->rest[k] = 0;
+            continue;
+        }
+        rest = b->next[k] / lambda;
+        if (!(sqrt((b->q[k] - rest) * (b->q[k] - rest) + b->v[k] * b->v[k] / lambda) * r->amplitude[k] <=
+              share / 2))
+            continue;
+        b->asleep[k] = 1;
+        b->q[k] = fabs(rest) * r->amplitude[k] <= share / 4 ? 0 : rest;
+        b->v[k] = b->a[k] = 0;
+        b->rest[k] = b->next[k];
+    }
+}
+
+/* The first mode that is not finite, or -1; the frame counts as mode m. */
+static sfem_int sfemi_modal_not_finite(const sfem_modal *b, const sfemi_modal_head *to)
+{
+    size_t k;
+    for (k = 0; k < b->m; ++k)
+        if (!sfemi_finite(b->q[k]) || !sfemi_finite(b->v[k]) || !sfemi_finite(b->a[k])) return (sfem_int)k;
+    if (!sfemi_all_finite(to->rigid.x, 3) || !sfemi_all_finite(to->rigid.r, 9) ||
+        !sfemi_all_finite(to->momentum, 3) || !sfemi_all_finite(to->rigid.v, 3))
+        return (sfem_int)b->m;
+    return -1;
+}
+
+SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
+{
+    const int held = b->head->handles > 0;
+    const int exact = b->def.integrator == SFEM_MODAL_EXACT && !held;
+    const sfem_real beta = held ? b->def.handle_beta : b->def.beta;
+    const sfem_real gamma = held ? b->def.handle_gamma : b->def.gamma;
+    sfemi_modal_head to;
+    sfem_int bad;
+    if (!(h > 0 && sfemi_finite(h)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s, must be above 0", h);
+    memcpy(b->backup, b->head, b->small_bytes);
+    sfemi_modal_load_at(b, b->q, b->next);
+    if (!b->head->started) {
+        memcpy(b->f, b->next, b->stride * sizeof *b->f);
+        sfemi_modal_accelerate(b);
+        b->head->started = 1;
+    }
+    if (held) sfemi_modal_wake(b);
+    else sfemi_modal_rouse(b);
+    to = *b->head;
+    if (exact) sfemi_modal_exact(b, h, &to);
+    else sfemi_modal_newmark(b, h, beta, gamma, &to);
+    bad = sfemi_modal_not_finite(b, &to);
+    if (bad >= 0) {
+        memcpy(b->head, b->backup, b->small_bytes);
+        return bad < (sfem_int)b->m
+                   ? sfemi_fail(err, SFEM_NOT_FINITE, "the step makes mode %d not finite", (int)bad)
+                   : sfemi_fail(err, SFEM_NOT_FINITE, "the step makes the frame not finite");
+    }
+    to.time += h;
+    ++to.steps;
+    to.beta = exact ? 1.0 / 6 : beta; /* what accelerations that are linear over the step would have */
+    to.gamma = exact ? 0.5 : gamma;
+    if (!held) to.residual = 0, to.iterations = to.rows_left = 0;
+    *b->head = to;
+    memcpy(b->f, b->next, b->stride * sizeof *b->f);
+    if (!held) sfemi_modal_settle(b);
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *acceleration, sfem_real h,
+                                          sfem_real beta, sfem_real gamma, sfem_error *err)
+{
+    const sfem_real none[3] = {0, 0, 0};
+    size_t k;
+    if (!(h > 0 && sfemi_finite(h)) || !(beta >= 0 && gamma >= 0 && sfemi_finite(beta) && sfemi_finite(gamma)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s by Newmark (%g, %g)", h, beta, gamma);
+    for (k = 0; k < b->m; ++k)
+        if (!sfemi_finite(acceleration[k]))
+            return sfemi_fail(err, SFEM_NOT_FINITE, "the acceleration of mode %d is not finite", (int)k);
+    sfemi_modal_wake(b);
+    for (k = 0; k < b->m; ++k) {
+        const sfem_real a = b->a[k], next = acceleration[k];
+        b->q[k] += h * b->v[k] + h * h * ((0.5 - beta) * a + beta * next);
+        b->v[k] += h * ((1 - gamma) * a + gamma * next);
+        b->a[k] = next;
+    }
+    if (b->reduced->head->free) {
+        memset(b->head->accel, 0, sizeof b->head->accel);
+        memset(b->head->torque, 0, sizeof b->head->torque);
+        sfemi_frame_step(b, h, beta, gamma, none, none, b->head);
+    }
+    b->head->time += h;
+    ++b->head->steps;
+    b->head->beta = beta;
+    b->head->gamma = gamma;
+    b->head->started = 1;
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *b) { return b->q; }
+SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *b) { return b->v; }
+SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *b) { return b->a; }
+SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *b) { return b->head->time; }
+
+SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *q, const sfem_real *v,
+                                                const sfem_real *a, sfem_error *err)
+{
+    const size_t bytes = b->m * sizeof *q;
+    if ((q && !sfemi_all_finite(q, b->m)) || (v && !sfemi_all_finite(v, b->m)) ||
+        (a && !sfemi_all_finite(a, b->m)))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "a coordinate is not finite");
+    if (q) memcpy(b->q, q, bytes);
+    if (v) memcpy(b->v, v, bytes);
+    if (a) memcpy(b->a, a, bytes);
+    b->head->started = a != NULL;
+    sfemi_modal_wake(b);
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+/* --- statics --------------------------------------------------------------------------------- */
+
+enum { SFEMI_STATIC_ITERATIONS = 200 };
+
+static sfem_real sfemi_modal_largest_rotation(const sfem_modal *b)
+{
+    sfem_real most = 0, w[3];
+    sfem_int i;
+    if (b->def.warp == SFEM_WARP_NONE) return 0;
+    for (i = 0; i < b->reduced->head->nodes; ++i) {
+        sfemi_modal_rotation(b, i, b->q, w);
+        most = fmax(most, sfemi_dot3(w, w));
+    }
+    return sqrt(most);
+}
+
+/* One round of q = lambda^-1 (f(q) - J^T l); returns how far any node can have moved, over how far it is. */
+static sfem_real sfemi_modal_static_round(sfem_modal *b, sfemi_modal_head *to)
+{
+    const sfem_reduced *r = b->reduced;
+    sfem_real change = 0, size = 0;
+    size_t k;
+    memcpy(b->vp, b->q, b->stride * sizeof *b->vp); /* vp: the last q */
+    sfemi_modal_load_at(b, b->q, b->b);
+    for (k = 0; k < b->m; ++k) {
+        b->inverse[k] = r->lambda[k] > 0 ? 1 / r->lambda[k] : 0;
+        b->qp[k] = r->lambda[k] > 0 ? 0 : b->q[k];
+        b->q[k] = b->qp[k] + b->inverse[k] * b->b[k];
+    }
+    if (b->head->handles > 0) {
+        memcpy(b->q, b->vp, b->stride * sizeof *b->q);
+        sfemi_handle_solve(b, 1, 0, 0, 0, to);
+    }
+    for (k = 0; k < b->m; ++k) {
+        change += fabs(b->q[k] - b->vp[k]) * r->amplitude[k];
+        size += fabs(b->q[k]) * r->amplitude[k];
+    }
+    return size > 0 ? change / size : 0;
+}
+
+SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_info *info, sfem_error *err)
+{
+    const sfem_reduced *r = b->reduced;
+    sfem_modal_static_info got;
+    sfemi_modal_head to = *b->head;
+    sfem_status status = SFEM_OK;
+    size_t k;
+    memset(&got, 0, sizeof got);
+    if (b->head->handles > 0 && r->head->free)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a free body held by handles: step it to rest instead");
+    sfemi_modal_load_at(b, b->q, b->b);
+    for (k = 0; k < b->m; ++k)
+        if (r->lambda[k] == 0 && b->b[k] != 0)
+            return sfemi_fail(err, SFEM_SINGULAR, "mode %d is loaded and has no stiffness", (int)k);
+    memcpy(b->backup, b->head, b->small_bytes);
+    b->h = 0;
+    sfemi_modal_wake(b);
+    do got.change = sfemi_modal_static_round(b, &to);
+    while (++got.iterations < SFEMI_STATIC_ITERATIONS && sfemi_finite(got.change) && got.change < 1e100 &&
+           got.change > 1e-12 && (b->def.warp != SFEM_WARP_NONE || got.iterations < 2));
+    got.rotation = sfemi_modal_largest_rotation(b);
+    if (info) *info = got;
+    if (sfemi_modal_not_finite(b, b->head) >= 0)
+        status = sfemi_fail(err, SFEM_NOT_FINITE, "the static solution is not finite");
+    else if (got.rotation >= 3.14159265358979)
+        status = sfemi_fail(err, SFEM_NOT_CONVERGED, "a node turns by %.3g, warping is valid below pi",
+                            got.rotation);
+    else if (b->def.warp != SFEM_WARP_NONE && got.change > 1e-9)
+        status = sfemi_fail(err, SFEM_NOT_CONVERGED,
+                            "no rest in %d iterations: nodes still move by %.2g of the displacement",
+                            (int)got.iterations, got.change);
+    if (status != SFEM_OK) {
+        memcpy(b->head, b->backup, b->small_bytes);
+        return status;
+    }
+    b->head->residual = to.residual;
+    b->head->iterations = to.iterations;
+    memcpy(b->f, b->b, b->stride * sizeof *b->f);
+    memset(b->v, 0, b->stride * sizeof *b->v);
+    memset(b->a, 0, b->stride * sizeof *b->a);
+    b->head->started = 1;
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+/* --- reconstruction -------------------------------------------------------------------------- */
+
+enum { SFEMI_VIEW_BLOCK = 16 }; /* tiles that a task reconstructs on its stack */
+
+typedef struct sfemi_view_job {
+    const sfem_modal *modal;
+    const sfem_reduced_view *view;
+    double *x;      /* where to: doubles, three a node, or */
+    char *floats;   /* floats, with a stride */
+    size_t stride;
+    int displacement;
+} sfemi_view_job;
+
+static void sfemi_view_run(const sfemi_view_job *j, size_t tile, size_t tiles, void *out)
+{
+    const sfem_modal *b = j->modal;
+    const sfem_reduced_view *v = j->view;
+    const int loose = b->reduced->head->free, warp = b->def.warp != SFEM_WARP_NONE;
+    const int rest = loose || !j->displacement;
+    const size_t row = 3 * SFEMI_TILE * tile, at = row * b->m;
+    int c;
+    if (v->precision == SFEM_MIXED) {
+        float r[9];
+        for (c = 0; c < 9; ++c) r[c] = (float)b->head->rigid.r[c];
+        b->kernels->tiles32(tiles, b->m, (const float *)v->phi + at, warp ? (const float *)v->psi + at : NULL,
+                            rest ? (const float *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
+                            b->drawn_q32, b->turn32, loose ? r : NULL, (float *)out);
+    } else {
+        b->kernels->tiles(tiles, b->m, (const double *)v->phi + at,
+                          warp ? (const double *)v->psi + at : NULL,
+                          rest ? (const double *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
+                          b->drawn_q, b->turn, loose ? b->head->rigid.r : NULL, (double *)out);
+    }
+}
+
+/* tiles [tile][3][8] to triples; for float output the shift is added in float */
+#define SFEMI_VIEW_COPY(name, From, To)                                                              \
+    static void name(const From *from, size_t count, const sfem_real *shift, char *to, size_t stride) \
+    {                                                                                                \
+        const To s0 = (To)shift[0], s1 = (To)shift[1], s2 = (To)shift[2];                            \
+        size_t i, lane;                                                                              \
+        for (i = 0; i < count; i += SFEMI_TILE, from += 3 * SFEMI_TILE)                              \
+            for (lane = 0; lane < SFEMI_TILE && i + lane < count; ++lane, to += stride) {            \
+                To *x = (To *)(void *)to;                                                            \
+                x[0] = (To)from[lane] + s0;                                                          \
+                x[1] = (To)from[SFEMI_TILE + lane] + s1;                                             \
+                x[2] = (To)from[2 * SFEMI_TILE + lane] + s2;                                         \
+            }                                                                                        \
+    }
+SFEMI_VIEW_COPY(sfemi_view_copy_dd, double, double)
+SFEMI_VIEW_COPY(sfemi_view_copy_df, double, float)
+SFEMI_VIEW_COPY(sfemi_view_copy_fd, float, double)
+SFEMI_VIEW_COPY(sfemi_view_copy_ff, float, float)
+#undef SFEMI_VIEW_COPY
+
+static void sfemi_view_task(void *data, sfem_int index)
+{
+    const sfemi_view_job *j = (const sfemi_view_job *)data;
+    const sfem_reduced_view *v = j->view;
+    const size_t first = (size_t)index * SFEMI_VIEW_BLOCK, left = (size_t)v->tiles - first;
+    const size_t tiles = left < SFEMI_VIEW_BLOCK ? left : SFEMI_VIEW_BLOCK, node = first * SFEMI_TILE;
+    const size_t rest = (size_t)v->count - node, count = rest < tiles * SFEMI_TILE ? rest : tiles * SFEMI_TILE;
+    const sfem_real none[3] = {0, 0, 0};
+    const sfem_real *shift = j->modal->reduced->head->free ? j->modal->head->rigid.x : none;
+    double tile[3 * SFEMI_TILE * SFEMI_VIEW_BLOCK];
+    const float *tile32 = (const float *)(void *)tile;
+    size_t i;
+    int c;
+    sfemi_view_run(j, first, tiles, tile);
+    if (j->floats) {
+        char *to = j->floats + node * j->stride;
+        if (v->precision == SFEM_MIXED) sfemi_view_copy_ff(tile32, count, shift, to, j->stride);
+        else sfemi_view_copy_df(tile, count, shift, to, j->stride);
+        return;
+    }
+    if (v->precision == SFEM_MIXED)
+        sfemi_view_copy_fd(tile32, count, shift, (char *)(j->x + 3 * node), 3 * sizeof(double));
+    else sfemi_view_copy_dd(tile, count, shift, (char *)(j->x + 3 * node), 3 * sizeof(double));
+    if (j->displacement && j->modal->reduced->head->free)
+        for (i = node; i < node + count; ++i)
+            for (c = 0; c < 3; ++c)
+                j->x[3 * i + (size_t)c] -= j->modal->reduced->x[3 * (size_t)v->node[i] + (size_t)c];
+}
+
+static void sfemi_view_reconstruct(const sfem_modal *b, const sfem_reduced_view *v, int displacement, double *x,
+                                   float *floats, size_t stride)
+{
+    sfemi_view_job j;
+    SFEM_ASSERT(v->reduced == b->reduced);
+    j.modal = b;
+    j.view = v;
+    j.x = x;
+    j.floats = (char *)floats;
+    j.stride = stride;
+    j.displacement = displacement;
+    sfemi_run(&b->def.exec, (v->tiles + SFEMI_VIEW_BLOCK - 1) / SFEMI_VIEW_BLOCK, sfemi_view_task, &j);
+}
+
+SFEM_DEF void sfem_modal_positions(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *x)
+{
+    sfemi_view_reconstruct(b, view, 0, x, NULL, 0);
+}
+
+SFEM_DEF void sfem_modal_displacements(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *u)
+{
+    sfemi_view_reconstruct(b, view, 1, u, NULL, 0);
+}
+
+SFEM_DEF void sfem_modal_to_floats(const sfem_modal *b, const sfem_reduced_view *view, float *x, size_t stride)
+{
+    sfemi_view_reconstruct(b, view, 0, NULL, x, stride);
+}
+
+/* d/dt of u + a w x u + b w x (w x u) */
+static void sfemi_turn_rate(int kind, const sfem_real w[3], const sfem_real wdot[3], const sfem_real u[3],
+                            const sfem_real udot[3], sfem_real out[3])
+{
+    const sfem_real t = sfemi_dot3(w, w), rate = 2 * sfemi_dot3(w, wdot);
+    sfem_real a, b, da = 0, db = 0, c[2][SFEMI_TURN_TERMS], wu[3], wwu[3], p[3], q[3], dwu[3], s[3];
+    int k;
+    sfemi_turn_coefficients(kind, w, &a, &b);
+    if (t < 10) {
+        sfemi_turn_series(kind, SFEMI_TURN_TERMS, c[0]);
+        sfemi_turn_series(kind + 1, SFEMI_TURN_TERMS, c[1]);
+        for (k = SFEMI_TURN_TERMS - 1; k > 0; --k) da = da * t + k * c[0][k], db = db * t + k * c[1][k];
+    } else {
+        const sfem_real th = sqrt(t), sinc = sin(th) / th, dsinc = (cos(th) - sinc) / (2 * t);
+        da = kind == SFEMI_TURN_PATH ? (sinc / 2 - a) / t : dsinc;
+        db = kind == SFEMI_TURN_PATH ? (-dsinc - b) / t : (sinc / 2 - b) / t;
+    }
+    sfemi_cross(w, u, wu);
+    sfemi_cross(w, wu, wwu);
+    sfemi_cross(wdot, u, p);
+    sfemi_cross(w, udot, q);
+    for (k = 0; k < 3; ++k) dwu[k] = p[k] + q[k]; /* d/dt w x u */
+    sfemi_cross(wdot, wu, p);
+    sfemi_cross(w, dwu, s);
+    for (k = 0; k < 3; ++k)
+        out[k] = udot[k] + da * rate * wu[k] + a * dwu[k] + db * rate * wwu[k] + b * (p[k] + s[k]);
+}
+
+SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3], sfem_real v[3],
+                              sfem_real w[3])
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_rigid *frame = &b->head->rigid;
+    sfem_real arm[3], rotation[3] = {0, 0, 0};
+    int c;
+    SFEM_ASSERT(node >= 0 && node < r->head->nodes);
+    sfemi_modal_displace(b, node, b->q, arm);
+    sfemi_modal_rotation(b, node, b->q, rotation);
+    for (c = 0; c < 3; ++c)
+        arm[c] += r->x[3 * (size_t)node + (size_t)c] - (r->head->free ? r->head->centre[c] : 0);
+    if (r->head->free) sfemi_turn_vector(frame->r, arm, arm);
+    for (c = 0; c < 3; ++c) x[c] = arm[c] + (r->head->free ? frame->x[c] : 0);
+    if (w) memcpy(w, rotation, sizeof rotation);
+    if (v) {
+        sfem_real u[3], udot[3], wdot[3], spin[3], turn[3];
+        sfemi_modal_linear(b, node, b->v, v);
+        if (b->def.warp != SFEM_WARP_NONE) {
+            memcpy(udot, v, sizeof udot);
+            sfemi_modal_linear(b, node, b->q, u);
+            sfemi_modal_rotation(b, node, b->v, wdot);
+            sfemi_turn_rate(sfemi_modal_path_kind(b), rotation, wdot, u, udot, v);
+        }
+        if (!r->head->free) return;
+        sfemi_turn_vector(frame->r, v, v);
+        sfemi_frame_velocity(b, frame->r, b->head->momentum, spin);
+        sfemi_cross(spin, arm, turn);
+        for (c = 0; c < 3; ++c) v[c] += frame->v[c] + turn[c];
+    }
+}
+
+SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *b)
+{
+    sfem_rigid rigid = b->head->rigid;
+    sfemi_frame_velocity(b, rigid.r, b->head->momentum, rigid.w);
+    return rigid;
+}
+
+SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *b, const sfem_rigid *rigid, sfem_error *err)
+{
+    sfemi_modal_head *h = b->head;
+    sfem_real local[3], proper[9];
+    if (!b->reduced->head->free)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the body is held: it has no frame");
+    if (!sfemi_all_finite(rigid->x, 3) || !sfemi_all_finite(rigid->r, 9) || !sfemi_all_finite(rigid->v, 3) ||
+        !sfemi_all_finite(rigid->w, 3))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the frame is not finite");
+    sfemi_cofactor3(rigid->r, proper);
+    if (!(sfemi_dot3(rigid->r, proper) > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the frame is no rotation: its determinant is not above 0");
+    sfem_polar(rigid->r, proper, NULL);
+    h->rigid = *rigid;
+    memcpy(h->rigid.r, proper, sizeof proper);
+    memset(h->rigid.w, 0, sizeof h->rigid.w);
+    sfemi_turn_back(proper, rigid->w, local);
+    sfemi_turn_vector(b->reduced->head->inertia, local, local);
+    sfemi_turn_vector(proper, local, h->momentum);
+    h->started = 0;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_modal_momentum(const sfem_modal *b, sfem_real linear[3], sfem_real angular[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) {
+        linear[c] = b->reduced->head->mass * b->head->rigid.v[c];
+        angular[c] = b->head->momentum[c];
+    }
+}
+
+/* --- state and figures ----------------------------------------------------------------------- */
+
+SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b) { return b->state_bytes; }
+
+static uint64_t sfemi_modal_checksum(const void *block, size_t bytes)
+{
+    sfemi_modal_head head;
+    memcpy(&head, block, sizeof head);
+    head.checksum = 0;
+    return sfemi_state_hash(sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head),
+                            (const char *)block + sizeof head, bytes - sizeof head);
+}
+
+SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
+{
+    sfemi_modal_head head = *b->head;
+    memcpy(memory, b->head, b->state_bytes);
+    head.checksum = 0;
+    memcpy(memory, &head, sizeof head);
+    head.checksum = sfemi_modal_checksum(memory, b->state_bytes);
+    memcpy(memory, &head, sizeof head);
+}
+
+SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes, sfem_error *err)
+{
+    sfemi_modal_head head;
+    sfem_int i;
+    if (bytes < sizeof head)
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a state", (unsigned long)bytes);
+    memcpy(&head, memory, sizeof head);
+    if (memcmp(head.magic, "sfemmod", 8) != 0 || head.version != SFEMI_MODAL_VERSION)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no state of a modal body of this version");
+    if (head.size != bytes || sfemi_modal_checksum(memory, bytes) != head.checksum)
+        return sfemi_fail(err, SFEM_FORMAT, "the state is damaged: its checksum does not fit");
+    if (head.key != b->head->key || head.size != b->state_bytes)
+        return sfemi_fail(err, SFEM_MISMATCH, "the state is of another body");
+    for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
+    memcpy(b->head, memory, bytes);
+    for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = i + 1;
+    sfemi_modal_pack(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
+{
+    const sfemi_modal_head *h = b->head;
+    sfem_modal_info info;
+    sfem_real w[3];
+    size_t k;
+    int c;
+    memset(&info, 0, sizeof info);
+    info.modes = (sfem_int)b->m;
+    for (k = 0; k < b->m; ++k) {
+        info.awake += !b->asleep[k];
+        info.kinetic += b->v[k] * b->v[k] / 2;
+        info.elastic += b->reduced->lambda[k] * b->q[k] * b->q[k] / 2;
+    }
+    if (b->reduced->head->free) {
+        sfemi_frame_velocity(b, h->rigid.r, h->momentum, w);
+        for (c = 0; c < 3; ++c)
+            info.kinetic += (b->reduced->head->mass * h->rigid.v[c] * h->rigid.v[c] + w[c] * h->momentum[c]) / 2;
+    }
+    info.drawn = b->drawn_count;
+    info.handles = h->handles;
+    info.handle_iterations = h->iterations;
+    info.handle_residual = h->residual;
+    info.handle_rows_left = h->rows_left;
+    info.beta = h->beta;
+    info.gamma = h->gamma;
+    info.steps = h->steps;
+    info.state_bytes = b->state_bytes;
+    info.body_bytes = b->bytes;
+    return info;
+}
 
 /* ============================================================================================
  * >>link   packets of accelerations, key frames
@@ -16694,6 +19084,180 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
     }
 }
 #undef SFEMI_OUTER
+
+/* --- modal bodies ------------------------------------------------------------------------------ */
+
+#if SFEMI_BITS == 64
+/* out[c] = sum_k rows[c][k] q[k], for rows of n numbers, n a multiple of 8 */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modal_dot3)(size_t n, const double *rows, const double *q,
+                                                        double *out)
+{
+    SFEMI_V a = SFEMI_DUP(0), b = SFEMI_DUP(0), c = SFEMI_DUP(0);
+    double part[3][SFEMI_W];
+    size_t k;
+    int i;
+    for (k = 0; k < n; k += SFEMI_W) {
+        const SFEMI_V x = SFEMI_LD(q + k);
+        a = SFEMI_FMA(SFEMI_LD(rows + k), x, a);
+        b = SFEMI_FMA(SFEMI_LD(rows + n + k), x, b);
+        c = SFEMI_FMA(SFEMI_LD(rows + 2 * n + k), x, c);
+    }
+    SFEMI_ST(part[0], a);
+    SFEMI_ST(part[1], b);
+    SFEMI_ST(part[2], c);
+    for (i = 0; i < 3; ++i) {
+        const double *p = part[i];
+#if SFEMI_W == 8
+        out[i] = ((p[0] + p[4]) + (p[2] + p[6])) + ((p[1] + p[5]) + (p[3] + p[7]));
+#else
+        out[i] = (p[0] + p[2]) + (p[1] + p[3]);
+#endif
+    }
+}
+
+/* y[k] += sum_c rows[c][k] f[c] */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modal_add3)(size_t n, const double *rows, const double *f,
+                                                        double *y)
+{
+    const SFEMI_V a = SFEMI_DUP(f[0]), b = SFEMI_DUP(f[1]), c = SFEMI_DUP(f[2]);
+    size_t k;
+    for (k = 0; k < n; k += SFEMI_W) {
+        SFEMI_V s = SFEMI_FMA(SFEMI_LD(rows + k), a, SFEMI_LD(y + k));
+        s = SFEMI_FMA(SFEMI_LD(rows + n + k), b, s);
+        SFEMI_ST(y + k, SFEMI_FMA(SFEMI_LD(rows + 2 * n + k), c, s));
+    }
+}
+#endif
+
+#if SFEMI_BITS == 64
+#define SFEMI_TERMS 14
+#else
+#define SFEMI_TERMS 10
+#endif
+
+/* The coefficients of lanes beyond the polynomial's reach: th^2 of 10 and more. */
+static void SFEMI_KERNEL(sfemi_modal_far)(const SFEMI_R *t, int path, SFEMI_R *a, SFEMI_R *b)
+{
+    int i;
+    for (i = 0; i < SFEMI_W; ++i) {
+        const double s = (double)t[i], th = sqrt(s), half = sin(th / 2), k = 2 * half * half / s;
+        if (t[i] < 10) continue;
+        a[i] = (SFEMI_R)(path ? k : sin(th) / th);
+        b[i] = (SFEMI_R)(path ? (1 - sin(th) / th) / s : k);
+    }
+}
+
+/* W nodes: u + a w x u + b w x (w x u), the place at rest added, turned with the frame. Components are
+ * 8 numbers apart. */
+static SFEMI_INLINE SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_modal_finish)(SFEMI_V u0, SFEMI_V u1, SFEMI_V u2, int warp, SFEMI_V w0, SFEMI_V w1,
+                                 SFEMI_V w2, const SFEMI_R *rest, const SFEMI_R *turn,
+                                 const SFEMI_R *frame, SFEMI_R *out)
+{
+    if (warp) {
+        const SFEMI_V t = SFEMI_FMA(w0, w0, SFEMI_FMA(w1, w1, SFEMI_MUL(w2, w2)));
+        SFEMI_V a = SFEMI_DUP(turn[SFEMI_TERMS - 1]), b = SFEMI_DUP(turn[2 * SFEMI_TERMS - 1]);
+        SFEMI_V c0, c1, c2, d0, d1, d2;
+        SFEMI_R part[SFEMI_W], exact[2][SFEMI_W];
+        int k, beyond = 0;
+        for (k = SFEMI_TERMS - 2; k >= 0; --k) {
+            a = SFEMI_FMA(a, t, SFEMI_DUP(turn[k]));
+            b = SFEMI_FMA(b, t, SFEMI_DUP(turn[SFEMI_TERMS + k]));
+        }
+        SFEMI_ST(part, t);
+        for (k = 0; k < SFEMI_W; ++k) beyond |= part[k] >= 10;
+        if (beyond) {
+            SFEMI_ST(exact[0], a);
+            SFEMI_ST(exact[1], b);
+            SFEMI_KERNEL(sfemi_modal_far)(part, turn[2 * SFEMI_TERMS] != 0, exact[0], exact[1]);
+            a = SFEMI_LD(exact[0]);
+            b = SFEMI_LD(exact[1]);
+        }
+        c0 = SFEMI_FNMA(w2, u1, SFEMI_MUL(w1, u2)); /* w x u */
+        c1 = SFEMI_FNMA(w0, u2, SFEMI_MUL(w2, u0));
+        c2 = SFEMI_FNMA(w1, u0, SFEMI_MUL(w0, u1));
+        d0 = SFEMI_FMA(b, c0, SFEMI_MUL(a, u0)); /* a u + b w x u */
+        d1 = SFEMI_FMA(b, c1, SFEMI_MUL(a, u1));
+        d2 = SFEMI_FMA(b, c2, SFEMI_MUL(a, u2));
+        u0 = SFEMI_ADD(u0, SFEMI_FNMA(w2, d1, SFEMI_MUL(w1, d2)));
+        u1 = SFEMI_ADD(u1, SFEMI_FNMA(w0, d2, SFEMI_MUL(w2, d0)));
+        u2 = SFEMI_ADD(u2, SFEMI_FNMA(w1, d0, SFEMI_MUL(w0, d1)));
+    }
+    if (rest) {
+        u0 = SFEMI_ADD(u0, SFEMI_LD(rest));
+        u1 = SFEMI_ADD(u1, SFEMI_LD(rest + 8));
+        u2 = SFEMI_ADD(u2, SFEMI_LD(rest + 16));
+    }
+    if (frame) {
+        const SFEMI_V x = u0, y = u1, z = u2;
+        u0 = SFEMI_FMA(SFEMI_DUP(frame[0]), x,
+                       SFEMI_FMA(SFEMI_DUP(frame[1]), y, SFEMI_MUL(SFEMI_DUP(frame[2]), z)));
+        u1 = SFEMI_FMA(SFEMI_DUP(frame[3]), x,
+                       SFEMI_FMA(SFEMI_DUP(frame[4]), y, SFEMI_MUL(SFEMI_DUP(frame[5]), z)));
+        u2 = SFEMI_FMA(SFEMI_DUP(frame[6]), x,
+                       SFEMI_FMA(SFEMI_DUP(frame[7]), y, SFEMI_MUL(SFEMI_DUP(frame[8]), z)));
+    }
+    SFEMI_ST(out, u0);
+    SFEMI_ST(out + 8, u1);
+    SFEMI_ST(out + 16, u2);
+}
+
+/* out [tiles][3][8] from phi and psi [tiles][modes][3][8] (psi NULL: nothing warps), rest [tiles][3][8]
+ * or NULL, the coordinates q of the `count` modes index. Two vectors of nodes go side by side. */
+static SFEMI_TARGET void
+SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, const SFEMI_R *psi,
+                                const SFEMI_R *rest, size_t count, const sfem_int *index,
+                                const SFEMI_R *q, const SFEMI_R *turn, const SFEMI_R *frame, SFEMI_R *out)
+{
+    const size_t strips = tiles * 8 / SFEMI_W;
+    size_t s, k;
+    for (s = 0; s < strips; s += 2) {
+        const size_t s1 = s + 1 < strips ? s + 1 : s;
+        const size_t tile0 = s * SFEMI_W / 8, tile1 = s1 * SFEMI_W / 8;
+        const size_t lane0 = s * SFEMI_W % 8, lane1 = s1 * SFEMI_W % 8;
+        const SFEMI_R *p0 = phi + 24 * modes * tile0 + lane0, *p1 = phi + 24 * modes * tile1 + lane1;
+        const SFEMI_R *r0 = rest ? rest + 24 * tile0 + lane0 : NULL;
+        const SFEMI_R *r1 = rest ? rest + 24 * tile1 + lane1 : NULL;
+        SFEMI_R *o0 = out + 24 * tile0 + lane0, *o1 = out + 24 * tile1 + lane1;
+        SFEMI_V a0 = SFEMI_DUP(0), a1 = a0, a2 = a0, b0 = a0, b1 = a0, b2 = a0;
+        if (psi) {
+            const SFEMI_R *y0 = psi + (p0 - phi), *y1 = psi + (p1 - phi);
+            SFEMI_V c0 = a0, c1 = a0, c2 = a0, d0 = a0, d1 = a0, d2 = a0;
+            for (k = 0; k < count; ++k) {
+                const size_t at = 24 * (size_t)index[k];
+                const SFEMI_V x = SFEMI_DUP(q[k]);
+                a0 = SFEMI_FMA(SFEMI_LD(p0 + at), x, a0);
+                a1 = SFEMI_FMA(SFEMI_LD(p0 + at + 8), x, a1);
+                a2 = SFEMI_FMA(SFEMI_LD(p0 + at + 16), x, a2);
+                b0 = SFEMI_FMA(SFEMI_LD(p1 + at), x, b0);
+                b1 = SFEMI_FMA(SFEMI_LD(p1 + at + 8), x, b1);
+                b2 = SFEMI_FMA(SFEMI_LD(p1 + at + 16), x, b2);
+                c0 = SFEMI_FMA(SFEMI_LD(y0 + at), x, c0);
+                c1 = SFEMI_FMA(SFEMI_LD(y0 + at + 8), x, c1);
+                c2 = SFEMI_FMA(SFEMI_LD(y0 + at + 16), x, c2);
+                d0 = SFEMI_FMA(SFEMI_LD(y1 + at), x, d0);
+                d1 = SFEMI_FMA(SFEMI_LD(y1 + at + 8), x, d1);
+                d2 = SFEMI_FMA(SFEMI_LD(y1 + at + 16), x, d2);
+            }
+            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 1, c0, c1, c2, r0, turn, frame, o0);
+            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 1, d0, d1, d2, r1, turn, frame, o1);
+        } else {
+            for (k = 0; k < count; ++k) {
+                const size_t at = 24 * (size_t)index[k];
+                const SFEMI_V x = SFEMI_DUP(q[k]);
+                a0 = SFEMI_FMA(SFEMI_LD(p0 + at), x, a0);
+                a1 = SFEMI_FMA(SFEMI_LD(p0 + at + 8), x, a1);
+                a2 = SFEMI_FMA(SFEMI_LD(p0 + at + 16), x, a2);
+                b0 = SFEMI_FMA(SFEMI_LD(p1 + at), x, b0);
+                b1 = SFEMI_FMA(SFEMI_LD(p1 + at + 8), x, b1);
+                b2 = SFEMI_FMA(SFEMI_LD(p1 + at + 16), x, b2);
+            }
+            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 0, a0, a1, a2, r0, turn, frame, o0);
+            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 0, b0, b1, b2, r1, turn, frame, o1);
+        }
+    }
+}
+#undef SFEMI_TERMS
 
 #undef SFEMI_TARGET
 #undef SFEMI_R
