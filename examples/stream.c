@@ -13,7 +13,8 @@
  *     cc -O2 -I. examples/stream.c softfem.o -lm          (softfem.o: see README)
  *
  * stream-time.svg shows the distortion against time, stream-loss.svg against the rate of loss,
- * stream.png the true body in grey and the received ones, coloured by the distance between. The last
+ * stream.png the received bodies, coloured by how far they are from the true one, whose edges are drawn
+ * as lines, when the first of them is at its worst. The last
  * lines on stdout are `key value`: distortion_zero_20 is the root mean square distance of received from
  * true over time and mass, over that of the true body from rest, at 20 % loss.
  */
@@ -73,24 +74,52 @@ static double uniform(uint64_t *state) /* splitmix64 [Steele, Lea, Flood 2014] *
 typedef struct body {
     sfem_mesh mesh;
     sfem_surface surface;
-    sfem_model *model;
-    sfem_modes modes;
-    double mass;
-    double *push[2];   /* [m] Phi^T f of a newton across the tip, along y and z */
-    double *k, *c;     /* [m] */
-    double *q, *v, *a; /* [m] */
-    double h, hand[2], target[2];
+    sfem_reduced *reduced;
+    sfem_reduced_view *view;
+    sfem_modal *modal;          /* the sender's */
+    sfem_modal *mirror;         /* the receiver's: to be drawn, never stepped */
+    const double *q, *v, *a;    /* [modes] of the sender's */
+    double *force;              /* [nodes][3] */
+    double h, hand[2], goal[2]; /* N, across the tip: now, and where it tends to */
+    sfem_int modes, tip;        /* nodes at the tip */
     uint64_t random;
 } body;
+
+static void body_reduce(body *b, const ex_options *o)
+{
+    sfem_model_def def = sfem_default_model_def();
+    sfem_modes_def modes_def = sfem_default_modes_def();
+    sfem_reduced_def reduced_def = sfem_default_reduced_def();
+    sfem_int *pins = (sfem_int *)ex_new((size_t)b->mesh.nodes, sizeof *pins), i;
+    double *ratio;
+    sfem_model *model;
+    sfem_modes modes;
+    sfem_error err;
+    def.mesh = &b->mesh;
+    def.material.young = ex_real(o, "--young");
+    must(sfem_model_create(&def, &model, &err), &err);
+    for (i = 0; i < b->mesh.nodes; ++i)
+        if (b->mesh.x[3 * i] < 1e-9) pins[modes_def.pin_count++] = i;
+    modes_def.pins = pins;
+    modes_def.modes = b->modes = (sfem_int)ex_integer(o, "--modes");
+    must(sfem_modes_create(model, &modes_def, &modes, &err), &err);
+    ratio = (double *)ex_new((size_t)modes.count, sizeof *ratio);
+    for (i = 0; i < modes.count; ++i) ratio[i] = 0.02;
+    reduced_def.ratio = ratio;
+    reduced_def.free = 0;
+    must(sfem_reduced_create(model, &modes, &reduced_def, &b->reduced, &err), &err);
+    sfem_modes_free(&modes);
+    sfem_model_free(model);
+    free(ratio);
+    free(pins);
+}
 
 static body body_new(const ex_options *o)
 {
     const sfem_real size[3] = {1, 0.1, 0.1};
-    sfem_model_def def = sfem_default_model_def();
-    sfem_modes_def modes_def = sfem_default_modes_def();
-    sfem_int *pins, tip = 0, i, j;
+    const sfem_modal_def def = sfem_default_modal_def();
     double cells[3];
-    sfem_int n[3];
+    sfem_int n[3], i;
     sfem_error err;
     body b;
     int k;
@@ -99,85 +128,69 @@ static body body_new(const ex_options *o)
     for (k = 0; k < 3; ++k) n[k] = (sfem_int)cells[k];
     must(sfem_mesh_block(n, size, SFEM_CELL_5_TETS, NULL, &b.mesh, &err), &err);
     must(sfem_mesh_surface(&b.mesh, NULL, &b.surface, &err), &err);
-    def.mesh = &b.mesh;
-    def.material.young = ex_real(o, "--young");
-    must(sfem_model_create(&def, &b.model, &err), &err);
-    b.mass = sfem_model_total_mass(b.model);
-    pins = (sfem_int *)ex_new((size_t)b.mesh.nodes, sizeof *pins);
-    for (i = 0; i < b.mesh.nodes; ++i) {
-        if (b.mesh.x[3 * i] < 1e-9) pins[modes_def.pin_count++] = i;
-        tip += b.mesh.x[3 * i] > 1 - 1e-9;
-    }
-    modes_def.pins = pins;
-    modes_def.modes = (sfem_int)ex_integer(o, "--modes");
-    must(sfem_modes_create(b.model, &modes_def, &b.modes, &err), &err);
-    free(pins);
-    b.k = (double *)ex_new((size_t)b.modes.count, 7 * sizeof *b.k);
-    b.c = b.k + b.modes.count;
-    b.q = b.c + b.modes.count;
-    b.v = b.q + b.modes.count;
-    b.a = b.v + b.modes.count;
-    for (k = 0; k < 2; ++k) b.push[k] = b.a + (k + 1) * b.modes.count;
-    for (j = 0; j < b.modes.count; ++j) {
-        const double *phi = b.modes.phi + (size_t)j * 3 * (size_t)b.mesh.nodes;
-        b.k[j] = b.modes.lambda[j];
-        b.c[j] = 2 * 0.02 * sqrt(b.k[j]);
-        for (i = 0; i < b.mesh.nodes; ++i)
-            for (k = 0; k < 2 && b.mesh.x[3 * i] > 1 - 1e-9; ++k)
-                b.push[k][j] += phi[3 * i + k + 1] / tip;
-    }
+    body_reduce(&b, o);
+    must(sfem_reduced_view_create(b.reduced, b.mesh.nodes, NULL, SFEM_DOUBLE, &b.view, &err), &err);
+    must(sfem_modal_create(b.reduced, &def, &b.modal, &err), &err);
+    must(sfem_modal_create(b.reduced, &def, &b.mirror, &err), &err);
+    b.q = sfem_modal_coordinates(b.modal);
+    b.v = sfem_modal_velocities(b.modal);
+    b.a = sfem_modal_accelerations(b.modal);
+    b.force = (double *)ex_new(3 * (size_t)b.mesh.nodes, sizeof *b.force);
+    for (i = 0; i < b.mesh.nodes; ++i) b.tip += b.mesh.x[3 * i] > 1 - 1e-9;
     b.h = ex_real(o, "--dt");
-    b.random = 5;
     return b;
 }
 
 static void body_free(body *b)
 {
-    free(b->k);
-    sfem_modes_free(&b->modes);
-    sfem_model_free(b->model);
+    free(b->force);
+    sfem_modal_free(b->modal);
+    sfem_modal_free(b->mirror);
+    sfem_reduced_view_free(b->view);
+    sfem_reduced_free(b->reduced);
     sfem_surface_free(&b->surface);
     sfem_mesh_free(&b->mesh);
 }
 
 static void body_rest(body *b)
 {
-    memset(b->q, 0, 3 * (size_t)b->modes.count * sizeof *b->q); /* v and a as well */
+    double *zero = (double *)ex_new((size_t)b->modes, sizeof *zero);
+    sfem_error err;
+    must(sfem_modal_set_force(b->modal, NULL, &err), &err);
+    must(sfem_modal_set_coordinates(b->modal, zero, zero, zero, &err), &err);
     memset(b->hand, 0, sizeof b->hand);
-    memset(b->target, 0, sizeof b->target);
+    memset(b->goal, 0, sizeof b->goal);
     b->random = 5;
+    free(zero);
 }
 
-/* Average acceleration [A.7-A.11]; the hand comes slowly and goes at once. */
+/* A step; the hand comes slowly and goes at once. */
 static void body_step(body *b)
 {
-    const double h = b->h, newton = 0.6 * 4e5 / 4e5;
-    int j, k;
-    if (uniform(&b->random) < h / 0.7) {
+    const double strongest = 1.2;
+    sfem_error err;
+    sfem_int i;
+    int k;
+    if (uniform(&b->random) < b->h / 0.7) {
         const int off = uniform(&b->random) < 0.4;
-        for (k = 0; k < 2; ++k) b->target[k] = off ? 0 : newton * (2 * uniform(&b->random) - 1);
+        for (k = 0; k < 2; ++k) b->goal[k] = off ? 0 : strongest * (2 * uniform(&b->random) - 1);
     }
     for (k = 0; k < 2; ++k)
-        b->hand[k] += (b->target[k] - b->hand[k]) * (b->target[k] != 0 ? 1 - exp(-h / 0.1) : 1);
-    for (j = 0; j < b->modes.count; ++j) {
-        const double q = b->q[j] + h * b->v[j] + h * h / 4 * b->a[j], v = b->v[j] + h / 2 * b->a[j];
-        const double load = b->push[0][j] * b->hand[0] + b->push[1][j] * b->hand[1];
-        b->a[j] = (load - b->c[j] * v - b->k[j] * q) / (1 + h / 2 * b->c[j] + h * h / 4 * b->k[j]);
-        b->q[j] = q + h * h / 4 * b->a[j];
-        b->v[j] = v + h / 2 * b->a[j];
-    }
+        b->hand[k] += (b->goal[k] - b->hand[k]) * (b->goal[k] != 0 ? 1 - exp(-b->h / 0.1) : 1);
+    for (i = 0; i < b->mesh.nodes; ++i)
+        for (k = 0; k < 2 && b->mesh.x[3 * i] > 1 - 1e-9; ++k)
+            b->force[3 * i + 1 + k] = b->hand[k] / b->tip;
+    must(sfem_modal_set_force(b->modal, b->force, &err), &err);
+    must(sfem_modal_step(b->modal, b->h, &err), &err);
 }
 
-/* where the nodes are */
+/* Where the nodes are, warped, as the receiver would draw them. To be freed. */
 static double *body_positions(const body *b, const double *q)
 {
-    const size_t n = 3 * (size_t)b->mesh.nodes;
-    double *x = (double *)ex_new(n, sizeof *x);
-    size_t i;
-    int j;
-    memcpy(x, b->mesh.x, n * sizeof *x);
-    for (j = 0; j < b->modes.count; ++j)
-        for (i = 0; i < n; ++i) x[i] += b->modes.phi[(size_t)j * n + i] * q[j];
+    double *x = (double *)ex_new(3 * (size_t)b->mesh.nodes, sizeof *x);
+    sfem_error err;
+    must(sfem_modal_set_coordinates(b->mirror, q, NULL, NULL, &err), &err);
+    sfem_modal_positions(b->mirror, b->view, x);
     return x;
 }
 
@@ -259,21 +272,23 @@ static size_t wire_receive(wire *w)
 typedef struct run {
     double distortion, bytes; /* bytes a step */
     double *distance;         /* [steps] root mean square over the mass, m; or NULL */
-    double *q, *received;     /* [m] when the distance was largest, or at the step asked for */
+    double *q, *received;     /* [m] in step `moment`; < 0: when the distance is largest */
     double worst;
+    long moment;
     sfem_receiver_info info;
 } run;
 
 static sfem_link_def link_def(const ex_options *o, const body *b, int way)
 {
+    const sfem_reduced_info info = sfem_reduced_get_info(b->reduced);
     sfem_link_def d = sfem_default_link_def();
-    d.modes = b->modes.count;
-    d.h = b->h;
+    d.modes = b->modes;
+    d.h = b->h; /* beta and gamma are those of a modal body by default */
     d.key_every = way == 4 ? 0 : (sfem_int)ex_integer(o, "--key");
     d.single = !ex_given(o, "--double");
     d.lost = (sfem_lost)(way % 4);
-    d.stiffness = b->k;
-    d.damping = b->c;
+    d.stiffness = info.lambda;
+    d.damping = info.damping;
     return d;
 }
 
@@ -281,14 +296,15 @@ static void go(const ex_options *o, body *b, wire *w, int way, double percent, l
 {
     static unsigned char packet[PACKET];
     const sfem_link_def def = link_def(o, b, way);
-    const size_t m = (size_t)b->modes.count;
+    const size_t m = (size_t)b->modes;
     uint64_t losses = (uint64_t)ex_integer(o, "--seed");
+    const double mass = sfem_reduced_get_info(b->reduced).mass;
     double off = 0, all = 0;
     sfem_sender *sender;
     sfem_receiver *receiver;
     sfem_error err;
     size_t j;
-    long i;
+    long i, worst = 0;
     must(sfem_sender_create(&def, &sender, &err), &err);
     must(sfem_receiver_create(&def, &receiver, &err), &err);
     body_rest(b);
@@ -304,18 +320,20 @@ static void go(const ex_options *o, body *b, wire *w, int way, double percent, l
         while ((bytes = wire_receive(w)) > 0) sfem_receiver_read(receiver, w->held, bytes);
         if (i) sfem_receiver_step(receiver);
         for (j = 0; j < m; ++j) {
-            here += (q[j] - b->q[j]) * (q[j] - b->q[j]) / b->mass;
-            all += b->q[j] * b->q[j] / b->mass;
+            here += (q[j] - b->q[j]) * (q[j] - b->q[j]) / mass;
+            all += b->q[j] * b->q[j] / mass;
         }
         off += here;
         if (!r->distance) continue;
         r->distance[i] = sqrt(here);
-        if (here < r->worst) continue;
+        if (r->moment >= 0 ? i != r->moment : here <= r->worst) continue;
+        if (r->moment < 0) worst = i;
         r->worst = here;
         memcpy(r->q, b->q, m * sizeof *q);
         memcpy(r->received, q, m * sizeof *q);
     }
     r->distortion = sqrt(off / all);
+    if (r->moment < 0) r->moment = worst;
     r->info = sfem_receiver_get_info(receiver);
     sfem_sender_free(sender);
     sfem_receiver_free(receiver);
@@ -325,15 +343,23 @@ static void go(const ex_options *o, body *b, wire *w, int way, double percent, l
  * 4. plots and a picture
  * -------------------------------------------------------------------------------------------- */
 
-static void plot_time(const ex_options *o, run *r, double h, long steps, const char *title)
+/* the largest distance within each half second */
+static void plot_time(const ex_options *o, const run *r, double h, long steps, const char *title)
 {
-    ex_plot p = ex_plot_new(title, "t, s", "distance of received from true, m", EX_LOG_Y);
-    double *t = (double *)ex_new((size_t)steps + 1, sizeof *t);
-    long i;
+    ex_plot p =
+        ex_plot_new(title, "t, s", "received from true, m, at most in half a second", EX_LOG_Y);
+    const long every = h < 0.5 ? (long)(0.5 / h) : 1, count = steps / every;
+    double *t = (double *)ex_new((size_t)count, (WAYS + 1) * sizeof *t), *y;
+    long i, k;
     int way;
-    for (i = 0; i <= steps; ++i) t[i] = h * (double)i;
-    for (way = 0; way < WAYS; ++way)
-        ex_plot_add(&p, way_label[way], t, r[way].distance, steps + 1, EX_LINE);
+    for (i = 0; i < count; ++i) t[i] = h * (double)((i + 1) * every);
+    for (way = 0; way < WAYS; ++way) {
+        y = t + (way + 1) * count;
+        for (i = 0; i < count; ++i)
+            for (k = 0; k < every; ++k) y[i] = fmax(y[i], r[way].distance[i * every + k]);
+        for (i = 0; i < count; ++i) y[i] = fmax(y[i], 1e-7);
+        ex_plot_add(&p, way_label[way], t, y, count, EX_LINE);
+    }
     ex_plot_write(&p, ex_path(ex_text(o, "--out"), "stream-time.svg"));
     free(t);
 }
@@ -348,46 +374,64 @@ static void plot_loss(const ex_options *o, const double *percent, double (*disto
     ex_plot_write(&p, ex_path(ex_text(o, "--out"), "stream-loss.svg"));
 }
 
+/* the four long edges of the bar at x */
+static void draw_edges(ex_picture *p, const body *b, const double *x)
+{
+    static const double ink[3] = {0.85, 0.2, 0.1};
+    sfem_int i, j;
+    for (i = 0; i < b->mesh.nodes; ++i) {
+        const double *at = b->mesh.x + 3 * i;
+        sfem_int next = -1;
+        if (fabs(at[1] - 0.05) < 0.049 || fabs(at[2] - 0.05) < 0.049) continue;
+        for (j = 0; j < b->mesh.nodes; ++j) { /* the node behind it on the same edge */
+            const double *to = b->mesh.x + 3 * j;
+            if (to[0] > at[0] + 1e-9 && fabs(to[1] - at[1]) + fabs(to[2] - at[2]) < 1e-9 &&
+                (next < 0 || to[0] < b->mesh.x[3 * next]))
+                next = j;
+        }
+        if (next >= 0) ex_view_line(p, x + 3 * i, x + 3 * next, 2.5, ink);
+    }
+}
+
 static void draw(const ex_options *o, const body *b, const run *r)
 {
-    static const double direction[3] = {-0.45, 1, -0.3};
-    ex_picture *p = ex_picture_new(1500, 900);
+    static const double direction[3] = {-0.25, 1, -0.35};
+    ex_picture *p = ex_picture_new(1500, 1000);
     ex_style style = ex_default_style();
-    double lower[3], upper[3], *x[2][4], *distance[4];
+    double lower[3], upper[3], *x[4], *distance[4], *truth = body_positions(b, r[0].q);
     const long nodes = b->mesh.nodes;
     char caption[96];
     long i;
-    int way, k;
+    int way;
     p->bar = 1;
     p->ground = NAN;
     style.high = 0;
+    ex_bounds(truth, nodes, 1, lower, upper);
     for (way = 0; way < 4; ++way) {
         distance[way] = (double *)ex_new((size_t)nodes, sizeof **distance);
-        x[0][way] = body_positions(b, r[way].q);
-        x[1][way] = body_positions(b, r[way].received);
-        for (k = 0; k < 2; ++k) ex_bounds(x[k][way], nodes, way == 0 && k == 0, lower, upper);
+        x[way] = body_positions(b, r[way].received);
+        ex_bounds(x[way], nodes, 0, lower, upper);
         for (i = 0; i < nodes; ++i) {
-            const double *a = x[0][way] + 3 * i, *c = x[1][way] + 3 * i;
+            const double *a = truth + 3 * i, *c = x[way] + 3 * i;
             distance[way][i] = sqrt((a[0] - c[0]) * (a[0] - c[0]) + (a[1] - c[1]) * (a[1] - c[1]) +
                                     (a[2] - c[2]) * (a[2] - c[2]));
             style.high = fmax(style.high, distance[way][i]);
         }
     }
     for (way = 0; way < 4; ++way) {
-        ex_style grey = ex_default_style();
-        for (k = 0; k < 3; ++k) grey.color[k] = 0.78;
         ex_view_begin(p, way, 2, 2, lower, upper, direction);
-        ex_view_surface(p, nodes, x[0][way], b->surface.triangles, b->surface.tri, NULL, &grey);
-        ex_view_surface(p, nodes, x[1][way], b->surface.triangles, b->surface.tri, distance[way],
+        ex_view_surface(p, nodes, x[way], b->surface.triangles, b->surface.tri, distance[way],
                         &style);
-        snprintf(caption, sizeof caption, "lost accelerations %s: at its worst", way_label[way]);
+        draw_edges(p, b, truth);
+        snprintf(caption, sizeof caption, "lost accelerations are %s", way_label[way]);
         ex_view_end(p, caption);
         free(distance[way]);
-        for (k = 0; k < 2; ++k) free(x[k][way]);
+        free(x[way]);
     }
     ex_colorbar(p, "off by, m", 0, style.high);
     ex_picture_write(p, ex_path(ex_text(o, "--out"), "stream.png"));
     ex_picture_free(p);
+    free(truth);
 }
 
 int main(int argc, char **argv)
@@ -417,8 +461,9 @@ int main(int argc, char **argv)
             distortion[way][rate] = one.distortion;
         }
         r[way].distance = (double *)ex_new((size_t)steps + 1, sizeof(double));
-        r[way].q = (double *)ex_new((size_t)b.modes.count, 2 * sizeof(double));
-        r[way].received = r[way].q + b.modes.count;
+        r[way].q = (double *)ex_new((size_t)b.modes, 2 * sizeof(double));
+        r[way].received = r[way].q + b.modes;
+        r[way].moment = way ? r[0].moment : -1;
         go(&o, &b, &w, way, shown, steps, &r[way]);
     }
     ex_progress("streaming", 1, 1);
@@ -428,8 +473,7 @@ int main(int argc, char **argv)
     plot_loss(&o, percent, distortion);
     draw(&o, &b, r);
     printf("wrote %s/stream-time.svg, stream-loss.svg, stream.png\n", ex_text(&o, "--out"));
-    printf("transport %s\nmodes %d\nsteps %ld\n", w.udp ? "udp" : "memory", (int)b.modes.count,
-           steps);
+    printf("transport %s\nmodes %d\nsteps %ld\n", w.udp ? "udp" : "memory", (int)b.modes, steps);
     printf("bytes_per_step %.1f\nbits_per_second %.0f\n", r[0].bytes, 8 * r[0].bytes / b.h);
     printf("packets_sent %ld\npackets_missing %ld\n", w.sent, w.missing);
     printf("lost_at_%.0f %ld\n", shown, (long)r[0].info.lost);
