@@ -17531,26 +17531,30 @@ static void sfemi_link_crc_make(sfemi_link_crc *crc)
         }
 }
 
+/* Little-endian on any machine; compilers make one move of each. */
+static void sfemi_link_put(unsigned char *p, uint32_t x)
+{
+    p[0] = (unsigned char)(x & 255);
+    p[1] = (unsigned char)(x >> 8 & 255);
+    p[2] = (unsigned char)(x >> 16 & 255);
+    p[3] = (unsigned char)(x >> 24);
+}
+
+static uint32_t sfemi_link_get(const unsigned char *p)
+{
+    return (uint32_t)p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
+}
+
 static uint32_t sfemi_link_checksum(const sfemi_link_crc *crc, const unsigned char *p, size_t bytes)
 {
     uint32_t c = 0xffffffffu;
-    for (; bytes >= 4; bytes -= 4, p += 4)
-        c = crc->table[3][(c ^ p[0]) & 255] ^ crc->table[2][(c >> 8 ^ p[1]) & 255] ^
-            crc->table[1][(c >> 16 ^ p[2]) & 255] ^ crc->table[0][c >> 24 ^ p[3]];
+    for (; bytes >= 4; bytes -= 4, p += 4) {
+        c ^= sfemi_link_get(p);
+        c = crc->table[3][c & 255] ^ crc->table[2][c >> 8 & 255] ^ crc->table[1][c >> 16 & 255] ^
+            crc->table[0][c >> 24];
+    }
     for (; bytes; --bytes, ++p) c = c >> 8 ^ crc->table[0][(c ^ *p) & 255];
     return ~c;
-}
-
-static void sfemi_link_put(unsigned char *p, uint64_t value, int bytes)
-{
-    for (; bytes; --bytes, value >>= 8) *p++ = (unsigned char)(value & 255);
-}
-
-static uint64_t sfemi_link_get(const unsigned char *p, int bytes)
-{
-    uint64_t value = 0;
-    while (bytes--) value = value << 8 | p[bytes];
-    return value;
 }
 
 static void sfemi_link_put_real(unsigned char *p, sfem_real x, int bytes)
@@ -17560,13 +17564,14 @@ static void sfemi_link_put_real(unsigned char *p, sfem_real x, int bytes)
     const float single = bytes == 4 ? (float)x : 0.0f;
     memcpy(&wide, &x, sizeof wide);
     memcpy(&narrow, &single, sizeof narrow);
-    sfemi_link_put(p, bytes == 4 ? narrow : wide, bytes);
+    sfemi_link_put(p, bytes == 4 ? narrow : (uint32_t)(wide & 0xffffffffu));
+    if (bytes == 8) sfemi_link_put(p + 4, (uint32_t)(wide >> 32));
 }
 
 static sfem_real sfemi_link_get_real(const unsigned char *p, int bytes)
 {
-    const uint64_t wide = sfemi_link_get(p, bytes);
-    const uint32_t narrow = (uint32_t)(wide & 0xffffffffu);
+    const uint32_t narrow = sfemi_link_get(p);
+    const uint64_t wide = bytes == 8 ? narrow | (uint64_t)sfemi_link_get(p + 4) << 32 : 0;
     sfem_real x;
     float single;
     memcpy(&x, &wide, sizeof x);
@@ -17730,11 +17735,11 @@ SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, 
     p[9] = key ? SFEMI_LINK_KEY : SFEMI_LINK_ACCELERATIONS;
     p[10] = (unsigned char)number;
     p[11] = (unsigned char)sender->held;
-    sfemi_link_put(p + 12, d->stream, 4);
-    sfemi_link_put(p + 16, sender->sequence, 4);
-    sfemi_link_put(p + 20, (uint64_t)d->modes, 4);
+    sfemi_link_put(p + 12, d->stream);
+    sfemi_link_put(p + 16, sender->sequence);
+    sfemi_link_put(p + 20, (uint32_t)d->modes);
     sfemi_link_put_real(p + 24, d->h, 8);
-    sfemi_link_put(p + 4, sfemi_link_checksum(&sender->crc, p + 8, size - 8), 4);
+    sfemi_link_put(p + 4, sfemi_link_checksum(&sender->crc, p + 8, size - 8));
     ++sender->sequence;
     if (key) sender->until_key = d->key_every ? d->key_every : -1;
     if (sender->until_key > 0) --sender->until_key;
@@ -17981,19 +17986,18 @@ static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, s
                                      int *held, uint32_t *sequence)
 {
     const size_t m = (size_t)r->def.modes;
-    const sfem_real h = r->def.h;
-    uint64_t wanted_h;
+    unsigned char h[8];
     size_t i, count, number;
     if (bytes < SFEMI_LINK_HEAD || memcmp(p, "SFLK", 4)) return SFEM_ARRIVAL_CORRUPTED;
-    if (sfemi_link_get(p + 4, 4) != sfemi_link_checksum(&r->crc, p + 8, bytes - 8))
+    if (sfemi_link_get(p + 4) != sfemi_link_checksum(&r->crc, p + 8, bytes - 8))
         return SFEM_ARRIVAL_CORRUPTED;
-    memcpy(&wanted_h, &h, sizeof wanted_h);
-    if (p[8] != SFEMI_LINK_VERSION || sfemi_link_get(p + 12, 4) != r->def.stream ||
-        sfemi_link_get(p + 20, 4) != m || sfemi_link_get(p + 24, 8) != wanted_h)
+    sfemi_link_put_real(h, r->def.h, 8);
+    if (p[8] != SFEMI_LINK_VERSION || sfemi_link_get(p + 12) != r->def.stream ||
+        sfemi_link_get(p + 20) != m || memcmp(p + 24, h, sizeof h))
         return SFEM_ARRIVAL_FOREIGN;
     *key = p[9] == SFEMI_LINK_KEY;
     *held = p[11];
-    *sequence = (uint32_t)sfemi_link_get(p + 16, 4);
+    *sequence = sfemi_link_get(p + 16);
     number = p[10];
     if ((!*key && p[9] != SFEMI_LINK_ACCELERATIONS) || (number != 4 && number != 8) || p[11] > 1 ||
         bytes != sfemi_link_size(r->def.modes, *key, (int)number))
