@@ -1376,39 +1376,41 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  * >>api-link   modal motion over a lossy link
  * ============================================================================================ */
 
-/* One side simulates a modal body and sends the m accelerations q'' of each step; the other integrates
- * what arrives, with the same Newmark(beta, gamma):
+/* One side simulates a modal body and sends the m accelerations q'' of each step; the other
+ * integrates what arrives, with the same Newmark(beta, gamma):
  *     q'+ = q' + h ((1-gamma) q'' + gamma q''+)
  *     q+  = q + h q' + h^2 ((1/2-beta) q'' + beta q''+)
  * An acceleration that is lost, replaced by zero, at step t leaves the received velocity wrong by
  * -gamma h q'' at t and by -h q'' ever after, the displacement by -h^2 q'' times beta at t and
- * k - 1/2 + gamma at t + k: 1/4, 1, 2, 3, ... for the average acceleration [the modal-warping source,
- * Lemma and Theorem, A.18-A.25]. So the distortion grows with time, until the next key frame: the
+ * k - 1/2 + gamma at t + k: 1/4, 1, 2, 3, ... for the average acceleration [000 Lemma, Theorem,
+ * A.18-A.25]. So the distortion grows with time, until the next key frame: the
  * whole of q, q' and q'', which puts the receiver where the sender is.
  *
- * The link makes and reads bytes; carrying them is the caller's. A sound packet may come late, twice,
- * out of order or not at all; a damaged one is recognised. For a body whose every step is Newmark's: one
- * whose state jumps (a velocity projected, a state set) has to ask for a key frame; an exact oscillator
- * drifts from its receiver, between key frames, as its integrator differs from Newmark's.
+ * The link makes and reads bytes; carrying them is the caller's. A sound packet may come late,
+ * twice, out of order or not at all; a damaged one is recognised. For a body whose every step is
+ * Newmark's: one whose state jumps (a velocity projected, a state set) has to ask for a key frame;
+ * an exact oscillator drifts from its receiver, between key frames, as its integrator differs from
+ * Newmark's.
  *
  * A packet, all little-endian, numbers as in IEEE 754:
- *     0  4 bytes "SFLK"           12  u32 stream                24  f64 h
- *     4  u32 CRC-32 [IEEE 802.3]  16  u32 sequence number       32  count numbers, q'' of this step;
- *        of all from 8 on         20  u32 count                     of a key frame 3 count, q, q', q''
+ *     0  4 bytes "SFLK"           12  u32 stream            24  f64 h
+ *     4  u32 CRC-32 [IEEE 802.3]  16  u32 sequence number   32  count numbers, q'' of this step; of
+ *        of all from 8 on         20  u32 count                 a key frame 3 count: q, q', q''
  *     8  u8 1, the version; u8 kind, 1 accelerations, 2 key frame; u8 bytes in a number, 4 or 8;
  *        u8 held, 0 or 1: which beta and gamma this step was made with
- * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits, and lets
- * one in 2^32 others pass; it does not keep out who means harm. */
+ * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits, and
+ * lets one in 2^32 others pass; it does not keep out who means harm. */
 
 /* What a receiver takes for an acceleration that is not there when its step comes. A mode turns by
- * omega h a step: below pi/3 held is better than zero and extrapolated better than held, above it is
- * the other way round. None of the first three is bounded without key frames. */
+ * omega h a step: below pi/3 held is better than zero and extrapolated better than held, above it
+ * is the other way round. Without key frames the distortion of none is bounded. */
 typedef enum sfem_lost {
     SFEM_LOST_ZERO,         /* the source's: no acceleration */
     SFEM_LOST_HELD,         /* that of the step before */
-    SFEM_LOST_EXTRAPOLATED, /* on a line through the last two; in a run of losses held after the first */
-    SFEM_LOST_PREDICTED     /* as the mode would swing on under a constant load, for which the last two
-                             * are enough; needs its k and c. Wrong by the change of the load alone */
+    SFEM_LOST_EXTRAPOLATED, /* on a line through the last two; in a run of losses held after the
+                             * first */
+    SFEM_LOST_PREDICTED     /* as the mode would swing on under a constant load, for which the last
+                             * two are enough; needs its k and c. Wrong by what the load changes */
 } sfem_lost;
 
 typedef struct sfem_link_def {
@@ -1418,17 +1420,18 @@ typedef struct sfem_link_def {
     sfem_real held_beta, held_gamma; /* the same for steps of a body with handles; .3025, .6 */
     uint32_t stream;     /* any number: tells several bodies on one socket apart */
     /* the sender's */
-    sfem_int key_every;  /* every so many packets, the first included, is a key frame; 0: the first alone; 30 */
-    int single;          /* numbers travel as floats, half the bytes: accelerations then carry an error of
-                          * 6e-8 of their size, which adds up between key frames */
+    sfem_int key_every;  /* one of so many packets is a key frame, beginning with the first; 0: the
+                          * first alone; 30 */
+    int single;          /* numbers travel as floats, half the bytes: accelerations are then off by
+                          * up to 6e-8 of their size, which adds up between key frames */
     uint32_t first;      /* sequence number of the first packet; 0 */
     /* the receiver's */
     sfem_lost lost;      /* SFEM_LOST_ZERO */
     int drop_late;       /* do not take late packets into account */
-    sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory 48 bytes a
-                          * step and mode */
-    const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised modes, >= 0,
-                          * for SFEM_LOST_PREDICTED; copied; no damping: NULL */
+    sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory: 48
+                          * bytes a step and mode */
+    const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised
+                          * modes, >= 0, for SFEM_LOST_PREDICTED; copied; damping NULL: none */
     sfem_allocator allocator;
 } sfem_link_def;
 
@@ -1439,25 +1442,26 @@ typedef struct sfem_receiver sfem_receiver;
 
 /* O(m); the only functions of the link that allocate.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
-SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out, sfem_error *err);
+SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out,
+                                        sfem_error *err);
 SFEM_DEF void sfem_sender_free(sfem_sender *sender); /* NULL allowed */
 
 /* Bytes of the largest packet, a key frame. Over UDP more than 1472 travel in pieces that are lost
  * together, more than 65507 not at all. */
 SFEM_DEF size_t sfem_sender_packet_size(const sfem_sender *sender);
 
-/* Writes the packet of the sender's present step to packet [capacity], and its length to bytes; to be
- * called once a step, in the initial state first. q and v, [m], are read for key frames only.
+/* Writes the packet of the sender's present step to packet [capacity], and its length to bytes; to
+ * be called once a step, in the initial state first. q and v, [m], are read for key frames only.
  *   errors  SFEM_FULL (capacity), SFEM_NOT_FINITE (names the mode, also of what is too large for a
- *           float), SFEM_BAD_ARGUMENT (a key frame is due, and q or v is NULL); the packet then counts
- *           as not written */
+ *           float), SFEM_BAD_ARGUMENT (a key frame is due, and q or v is NULL); the packet then
+ *           counts as not written */
 SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, const sfem_real *v,
-                                       const sfem_real *a, void *packet, size_t capacity, size_t *bytes,
-                                       sfem_error *err);
+                                       const sfem_real *a, void *packet, size_t capacity,
+                                       size_t *bytes, sfem_error *err);
 SFEM_DEF void sfem_sender_request_key(sfem_sender *sender); /* make the next packet a key frame */
 SFEM_DEF int sfem_sender_key_due(const sfem_sender *sender); /* will it be one? */
-/* From the next packet on steps are made with held_beta, held_gamma (1), or with beta, gamma (0). A change
- * asks for a key frame: where handles come and go, velocities jump. */
+/* From the next packet on steps are made with held_beta, held_gamma (1), or with beta, gamma (0).
+ * A change asks for a key frame: where handles come and go, velocities jump. */
 SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held);
 
 SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receiver **out,
@@ -1466,10 +1470,10 @@ SFEM_DEF void sfem_receiver_free(sfem_receiver *receiver); /* NULL allowed */
 
 /* What became of a packet. */
 typedef enum sfem_arrival {
-    SFEM_ARRIVAL_TAKEN,     /* waits for its step; or a key frame that the receiver started or went on at */
+    SFEM_ARRIVAL_TAKEN,     /* waits for its step; or a key frame that the receiver began at */
     SFEM_ARRIVAL_LATE,      /* its step was over: corrected exactly, as if it had come in time */
-    SFEM_ARRIVAL_DROPPED,   /* late, and: beyond the window, or older than the last key frame, which knows
-                             * better, or drop_late */
+    SFEM_ARRIVAL_DROPPED,   /* late, and: beyond the window, or older than the last key frame, which
+                             * knows better, or drop_late */
     SFEM_ARRIVAL_REPEATED,
     SFEM_ARRIVAL_CORRUPTED, /* not a packet, damaged, or with numbers that are not finite */
     SFEM_ARRIVAL_FOREIGN,   /* a sound packet of another version, stream, m or h */
@@ -1477,29 +1481,30 @@ typedef enum sfem_arrival {
     SFEM_ARRIVAL_COUNT
 } sfem_arrival;
 
-/* Takes a packet of any bytes, at any time. A late acceleration is put right by the theorem: both sides
- * being linear, dq = (k - 1/2 + gamma) h^2 (q'' - what was taken for it), and so on; a late key frame by
- * integrating again from it. Substitutes of later steps stay, until their own packets come. A key frame
- * that is ahead by more than the window moves the receiver to its step.
+/* Takes a packet of any bytes, at any time. A late acceleration is put right by the theorem: both
+ * sides being linear, dq = (k - 1/2 + gamma) h^2 (q'' - what was taken for it), and so on; a late
+ * key frame by integrating again from it. Substitutes of later steps stay, until their own packets
+ * come. A key frame that is ahead by more than the window moves the receiver to its step.
  *   cost    O(m), of a late key frame O(m window); allocates nothing */
 SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *packet, size_t bytes);
 
-/* The next step, h s on. Returns 1 if its packet was there, 0 if it was lost, or if nothing has begun:
- * before the first key frame a receiver stands still at zero. Where a step would overflow, as after a
- * mad packet that is sound, a mode stops where it is. O(m); allocates nothing. */
+/* The next step, h s on. Returns 1 if its packet was there, 0 if it was lost, or if nothing has
+ * begun: before the first key frame a receiver stands still at zero. Where a step would overflow,
+ * as after a mad packet that is sound, a mode stops where it is. O(m); allocates nothing. */
 SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver);
 
-/* Steps from the receiver's present one to that of the newest packet; negative where even that was late.
- * Whoever steps only while it is larger than some delay gives packets that time to come. 0 before the
- * first key frame. */
+/* Steps from the receiver's present one to that of the newest packet; negative where even that was
+ * late. Whoever steps only while it is larger than some delay gives packets that time to come. 0
+ * before the first key frame. */
 SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver);
 
-SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver); /* q [m] */
-SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver);     /* q' [m] */
-SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver); /* q'' [m], in use */
+/* q, q' and q'' in the present step, [m]; q'' as used. They stay where they are. */
+SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver);
 
-/* As created, waiting for the first key frame of this stream: when the sender has begun anew. The counts
- * go on. */
+/* As created, waiting for the first key frame of this stream: when the sender has begun anew. The
+ * counts go on. */
 SFEM_DEF void sfem_receiver_restart(sfem_receiver *receiver, uint32_t stream);
 
 typedef struct sfem_receiver_info {
@@ -17597,20 +17602,22 @@ static sfem_status sfemi_link_check(const sfem_link_def *d, sfem_error *err)
 {
     const size_t slot = 3 * sizeof(sfem_real), most = (size_t)-1 / 4;
     if (d->modes < 1)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a link needs 1 mode at least, not %d", (int)d->modes);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a link needs 1 mode at least, not %d",
+                          (int)d->modes);
     if (!sfemi_finite(d->h) || !sfemi_finite(d->beta) || !sfemi_finite(d->gamma) ||
         !sfemi_finite(d->held_beta) || !sfemi_finite(d->held_gamma))
         return sfemi_fail(err, SFEM_NOT_FINITE, "h, beta or gamma of the link is not finite");
     if (!(d->h > 0) || !(d->beta >= 0) || !(d->gamma >= 0) || !(d->held_beta >= 0) ||
         !(d->held_gamma >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "the link needs h > 0, beta >= 0, gamma >= 0, not %g, %g, %g (%g, %g)", d->h,
-                          d->beta, d->gamma, d->held_beta, d->held_gamma);
+                          "the link needs h > 0, beta >= 0, gamma >= 0, not %g, %g, %g (%g, %g)",
+                          d->h, d->beta, d->gamma, d->held_beta, d->held_gamma);
     if (d->key_every < 0)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a key frame every %d packets", (int)d->key_every);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a key frame every %d packets",
+                          (int)d->key_every);
     if (d->window < 4 || d->window > 32768)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the window of the link is %d, not 4 to 32768 steps",
-                          (int)d->window);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the window of the link is %d, not 4 to 32768 steps", (int)d->window);
     if ((unsigned)d->lost > (unsigned)SFEM_LOST_PREDICTED)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no sfem_lost %d", (int)d->lost);
     if (d->lost == SFEM_LOST_PREDICTED && !d->stiffness)
@@ -17631,12 +17638,13 @@ static size_t sfemi_link_size(sfem_int modes, int key, int number)
 struct sfem_sender {
     sfem_link_def def;
     sfemi_link_crc crc;
-    uint32_t sequence; /* of the next packet */
+    uint32_t sequence;  /* of the next packet */
     sfem_int until_key; /* packets before the next key frame; < 0: none comes by itself */
     int held;
 };
 
-SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out, sfem_error *err)
+SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out,
+                                        sfem_error *err)
 {
     sfem_sender *s = NULL;
     sfem_status status;
@@ -17692,16 +17700,16 @@ static sfem_status sfemi_link_write(const sfem_sender *s, const char *name, cons
     sfem_int i;
     for (i = 0; i < s->def.modes; ++i) {
         if (!sfemi_finite(x[i]) || (s->def.single && fabs(x[i]) > 3.4028234663852886e38))
-            return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d: %s = %g cannot be sent%s", (int)i, name,
-                              x[i], s->def.single ? " as a float" : "");
+            return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d: %s = %g cannot be sent%s", (int)i,
+                              name, x[i], s->def.single ? " as a float" : "");
         sfemi_link_put_real(p + (size_t)i * (size_t)number, x[i], number);
     }
     return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, const sfem_real *v,
-                                       const sfem_real *a, void *packet, size_t capacity, size_t *bytes,
-                                       sfem_error *err)
+                                       const sfem_real *a, void *packet, size_t capacity,
+                                       size_t *bytes, sfem_error *err)
 {
     const sfem_link_def *d;
     unsigned char *p = (unsigned char *)packet, *at = p + SFEMI_LINK_HEAD;
@@ -17715,13 +17723,14 @@ SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, 
     size = sfemi_link_size(d->modes, key, number);
     block = (size_t)d->modes * (size_t)number;
     if (key && (!q || !v)) {
-        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "packet %lu is a key frame, which needs q and v",
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "packet %lu is a key frame: it needs q and v",
                             (unsigned long)sender->sequence);
         goto done;
     }
     if (capacity < size) {
         status = sfemi_fail(err, SFEM_FULL, "packet %lu takes %lu bytes, not %lu",
-                            (unsigned long)sender->sequence, (unsigned long)size, (unsigned long)capacity);
+                            (unsigned long)sender->sequence, (unsigned long)size,
+                            (unsigned long)capacity);
         goto done;
     }
     if (key) {
@@ -17750,43 +17759,37 @@ done:
 
 /* ---- receiver ---- */
 
-/* What is known of a step. MISSED: over, and a substitute was taken. DONE: its packet has come, too late
- * to matter. */
-enum {
-    SFEMI_STEP_UNKNOWN,
-    SFEMI_STEP_ARRIVED,
-    SFEMI_STEP_KEY,
-    SFEMI_STEP_MISSED,
-    SFEMI_STEP_DONE
-};
+/* What is known of a step. MISSED: over, and a substitute was taken. DONE: its packet has come,
+ * too late to matter. */
+enum { SFEMI_STEP_UNKNOWN, SFEMI_STEP_ARRIVED, SFEMI_STEP_KEY, SFEMI_STEP_MISSED, SFEMI_STEP_DONE };
 
-/* Steps are counted without wrapping; the low 32 bits are the sequence number. The ring holds the steps
- * from step - window + 1 to step + window: those past with the accelerations that were used. */
+/* Steps are counted without wrapping; the low 32 bits are the sequence number. The ring holds the
+ * steps from step - window + 1 to step + window, those past with the accelerations used. */
 struct sfem_receiver {
     sfem_link_def def;
     sfemi_link_crc crc;
-    sfem_real *q, *v, *a;      /* [m] in the present step */
-    sfem_real *last;           /* [m] q'' one step before, as sfemi_link_remember leaves it */
-    sfem_real *ring;           /* [2 window][3][m] q'', q, q'; the last two of key frames to come */
-    sfem_real *incoming;       /* [3][m] the packet that is being read, in the same order */
-    sfem_real *k, *c;          /* [m] or NULL */
+    sfem_real *q, *v, *a; /* [m] in the present step */
+    sfem_real *last;      /* [m] q'' one step before, as sfemi_link_remember leaves it */
+    sfem_real *ring;      /* [2 window][3][m] q'', q, q'; the last two of key frames to come */
+    sfem_real *incoming;  /* [3][m] the packet that is being read, in the same order */
+    sfem_real *k, *c;     /* [m] or NULL */
     unsigned char *known, *held; /* [2 window] each */
-    sfem_real beta, gamma;     /* of the step that is being made */
-    int64_t step, newest, key; /* the present step; of the newest packet; of the last key frame in q */
-    int run;                   /* steps missed in a row, up to 2 */
+    sfem_real beta, gamma;       /* of the step that is being made */
+    int64_t step, newest, key;   /* the present; of the newest packet; of the key frame in q */
+    int run;                     /* steps missed in a row, up to 2 */
     sfem_receiver_info info;
 };
 
-static sfem_status sfemi_link_coefficients(sfem_receiver *r, const char *name, const sfem_real *from,
-                                           sfem_real **to, sfem_error *err)
+static sfem_status sfemi_link_coefficients(sfem_receiver *r, const char *name,
+                                           const sfem_real *from, sfem_real **to, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
     sfem_int i;
     if (!from) goto done;
     for (i = 0; i < r->def.modes; ++i)
         if (!sfemi_finite(from[i]) || from[i] < 0) {
-            status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode %d: %s %g is not 0 or more", (int)i, name,
-                                from[i]);
+            status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode %d: %s %g is not 0 or more", (int)i,
+                                name, from[i]);
             goto done;
         }
     SFEMI_NEW(sfem_real, *to, &r->def.allocator, r->def.modes);
@@ -17874,15 +17877,17 @@ static void sfemi_link_integrate(sfem_receiver *r, const sfem_real *next)
         const sfem_real q = r->q[i] + h * r->v[i] + old_q * r->a[i] + new_q * a;
         const sfem_real v = r->v[i] + old_v * r->a[i] + new_v * a;
         const int fits = sfemi_finite(q) && sfemi_finite(v);
-        if (fits) r->q[i] = q;
-        else ++r->info.overflows;
+        if (fits)
+            r->q[i] = q;
+        else
+            ++r->info.overflows;
         r->v[i] = fits ? v : 0;
         r->a[i] = fits ? a : 0;
     }
 }
 
-/* What predicts, of one mode: half the trace, and the determinant, of Newmark's amplification matrix of
- * (q, q'). Without k it is the straight line through the last two. */
+/* What predicts, of one mode: half the trace, and the determinant, of Newmark's amplification
+ * matrix of (q, q'). Without k it is the straight line through the last two. */
 typedef struct sfemi_link_swing {
     sfem_real h, k, c, d, cosine, det; /* k h^2, c h, the 1 + gamma c h + beta k h^2 of [A.7] */
 } sfemi_link_swing;
@@ -17901,15 +17906,16 @@ static sfemi_link_swing sfemi_link_swing_of(const sfem_receiver *r, sfem_int i)
     return s;
 }
 
-/* The acceleration of the next step under a constant load: by Cayley and Hamilton tr q'' - det q''-.
- * Straight after a key frame there is no q''-, but q' is to be trusted. (To solve for the load that the
- * present q and q' imply is the same as long as nothing was lost, but feeds what q' has drifted by back
- * into q'': beyond omega h = 2 that grows from loss to loss.) */
+/* The acceleration of the next step under a constant load: by Cayley and Hamilton
+ * tr q'' - det q''-. Straight after a key frame there is no q''-, but q' is to be trusted. (To solve for the
+ * load that the present q and q' imply is the same as long as nothing was lost, but feeds what q'
+ * has drifted by back into q'': beyond omega h = 2 that grows from loss to loss.) */
 static sfem_real sfemi_link_predict(const sfem_receiver *r, const sfemi_link_swing *s, sfem_int i)
 {
     const sfem_real a = r->a[i];
     if (r->step - 1 > r->key) return 2 * s->cosine * a - s->det * r->last[i];
-    return (a * (1 - s->c * (1 - r->gamma) - s->k * (0.5 - r->beta)) - s->k * r->v[i] / s->h) / s->d;
+    return (a * (1 - s->c * (1 - r->gamma) - s->k * (0.5 - r->beta)) - s->k * r->v[i] / s->h) /
+           s->d;
 }
 
 /* What is taken for the acceleration of a step that has none, before it is integrated. */
@@ -17927,10 +17933,10 @@ static void sfemi_link_substitute(const sfem_receiver *r, sfem_real *next)
     }
 }
 
-/* After the step to next, which has come, or was substituted: q''-, as the predictor is to see it. A
- * true value behind a predicted one is off by some e: the load has changed. Were q''- left as it was, e
- * would look like a jump in speed and swing by e/sin(omega h); with e cos(omega h) added it swings by e,
- * and an error of the predictor can only shrink. */
+/* After the step to next, which has come, or was substituted: q''-, as the predictor is to see it.
+ * A true value behind a predicted one is off by some e: the load has changed. Were q''- left as it
+ * was, e would look like a jump in speed and swing by e/sin(omega h); with e cos(omega h) added it
+ * swings by e, and an error of the predictor can only shrink. */
 static void sfemi_link_remember(sfem_receiver *r, const sfem_real *next, int behind_loss)
 {
     sfem_int i;
@@ -17980,10 +17986,10 @@ SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
     return !missed;
 }
 
-/* Decodes a packet into r->incoming. Nothing is looked at before the length and the checksum vouch for
- * it. */
-static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, size_t bytes, int *key,
-                                     int *held, uint32_t *sequence)
+/* Decodes a packet into r->incoming. Nothing is looked at before the length and the checksum vouch
+ * for it. */
+static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, size_t bytes,
+                                     int *key, int *held, uint32_t *sequence)
 {
     const size_t m = (size_t)r->def.modes;
     unsigned char h[8];
@@ -18025,8 +18031,8 @@ static void sfemi_link_begin(sfem_receiver *r, int64_t step, int held)
     sfemi_link_take_key(r, r->incoming, step);
 }
 
-/* The theorem: what an acceleration that differs from the one used, so many steps ago, means now; with
- * the step's method, should that differ, too. */
+/* The theorem: what an acceleration that differs from the one used, so many steps ago, means now;
+ * with the step's method, should that differ, too. */
 static void sfemi_link_correct(sfem_receiver *r, int64_t step, int held)
 {
     const sfem_real h = r->def.h, ago = (sfem_real)(r->step - step);
@@ -18048,7 +18054,8 @@ static void sfemi_link_correct(sfem_receiver *r, int64_t step, int held)
     }
     for (i = 0; i < r->def.modes; ++i) {
         const sfem_real a = r->incoming[i], d = a - used[i];
-        const sfem_real other_v = gamma != old_gamma ? (old_gamma - gamma) * (before[i] - used[i]) : 0;
+        const sfem_real other_v =
+            gamma != old_gamma ? (old_gamma - gamma) * (before[i] - used[i]) : 0;
         const sfem_real other_q = beta != old_beta ? (old_beta - beta) * (before[i] - used[i]) : 0;
         const sfem_real dv = h * (gamma * d + other_v), dq = h * h * (beta * d + other_q);
         const sfem_real q = r->q[i] + dq + ago * h * dv + of_q * d, v = r->v[i] + dv + of_v * d;
@@ -18091,7 +18098,8 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32
     const size_t count = (key ? 3 : 1) * (size_t)r->def.modes;
     /* the step nearest to the present one with that sequence number; 2^32 keeps all positive */
     const uint32_t distance = sequence - (uint32_t)(r->step & 0xffffffff);
-    const int64_t step = r->step + (int64_t)distance - ((distance >> 31) ? INT64_C(0x100000000) : 0);
+    const int64_t step =
+        r->step + (int64_t)distance - ((distance >> 31) ? INT64_C(0x100000000) : 0);
     unsigned char *known;
     if (!r->info.started) {
         if (!key) return SFEM_ARRIVAL_EARLY;
@@ -18115,14 +18123,18 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32
         r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
         return SFEM_ARRIVAL_TAKEN;
     }
-    if (step <= r->key || r->def.drop_late || /* or the step before it, of another method, is gone */
-        (!key && held != r->held[sfemi_link_slot(r, step)] && step - 1 <= r->step - r->def.window)) {
+    if (step <= r->key ||
+        r->def.drop_late || /* or the step before it, of another method, is gone */
+        (!key && held != r->held[sfemi_link_slot(r, step)] &&
+         step - 1 <= r->step - r->def.window)) {
         *known = SFEMI_STEP_DONE;
         return SFEM_ARRIVAL_DROPPED;
     }
     *known = key ? SFEMI_STEP_KEY : SFEMI_STEP_ARRIVED;
-    if (key) sfemi_link_replay(r, step, held);
-    else sfemi_link_correct(r, step, held);
+    if (key)
+        sfemi_link_replay(r, step, held);
+    else
+        sfemi_link_correct(r, step, held);
     return SFEM_ARRIVAL_LATE;
 }
 
@@ -18132,8 +18144,8 @@ SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *pa
     uint32_t sequence = 0;
     int key = 0, held = 0;
     SFEM_ASSERT(receiver && (packet || !bytes));
-    arrival = sfemi_link_parse(receiver, (const unsigned char *)packet, bytes, &key, &held,
-                               &sequence);
+    arrival =
+        sfemi_link_parse(receiver, (const unsigned char *)packet, bytes, &key, &held, &sequence);
     if (arrival == SFEM_ARRIVAL_TAKEN) arrival = sfemi_link_place(receiver, key, held, sequence);
     ++receiver->info.arrivals[arrival];
     return arrival;

@@ -1283,7 +1283,7 @@ static void definitions_out_of_range_are_refused(void **state)
         if (i == 12 && sizeof(size_t) < 8) wanted = SFEM_TOO_LARGE;
         if (i == 12) {
             test_memory memory = {0};
-            memory.fail_at = 3; /* without asking the system for so much */
+            memory.fail_at = 2; /* without asking the system for so much */
             d.allocator = test_allocator(&memory);
             assert_status(sfem_receiver_create(&d, &r, &err), wanted);
             assert_no_leak(memory);
