@@ -60,11 +60,16 @@ test: check check-examples ## build and run every test, and every example once
 bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
 
+<<<<<<< HEAD
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
 
 bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S beside that of 3x3 blocks
 	$(ENVIRONMENT) $(BUILD)/bench/scalar
+=======
+bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distortion against loss
+	$(BUILD)/bench/link
+>>>>>>> link
 
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
@@ -231,7 +236,11 @@ force:
 .DELETE_ON_ERROR:
 .SECONDARY:
 <<<<<<< HEAD
+<<<<<<< HEAD
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)
 =======
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)
 >>>>>>> eigen
+=======
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)
+>>>>>>> link

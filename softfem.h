@@ -1453,6 +1453,149 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  * >>api-link   modal motion over a lossy link
  * ============================================================================================ */
 
+/* One side simulates a modal body and sends the m accelerations q'' of each step; the other
+ * integrates what arrives, with the same Newmark(beta, gamma):
+ *     q'+ = q' + h ((1-gamma) q'' + gamma q''+)
+ *     q+  = q + h q' + h^2 ((1/2-beta) q'' + beta q''+)
+ * An acceleration that is lost, replaced by zero, at step t leaves the received velocity wrong by
+ * -gamma h q'' at t and by -h q'' ever after, the displacement by -h^2 q'' times beta at t and
+ * k - 1/2 + gamma at t + k: 1/4, 1, 2, 3, ... for the average acceleration [000 Lemma, Theorem,
+ * A.18-A.25]. So the distortion grows with time, until the next key frame: the
+ * whole of q, q' and q'', which puts the receiver where the sender is.
+ *
+ * The link makes and reads bytes; carrying them is the caller's. A sound packet may come late,
+ * twice, out of order or not at all; a damaged one is recognised. For a body whose every step is
+ * Newmark's: one whose state jumps (a velocity projected, a state set) has to ask for a key frame;
+ * an exact oscillator drifts from its receiver, between key frames, as its integrator differs from
+ * Newmark's.
+ *
+ * A packet, all little-endian, numbers as in IEEE 754:
+ *     0  4 bytes "SFLK"           12  u32 stream            24  f64 h
+ *     4  u32 CRC-32 [IEEE 802.3]  16  u32 sequence number   32  count numbers, q'' of this step; of
+ *        of all from 8 on         20  u32 count                 a key frame 3 count: q, q', q''
+ *     8  u8 1, the version; u8 kind, 1 accelerations, 2 key frame; u8 bytes in a number, 4 or 8;
+ *        u8 held, 0 or 1: which beta and gamma this step was made with
+ * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits, and
+ * lets one in 2^32 others pass; it does not keep out who means harm. */
+
+/* What a receiver takes for an acceleration that is not there when its step comes. A mode turns by
+ * omega h a step: below pi/3 held is better than zero and extrapolated better than held, above it
+ * is the other way round. Without key frames the distortion of none is bounded. */
+typedef enum sfem_lost {
+    SFEM_LOST_ZERO,         /* the source's: no acceleration */
+    SFEM_LOST_HELD,         /* that of the step before */
+    SFEM_LOST_EXTRAPOLATED, /* on a line through the last two; in a run of losses held after the
+                             * first */
+    SFEM_LOST_PREDICTED     /* as the mode would swing on under a constant load, for which the last
+                             * two are enough; needs its k and c. Wrong by what the load changes */
+} sfem_lost;
+
+typedef struct sfem_link_def {
+    sfem_int modes;      /* m >= 1; both sides: modes, h, stream, betas and gammas alike */
+    sfem_real h;         /* s, > 0 */
+    sfem_real beta, gamma; /* >= 0; 1/4, 1/2 */
+    sfem_real held_beta, held_gamma; /* the same for steps of a body with handles; .3025, .6 */
+    uint32_t stream;     /* any number: tells several bodies on one socket apart */
+    /* the sender's */
+    sfem_int key_every;  /* one of so many packets is a key frame, beginning with the first; 0: the
+                          * first alone; 30 */
+    int single;          /* numbers travel as floats, half the bytes: accelerations are then off by
+                          * up to 6e-8 of their size, which adds up between key frames */
+    uint32_t first;      /* sequence number of the first packet; 0 */
+    /* the receiver's */
+    sfem_lost lost;      /* SFEM_LOST_ZERO */
+    int drop_late;       /* do not take late packets into account */
+    sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory: 48
+                          * bytes a step and mode */
+    const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised
+                          * modes, >= 0, for SFEM_LOST_PREDICTED; copied; damping NULL: none */
+    sfem_allocator allocator;
+} sfem_link_def;
+
+SFEM_DEF sfem_link_def sfem_default_link_def(void); /* modes 0, h 1/60 */
+
+typedef struct sfem_sender sfem_sender;
+typedef struct sfem_receiver sfem_receiver;
+
+/* O(m); the only functions of the link that allocate.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out,
+                                        sfem_error *err);
+SFEM_DEF void sfem_sender_free(sfem_sender *sender); /* NULL allowed */
+
+/* Bytes of the largest packet, a key frame. Over UDP more than 1472 travel in pieces that are lost
+ * together, more than 65507 not at all. */
+SFEM_DEF size_t sfem_sender_packet_size(const sfem_sender *sender);
+
+/* Writes the packet of the sender's present step to packet [capacity], and its length to bytes; to
+ * be called once a step, in the initial state first. q and v, [m], are read for key frames only.
+ *   errors  SFEM_FULL (capacity), SFEM_NOT_FINITE (names the mode, also of what is too large for a
+ *           float), SFEM_BAD_ARGUMENT (a key frame is due, and q or v is NULL); the packet then
+ *           counts as not written */
+SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, const sfem_real *v,
+                                       const sfem_real *a, void *packet, size_t capacity,
+                                       size_t *bytes, sfem_error *err);
+SFEM_DEF void sfem_sender_request_key(sfem_sender *sender); /* make the next packet a key frame */
+SFEM_DEF int sfem_sender_key_due(const sfem_sender *sender); /* will it be one? */
+/* From the next packet on steps are made with held_beta, held_gamma (1), or with beta, gamma (0).
+ * A change asks for a key frame: where handles come and go, velocities jump. */
+SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held);
+
+SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receiver **out,
+                                          sfem_error *err);
+SFEM_DEF void sfem_receiver_free(sfem_receiver *receiver); /* NULL allowed */
+
+/* What became of a packet. */
+typedef enum sfem_arrival {
+    SFEM_ARRIVAL_TAKEN,     /* waits for its step; or a key frame that the receiver began at */
+    SFEM_ARRIVAL_LATE,      /* its step was over: corrected exactly, as if it had come in time */
+    SFEM_ARRIVAL_DROPPED,   /* late, and: beyond the window, or older than the last key frame, which
+                             * knows better, or drop_late */
+    SFEM_ARRIVAL_REPEATED,
+    SFEM_ARRIVAL_CORRUPTED, /* not a packet, damaged, or with numbers that are not finite */
+    SFEM_ARRIVAL_FOREIGN,   /* a sound packet of another version, stream, m or h */
+    SFEM_ARRIVAL_EARLY,     /* beyond the window, or before the first key frame: not kept */
+    SFEM_ARRIVAL_COUNT
+} sfem_arrival;
+
+/* Takes a packet of any bytes, at any time. A late acceleration is put right by the theorem: both
+ * sides being linear, dq = (k - 1/2 + gamma) h^2 (q'' - what was taken for it), and so on; a late
+ * key frame by integrating again from it. Substitutes of later steps stay, until their own packets
+ * come. A key frame that is ahead by more than the window moves the receiver to its step.
+ *   cost    O(m), of a late key frame O(m window); allocates nothing */
+SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *packet, size_t bytes);
+
+/* The next step, h s on. Returns 1 if its packet was there, 0 if it was lost, or if nothing has
+ * begun: before the first key frame a receiver stands still at zero. Where a step would overflow,
+ * as after a mad packet that is sound, a mode stops where it is. O(m); allocates nothing. */
+SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver);
+
+/* Steps from the receiver's present one to that of the newest packet; negative where even that was
+ * late. Whoever steps only while it is larger than some delay gives packets that time to come. 0
+ * before the first key frame. */
+SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver);
+
+/* q, q' and q'' in the present step, [m]; q'' as used. They stay where they are. */
+SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver);
+
+/* As created, waiting for the first key frame of this stream: when the sender has begun anew. The
+ * counts go on. */
+SFEM_DEF void sfem_receiver_restart(sfem_receiver *receiver, uint32_t stream);
+
+typedef struct sfem_receiver_info {
+    int started;       /* a key frame has come */
+    uint32_t sequence; /* of the present step */
+    int64_t arrivals[SFEM_ARRIVAL_COUNT]; /* packets by what became of them */
+    int64_t steps;     /* taken: */
+    int64_t received, keys, lost; /* with an acceleration, a key frame, or nothing in time */
+    int64_t late_keys, jumps; /* key frames applied late; that moved the receiver, with */
+    int64_t skipped;   /* so many steps left out */
+    int64_t overflows; /* modes stopped */
+} sfem_receiver_info;
+SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver);
+
 #ifdef __cplusplus
 }
 #endif
@@ -19272,6 +19415,693 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
 /* ============================================================================================
  * >>link   packets of accelerations, key frames
  * ============================================================================================ */
+
+enum {
+    SFEMI_LINK_HEAD = 32,
+    SFEMI_LINK_VERSION = 1,
+    SFEMI_LINK_ACCELERATIONS = 1,
+    SFEMI_LINK_KEY = 2
+};
+
+/* CRC-32 by four bytes at a time: table[k][b] is what the byte b does k bytes later [Sarwate 1988;
+ * Kounavis, Berry 2005]. In the object, because constants of 4 KB are for machines to write. */
+typedef struct sfemi_link_crc {
+    uint32_t table[4][256];
+} sfemi_link_crc;
+
+static void sfemi_link_crc_make(sfemi_link_crc *crc)
+{
+    uint32_t b, c;
+    int k;
+    for (b = 0; b < 256; ++b) {
+        for (c = b, k = 0; k < 8; ++k) c = c & 1 ? c >> 1 ^ 0xedb88320u : c >> 1;
+        crc->table[0][b] = c;
+    }
+    for (b = 0; b < 256; ++b)
+        for (k = 1; k < 4; ++k) {
+            c = crc->table[k - 1][b];
+            crc->table[k][b] = c >> 8 ^ crc->table[0][c & 255];
+        }
+}
+
+/* Little-endian on any machine; compilers make one move of each. */
+static void sfemi_link_put(unsigned char *p, uint32_t x)
+{
+    p[0] = (unsigned char)(x & 255);
+    p[1] = (unsigned char)(x >> 8 & 255);
+    p[2] = (unsigned char)(x >> 16 & 255);
+    p[3] = (unsigned char)(x >> 24);
+}
+
+static uint32_t sfemi_link_get(const unsigned char *p)
+{
+    return (uint32_t)p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
+}
+
+static uint32_t sfemi_link_checksum(const sfemi_link_crc *crc, const unsigned char *p, size_t bytes)
+{
+    uint32_t c = 0xffffffffu;
+    for (; bytes >= 4; bytes -= 4, p += 4) {
+        c ^= sfemi_link_get(p);
+        c = crc->table[3][c & 255] ^ crc->table[2][c >> 8 & 255] ^ crc->table[1][c >> 16 & 255] ^
+            crc->table[0][c >> 24];
+    }
+    for (; bytes; --bytes, ++p) c = c >> 8 ^ crc->table[0][(c ^ *p) & 255];
+    return ~c;
+}
+
+static void sfemi_link_put_real(unsigned char *p, sfem_real x, int bytes)
+{
+    uint64_t wide;
+    uint32_t narrow;
+    const float single = bytes == 4 ? (float)x : 0.0f;
+    memcpy(&wide, &x, sizeof wide);
+    memcpy(&narrow, &single, sizeof narrow);
+    sfemi_link_put(p, bytes == 4 ? narrow : (uint32_t)(wide & 0xffffffffu));
+    if (bytes == 8) sfemi_link_put(p + 4, (uint32_t)(wide >> 32));
+}
+
+static sfem_real sfemi_link_get_real(const unsigned char *p, int bytes)
+{
+    const uint32_t narrow = sfemi_link_get(p);
+    const uint64_t wide = bytes == 8 ? narrow | (uint64_t)sfemi_link_get(p + 4) << 32 : 0;
+    sfem_real x;
+    float single;
+    memcpy(&x, &wide, sizeof x);
+    memcpy(&single, &narrow, sizeof single);
+    return bytes == 4 ? (sfem_real)single : x;
+}
+
+SFEM_DEF sfem_link_def sfem_default_link_def(void)
+{
+    sfem_link_def d;
+    memset(&d, 0, sizeof d);
+    d.h = 1 / 60.0;
+    d.beta = 0.25;
+    d.gamma = 0.5;
+    d.held_beta = 0.3025;
+    d.held_gamma = 0.6;
+    d.key_every = 30;
+    d.window = 32;
+    return d;
+}
+
+static sfem_status sfemi_link_check(const sfem_link_def *d, sfem_error *err)
+{
+    const size_t slot = 3 * sizeof(sfem_real), most = (size_t)-1 / 4;
+    if (d->modes < 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a link needs 1 mode at least, not %d",
+                          (int)d->modes);
+    if (!sfemi_finite(d->h) || !sfemi_finite(d->beta) || !sfemi_finite(d->gamma) ||
+        !sfemi_finite(d->held_beta) || !sfemi_finite(d->held_gamma))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "h, beta or gamma of the link is not finite");
+    if (!(d->h > 0) || !(d->beta >= 0) || !(d->gamma >= 0) || !(d->held_beta >= 0) ||
+        !(d->held_gamma >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the link needs h > 0, beta >= 0, gamma >= 0, not %g, %g, %g (%g, %g)",
+                          d->h, d->beta, d->gamma, d->held_beta, d->held_gamma);
+    if (d->key_every < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a key frame every %d packets",
+                          (int)d->key_every);
+    if (d->window < 4 || d->window > 32768)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the window of the link is %d, not 4 to 32768 steps", (int)d->window);
+    if ((unsigned)d->lost > (unsigned)SFEM_LOST_PREDICTED)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no sfem_lost %d", (int)d->lost);
+    if (d->lost == SFEM_LOST_PREDICTED && !d->stiffness)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "SFEM_LOST_PREDICTED needs the modes' stiffness");
+    if ((size_t)d->modes > most / slot / (2 * (size_t)d->window))
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d modes and a window of %d steps are too many",
+                          (int)d->modes, (int)d->window);
+    return SFEM_OK;
+}
+
+static size_t sfemi_link_size(sfem_int modes, int key, int number)
+{
+    return SFEMI_LINK_HEAD + (key ? 3 : 1) * (size_t)modes * (size_t)number;
+}
+
+/* ---- sender ---- */
+
+struct sfem_sender {
+    sfem_link_def def;
+    sfemi_link_crc crc;
+    uint32_t sequence;  /* of the next packet */
+    sfem_int until_key; /* packets before the next key frame; < 0: none comes by itself */
+    int held;
+};
+
+SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out,
+                                        sfem_error *err)
+{
+    sfem_sender *s = NULL;
+    sfem_status status;
+    SFEM_ASSERT(def && out);
+    SFEMI_TRY(sfemi_link_check(def, err));
+    SFEMI_NEW(sfem_sender, s, &def->allocator, 1);
+    s->def = *def;
+    s->def.stiffness = s->def.damping = NULL;
+    s->sequence = def->first;
+    sfemi_link_crc_make(&s->crc);
+    *out = s;
+done:
+    return status;
+}
+
+SFEM_DEF void sfem_sender_free(sfem_sender *sender)
+{
+    sfem_allocator a;
+    if (!sender) return;
+    a = sender->def.allocator;
+    sfemi_delete(&a, sender);
+}
+
+SFEM_DEF size_t sfem_sender_packet_size(const sfem_sender *sender)
+{
+    SFEM_ASSERT(sender);
+    return sfemi_link_size(sender->def.modes, 1, sender->def.single ? 4 : 8);
+}
+
+SFEM_DEF void sfem_sender_request_key(sfem_sender *sender)
+{
+    SFEM_ASSERT(sender);
+    sender->until_key = 0;
+}
+
+SFEM_DEF int sfem_sender_key_due(const sfem_sender *sender)
+{
+    SFEM_ASSERT(sender);
+    return sender->until_key == 0;
+}
+
+SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held)
+{
+    SFEM_ASSERT(sender);
+    if (sender->held != (held != 0)) sender->until_key = 0;
+    sender->held = held != 0;
+}
+
+static sfem_status sfemi_link_write(const sfem_sender *s, const char *name, const sfem_real *x,
+                                    unsigned char *p, sfem_error *err)
+{
+    const int number = s->def.single ? 4 : 8;
+    sfem_int i;
+    for (i = 0; i < s->def.modes; ++i) {
+        if (!sfemi_finite(x[i]) || (s->def.single && fabs(x[i]) > 3.4028234663852886e38))
+            return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d: %s = %g cannot be sent%s", (int)i,
+                              name, x[i], s->def.single ? " as a float" : "");
+        sfemi_link_put_real(p + (size_t)i * (size_t)number, x[i], number);
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, const sfem_real *v,
+                                       const sfem_real *a, void *packet, size_t capacity,
+                                       size_t *bytes, sfem_error *err)
+{
+    const sfem_link_def *d;
+    unsigned char *p = (unsigned char *)packet, *at = p + SFEMI_LINK_HEAD;
+    sfem_status status;
+    size_t size, block;
+    int key, number;
+    SFEM_ASSERT(sender && a && packet && bytes);
+    d = &sender->def;
+    key = sender->until_key == 0;
+    number = d->single ? 4 : 8;
+    size = sfemi_link_size(d->modes, key, number);
+    block = (size_t)d->modes * (size_t)number;
+    if (key && (!q || !v)) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "packet %lu is a key frame: it needs q and v",
+                            (unsigned long)sender->sequence);
+        goto done;
+    }
+    if (capacity < size) {
+        status = sfemi_fail(err, SFEM_FULL, "packet %lu takes %lu bytes, not %lu",
+                            (unsigned long)sender->sequence, (unsigned long)size,
+                            (unsigned long)capacity);
+        goto done;
+    }
+    if (key) {
+        SFEMI_TRY(sfemi_link_write(sender, "q", q, at, err));
+        SFEMI_TRY(sfemi_link_write(sender, "q'", v, at + block, err));
+        at += 2 * block;
+    }
+    SFEMI_TRY(sfemi_link_write(sender, "q''", a, at, err));
+    memcpy(p, "SFLK", 4);
+    p[8] = SFEMI_LINK_VERSION;
+    p[9] = key ? SFEMI_LINK_KEY : SFEMI_LINK_ACCELERATIONS;
+    p[10] = (unsigned char)number;
+    p[11] = (unsigned char)sender->held;
+    sfemi_link_put(p + 12, d->stream);
+    sfemi_link_put(p + 16, sender->sequence);
+    sfemi_link_put(p + 20, (uint32_t)d->modes);
+    sfemi_link_put_real(p + 24, d->h, 8);
+    sfemi_link_put(p + 4, sfemi_link_checksum(&sender->crc, p + 8, size - 8));
+    ++sender->sequence;
+    if (key) sender->until_key = d->key_every ? d->key_every : -1;
+    if (sender->until_key > 0) --sender->until_key;
+    *bytes = size;
+done:
+    return status;
+}
+
+/* ---- receiver ---- */
+
+/* What is known of a step. MISSED: over, and a substitute was taken. DONE: its packet has come,
+ * too late to matter. */
+enum { SFEMI_STEP_UNKNOWN, SFEMI_STEP_ARRIVED, SFEMI_STEP_KEY, SFEMI_STEP_MISSED, SFEMI_STEP_DONE };
+
+/* Steps are counted without wrapping; the low 32 bits are the sequence number. The ring holds the
+ * steps from step - window + 1 to step + window, those past with the accelerations used. */
+struct sfem_receiver {
+    sfem_link_def def;
+    sfemi_link_crc crc;
+    sfem_real *q, *v, *a; /* [m] in the present step */
+    sfem_real *last;      /* [m] q'' one step before, as sfemi_link_remember leaves it */
+    sfem_real *ring;      /* [2 window][3][m] q'', q, q'; the last two of key frames to come */
+    sfem_real *incoming;  /* [3][m] the packet that is being read, in the same order */
+    sfem_real *k, *c;     /* [m] or NULL */
+    unsigned char *known, *held; /* [2 window] each */
+    sfem_real beta, gamma;       /* of the step that is being made */
+    int64_t step, newest, key;   /* the present; of the newest packet; of the key frame in q */
+    int run;                     /* steps missed in a row, up to 2 */
+    sfem_receiver_info info;
+};
+
+static sfem_status sfemi_link_coefficients(sfem_receiver *r, const char *name,
+                                           const sfem_real *from, sfem_real **to, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!from) goto done;
+    for (i = 0; i < r->def.modes; ++i)
+        if (!sfemi_finite(from[i]) || from[i] < 0) {
+            status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode %d: %s %g is not 0 or more", (int)i,
+                                name, from[i]);
+            goto done;
+        }
+    SFEMI_NEW(sfem_real, *to, &r->def.allocator, r->def.modes);
+    memcpy(*to, from, (size_t)r->def.modes * sizeof(sfem_real));
+done:
+    return status;
+}
+
+SFEM_DEF void sfem_receiver_free(sfem_receiver *receiver)
+{
+    sfem_allocator a;
+    if (!receiver) return;
+    a = receiver->def.allocator;
+    sfemi_delete(&a, receiver->q);
+    sfemi_delete(&a, receiver->ring);
+    sfemi_delete(&a, receiver->known);
+    sfemi_delete(&a, receiver->k);
+    sfemi_delete(&a, receiver->c);
+    sfemi_delete(&a, receiver);
+}
+
+SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receiver **out,
+                                          sfem_error *err)
+{
+    sfem_receiver *r = NULL;
+    sfem_status status;
+    size_t m;
+    SFEM_ASSERT(def && out);
+    SFEMI_TRY(sfemi_link_check(def, err));
+    m = (size_t)def->modes;
+    SFEMI_NEW(sfem_receiver, r, &def->allocator, 1);
+    r->def = *def;
+    r->def.stiffness = r->def.damping = NULL;
+    SFEMI_NEW(sfem_real, r->q, &def->allocator, 7 * m);
+    r->v = r->q + m;
+    r->a = r->v + m;
+    r->last = r->a + m;
+    r->incoming = r->last + m;
+    SFEMI_NEW(sfem_real, r->ring, &def->allocator, 2 * (size_t)def->window * 3 * m);
+    SFEMI_NEW(unsigned char, r->known, &def->allocator, 4 * (size_t)def->window);
+    r->held = r->known + 2 * def->window;
+    SFEMI_TRY(sfemi_link_coefficients(r, "stiffness", def->stiffness, &r->k, err));
+    SFEMI_TRY(sfemi_link_coefficients(r, "damping", def->damping, &r->c, err));
+    sfemi_link_crc_make(&r->crc);
+    *out = r;
+done:
+    if (status != SFEM_OK) sfem_receiver_free(r);
+    return status;
+}
+
+static size_t sfemi_link_slot(const sfem_receiver *r, int64_t step)
+{
+    return (size_t)(step % (2 * r->def.window));
+}
+
+static sfem_real *sfemi_link_at(const sfem_receiver *r, int64_t step)
+{
+    return r->ring + sfemi_link_slot(r, step) * 3 * (size_t)r->def.modes;
+}
+
+static void sfemi_link_take_key(sfem_receiver *r, const sfem_real *frame, int64_t step)
+{
+    const size_t m = (size_t)r->def.modes;
+    memcpy(r->a, frame, m * sizeof(sfem_real));
+    memcpy(r->q, frame + m, m * sizeof(sfem_real));
+    memcpy(r->v, frame + 2 * m, m * sizeof(sfem_real));
+    r->key = step;
+}
+
+static void sfemi_link_method(sfem_receiver *r, int64_t step)
+{
+    const int held = r->held[sfemi_link_slot(r, step)];
+    r->beta = held ? r->def.held_beta : r->def.beta;
+    r->gamma = held ? r->def.held_gamma : r->def.gamma;
+}
+
+/* One step of (q, v, a) to the acceleration next, [A.8-A.11]. */
+static void sfemi_link_integrate(sfem_receiver *r, const sfem_real *next)
+{
+    const sfem_real h = r->def.h, h2 = h * h, old_q = h2 * (0.5 - r->beta), new_q = h2 * r->beta;
+    const sfem_real old_v = h * (1 - r->gamma), new_v = h * r->gamma;
+    sfem_int i;
+    for (i = 0; i < r->def.modes; ++i) {
+        const sfem_real a = next[i];
+        const sfem_real q = r->q[i] + h * r->v[i] + old_q * r->a[i] + new_q * a;
+        const sfem_real v = r->v[i] + old_v * r->a[i] + new_v * a;
+        const int fits = sfemi_finite(q) && sfemi_finite(v);
+        if (fits)
+            r->q[i] = q;
+        else
+            ++r->info.overflows;
+        r->v[i] = fits ? v : 0;
+        r->a[i] = fits ? a : 0;
+    }
+}
+
+/* What predicts, of one mode: half the trace, and the determinant, of Newmark's amplification
+ * matrix of (q, q'). Without k it is the straight line through the last two. */
+typedef struct sfemi_link_swing {
+    sfem_real h, k, c, d, cosine, det; /* k h^2, c h, the 1 + gamma c h + beta k h^2 of [A.7] */
+} sfemi_link_swing;
+
+static sfemi_link_swing sfemi_link_swing_of(const sfem_receiver *r, sfem_int i)
+{
+    const sfem_real h = r->def.h, gamma = r->gamma;
+    const int modal = r->def.lost == SFEM_LOST_PREDICTED;
+    sfemi_link_swing s;
+    s.h = h;
+    s.k = modal ? r->k[i] * h * h : 0;
+    s.c = modal && r->c ? r->c[i] * h : 0;
+    s.d = 1 + gamma * s.c + r->beta * s.k;
+    s.cosine = 1 - 0.5 * (s.c + s.k * (gamma + 0.5)) / s.d;
+    s.det = 1 - (s.c + s.k * (gamma - 0.5)) / s.d;
+    return s;
+}
+
+/* The acceleration of the next step under a constant load: by Cayley and Hamilton
+ * tr q'' - det q''-. Straight after a key frame there is no q''-, but q' is to be trusted. (To solve for the
+ * load that the present q and q' imply is the same as long as nothing was lost, but feeds what q'
+ * has drifted by back into q'': beyond omega h = 2 that grows from loss to loss.) */
+static sfem_real sfemi_link_predict(const sfem_receiver *r, const sfemi_link_swing *s, sfem_int i)
+{
+    const sfem_real a = r->a[i];
+    if (r->step - 1 > r->key) return 2 * s->cosine * a - s->det * r->last[i];
+    return (a * (1 - s->c * (1 - r->gamma) - s->k * (0.5 - r->beta)) - s->k * r->v[i] / s->h) /
+           s->d;
+}
+
+/* What is taken for the acceleration of a step that has none, before it is integrated. */
+static void sfemi_link_substitute(const sfem_receiver *r, sfem_real *next)
+{
+    sfem_int i;
+    for (i = 0; i < r->def.modes; ++i) {
+        sfem_real x = r->def.lost == SFEM_LOST_ZERO ? 0 : r->a[i];
+        if (r->def.lost == SFEM_LOST_PREDICTED ||
+            (r->def.lost == SFEM_LOST_EXTRAPOLATED && r->run == 1)) {
+            const sfemi_link_swing s = sfemi_link_swing_of(r, i);
+            x = sfemi_link_predict(r, &s, i);
+        }
+        next[i] = sfemi_finite(x) ? x : 0;
+    }
+}
+
+/* After the step to next, which has come, or was substituted: q''-, as the predictor is to see it.
+ * A true value behind a predicted one is off by some e: the load has changed. Were q''- left as it
+ * was, e would look like a jump in speed and swing by e/sin(omega h); with e cos(omega h) added it
+ * swings by e, and an error of the predictor can only shrink. */
+static void sfemi_link_remember(sfem_receiver *r, const sfem_real *next, int behind_loss)
+{
+    sfem_int i;
+    if (r->def.lost < SFEM_LOST_EXTRAPOLATED) return;
+    for (i = 0; i < r->def.modes; ++i) {
+        sfem_real last = r->a[i];
+        if (behind_loss) {
+            const sfemi_link_swing s = sfemi_link_swing_of(r, i);
+            last += s.cosine * (next[i] - sfemi_link_predict(r, &s, i));
+        }
+        r->last[i] = sfemi_finite(last) ? last : 0;
+    }
+}
+
+SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
+{
+    sfem_receiver *r = receiver;
+    unsigned char *known;
+    sfem_real *next;
+    int missed;
+    SFEM_ASSERT(r);
+    if (!r->info.started) return 0;
+    ++r->step;
+    ++r->info.steps;
+    r->known[sfemi_link_slot(r, r->step + r->def.window)] = SFEMI_STEP_UNKNOWN;
+    known = r->known + sfemi_link_slot(r, r->step);
+    next = sfemi_link_at(r, r->step);
+    missed = *known == SFEMI_STEP_UNKNOWN;
+    if (missed) r->held[sfemi_link_slot(r, r->step)] = r->held[sfemi_link_slot(r, r->step - 1)];
+    sfemi_link_method(r, r->step);
+    if (*known == SFEMI_STEP_KEY) {
+        sfemi_link_take_key(r, next, r->step);
+        ++r->info.keys;
+    } else {
+        if (missed) {
+            if (r->run < 2) ++r->run;
+            sfemi_link_substitute(r, next);
+            *known = SFEMI_STEP_MISSED;
+            ++r->info.lost;
+        } else {
+            ++r->info.received;
+        }
+        sfemi_link_remember(r, next, !missed && r->run > 0);
+        sfemi_link_integrate(r, next);
+    }
+    if (!missed) r->run = 0;
+    return !missed;
+}
+
+/* Decodes a packet into r->incoming. Nothing is looked at before the length and the checksum vouch
+ * for it. */
+static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, size_t bytes,
+                                     int *key, int *held, uint32_t *sequence)
+{
+    const size_t m = (size_t)r->def.modes;
+    unsigned char h[8];
+    size_t i, count, number;
+    if (bytes < SFEMI_LINK_HEAD || memcmp(p, "SFLK", 4)) return SFEM_ARRIVAL_CORRUPTED;
+    if (sfemi_link_get(p + 4) != sfemi_link_checksum(&r->crc, p + 8, bytes - 8))
+        return SFEM_ARRIVAL_CORRUPTED;
+    sfemi_link_put_real(h, r->def.h, 8);
+    if (p[8] != SFEMI_LINK_VERSION || sfemi_link_get(p + 12) != r->def.stream ||
+        sfemi_link_get(p + 20) != m || memcmp(p + 24, h, sizeof h))
+        return SFEM_ARRIVAL_FOREIGN;
+    *key = p[9] == SFEMI_LINK_KEY;
+    *held = p[11];
+    *sequence = sfemi_link_get(p + 16);
+    number = p[10];
+    if ((!*key && p[9] != SFEMI_LINK_ACCELERATIONS) || (number != 4 && number != 8) || p[11] > 1 ||
+        bytes != sfemi_link_size(r->def.modes, *key, (int)number))
+        return SFEM_ARRIVAL_CORRUPTED;
+    count = (*key ? 3 : 1) * m;
+    for (i = 0; i < count; ++i) { /* q, q', q'' become q'', q, q' */
+        const sfem_real x = sfemi_link_get_real(p + SFEMI_LINK_HEAD + i * number, (int)number);
+        if (!sfemi_finite(x)) return SFEM_ARRIVAL_CORRUPTED;
+        r->incoming[(i + m) % count] = x;
+    }
+    return SFEM_ARRIVAL_TAKEN;
+}
+
+/* Begins, or goes on, at the key frame in r->incoming. */
+static void sfemi_link_begin(sfem_receiver *r, int64_t step, int held)
+{
+    memset(r->known, SFEMI_STEP_UNKNOWN, 2 * (size_t)r->def.window);
+    memcpy(sfemi_link_at(r, step), r->incoming, 3 * (size_t)r->def.modes * sizeof(sfem_real));
+    r->known[sfemi_link_slot(r, step)] = SFEMI_STEP_KEY;
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+    r->step = r->newest = step;
+    r->run = 0;
+    r->info.started = 1;
+    ++r->info.keys;
+    sfemi_link_take_key(r, r->incoming, step);
+}
+
+/* The theorem: what an acceleration that differs from the one used, so many steps ago, means now;
+ * with the step's method, should that differ, too. */
+static void sfemi_link_correct(sfem_receiver *r, int64_t step, int held)
+{
+    const sfem_real h = r->def.h, ago = (sfem_real)(r->step - step);
+    sfem_real *used = sfemi_link_at(r, step);
+    const sfem_real *before = sfemi_link_at(r, step - 1);
+    sfem_real old_beta, old_gamma, beta, gamma, of_q = 0, of_v = 0;
+    sfem_int i;
+    sfemi_link_method(r, step);
+    old_beta = r->beta;
+    old_gamma = r->gamma;
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+    sfemi_link_method(r, step);
+    beta = r->beta;
+    gamma = r->gamma;
+    if (step < r->step) {
+        sfemi_link_method(r, step + 1);
+        of_v = h * (1 - r->gamma);
+        of_q = h * h * (0.5 - r->beta) + (ago - 1) * h * of_v;
+    }
+    for (i = 0; i < r->def.modes; ++i) {
+        const sfem_real a = r->incoming[i], d = a - used[i];
+        const sfem_real other_v =
+            gamma != old_gamma ? (old_gamma - gamma) * (before[i] - used[i]) : 0;
+        const sfem_real other_q = beta != old_beta ? (old_beta - beta) * (before[i] - used[i]) : 0;
+        const sfem_real dv = h * (gamma * d + other_v), dq = h * h * (beta * d + other_q);
+        const sfem_real q = r->q[i] + dq + ago * h * dv + of_q * d, v = r->v[i] + dv + of_v * d;
+        if (!sfemi_finite(q) || !sfemi_finite(v)) {
+            ++r->info.overflows;
+            continue;
+        }
+        r->q[i] = q;
+        r->v[i] = v;
+        used[i] = a;
+        if (step == r->step) {
+            r->a[i] = a;
+            r->last[i] += sfemi_link_swing_of(r, i).cosine * d;
+        } else if (step == r->step - 1) {
+            r->last[i] = a;
+        }
+    }
+}
+
+/* A late key frame: from there to the present again, over the accelerations that were used. */
+static void sfemi_link_replay(sfem_receiver *r, int64_t step, int held)
+{
+    int64_t t;
+    memcpy(sfemi_link_at(r, step), r->incoming, (size_t)r->def.modes * sizeof(sfem_real));
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+    sfemi_link_take_key(r, r->incoming, step);
+    for (t = step + 1; t <= r->step; ++t) {
+        const size_t slot = sfemi_link_slot(r, t);
+        if (r->known[slot] == SFEMI_STEP_MISSED) r->held[slot] = r->held[sfemi_link_slot(r, t - 1)];
+        memcpy(r->last, r->a, (size_t)r->def.modes * sizeof(sfem_real));
+        sfemi_link_method(r, t);
+        sfemi_link_integrate(r, sfemi_link_at(r, t));
+    }
+    ++r->info.late_keys;
+}
+
+/* A sound packet finds its step. */
+static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32_t sequence)
+{
+    const size_t count = (key ? 3 : 1) * (size_t)r->def.modes;
+    /* the step nearest to the present one with that sequence number; 2^32 keeps all positive */
+    const uint32_t distance = sequence - (uint32_t)(r->step & 0xffffffff);
+    const int64_t step =
+        r->step + (int64_t)distance - ((distance >> 31) ? INT64_C(0x100000000) : 0);
+    unsigned char *known;
+    if (!r->info.started) {
+        if (!key) return SFEM_ARRIVAL_EARLY;
+        sfemi_link_begin(r, INT64_C(0x100000000) + (int64_t)sequence, held);
+        return SFEM_ARRIVAL_TAKEN;
+    }
+    if (step > r->newest) r->newest = step;
+    if (step > r->step + r->def.window) {
+        if (!key) return SFEM_ARRIVAL_EARLY;
+        ++r->info.jumps;
+        r->info.skipped += step - r->step;
+        sfemi_link_begin(r, step, held);
+        return SFEM_ARRIVAL_TAKEN;
+    }
+    if (step <= r->step - r->def.window) return SFEM_ARRIVAL_DROPPED;
+    known = r->known + sfemi_link_slot(r, step);
+    if (*known != SFEMI_STEP_UNKNOWN && *known != SFEMI_STEP_MISSED) return SFEM_ARRIVAL_REPEATED;
+    if (step > r->step) {
+        memcpy(sfemi_link_at(r, step), r->incoming, count * sizeof(sfem_real));
+        *known = key ? SFEMI_STEP_KEY : SFEMI_STEP_ARRIVED;
+        r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+        return SFEM_ARRIVAL_TAKEN;
+    }
+    if (step <= r->key ||
+        r->def.drop_late || /* or the step before it, of another method, is gone */
+        (!key && held != r->held[sfemi_link_slot(r, step)] &&
+         step - 1 <= r->step - r->def.window)) {
+        *known = SFEMI_STEP_DONE;
+        return SFEM_ARRIVAL_DROPPED;
+    }
+    *known = key ? SFEMI_STEP_KEY : SFEMI_STEP_ARRIVED;
+    if (key)
+        sfemi_link_replay(r, step, held);
+    else
+        sfemi_link_correct(r, step, held);
+    return SFEM_ARRIVAL_LATE;
+}
+
+SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *packet, size_t bytes)
+{
+    sfem_arrival arrival;
+    uint32_t sequence = 0;
+    int key = 0, held = 0;
+    SFEM_ASSERT(receiver && (packet || !bytes));
+    arrival =
+        sfemi_link_parse(receiver, (const unsigned char *)packet, bytes, &key, &held, &sequence);
+    if (arrival == SFEM_ARRIVAL_TAKEN) arrival = sfemi_link_place(receiver, key, held, sequence);
+    ++receiver->info.arrivals[arrival];
+    return arrival;
+}
+
+SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver)
+{
+    int64_t lead;
+    SFEM_ASSERT(receiver);
+    lead = receiver->newest - receiver->step;
+    return (sfem_int)(lead > -INT32_MAX ? lead : -INT32_MAX); /* below 2^31: see sfemi_link_place */
+}
+
+SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver)
+{
+    SFEM_ASSERT(receiver);
+    return receiver->q;
+}
+
+SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver)
+{
+    SFEM_ASSERT(receiver);
+    return receiver->v;
+}
+
+SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver)
+{
+    SFEM_ASSERT(receiver);
+    return receiver->a;
+}
+
+SFEM_DEF void sfem_receiver_restart(sfem_receiver *receiver, uint32_t stream)
+{
+    SFEM_ASSERT(receiver);
+    receiver->def.stream = stream;
+    memset(receiver->q, 0, 3 * (size_t)receiver->def.modes * sizeof(sfem_real)); /* and v, a */
+    receiver->step = receiver->newest = receiver->key = 0;
+    receiver->info.started = 0;
+}
+
+SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver)
+{
+    sfem_receiver_info info;
+    SFEM_ASSERT(receiver);
+    info = receiver->info;
+    info.sequence = (uint32_t)(receiver->step & 0xffffffff);
+    return info;
+}
 
 #ifdef __cplusplus
 }
