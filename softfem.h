@@ -781,6 +781,134 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
 
+/* A body breaks along the edges of its mesh. Every edge k carries a zeta_k, 1 intact .. 0 broken, and
+ * a tet knows of damage by the zeta of its six edges alone: nodes, pattern and factor stay as they are.
+ * [after Mandal, Chaudhuri, Chaudhuri 2023, supplement, eqs. 10-20, its edge strains taken along rest
+ * directions]. The six edges of a tet: 01 02 03 12 13 23, d_ij = x_i - x_j, strain > 0 is tension. With
+ * edge strains e = T eps, S = T^-T Ce T^-1, the energy of an intact tet is V/2 e.S e, that of a damaged
+ * one V/2 e.S_d e. */
+typedef enum sfem_damage_law {
+    SFEM_DAMAGE_CONDENSED, /* a broken edge carries no force: the compliance S^-1 grows by
+                            * (1-z)/(z S_kk) on its diagonal, S_d its inverse, less what has z = 0. Never
+                            * stiffer than intact, so that any p >= 1/4 and any old factor stay stable */
+    SFEM_DAMAGE_ZSZ        /* Z S Z, Z = diag(zeta) [eqs. 18-20]: a broken edge feels no strain. Stiffens
+                            * a tet up to lambda times, see sfem_damage_stiffening: p >= lambda/4 */
+} sfem_damage_law;
+
+/* What an edge is measured by. w_k = sum_e V_e s_k^2/(2 S_d,kk), s = S_d e, is the energy that its
+ * breaking releases at once; a_k = sum_e V_e/(2 L_k) its dual area, the sum of which over the edges that
+ * cross a plane is 3/2 of the plane's area (1.1 to 2.1 by orientation and mesh). */
+typedef enum sfem_damage_criterion {
+    SFEM_BREAK_ENERGY, /* w_k >= share Gc a_k, in tension: independent of mesh size */
+    SFEM_BREAK_STRESS, /* mean over its tets of n.sigma n >= strength, Pa; the finer the mesh, the less
+                        * energy a crack takes */
+    SFEM_BREAK_STRAIN, /* (l - L)/L >= strength, a number */
+    SFEM_BREAK_DUCTILE /* zeta falls from 1 to 0 while the largest strain so far grows from soften[0] to
+                        * soften[1] */
+} sfem_damage_criterion;
+
+/* A factor > 0 of an edge's toughness and strength; x its midpoint at rest, n its direction. Called when
+ * the graph is built, once for each edge i < j. */
+typedef sfem_real (*sfem_toughness)(const sfem_real x[3], const sfem_real n[3], sfem_int i, sfem_int j,
+                                    void *user);
+
+typedef struct sfem_damage_def {
+    sfem_damage_law law;
+    sfem_damage_criterion criterion;
+    sfem_real toughness;         /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
+                                  * breaks for another reason; then it may be 0 */
+    sfem_real share;             /* of Gc that is booked at breaks; 0 means 2/3, the inverse of the 3/2
+                                  * above. About as much again is released as the body relaxes */
+    sfem_real strength;          /* Pa, or a strain */
+    sfem_real soften[2];         /* strains, 0 <= soften[0] < soften[1] */
+    sfem_real rankine;           /* Pa; > 0: an edge breaks only where the largest principal stress of
+                                  * one of its tets is above this, too */
+    sfem_real weibull;           /* > 0: factors of mean 1 from a Weibull distribution of this modulus
+                                  * (50 uniform, 10 ceramics, 3 scattered) multiply toughness and strength */
+    uint64_t seed;               /* the same seed and mesh give the same factors */
+    sfem_real direction[3];      /* with direction_factor > 0: an edge along this direction has that factor, */
+    sfem_real direction_factor;  /* one across it 1, between 1 + (factor - 1) cos^2 */
+    sfem_toughness factor;       /* or NULL */
+    void *factor_user;
+    const sfem_real *tet_factor; /* [tets] > 0, or NULL; an edge takes the mean over its tets by V_e */
+    const sfem_real *region_factor; /* [region_count] > 0, or NULL, by the mesh's region of a tet */
+    sfem_int region_count;
+    const unsigned char *unbreakable; /* [tets] or NULL: edges of tets marked 1 never break */
+    const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
+    sfem_int line_count;
+    sfem_real line_factor;       /* 0 means 1 */
+    int line_only;               /* no other edges break, except by a blade */
+    int closure;                 /* a broken edge carries compression again: p >= 1/2; SFEM_DAMAGE_CONDENSED */
+    sfem_real upright[2];        /* below J = upright[0] a damaged tet that still hangs together resists as
+                                  * an intact corotational one, which no edge length tells from its mirror
+                                  * image; between the two the energies are blended; 0, 0 means .05, .25 */
+} sfem_damage_def;
+
+SFEM_DEF sfem_damage_def sfem_default_damage_def(void); /* condensed, energy, Gc 100 J/m^2, share 2/3 */
+
+/* The edge form of one tet. T is invertible unless the tet is flat: |det T| = (6V)^4/prod L^2. */
+typedef struct sfem_damage_tet {
+    sfem_real volume, lambda, mu;
+    sfem_real x[12];         /* [4][3] rest positions */
+    sfem_real length[6];     /* L_k */
+    sfem_real n[6][3];       /* (X_i - X_j)/L_k */
+    sfem_real gradient[4][3]; /* of the shape functions */
+    sfem_real t[36];         /* T [6][6]: e = T eps; eps xx yy zz xy xz yz with engineering shear */
+    sfem_real t_inverse[36]; /* [6][6] */
+    sfem_real s[36];         /* S [6][6], Pa; (S^-1)_kk = 1/Young for every edge of every tet */
+} sfem_damage_tet;
+
+/* x [4][3], m, right-handed and not flat. */
+SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                                  sfem_damage_tet *out);
+/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6] =
+ * (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
+SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
+                                    sfem_real *b);
+/* S_d [6][6], Pa, of zeta [6] in [0, 1]; from zeta alone, so that healing is as good as breaking. */
+SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
+                                  const sfem_real zeta[6], sfem_real s_d[36]);
+/* The same for one edge more: S_d of zeta[edge] = from becomes that of to < from, by a rank-1 update,
+ * SFEM_DAMAGE_CONDENSED only. Edges in any order give the same but for rounding. */
+SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
+                                sfem_real s_d[36]);
+/* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of that,
+ * k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l - L)/L in
+ * current lengths, which agrees for small strains, is blind to rotations, has forces along the edges, and
+ * so keeps both momenta; k is then its exact tangent, or with SFEM_TANGENT_PSD (FROZEN) the part that
+ * is positive semidefinite. Does not see inversion. */
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
+                                      sfem_real *k);
+/* The largest eigenvalue lambda of (k_damaged, k_intact) that any zeta gives: 1 if condensed, for
+ * SFEM_DAMAGE_ZSZ that of the worst of 62 patterns, at nu = .3 1.13 for a regular tet, 4.8 for Kuhn's. */
+SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law);
+
+/* Why an edge broke. */
+typedef enum sfem_break_reason {
+    SFEM_BROKE_CRITERION,
+    SFEM_BROKE_LONE, /* the only intact link between its nodes in every tet around it: a stray fibre */
+    SFEM_BROKE_BLADE
+} sfem_break_reason;
+
+typedef struct sfem_break {
+    sfem_int node[2];       /* of the edge */
+    sfem_break_reason reason;
+    sfem_real x[3];         /* its midpoint, m, at rest */
+    sfem_real area, price;  /* a_k, m^2; share Gc a_k with its factors, J: the surface that was made */
+    sfem_real released;     /* J, what the integrator's invariant fell by, >= 0 */
+} sfem_break;
+
+/* A connected component over intact edges. */
+typedef struct sfem_piece {
+    sfem_int nodes, first;  /* how many; the lowest, by which pieces are ordered */
+    sfem_real mass;         /* kg, of its nodes */
+    sfem_real centre[3];    /* m, of mass */
+    sfem_real momentum[3];  /* kg m/s */
+    sfem_real angular[3];   /* kg m^2/s about the centre */
+    sfem_real box[2][3];    /* m */
+} sfem_piece;
+
 /* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
@@ -10249,6 +10377,7 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
 
 typedef struct sfemi_forces {
     const sfem_model *model;
+    const sfemi_block *block;
     const sfem_real *u;
     sfem_real *force, *rotation, *copies, *energy, *inverted; /* the last two by chunk */
     sfem_real *spin, *sum; /* [copies][12], [nodes][9]; or NULL */
@@ -10273,7 +10402,7 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
         }
         memset(out, 0, 4 * (size_t)count * sizeof *out);
         if (spin) memset(spin, 0, 12 * (size_t)count * sizeof *spin);
-        job->kernel(c->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
+        job->kernel(job->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
                     job->rotation, spin, &totals);
         job->energy[k] = job->inverted[k] = 0;
         for (i = 0; i < SFEMI_LANES; ++i) {
@@ -10320,17 +10449,19 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
 }
 
 /* sfem_model_forces; also sum [nodes][9], the tets' rotations times their volumes added up by
- * nodes, with spin [copies][12] as scratch, both NULL where that is not wanted. */
-static sfem_real sfemi_fem_forces(const sfem_model *model, const sfem_real *u,
-                                  sfem_precision precision, sfem_real *force, sfem_real *rotation,
-                                  sfem_int *inverted, sfem_real *spin, sfem_real *sum,
-                                  sfem_real *work, const sfem_exec *exec)
+ * nodes, with spin [copies][12] as scratch, both NULL where that is not wanted. block: the
+ * model's, or a body's own copy in which tets that it treats otherwise are masked. */
+static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *block,
+                                  const sfem_real *u, sfem_precision precision, sfem_real *force,
+                                  sfem_real *rotation, sfem_int *inverted, sfem_real *spin,
+                                  sfem_real *sum, sfem_real *work, const sfem_exec *exec)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
     sfemi_forces job;
     sfem_int k;
     job.model = model;
+    job.block = block;
     job.u = u;
     job.force = force;
     job.rotation = rotation;
@@ -10356,11 +10487,13 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
                                      const sfem_exec *exec)
 {
     SFEM_ASSERT(u && force && work);
-    return sfemi_fem_forces(model, u, precision, force, rotation, inverted, NULL, NULL, work, exec);
+    return sfemi_fem_forces(model, model->chunks.block, u, precision, force, rotation, inverted, NULL,
+                            NULL, work, exec);
 }
 
 typedef struct sfemi_tangents {
     const sfem_model *model;
+    const sfemi_block *block;
     const sfem_real *u;
     sfem_tangent kind;
     sfem_real *val;
@@ -10403,12 +10536,12 @@ static void sfemi_tangents_chunk(void *data, sfem_int index)
     const sfem_int k = job->chunk[index];
     sfem_int b, lane;
     for (b = c->block_start[k]; b < c->block_start[k + 1]; ++b)
-        for (lane = 0; lane < c->block[b].count; ++lane)
-            sfemi_tangents_tet(job, c->block + b, lane);
+        for (lane = 0; lane < job->block[b].count; ++lane)
+            sfemi_tangents_tet(job, job->block + b, lane);
 }
 
-SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
-                                 sfem_matrix *tangent, const sfem_exec *exec)
+static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block, const sfem_real *u,
+                              sfem_tangent kind, sfem_matrix *tangent, const sfem_exec *exec)
 {
     const sfemi_chunks *c = &model->chunks;
     sfemi_tangents job;
@@ -10416,6 +10549,7 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     SFEM_ASSERT(u && tangent && tangent->n == model->mesh.nodes);
     SFEM_ASSERT(tangent->row[tangent->n] == model->row[tangent->n]);
     job.model = model;
+    job.block = block;
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
@@ -10425,6 +10559,12 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
         job.chunk = c->color_chunk + c->color_start[n];
         sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
     }
+}
+
+SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
+                                 sfem_matrix *tangent, const sfem_exec *exec)
+{
+    sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
@@ -10510,6 +10650,1934 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
 /* ============================================================================================
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
+
+/* zeta lives on the edges of the mesh, which are the blocks below the diagonal of K's pattern. All that
+ * a damaged tet needs (S_d, whether it hangs together) is computed from its six zetas directly, never by
+ * updating, so that a state that was saved and loaded goes on with the same bits.
+ *
+ * Compliance first: S^-1_kl = ((1+nu)(n_k.n_l)^2 - nu)/Y is W W^T, row k of W the isotropic and deviatoric
+ * parts of n_k n_k^T over the square roots of their moduli. Condensing takes rows out, partial damage adds
+ * columns, and S_d = R^-1 R^-T, R of the QR decomposition of what is left: never indefinite, and with
+ * the condition of W, the square root of that of S, which is (edge/height)^4 in slivers.
+ *
+ * In a body that turns, damaged tets are masked out of the vector kernels' blocks (a copy of its own)
+ * rather than subtracted: across an open crack the intact force would be 1e2 .. 1e10 times Y, and only
+ * its rounding would be left. A linear body subtracts: K u rounds by as much in any case. */
+
+static const int sfemi_damage_place[6] = {1, 3, 6, 4, 7, 8}; /* of edges among the blocks a >= b */
+
+static void sfemi_damage_shape(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                               sfem_damage_tet *out)
+{
+    int k, i;
+    memcpy(out->x, x, sizeof out->x);
+    out->lambda = lambda;
+    out->mu = mu;
+    out->volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, out->gradient);
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        sfemi_sub3(x + 3 * end[0], x + 3 * end[1], out->n[k]);
+        out->length[k] = sqrt(sfemi_dot3(out->n[k], out->n[k]));
+        for (i = 0; i < 3; ++i) out->n[k][i] /= out->length[k];
+    }
+}
+
+/* eps of unit strain of edge k alone: -L^2 (ga gb^T + gb ga^T)/2, for d.E d = L^2 e and sum X_a g_a^T = I
+ * give E = -1/2 sum_ab (d_ab.E d_ab) ga gb^T. The factor -L^2/2 is left to the caller. */
+static sfem_real sfemi_damage_unit(const sfem_damage_tet *tet, int k, const sfem_real **ga,
+                                   const sfem_real **gb)
+{
+    const int *end = sfemi_edge_ends(3, k);
+    *ga = tet->gradient[end[0]];
+    *gb = tet->gradient[end[1]];
+    return -tet->length[k] * tet->length[k];
+}
+
+/* S_kl of the intact tet. */
+static sfem_real sfemi_damage_entry(const sfem_damage_tet *tet, int k, int l)
+{
+    const sfem_real *a, *b, *c, *d;
+    const sfem_real p = sfemi_damage_unit(tet, k, &a, &b), q = sfemi_damage_unit(tet, l, &c, &d);
+    return p * q *
+           (tet->lambda * sfemi_dot3(a, b) * sfemi_dot3(c, d) +
+            tet->mu * (sfemi_dot3(a, c) * sfemi_dot3(b, d) + sfemi_dot3(a, d) * sfemi_dot3(b, c)));
+}
+
+SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                                  sfem_damage_tet *out)
+{
+    int k, l, i;
+    SFEM_ASSERT(x && out);
+    memset(out, 0, sizeof *out);
+    sfemi_damage_shape(x, lambda, mu, out);
+    for (k = 0; k < 6; ++k) {
+        const sfem_real *n = out->n[k], *a, *b;
+        const sfem_real p = sfemi_damage_unit(out, k, &a, &b);
+        sfem_real *t = out->t + 6 * k;
+        for (i = 0; i < 3; ++i) {
+            t[i] = n[i] * n[i];
+            out->t_inverse[6 * i + k] = p * a[i] * b[i];
+        }
+        t[3] = n[0] * n[1], t[4] = n[0] * n[2], t[5] = n[1] * n[2];
+        out->t_inverse[18 + k] = p * (a[0] * b[1] + a[1] * b[0]);
+        out->t_inverse[24 + k] = p * (a[0] * b[2] + a[2] * b[0]);
+        out->t_inverse[30 + k] = p * (a[1] * b[2] + a[2] * b[1]);
+        for (l = 0; l < 6; ++l) out->s[6 * k + l] = sfemi_damage_entry(out, k, l);
+    }
+}
+
+SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
+                                    sfem_real *b)
+{
+    sfem_real dl[72], de[36];
+    int k, i, r, c;
+    SFEM_ASSERT(tet);
+    memset(dl, 0, sizeof dl);
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        for (i = 0; i < 3; ++i) {
+            dl[6 * (3 * end[0] + i) + k] = tet->n[k][i];
+            dl[6 * (3 * end[1] + i) + k] = -tet->n[k][i];
+        }
+        for (i = 0; i < 6; ++i) de[6 * k + i] = tet->t_inverse[6 * i + k] / tet->length[k];
+    }
+    if (a1) memcpy(a1, dl, sizeof dl);
+    if (a2) memcpy(a2, de, sizeof de);
+    if (!b) return;
+    for (r = 0; r < 6; ++r)
+        for (c = 0; c < 12; ++c)
+            for (k = 0, b[12 * r + c] = 0; k < 6; ++k)
+                b[12 * r + c] += de[6 * k + r] * dl[6 * c + k];
+}
+
+/* W [6][6], S^-1 = W W^T: n n^T in an orthonormal basis of the deviators, and its trace. */
+static void sfemi_damage_root(const sfem_damage_tet *tet, sfem_real w[6][6])
+{
+    const sfem_real deviator = 1 / sqrt(2 * tet->mu);
+    const sfem_real bulk = 1 / sqrt(3 * (3 * tet->lambda + 2 * tet->mu));
+    int k;
+    for (k = 0; k < 6; ++k) {
+        const sfem_real *n = tet->n[k];
+        w[k][0] = deviator * (n[0] * n[0] - n[1] * n[1]) / sqrt(2.0);
+        w[k][1] = deviator * (n[0] * n[0] + n[1] * n[1] - 2 * n[2] * n[2]) / sqrt(6.0);
+        w[k][2] = deviator * sqrt(2.0) * n[0] * n[1];
+        w[k][3] = deviator * sqrt(2.0) * n[0] * n[2];
+        w[k][4] = deviator * sqrt(2.0) * n[1] * n[2];
+        w[k][5] = bulk;
+    }
+}
+
+/* s = (S^-1 + diag(c))^-1 on the edges with c >= 0, zero in the rows and columns of the others. */
+static void sfemi_damage_condense(const sfem_damage_tet *tet, const sfem_real c[6], sfem_real s[36])
+{
+    sfem_real w[6][6], q[6][12], r[6][6], inverse[6][6];
+    int of[6], m = 0, k, l, i;
+    sfemi_damage_root(tet, w);
+    memset(q, 0, sizeof q);
+    memset(r, 0, sizeof r);
+    memset(inverse, 0, sizeof inverse);
+    memset(s, 0, 36 * sizeof *s);
+    for (k = 0; k < 6; ++k) {
+        if (c[k] < 0) continue;
+        memcpy(q[m], w[k], sizeof w[k]);
+        q[m][6 + m] = sqrt(c[k]);
+        of[m++] = k;
+    }
+    for (k = 0; k < m; ++k) { /* modified Gram-Schmidt: R is as good as Householder's [Bjorck 1967] */
+        for (l = 0; l < k; ++l) {
+            for (i = 0; i < 12; ++i) r[l][k] += q[l][i] * q[k][i];
+            for (i = 0; i < 12; ++i) q[k][i] -= r[l][k] * q[l][i];
+        }
+        for (i = 0; i < 12; ++i) r[k][k] += q[k][i] * q[k][i];
+        r[k][k] = sqrt(r[k][k]) + 1e-300;
+        for (i = 0; i < 12; ++i) q[k][i] /= r[k][k];
+    }
+    for (k = 0; k < m; ++k) { /* R^-1, column by column */
+        inverse[k][k] = 1 / r[k][k];
+        for (l = k - 1; l >= 0; --l) {
+            for (i = l + 1; i <= k; ++i) inverse[l][k] -= r[l][i] * inverse[i][k];
+            inverse[l][k] /= r[l][l];
+        }
+    }
+    for (k = 0; k < m; ++k)
+        for (l = 0; l <= k; ++l) {
+            sfem_real sum = 0;
+            for (i = k; i < m; ++i) sum += inverse[k][i] * inverse[l][i];
+            s[6 * of[k] + of[l]] = s[6 * of[l] + of[k]] = sum;
+        }
+}
+
+/* The compliance that zeta adds to edge k, -1 for infinite. */
+static sfem_real sfemi_damage_added(const sfem_damage_tet *tet, int k, sfem_real zeta)
+{
+    if (!(zeta > 0)) return -1;
+    return zeta < 1 ? (1 - zeta) / (zeta * sfemi_damage_entry(tet, k, k)) : 0;
+}
+
+SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
+                                  const sfem_real zeta[6], sfem_real s_d[36])
+{
+    sfem_real c[6];
+    int k, l;
+    SFEM_ASSERT(tet && zeta && s_d);
+    for (k = 0; k < 6; ++k)
+        c[k] = law == SFEM_DAMAGE_ZSZ ? 0 : sfemi_damage_added(tet, k, zeta[k]);
+    sfemi_damage_condense(tet, c, s_d);
+    if (law != SFEM_DAMAGE_ZSZ) return;
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l) s_d[6 * k + l] *= zeta[k] * zeta[l];
+}
+
+SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
+                                sfem_real s_d[36])
+{
+    sfem_real column[6], scale;
+    int k, l;
+    SFEM_ASSERT(tet && s_d && edge >= 0 && edge < 6 && from > to && to >= 0);
+    for (k = 0; k < 6; ++k) column[k] = s_d[6 * k + edge];
+    scale = (from - to) / (from * to * sfemi_damage_entry(tet, edge, edge) + (from - to) * column[edge]);
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l)
+            s_d[6 * k + l] -= column[k] * column[l] * scale;
+    for (k = 0; k < 6 && to == 0; ++k) s_d[6 * k + edge] = s_d[6 * edge + k] = 0;
+}
+
+/* e, and where wanted the unit vectors m along which u_i and -u_j lengthen each edge, and l. */
+static void sfemi_damage_strains(const sfem_damage_tet *tet, int small, const sfem_real u[12],
+                                 sfem_real e[6], sfem_real m[6][3], sfem_real length[6])
+{
+    int k, i;
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        const sfem_real rest = tet->length[k], *n = tet->n[k];
+        sfem_real du[3], d[3], square = 0;
+        sfemi_sub3(u + 3 * end[0], u + 3 * end[1], du);
+        if (small) {
+            e[k] = sfemi_dot3(n, du) / rest;
+            memcpy(m[k], n, sizeof m[k]);
+            length[k] = rest;
+            continue;
+        }
+        for (i = 0; i < 3; ++i) {
+            d[i] = rest * n[i] + du[i];
+            square += (2 * rest * n[i] + du[i]) * du[i]; /* l^2 - L^2, small strains to their digits */
+        }
+        length[k] = sqrt(sfemi_dot3(d, d));
+        e[k] = square / ((length[k] + rest) * rest);
+        for (i = 0; i < 3; ++i) m[k][i] = length[k] > 0 ? d[i] / length[k] : 0;
+    }
+}
+
+/* k += V b^T S_d b + the geometric part, b_k = m_k/L_k on the edge's nodes. */
+static void sfemi_damage_add_tangent(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                     sfem_tangent kind, const sfem_real s[6], sfem_real m[6][3],
+                                     const sfem_real length[6], sfem_real k[144])
+{
+    int p, q, a, b, i, j;
+    for (p = 0; p < 6; ++p)
+        for (q = 0; q < 6; ++q) {
+            const sfem_real c = tet->volume * s_d[6 * p + q] / (tet->length[p] * tet->length[q]);
+            for (a = 0; c != 0 && a < 2; ++a)
+                for (b = 0; b < 2; ++b)
+                    for (i = 0; i < 3; ++i)
+                        for (j = 0; j < 3; ++j)
+                            k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, q)[b] + j] +=
+                                (a == b ? c : -c) * m[p][i] * m[q][j];
+        }
+    for (p = 0; !small && p < 6; ++p) {
+        sfem_real c = tet->volume * s[p] / tet->length[p];
+        if ((kind != SFEM_TANGENT_EXACT && c < 0) || !(length[p] > 0)) continue;
+        c /= length[p];
+        for (a = 0; a < 2; ++a)
+            for (b = 0; b < 2; ++b)
+                for (i = 0; i < 3; ++i)
+                    for (j = 0; j < 3; ++j)
+                        k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, p)[b] + j] +=
+                            (a == b ? c : -c) * ((i == j) - m[p][i] * m[p][j]);
+    }
+}
+
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
+                                      sfem_real *k)
+{
+    sfem_real e[6], s[6], m[6][3], length[6], energy = 0;
+    int p, q, i;
+    SFEM_ASSERT(tet && s_d && u);
+    sfemi_damage_strains(tet, small, u, e, m, length);
+    if (force) memset(force, 0, 12 * sizeof *force);
+    for (p = 0; p < 6; ++p) {
+        for (q = 0, s[p] = 0; q < 6; ++q) s[p] += s_d[6 * p + q] * e[q];
+        energy += tet->volume * s[p] * e[p] / 2;
+        for (i = 0; force && i < 3; ++i) {
+            const int *end = sfemi_edge_ends(3, p);
+            const sfem_real f = tet->volume * s[p] / tet->length[p] * m[p][i];
+            force[3 * end[0] + i] += f;
+            force[3 * end[1] + i] -= f;
+        }
+    }
+    if (!k) return energy;
+    memset(k, 0, 144 * sizeof *k);
+    sfemi_damage_add_tangent(tet, s_d, small, kind, s, m, length, k);
+    return energy;
+}
+
+/* Zeroing the strains of some edges is a projection, the other edges' the complementary one, and in the
+ * norm of S both are equally long [Szyld 2006]: of the 62 patterns 31 remain, and since the least energy
+ * of x on the edges I is x.(S^-1_II)^-1 x, lambda is the largest eigenvalue of S^-1_II S_II. */
+SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law)
+{
+    sfem_real w[6][6], a[6][6], s[6][6], worst = 1;
+    int mask, k, l, i;
+    SFEM_ASSERT(tet);
+    if (law != SFEM_DAMAGE_ZSZ) return 1;
+    sfemi_damage_root(tet, w);
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l) {
+            for (i = 0, a[k][l] = 0; i < 6; ++i) a[k][l] += w[k][i] * w[l][i];
+            s[k][l] = sfemi_damage_entry(tet, k, l);
+        }
+    for (mask = 1; mask < 63; ++mask) {
+        sfem_real c[3][3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}, b[9], value[3], vector[9];
+        int of[6], m = 0, p, q;
+        for (k = 0; k < 6; ++k)
+            if (mask >> k & 1) of[m++] = k;
+        if (m > 3 || (m == 3 && mask & 1)) continue;
+        if (m == 1) {
+            worst = fmax(worst, a[of[0]][of[0]] * s[of[0]][of[0]]);
+            continue;
+        }
+        for (k = 0; k < m; ++k) /* S_II = C C^T */
+            for (l = 0; l <= k; ++l) {
+                sfem_real sum = s[of[k]][of[l]];
+                for (i = 0; i < l; ++i) sum -= c[k][i] * c[l][i];
+                c[k][l] = k == l ? sqrt(fmax(sum, 0.0)) : sum / fmax(c[l][l], 1e-300);
+            }
+        for (p = 0; p < m; ++p) /* C^T S^-1_II C */
+            for (q = 0; q < m; ++q)
+                for (k = 0, b[m * p + q] = 0; k < m; ++k)
+                    for (l = 0; l < m; ++l) b[m * p + q] += c[k][p] * a[of[k]][of[l]] * c[l][q];
+        sfemi_sym_eigen(m, b, value, vector);
+        worst = fmax(worst, value[0]);
+    }
+    return worst;
+}
+
+/* ---- the graph: what does not change while a body breaks; shared by bodies of one definition ---- */
+
+enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
+
+typedef struct sfemi_bonds {
+    sfem_allocator allocator;
+    const sfem_model *model; /* kept alive by the body */
+    sfem_damage_def def;     /* its arrays are NULL: they are in what follows */
+    sfem_int edges, degree;  /* degree: most tets round an edge */
+    sfem_int *end;           /* [edges][2] nodes i < j, by j, then i */
+    sfem_real *length;       /* [edges] L, m */
+    sfem_int *tet_edge;      /* [tets][6] */
+    sfem_int *tet_start;     /* [edges+1] tets of an edge: */
+    sfem_int *edge_tet;      /* [6 tets] 6 tet + place, ascending */
+    sfem_int *node_start;    /* [nodes+1] edges of a node: */
+    sfem_int *node_edge;     /* [2 edges] ascending */
+    sfem_real *area;         /* [edges] a, m^2 */
+    sfem_real *price;        /* [edges] share Gc a and all factors, J */
+    sfem_real *factor;       /* [edges] of strength and of strains */
+    sfem_real *quiet;        /* [tets] no edge of it breaks while sum e^2 is below this in all its tets */
+    unsigned char *never;    /* [edges] SFEMI_NEVER: unbreakable, SFEMI_BLADE_ONLY */
+    sfem_real stiffening;    /* the largest of sfem_damage_stiffening: p >= stiffening/4 */
+} sfemi_bonds;
+
+/* ---- the damage of a body ----
+ *
+ * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
+ * derived: sfemi_damage_refresh makes it anew. */
+enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
+enum { SFEMI_INTACT, SFEMI_HURT, SFEMI_LOOSE }; /* loose: its intact edges do not connect its nodes */
+
+typedef struct sfemi_damage {
+    sfem_allocator allocator;
+    const sfemi_bonds *bonds;
+    sfem_real *account;      /* [SFEMI_ACCOUNTS] J, J, edges, breaks put off */
+    sfem_real *zeta;         /* [edges] */
+    sfem_real *peak;         /* [edges] largest strain so far; NULL unless ductile */
+    unsigned char *mark;     /* [edges] 1: a blade has crossed it, it breaks as soon as it may */
+    /* derived */
+    sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
+    unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
+    sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
+    sfemi_block *block;      /* a copy of the model's blocks with damaged tets masked; NULL: linear body */
+    sfem_int *lane;          /* [model tets] block times SFEMI_LANES + lane, or NULL */
+    sfem_int pieces;         /* connected components over intact edges, by lowest node */
+    sfem_int *piece_of;      /* [nodes], -1: in no tet */
+    /* the last round */
+    sfem_int events;
+    sfem_break *event;       /* [edges] */
+    sfem_int *event_edge;    /* [edges] */
+    /* scratch */
+    sfem_real *force, *energy; /* [model tets][12], [model tets] */
+    sfem_real *rotation;     /* [model tets][9]; NULL: linear body */
+    sfem_real *strain;       /* [edges] at the midpoint */
+    sfem_real *stress;       /* [model tets][6] s */
+    sfem_real *weight;       /* [model tets][6] w_k or V n.sigma n */
+    sfem_real *ratio;        /* [edges] criterion over its limit */
+    sfem_real *most;         /* [nodes] largest ratio of a node's edges */
+    unsigned char *hot, *near_hot; /* [model tets], [edges] */
+    sfem_real *local;        /* [degree][60] S_d, and forces at both ends, of a break that is tried */
+    sfem_int *fresh, fresh_count; /* [model tets] tets newly damaged */
+    sfem_int *stamp, *queue; /* [nodes], [2 nodes] */
+    sfem_int *merge;         /* [model tets] */
+    int lone;                /* lone edges may be waiting */
+} sfemi_damage;
+
+SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
+{
+    sfem_damage_def d;
+    memset(&d, 0, sizeof d);
+    d.toughness = 100;
+    return d;
+}
+
+static void sfemi_bonds_free(sfemi_bonds *g) /* NULL allowed */
+{
+    sfem_allocator al;
+    if (!g) return;
+    al = g->allocator;
+    sfemi_delete(&al, g->end);
+    sfemi_delete(&al, g->length);
+    sfemi_delete(&al, g->tet_edge);
+    sfemi_delete(&al, g->tet_start);
+    sfemi_delete(&al, g->edge_tet);
+    sfemi_delete(&al, g->node_start);
+    sfemi_delete(&al, g->node_edge);
+    sfemi_delete(&al, g->area);
+    sfemi_delete(&al, g->price);
+    sfemi_delete(&al, g->factor);
+    sfemi_delete(&al, g->quiet);
+    sfemi_delete(&al, g->never);
+    sfemi_delete(&al, g);
+}
+
+static int sfemi_damage_positive(sfem_real x) { return sfemi_finite(x) && x > 0; }
+static int sfemi_damage_not_negative(sfem_real x) { return sfemi_finite(x) && x >= 0; }
+
+static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage_def *d, sfem_error *err)
+{
+    const sfem_mesh *mesh = &model->mesh;
+    const sfem_int tets = mesh->tets;
+    sfem_int e;
+    if ((unsigned)d->law > SFEM_DAMAGE_ZSZ || (unsigned)d->criterion > SFEM_BREAK_DUCTILE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no damage law %d or no criterion %d",
+                          (int)d->law, (int)d->criterion);
+    if (!sfemi_damage_not_negative(d->toughness) ||
+        (d->criterion == SFEM_BREAK_ENERGY && !(d->toughness > 0)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "toughness is %g J/m^2, must be > 0", d->toughness);
+    if ((d->criterion == SFEM_BREAK_STRESS || d->criterion == SFEM_BREAK_STRAIN) &&
+        !sfemi_damage_positive(d->strength))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "strength is %g, must be > 0", d->strength);
+    if (d->criterion == SFEM_BREAK_DUCTILE &&
+        !(sfemi_damage_not_negative(d->soften[0]) && sfemi_finite(d->soften[1]) &&
+          d->soften[1] > d->soften[0]))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "soften is (%g, %g), must be 0 <= first < second",
+                          d->soften[0], d->soften[1]);
+    if (!(sfemi_damage_not_negative(d->share) && sfemi_damage_not_negative(d->rankine) &&
+          sfemi_damage_not_negative(d->weibull) && sfemi_damage_not_negative(d->line_factor)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "share, rankine, weibull and line_factor must be >= 0");
+    if (!sfemi_damage_not_negative(d->direction_factor) ||
+        (d->direction_factor > 0 && !(sfemi_all_finite(d->direction, 3) &&
+                                      sfemi_dot3(d->direction, d->direction) > 0)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "direction must not be 0, its factor must be > 0");
+    if (d->closure && d->law != SFEM_DAMAGE_CONDENSED)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "closure needs SFEM_DAMAGE_CONDENSED");
+    if ((d->upright[0] != 0 || d->upright[1] != 0) &&
+        !(sfemi_finite(d->upright[0]) && d->upright[0] < d->upright[1] && d->upright[1] <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "upright is (%g, %g), must be first < second <= 1",
+                          d->upright[0], d->upright[1]);
+    for (e = 0; e < tets; ++e) {
+        if (d->tet_factor && !sfemi_damage_positive(d->tet_factor[e]))
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e, "tet %d has toughness factor %g",
+                                 (int)e, d->tet_factor[e]);
+        if (!d->region_factor) continue;
+        if (!mesh->region || mesh->region[e] < 0 || mesh->region[e] >= d->region_count)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e,
+                                 "tet %d is in region %d, region_factor has %d", (int)e,
+                                 mesh->region ? (int)mesh->region[e] : -1, (int)d->region_count);
+        if (!sfemi_damage_positive(d->region_factor[mesh->region[e]]))
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e, "region %d has toughness factor %g",
+                                 (int)mesh->region[e], d->region_factor[mesh->region[e]]);
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
+{
+    const sfem_allocator *al = &g->allocator;
+    const size_t tets = (size_t)g->model->mesh.tets, nodes = (size_t)g->model->mesh.nodes;
+    const size_t edges = (size_t)g->edges;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, g->end, al, 2 * edges);
+    SFEMI_NEW(sfem_real, g->length, al, edges);
+    SFEMI_NEW(sfem_int, g->tet_edge, al, 6 * tets);
+    SFEMI_NEW(sfem_int, g->tet_start, al, edges + 1);
+    SFEMI_NEW(sfem_int, g->edge_tet, al, 6 * tets);
+    SFEMI_NEW(sfem_int, g->node_start, al, nodes + 1);
+    SFEMI_NEW(sfem_int, g->node_edge, al, 2 * edges);
+    SFEMI_NEW(sfem_real, g->area, al, edges);
+    SFEMI_NEW(sfem_real, g->price, al, edges);
+    SFEMI_NEW(sfem_real, g->factor, al, edges);
+    SFEMI_NEW(sfem_real, g->quiet, al, tets);
+    SFEMI_NEW(unsigned char, g->never, al, edges);
+done:
+    return status;
+}
+
+/* Edge and place of K's block: rows before that of node i hold i diagonals, row i has its own last. */
+static void sfemi_bonds_link(sfemi_bonds *g)
+{
+    const sfem_model *model = g->model;
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int e, i, at, k;
+    for (i = 0; i < mesh->nodes; ++i)
+        for (at = model->row[i]; at < model->row[i + 1] - 1; ++at) {
+            g->end[2 * (at - i)] = model->col[at];
+            g->end[2 * (at - i) + 1] = i;
+            ++g->node_start[model->col[at] + 1];
+            ++g->node_start[i + 1];
+        }
+    for (i = 0; i < mesh->nodes; ++i) g->node_start[i + 1] += g->node_start[i];
+    for (k = 2 * g->edges - 1; k >= 0; --k) /* from behind, so that the counters end as starts */
+        g->node_edge[--g->node_start[g->end[k] + 1]] = k / 2;
+    for (i = 0; i < mesh->nodes; ++i) g->node_start[i] = g->node_start[i + 1];
+    g->node_start[mesh->nodes] = 2 * g->edges;
+    for (e = 0; e < mesh->tets; ++e)
+        for (k = 0; k < 6; ++k) {
+            const int *end = sfemi_edge_ends(3, k);
+            const sfem_int a = mesh->tet[4 * (size_t)e + (size_t)end[0]];
+            const sfem_int b = mesh->tet[4 * (size_t)e + (size_t)end[1]];
+            const sfem_int edge =
+                model->chunks.place[10 * (size_t)e + (size_t)sfemi_damage_place[k]] - (a > b ? a : b);
+            g->tet_edge[6 * e + k] = edge;
+            ++g->tet_start[edge + 1];
+        }
+    for (k = 0; k < g->edges; ++k) {
+        if (g->tet_start[k + 1] > g->degree) g->degree = g->tet_start[k + 1];
+        g->tet_start[k + 1] += g->tet_start[k];
+    }
+    for (k = 6 * mesh->tets - 1; k >= 0; --k) g->edge_tet[--g->tet_start[g->tet_edge[k] + 1]] = k;
+    for (k = 0; k < g->edges; ++k) g->tet_start[k] = g->tet_start[k + 1];
+    g->tet_start[g->edges] = 6 * mesh->tets;
+}
+
+/* (0, 1), from the seed and the edge's nodes [Steele, Lea, Flood 2014: splitmix64]. */
+static sfem_real sfemi_damage_random(uint64_t seed, sfem_int i, sfem_int j)
+{
+    uint64_t z = seed * 0x9e3779b97f4a7c15u + ((uint64_t)(uint32_t)i << 32 | (uint32_t)j);
+    int pass;
+    for (pass = 0; pass < 2; ++pass) {
+        z += 0x9e3779b97f4a7c15u;
+        z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
+        z = (z ^ z >> 27) * 0x94d049bb133111ebu;
+        z ^= z >> 31;
+    }
+    return ((sfem_real)(z >> 11) + 0.5) / 9007199254740992.0;
+}
+
+/* The factor of edge k but for its tets' and the line's. */
+static sfem_status sfemi_bonds_factor(const sfemi_bonds *g, const sfem_damage_def *def, sfem_int k,
+                                      sfem_real *out, sfem_error *err)
+{
+    const sfem_int i = g->end[2 * k], j = g->end[2 * k + 1];
+    const sfem_real *xi = g->model->mesh.x + 3 * (size_t)i, *xj = g->model->mesh.x + 3 * (size_t)j;
+    const sfem_real *d = def->direction;
+    sfem_real n[3], x[3], factor = 1;
+    int c;
+    sfemi_sub3(xi, xj, n);
+    for (c = 0; c < 3; ++c) {
+        n[c] /= g->length[k];
+        x[c] = (xi[c] + xj[c]) / 2;
+    }
+    if (def->direction_factor > 0) {
+        const sfem_real dn = sfemi_dot3(d, n);
+        factor *= 1 + (def->direction_factor - 1) * dn * dn / sfemi_dot3(d, d);
+    }
+    if (def->weibull > 0)
+        factor *= pow(-log(sfemi_damage_random(def->seed, i, j)), 1 / def->weibull) /
+                  tgamma(1 + 1 / def->weibull);
+    if (def->factor) {
+        const sfem_real own = def->factor(x, n, i, j, def->factor_user);
+        if (!sfemi_damage_positive(own))
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, i, -1,
+                                 "the caller's toughness factor of edge (%d, %d) is %g, must be > 0",
+                                 (int)i, (int)j, own);
+        factor *= own;
+    }
+    *out = factor;
+    return SFEM_OK;
+}
+
+/* The lines' factors, and what may not break. */
+static sfem_status sfemi_bonds_lines(sfemi_bonds *g, const sfem_damage_def *def, sfem_error *err)
+{
+    const sfem_model *model = g->model;
+    sfem_int l, k, e;
+    for (k = 0; def->line_only && k < g->edges; ++k) g->never[k] = SFEMI_BLADE_ONLY;
+    for (l = 0; l < def->line_count; ++l) {
+        const sfem_int a = def->line[2 * l], b = def->line[2 * l + 1];
+        const sfem_int i = a > b ? a : b, j = a > b ? b : a;
+        sfem_int at = -1;
+        if (j >= 0 && i < model->mesh.nodes && i != j)
+            at = sfemi_fem_find(model->row, model->col, i, j);
+        if (at < 0)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, a, -1, "line %d: (%d, %d) is no edge of the mesh",
+                                 (int)l, (int)a, (int)b);
+        g->never[at - i] = 0;
+        if (def->line_factor > 0) g->factor[at - i] *= def->line_factor;
+    }
+    for (e = 0; def->unbreakable && e < model->mesh.tets; ++e)
+        for (k = 0; def->unbreakable[e] && k < 6; ++k) g->never[g->tet_edge[6 * e + k]] = SFEMI_NEVER;
+    return SFEM_OK;
+}
+
+static void sfemi_damage_gather(const sfem_real *x, const sfem_int *t, sfem_real out[12])
+{
+    int a, i;
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i) out[3 * a + i] = x[3 * (size_t)t[a] + (size_t)i];
+}
+
+static void sfemi_damage_tet(const sfem_model *model, sfem_int e, sfem_damage_tet *tet)
+{
+    sfem_real x[12];
+    sfemi_damage_gather(model->mesh.x, model->mesh.tet + 4 * (size_t)e, x);
+    sfemi_damage_shape(x, model->lambda[e], model->mu[e], tet);
+}
+
+/* A bound under which sum e^2 of a tet lets none of its edges break. With it in all tets of an edge:
+ * w_k <= sum V_e Psi_e, Psi_e <= tr S/2 sum e^2, against price = sum V_e/(2 L) price/a; and |sigma| <=
+ * (3 lambda + 2 mu) |eps|, |eps| <= |T^-1| |e|. */
+static void sfemi_bonds_quiet(sfemi_bonds *g, sfem_int e)
+{
+    const sfem_damage_def *def = &g->def;
+    sfem_damage_tet tet;
+    sfem_real trace = 0, inverse = 0, least = 1e300;
+    int k;
+    sfemi_damage_tet(g->model, e, &tet);
+    for (k = 0; k < 6; ++k) {
+        const sfem_int edge = g->tet_edge[6 * e + k];
+        const sfem_real *a, *b, p = sfemi_damage_unit(&tet, k, &a, &b), ab = sfemi_dot3(a, b);
+        const sfem_real f = g->factor[edge];
+        trace += sfemi_damage_entry(&tet, k, k);
+        inverse += p * p * (sfemi_dot3(a, a) * sfemi_dot3(b, b) + ab * ab) / 2;
+        switch (def->criterion) {
+        case SFEM_BREAK_ENERGY:
+            least = fmin(least, g->price[edge] / (g->area[edge] * g->length[edge]));
+            break;
+        case SFEM_BREAK_DUCTILE: least = fmin(least, f * def->soften[0]); break;
+        default: least = fmin(least, f * def->strength);
+        }
+    }
+    if (def->criterion == SFEM_BREAK_ENERGY) least = sqrt(least / trace);
+    if (def->criterion == SFEM_BREAK_STRESS)
+        least /= (3 * fabs(tet.lambda) + 2 * tet.mu) * sqrt(inverse);
+    g->quiet[e] = .99 * least * least;
+}
+
+static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *def, sfem_error *err)
+{
+    const sfem_model *model = g->model;
+    const sfem_int *region = model->mesh.region;
+    sfem_real *volume = g->price; /* of an edge's tets; until it is needed */
+    sfem_damage_tet tet;
+    sfem_status status = SFEM_OK;
+    sfem_int e, k, edge;
+    g->stiffening = 1;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_real factor = (def->tet_factor ? def->tet_factor[e] : 1) *
+                                 (def->region_factor ? def->region_factor[region[e]] : 1);
+        sfemi_damage_tet(model, e, &tet);
+        if (def->law == SFEM_DAMAGE_ZSZ)
+            g->stiffening = fmax(g->stiffening, sfem_damage_stiffening(&tet, def->law));
+        for (k = 0; k < 6; ++k) {
+            edge = g->tet_edge[6 * e + k];
+            g->length[edge] = tet.length[k];
+            g->area[edge] += tet.volume / (2 * tet.length[k]);
+            g->factor[edge] += factor * tet.volume;
+            volume[edge] += tet.volume;
+        }
+    }
+    for (edge = 0; edge < g->edges; ++edge) {
+        sfem_real factor = 1;
+        SFEMI_TRY(sfemi_bonds_factor(g, def, edge, &factor, err));
+        g->factor[edge] *= factor / volume[edge];
+    }
+    SFEMI_TRY(sfemi_bonds_lines(g, def, err));
+    for (edge = 0; edge < g->edges; ++edge)
+        g->price[edge] = g->def.share * def->toughness * g->area[edge] * g->factor[edge];
+    for (e = 0; e < model->mesh.tets; ++e) sfemi_bonds_quiet(g, e);
+done:
+    return status;
+}
+
+/* Makes the graph of a model. errors SFEM_BAD_ARGUMENT (names the field, tet or edge),
+ * SFEM_OUT_OF_MEMORY. O(tets). The model must outlive it. */
+SFEMI_UNUSED static sfem_status sfemi_bonds_create(const sfem_model *model, const sfem_damage_def *def,
+                                                   const sfem_allocator *allocator, sfemi_bonds **out,
+                                                   sfem_error *err)
+{
+    sfemi_bonds *g = NULL;
+    sfem_status status;
+    SFEM_ASSERT(model && def && allocator && out);
+    SFEM_ASSERT((def->line || !def->line_count) && (def->region_factor || !def->region_count));
+    SFEMI_TRY(sfemi_damage_check(model, def, err));
+    SFEMI_NEW(sfemi_bonds, g, allocator, 1);
+    g->allocator = *allocator;
+    g->model = model;
+    g->def = *def;
+    g->def.tet_factor = g->def.region_factor = NULL;
+    g->def.unbreakable = NULL;
+    g->def.line = NULL;
+    if (!(g->def.share > 0)) g->def.share = 2 / 3.0;
+    if (g->def.upright[0] == 0 && g->def.upright[1] == 0) {
+        g->def.upright[0] = .05;
+        g->def.upright[1] = .25;
+    }
+    g->edges = model->row[model->mesh.nodes] - model->mesh.nodes;
+    SFEMI_TRY(sfemi_bonds_allocate(g, err));
+    sfemi_bonds_link(g);
+    SFEMI_TRY(sfemi_bonds_measure(g, def, err));
+    *out = g;
+    return SFEM_OK;
+done:
+    sfemi_bonds_free(g);
+    return status;
+}
+
+/* ---- a body's damage: memory ---- */
+
+static size_t sfemi_damage_state_bytes(const sfemi_bonds *g)
+{
+    const size_t edges = (size_t)g->edges;
+    const size_t reals = SFEMI_ACCOUNTS + edges * (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1);
+    return reals * sizeof(sfem_real) + (edges + 7) / 8 * 8;
+}
+
+/* The state lives in memory, aligned to 8, from now on; follow with reset or refresh. */
+SFEMI_UNUSED static void sfemi_damage_attach(sfemi_damage *d, void *memory)
+{
+    const size_t edges = (size_t)d->bonds->edges;
+    d->account = (sfem_real *)memory;
+    d->zeta = d->account + SFEMI_ACCOUNTS;
+    d->peak = d->bonds->def.criterion == SFEM_BREAK_DUCTILE ? d->zeta + edges : NULL;
+    d->mark = (unsigned char *)(d->zeta + (d->peak ? 2 * edges : edges));
+}
+
+static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
+{
+    sfem_allocator al;
+    if (!d) return;
+    al = d->allocator;
+    sfemi_delete(&al, d->tet);
+    sfemi_delete(&al, d->kind);
+    sfemi_delete(&al, d->s);
+    sfemi_delete(&al, d->block);
+    sfemi_delete(&al, d->lane);
+    sfemi_delete(&al, d->piece_of);
+    sfemi_delete(&al, d->event);
+    sfemi_delete(&al, d->event_edge);
+    sfemi_delete(&al, d->force);
+    sfemi_delete(&al, d->rotation);
+    sfemi_delete(&al, d->energy);
+    sfemi_delete(&al, d->strain);
+    sfemi_delete(&al, d->stress);
+    sfemi_delete(&al, d->weight);
+    sfemi_delete(&al, d->ratio);
+    sfemi_delete(&al, d->most);
+    sfemi_delete(&al, d->hot);
+    sfemi_delete(&al, d->near_hot);
+    sfemi_delete(&al, d->local);
+    sfemi_delete(&al, d->fresh);
+    sfemi_delete(&al, d->merge);
+    sfemi_delete(&al, d->stamp);
+    sfemi_delete(&al, d->queue);
+    sfemi_delete(&al, d);
+}
+
+/* All memory that damage needs but its state, about 800 bytes a tet; nothing else here allocates.
+ * Follow with attach, then reset or refresh. errors SFEM_OUT_OF_MEMORY */
+SFEMI_UNUSED static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
+                                                    const sfem_allocator *allocator,
+                                                    sfemi_damage **out, sfem_error *err)
+{
+    const sfem_model *model = bonds->model;
+    const size_t tets = (size_t)model->mesh.tets, nodes = (size_t)model->mesh.nodes;
+    const size_t edges = (size_t)bonds->edges;
+    sfemi_damage *d = NULL;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfemi_damage, d, allocator, 1);
+    d->allocator = *allocator;
+    d->bonds = bonds;
+    SFEMI_NEW(sfem_int, d->tet, allocator, tets);
+    SFEMI_NEW(unsigned char, d->kind, allocator, tets);
+    SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
+    if (model->turns) {
+        SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
+        SFEMI_NEW(sfem_int, d->lane, allocator, tets);
+        SFEMI_NEW(sfem_real, d->rotation, allocator, 9 * tets);
+    }
+    SFEMI_NEW(sfem_int, d->piece_of, allocator, nodes);
+    SFEMI_NEW(sfem_break, d->event, allocator, edges);
+    SFEMI_NEW(sfem_int, d->event_edge, allocator, edges);
+    SFEMI_NEW(sfem_real, d->force, allocator, 12 * tets);
+    SFEMI_NEW(sfem_real, d->energy, allocator, tets);
+    SFEMI_NEW(sfem_real, d->strain, allocator, edges);
+    SFEMI_NEW(sfem_real, d->stress, allocator, 6 * tets);
+    SFEMI_NEW(sfem_real, d->weight, allocator, 6 * tets);
+    SFEMI_NEW(sfem_real, d->ratio, allocator, edges);
+    SFEMI_NEW(sfem_real, d->most, allocator, nodes);
+    SFEMI_NEW(unsigned char, d->hot, allocator, tets);
+    SFEMI_NEW(unsigned char, d->near_hot, allocator, edges);
+    SFEMI_NEW(sfem_real, d->local, allocator, 60 * (size_t)bonds->degree);
+    SFEMI_NEW(sfem_int, d->fresh, allocator, tets);
+    SFEMI_NEW(sfem_int, d->merge, allocator, tets);
+    SFEMI_NEW(sfem_int, d->stamp, allocator, nodes);
+    SFEMI_NEW(sfem_int, d->queue, allocator, 2 * nodes);
+    *out = d;
+    return SFEM_OK;
+done:
+    sfemi_damage_free(d);
+    return status;
+}
+
+/* ---- one damaged tet ---- */
+
+/* By the mask of a tet's unbroken edges: the edges that are the only link between their nodes; 64 where
+ * all nodes are connected. */
+static const unsigned char sfemi_damage_links[64] = {
+    0, 1, 2, 3, 4, 5, 6, 71, 8, 9, 10, 0, 12, 77, 78, 68,
+    16, 17, 18, 83, 20, 0, 86, 66, 24, 89, 90, 80, 92, 72, 64, 64,
+    32, 33, 34, 99, 36, 101, 0, 65, 40, 105, 106, 96, 108, 64, 72, 64,
+    48, 113, 114, 64, 116, 96, 80, 64, 0, 65, 66, 64, 68, 64, 64, 64};
+
+enum { SFEMI_CONNECTED = 64 };
+
+/* The zetas of a tet, as a mask of what is not broken. */
+static unsigned sfemi_damage_zetas(const sfemi_damage *d, sfem_int e, sfem_real zeta[6])
+{
+    unsigned mask = 0;
+    int k;
+    for (k = 0; k < 6; ++k) {
+        zeta[k] = d->zeta[d->bonds->tet_edge[6 * e + k]];
+        mask |= (unsigned)(zeta[k] > 0) << k;
+    }
+    return mask;
+}
+
+/* S_d and the kind of a tet with these zetas. With closure, a loose tet may still be pressed. */
+static int sfemi_damage_assess(const sfemi_damage *d, const sfem_damage_tet *tet,
+                               const sfem_real zeta[6], unsigned mask, sfem_real s_d[36])
+{
+    int k, intact = 1;
+    for (k = 0; k < 6; ++k) intact &= zeta[k] >= 1;
+    memset(s_d, 0, 36 * sizeof *s_d);
+    if (intact) return SFEMI_INTACT;
+    if (!(sfemi_damage_links[mask] & SFEMI_CONNECTED) && !d->bonds->def.closure) return SFEMI_LOOSE;
+    sfem_damage_modulus(tet, d->bonds->def.law, zeta, s_d);
+    return sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
+}
+
+/* With closure the energy is the least over crack openings w >= 0 of the damaged edges,
+ *     1/2 (e - w).S (e - w) + sum_k w_k^2/(2 c_k),   c_k the compliance that zeta_k adds:
+ * convex, once differentiable, damaged in tension and intact in compression. Which edges are open is a
+ * linear complementarity problem with a positive definite matrix, which least-index pivoting solves
+ * [Murty 1974]. s_d: of the open edges alone. */
+static void sfemi_damage_close(const sfem_damage_tet *tet, const sfem_real zeta[6],
+                               const sfem_real e[6], sfem_real s_d[36])
+{
+    sfem_real w[6][6], c[6], added[6], s[6], size = 0;
+    int open[6], pass, k, l, i;
+    sfemi_damage_root(tet, w);
+    for (k = 0; k < 6; ++k) {
+        added[k] = sfemi_damage_added(tet, k, zeta[k]);
+        open[k] = zeta[k] < 1 && e[k] > 0;
+        size += fabs(e[k]);
+    }
+    for (pass = 0; pass < 200; ++pass) {
+        for (k = 0; k < 6; ++k) c[k] = open[k] ? added[k] : 0;
+        sfemi_damage_condense(tet, c, s_d);
+        for (k = 0; k < 6; ++k)
+            for (l = 0, s[k] = 0; l < 6; ++l) s[k] += s_d[6 * k + l] * e[l];
+        for (k = 0; k < 6; ++k) {
+            sfem_real gap = e[k], per = 0; /* (e - S^-1 s)_k, 1/Y */
+            if (zeta[k] >= 1) continue;
+            for (l = 0; l < 6; ++l)
+                for (i = 0; i < 6; ++i) {
+                    gap -= w[k][i] * w[l][i] * s[l];
+                    per += l == k ? w[k][i] * w[k][i] : 0;
+                }
+            if (open[k] ? gap < -1e-13 * size : s[k] * per > 1e-13 * size) break;
+        }
+        if (k == 6) return;
+        open[k] = !open[k];
+    }
+}
+
+/* The tet as it was before its first damage. */
+static sfem_real sfemi_damage_undamaged(const sfem_damage_tet *tet, sfem_law law,
+                                        const sfem_real u[12], sfem_real force[12])
+{
+    sfem_real grad[9], p[9], psi, g[4][3];
+    int a, i;
+    memcpy(g, tet->gradient, sizeof g);
+    sfemi_element_deform(u, u + 3, u + 6, u + 9, g, grad);
+    psi = sfemi_law_stress(law, tet->lambda, tet->mu, grad, p);
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i) force[3 * a + i] = tet->volume * sfemi_dot3(p + 3 * i, g[a]);
+    return tet->volume * psi;
+}
+
+/* J and its gradient [4][3]. */
+static sfem_real sfemi_damage_jacobian(const sfem_damage_tet *tet, const sfem_real u[12],
+                                       sfem_real slope[12])
+{
+    sfem_real f[9], c[9], g[4][3];
+    int a, i;
+    memcpy(g, tet->gradient, sizeof g);
+    sfemi_element_deform(u, u + 3, u + 6, u + 9, g, f);
+    for (i = 0; i < 9; i += 4) f[i] += 1;
+    sfemi_cofactor3(f, c);
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i) slope[3 * a + i] = sfemi_dot3(c + 3 * i, g[a]);
+    return sfemi_dot3(f, c);
+}
+
+/* The share of the edge form at J, 3t^2 - 2t^3 between upright[0] and upright[1], and its slope. */
+static sfem_real sfemi_damage_blend(const sfem_real upright[2], sfem_real j, sfem_real *slope)
+{
+    const sfem_real width = upright[1] - upright[0], t = (j - upright[0]) / width;
+    *slope = t > 0 && t < 1 ? 6 * t * (1 - t) / width : 0;
+    return t <= 0 ? 0 : t < 1 ? t * t * (3 - 2 * t) : 1;
+}
+
+/* Energy and force of a tet of the given kind. Below upright[1] the edge form, which does not see
+ * inversion, gives way to the undamaged corotational law, in the energy, so that the force remains a
+ * gradient and no energy jumps; a loose tet does not resist, for its nodes may be anywhere. */
+static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
+                                         int kind, const sfem_real zeta[6], const sfem_real s_d[36],
+                                         const sfem_real u[12], sfem_real force[12])
+{
+    const sfem_damage_def *def = &d->bonds->def;
+    sfem_real closed[36], e[6], m[6][3], length[6], whole[12], slope[12], psi, psi_whole, j, phi, dphi;
+    int i;
+    if (kind == SFEMI_INTACT) return sfemi_damage_undamaged(tet, law, u, force);
+    memset(force, 0, 12 * sizeof *force);
+    if (kind == SFEMI_LOOSE && !def->closure) return 0;
+    if (def->closure) {
+        sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
+        sfemi_damage_close(tet, zeta, e, closed);
+        s_d = closed;
+    }
+    psi = sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, SFEM_TANGENT_PSD, force, NULL);
+    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return psi;
+    j = sfemi_damage_jacobian(tet, u, slope);
+    phi = sfemi_damage_blend(def->upright, j, &dphi);
+    if (phi >= 1) return psi;
+    psi_whole = sfemi_damage_undamaged(tet, SFEM_COROTATIONAL, u, whole);
+    for (i = 0; i < 12; ++i)
+        force[i] = phi * force[i] + (1 - phi) * whole[i] + dphi * (psi - psi_whole) * slope[i];
+    return phi * psi + (1 - phi) * psi_whole;
+}
+
+/* ---- what is derived from zeta ---- */
+
+/* Takes a damaged tet out of the vector kernels: no stiffness, and no shape, so that F = I whatever
+ * becomes of its nodes. */
+static void sfemi_damage_mask(sfemi_damage *d, sfem_int e)
+{
+    sfemi_block *block;
+    int l, i;
+    if (!d->block) return;
+    block = d->block + d->lane[e] / SFEMI_LANES;
+    l = d->lane[e] % SFEMI_LANES;
+    block->lambda[l] = block->mu[l] = block->volume[l] = 0;
+    for (i = 0; i < 9; ++i) block->shape[i][l] = 0;
+}
+
+static void sfemi_damage_unmask(sfemi_damage *d)
+{
+    const sfemi_chunks *c = &d->bonds->model->chunks;
+    const sfem_int count = c->block_start[c->count];
+    sfem_int b, l;
+    if (!d->block) return;
+    memcpy(d->block, c->block, (size_t)count * sizeof *d->block);
+    for (b = 0; b < count; ++b)
+        for (l = 0; l < c->block[b].count; ++l) d->lane[c->block[b].tet[l]] = b * SFEMI_LANES + l;
+}
+
+/* Labels by lowest node, whatever they were: old labels lie in [0, pieces). */
+static void sfemi_damage_number_pieces(sfemi_damage *d)
+{
+    const sfem_int nodes = d->bonds->model->mesh.nodes;
+    sfem_int *label = d->stamp, i, count = 0;
+    for (i = 0; i < nodes; ++i) label[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        if (d->piece_of[i] < 0) continue;
+        if (label[d->piece_of[i]] < 0) label[d->piece_of[i]] = count++;
+        d->piece_of[i] = label[d->piece_of[i]];
+    }
+    d->pieces = count;
+    for (i = 0; i < nodes; ++i) label[i] = -1; /* as sfemi_damage_part wants it */
+}
+
+/* The other end of an edge. */
+static sfem_int sfemi_damage_across(const sfemi_bonds *g, sfem_int edge, sfem_int node)
+{
+    return g->end[2 * edge] == node ? g->end[2 * edge + 1] : g->end[2 * edge];
+}
+
+/* All pieces, by a search over intact edges from each node. */
+static void sfemi_damage_find_pieces(sfemi_damage *d)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_int nodes = g->model->mesh.nodes;
+    sfem_int i, k, head, tail;
+    d->pieces = 0;
+    for (i = 0; i < nodes; ++i) d->piece_of[i] = d->stamp[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        if (d->piece_of[i] >= 0 || g->node_start[i] == g->node_start[i + 1]) continue;
+        d->piece_of[i] = d->pieces;
+        d->queue[0] = i;
+        for (head = 0, tail = 1; head < tail; ++head)
+            for (k = g->node_start[d->queue[head]]; k < g->node_start[d->queue[head] + 1]; ++k) {
+                const sfem_int j = sfemi_damage_across(g, g->node_edge[k], d->queue[head]);
+                if (!(d->zeta[g->node_edge[k]] > 0) || d->piece_of[j] >= 0) continue;
+                d->piece_of[j] = d->pieces;
+                d->queue[tail++] = j;
+            }
+        ++d->pieces;
+    }
+}
+
+/* Does edge `edge`, broken, part a piece? Searches from its two ends by turns, a node each, until they
+ * meet or the smaller side is done, which then gets a label of its own: O(smaller side). stamp is
+ * all -1 before and after. */
+static int sfemi_damage_part(sfemi_damage *d, sfem_int edge)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int *queue[2], head[2] = {0, 0}, tail[2] = {1, 1}, k, i;
+    int side = 0, met = 0;
+    if (d->piece_of[g->end[2 * edge]] != d->piece_of[g->end[2 * edge + 1]]) return 0;
+    queue[0] = d->queue;
+    queue[1] = d->queue + g->model->mesh.nodes;
+    for (i = 0; i < 2; ++i) {
+        queue[i][0] = g->end[2 * edge + i];
+        d->stamp[queue[i][0]] = i;
+    }
+    for (;; side = !side) {
+        const sfem_int node = queue[side][head[side]++];
+        for (k = g->node_start[node]; k < g->node_start[node + 1] && !met; ++k) {
+            const sfem_int j = sfemi_damage_across(g, g->node_edge[k], node);
+            if (!(d->zeta[g->node_edge[k]] > 0) || d->stamp[j] == side) continue;
+            met = d->stamp[j] == !side;
+            d->stamp[j] = met ? d->stamp[j] : side;
+            if (!met) queue[side][tail[side]++] = j;
+        }
+        if (met || head[side] == tail[side]) break;
+    }
+    for (i = 0; !met && i < tail[side]; ++i) d->piece_of[queue[side][i]] = d->pieces;
+    for (k = 0; k < 2; ++k)
+        for (i = 0; i < tail[k]; ++i) d->stamp[queue[k][i]] = -1;
+    d->pieces += !met;
+    return !met;
+}
+
+/* The state was loaded, or zeta changed by hand: derives everything anew. O(tets). */
+static void sfemi_damage_refresh(sfemi_damage *d)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_damage_tet tet;
+    sfem_real zeta[6];
+    sfem_int e;
+    sfemi_damage_unmask(d);
+    d->tets = d->events = d->fresh_count = 0;
+    d->lone = 1;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const unsigned mask = sfemi_damage_zetas(d, e, zeta);
+        int k, intact = 1;
+        for (k = 0; k < 6; ++k) intact &= zeta[k] >= 1;
+        d->kind[e] = SFEMI_INTACT;
+        if (intact) continue;
+        sfemi_damage_tet(model, e, &tet);
+        d->kind[e] = (unsigned char)sfemi_damage_assess(d, &tet, zeta, mask, d->s + 36 * (size_t)e);
+        d->tet[d->tets++] = e;
+        sfemi_damage_mask(d, e);
+    }
+    sfemi_damage_find_pieces(d);
+}
+
+SFEMI_UNUSED static void sfemi_damage_reset(sfemi_damage *d) /* everything intact */
+{
+    sfem_int k;
+    memset(d->account, 0, sfemi_damage_state_bytes(d->bonds));
+    for (k = 0; k < d->bonds->edges; ++k) d->zeta[k] = 1;
+    sfemi_damage_refresh(d);
+}
+
+/* ---- forces, tangents ---- */
+
+enum { SFEMI_DAMAGE_TASK = 64 }; /* tets a task */
+
+typedef struct sfemi_damage_job {
+    sfemi_damage *d;
+    const sfem_real *u;
+    sfem_real *rotation;
+} sfemi_damage_job;
+
+static void sfemi_damage_forces_task(void *data, sfem_int index)
+{
+    const sfemi_damage_job *job = (const sfemi_damage_job *)data;
+    sfemi_damage *d = job->d;
+    const sfem_model *model = d->bonds->model;
+    sfem_int i = index * SFEMI_DAMAGE_TASK, end = i + SFEMI_DAMAGE_TASK;
+    if (end > d->tets) end = d->tets;
+    for (; i < end; ++i) {
+        const sfem_int e = d->tet[i];
+        const sfem_law law = (sfem_law)model->law[e];
+        sfem_real *force = d->force + 12 * (size_t)i, u[12], zeta[6], whole[12];
+        sfem_damage_tet tet;
+        int k;
+        sfemi_damage_tet(model, e, &tet);
+        sfemi_damage_gather(job->u, model->mesh.tet + 4 * (size_t)e, u);
+        sfemi_damage_zetas(d, e, zeta);
+        d->energy[i] = sfemi_damage_tet_energy(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u,
+                                               force);
+        if (!d->block) {
+            d->energy[i] -= sfemi_damage_undamaged(&tet, law, u, whole);
+            for (k = 0; k < 12; ++k) force[k] -= whole[k];
+        }
+        if (job->rotation) {
+            sfem_real f[9], *r = job->rotation + 9 * (size_t)e;
+            for (k = 0; k < 9; ++k) r[k] = d->kind[e] != SFEMI_LOOSE && k % 4 == 0;
+            if (law == SFEM_LINEAR || d->kind[e] == SFEMI_LOOSE) continue;
+            sfemi_element_deform(u, u + 3, u + 6, u + 9, tet.gradient, f);
+            for (k = 0; k < 9; k += 4) f[k] += 1;
+            sfemi_element_rotation(f, SFEMI_TINY_F, r);
+        }
+    }
+}
+
+/* Adds energy and internal force of the damaged tets at u. Body that turns (d->block): theirs alone, to
+ * go with sfemi_fem_forces on d->block. Linear body (block NULL): damaged less intact, to go with K u.
+ * rotation [tets][9] (NULL: none): of damaged tets, as sfem_model_forces gives them, but 0 for loose tets,
+ * which then weigh nothing in the frames. inverted (NULL: none) += tets with J <= 0 that hang together.
+ * Same bits for any number of threads: tets in ascending order. */
+static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, const sfem_exec *exec)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_real energy = 0;
+    sfemi_damage_job job;
+    sfem_int i;
+    int k;
+    job.d = d;
+    job.u = u;
+    job.rotation = rotation;
+    sfemi_run(exec, (d->tets + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task, &job);
+    for (i = 0; i < d->tets; ++i) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
+        const sfem_real *f = d->force + 12 * (size_t)i;
+        for (k = 0; k < 12; ++k) force[3 * (size_t)t[k / 3] + (size_t)(k % 3)] += f[k];
+        energy += d->energy[i];
+    }
+    for (i = 0; inverted && i < d->tets; ++i) {
+        sfem_real now[12], rest[12], x[12];
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
+        if (d->kind[d->tet[i]] == SFEMI_LOOSE) continue;
+        sfemi_damage_gather(u, t, now);
+        sfemi_damage_gather(model->mesh.x, t, rest);
+        for (k = 0; k < 12; ++k) x[k] = rest[k] + now[k];
+        *inverted += sfemi_volume6(x, x + 3, x + 6, x + 9) <= 0;
+    }
+    return energy;
+}
+
+/* As sfemi_fem_forces, for a damaged body that turns. */
+SFEMI_UNUSED static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
+                                                        sfem_precision precision, sfem_real *force,
+                                                        sfem_real *rotation, sfem_int *inverted,
+                                                        sfem_real *spin, sfem_real *sum, sfem_real *work,
+                                                        const sfem_exec *exec)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_real *r = sum && !rotation ? d->rotation : rotation;
+    sfem_real energy;
+    sfem_int i;
+    size_t a, k;
+    SFEM_ASSERT(d->block);
+    energy = sfemi_fem_forces(model, d->block, u, precision, force, rotation, inverted, spin, sum, work, exec);
+    energy += sfemi_damage_forces(d, u, force, r, inverted, exec);
+    for (i = 0; sum && i < d->tets; ++i) {
+        const size_t e = (size_t)d->tet[i];
+        for (a = 0; a < 4; ++a)
+            for (k = 0; k < 9; ++k)
+                sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += model->volume[e] * r[9 * e + k];
+    }
+    return energy;
+}
+
+/* The tangent of sfemi_damage_tet_energy; where it blends, what is positive semidefinite of it. */
+static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
+                                     int kind, const sfem_real zeta[6], const sfem_real s_d[36],
+                                     const sfem_real u[12], sfem_tangent tangent, sfem_real k[144])
+{
+    const sfem_damage_def *def = &d->bonds->def;
+    sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
+    int i;
+    memset(k, 0, 144 * sizeof *k);
+    if (kind == SFEMI_LOOSE && !def->closure) return;
+    if (def->closure) {
+        sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
+        sfemi_damage_close(tet, zeta, e, closed);
+        s_d = closed;
+    }
+    sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, tangent, NULL, k);
+    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return;
+    phi = sfemi_damage_blend(def->upright, sfemi_damage_jacobian(tet, u, slope), &dphi);
+    if (phi >= 1) return;
+    sfem_damage_energy(tet, s_d, 0, u, SFEM_TANGENT_PSD, NULL, k);
+    sfem_law_tet(SFEM_COROTATIONAL, tet->lambda, tet->mu, tet->x, u, SFEM_TANGENT_PSD, NULL, whole);
+    for (i = 0; i < 144; ++i) k[i] = phi * k[i] + (1 - phi) * whole[i];
+}
+
+/* val += scale k on K's pattern. */
+static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real scale,
+                                 const sfem_real k[144], sfem_real *val)
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    int a, b, n = 0, i, j;
+    for (a = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n) {
+            const int row = t[a] >= t[b] ? a : b, col = t[a] >= t[b] ? b : a;
+            sfem_real *to = val + 9 * (size_t)model->chunks.place[10 * (size_t)e + (size_t)n];
+            for (i = 0; i < 3; ++i)
+                for (j = 0; j < 3; ++j)
+                    to[3 * i + j] += scale * k[12 * (3 * row + i) + 3 * col + j];
+        }
+}
+
+/* As sfem_model_tangent, for a damaged body that turns. */
+SFEMI_UNUSED static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u,
+                                                    sfem_tangent kind, sfem_matrix *tangent,
+                                                    const sfem_exec *exec)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_int i;
+    SFEM_ASSERT(d->block);
+    sfemi_fem_tangent(model, d->block, u, kind, tangent, exec);
+    for (i = 0; i < d->tets; ++i) {
+        const sfem_int e = d->tet[i];
+        sfem_real local[12], zeta[6], k[144];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(model, e, &tet);
+        sfemi_damage_gather(u, model->mesh.tet + 4 * (size_t)e, local);
+        sfemi_damage_zetas(d, e, zeta);
+        sfemi_damage_tet_tangent(d, &tet, (sfem_law)model->law[e], d->kind[e], zeta,
+                                 d->s + 36 * (size_t)e, local, kind, k);
+        sfemi_damage_scatter(model, e, 1, k, tangent->val);
+    }
+}
+
+/* val += scale (K_damaged - K) at rest, on K's pattern: what a renewed factor is made of. */
+SFEMI_UNUSED static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale,
+                                                    sfem_real *val)
+{
+    static const sfem_real still[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
+    const sfem_model *model = d->bonds->model;
+    sfem_int i;
+    for (i = 0; i < d->tets; ++i) {
+        const sfem_int e = d->tet[i];
+        sfem_real k[144];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(model, e, &tet);
+        sfem_damage_energy(&tet, d->s + 36 * (size_t)e, 1, still, SFEM_TANGENT_PSD, NULL, k);
+        sfemi_damage_scatter(model, e, scale, k, val);
+        sfem_law_tet(SFEM_LINEAR, tet.lambda, tet.mu, tet.x, still, SFEM_TANGENT_PSD, NULL, k);
+        sfemi_damage_scatter(model, e, -scale, k, val);
+    }
+}
+
+/* ---- criterion and propagation ---- */
+
+/* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
+ *     a0 dPsi(u0) + a1 dPsi(u1) - ac (u1-u0).d(f(u1)-f(u0)),   d: after less before:
+ * (1/2, 1/2, 1/4) for (p,1,1) with any constant A, and for Newmark(p,1/2); (1/2, 1/2, (1/2-p)/2) is what
+ * the guard's ledger sees; (0, 1, 0) judges Psi at the end alone. */
+typedef struct sfemi_damage_step {
+    const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
+    sfem_real a0, a1, ac;
+    sfem_real *f0, *f1;       /* [nodes][3] internal forces there, brought up to date; or NULL */
+    const sfem_exec *exec;
+} sfemi_damage_step;
+
+typedef struct sfemi_damage_change {
+    sfem_real psi0, psi1, cross; /* changes of Psi(u0), Psi(u1), (u1-u0).(f(u1)-f(u0)), J */
+    sfem_real released, price;   /* what the invariant fell by; the surfaces made, J */
+    sfem_int broken, delayed;    /* edges; delayed: over the limit, but breaking would have made energy */
+    sfem_int softened;           /* edges whose zeta fell without breaking */
+    sfem_int hurt;               /* tets newly damaged */
+    sfem_int pieces;             /* more than before */
+} sfemi_damage_change;
+
+typedef struct sfemi_damage_round_job {
+    sfemi_damage *d;
+    const sfemi_damage_step *step;
+} sfemi_damage_round_job;
+
+enum { SFEMI_ROUND_TASK = 1024 }; /* edges, tets or nodes a task */
+
+static sfem_int sfemi_damage_range(sfem_int index, sfem_int count, sfem_int *end)
+{
+    *end = count - index * SFEMI_ROUND_TASK > SFEMI_ROUND_TASK ? (index + 1) * SFEMI_ROUND_TASK : count;
+    return index * SFEMI_ROUND_TASK;
+}
+
+/* The strain of an edge; in a body that turns, from its length. */
+static sfem_real sfemi_damage_edge_strain(const sfemi_bonds *g, sfem_int k, const sfem_real *u)
+{
+    const size_t i = 3 * (size_t)g->end[2 * k], j = 3 * (size_t)g->end[2 * k + 1];
+    const sfem_real *x = g->model->mesh.x, rest = g->length[k];
+    sfem_real big[3], du[3], d[3], square;
+    sfemi_sub3(x + i, x + j, big);
+    sfemi_sub3(u + i, u + j, du);
+    square = 2 * sfemi_dot3(big, du);
+    if (!g->model->turns) return square / (2 * rest * rest);
+    square += sfemi_dot3(du, du);
+    d[0] = big[0] + du[0], d[1] = big[1] + du[1], d[2] = big[2] + du[2];
+    return square / ((sqrt(sfemi_dot3(d, d)) + rest) * rest);
+}
+
+/* The mean of the strains at both ends, not the strain of the mean, which a turn would shorten. */
+static void sfemi_damage_strain_task(void *data, sfem_int index)
+{
+    const sfemi_damage_round_job *job = (const sfemi_damage_round_job *)data;
+    const sfemi_bonds *g = job->d->bonds;
+    sfem_int end, k = sfemi_damage_range(index, g->edges, &end);
+    for (; k < end; ++k) {
+        job->d->strain[k] = sfemi_damage_edge_strain(g, k, job->step->u1);
+        if (job->step->u0 != job->step->u1)
+            job->d->strain[k] =
+                job->d->strain[k] / 2 + sfemi_damage_edge_strain(g, k, job->step->u0) / 2;
+    }
+}
+
+/* Broken edges store nothing, unless pressed and closed: Psi_e <= tr S/2 sum e^2 over the others. */
+static void sfemi_damage_hot_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
+    int k;
+    for (; e < end; ++e) {
+        const sfem_int *edge = g->tet_edge + 6 * (size_t)e;
+        sfem_real square = 0;
+        for (k = 0; k < 6; ++k) {
+            const sfem_real s = d->strain[edge[k]];
+            if (d->kind[e] == SFEMI_INTACT || d->zeta[edge[k]] > 0 || (g->def.closure && s < 0))
+                square += s * s;
+        }
+        d->hot[e] = !(square < g->quiet[e]) ||
+                    (d->kind[e] != SFEMI_INTACT && g->def.criterion == SFEM_BREAK_STRESS);
+    }
+}
+
+/* Edges that may break: stretched, whole, and in a tet that is not quiet. */
+static void sfemi_damage_near_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
+    for (; k < end; ++k) {
+        d->near_hot[k] = 0;
+        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k]) continue;
+        for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_hot[k]; ++i)
+            d->near_hot[k] = d->hot[g->edge_tet[i] / 6];
+    }
+}
+
+/* s = S_d e of a tet, and the diagonal of S_d. */
+static void sfemi_damage_tet_stress(const sfemi_damage *d, sfem_int e, const sfem_damage_tet *tet,
+                                    sfem_real s[6], sfem_real diagonal[6])
+{
+    const sfem_real *s_d = d->s + 36 * (size_t)e;
+    sfem_real strain[6], zeta[6], closed[36];
+    int k, l;
+    for (k = 0; k < 6; ++k) strain[k] = d->strain[d->bonds->tet_edge[6 * e + k]];
+    if (d->kind[e] == SFEMI_INTACT) {
+        sfem_real eps[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, sigma[9], *at;
+        for (k = 0; k < 6; ++k) {
+            const sfem_real *a, *b, p = sfemi_damage_unit(tet, k, &a, &b) * strain[k] / 2;
+            for (l = 0, at = eps; l < 9; ++l, ++at) *at += p * (a[l / 3] * b[l % 3] + b[l / 3] * a[l % 3]);
+        }
+        sfemi_law_hooke(tet->lambda, tet->mu, eps, sigma);
+        for (k = 0; k < 6; ++k) {
+            const sfem_real *a, *b, p = sfemi_damage_unit(tet, k, &a, &b);
+            for (l = 0, s[k] = 0; l < 9; ++l) s[k] += p * a[l / 3] * sigma[l] * b[l % 3];
+            diagonal[k] = sfemi_damage_entry(tet, k, k);
+        }
+        return;
+    }
+    if (d->bonds->def.closure) {
+        sfemi_damage_zetas(d, e, zeta);
+        sfemi_damage_close(tet, zeta, strain, closed);
+        s_d = closed;
+    }
+    for (k = 0; k < 6; ++k) {
+        for (l = 0, s[k] = 0; l < 6; ++l) s[k] += s_d[6 * k + l] * strain[l];
+        diagonal[k] = s_d[7 * k];
+    }
+}
+
+/* sigma = T^T s = sum s_k n_k n_k^T */
+static void sfemi_damage_cauchy(const sfem_damage_tet *tet, const sfem_real s[6], sfem_real sigma[9])
+{
+    int k, i;
+    for (i = 0; i < 9; ++i)
+        for (k = 0, sigma[i] = 0; k < 6; ++k) sigma[i] += s[k] * tet->n[k][i / 3] * tet->n[k][i % 3];
+}
+
+static void sfemi_damage_weigh_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
+    int k, near_hot;
+    for (; e < end; ++e) {
+        sfem_real *s = d->stress + 6 * (size_t)e, *weight = d->weight + 6 * (size_t)e;
+        sfem_real diagonal[6], sigma[9];
+        sfem_damage_tet tet;
+        for (k = near_hot = 0; k < 6; ++k) near_hot |= d->near_hot[g->tet_edge[6 * e + k]];
+        if (!near_hot) continue;
+        sfemi_damage_tet(g->model, e, &tet);
+        sfemi_damage_tet_stress(d, e, &tet, s, diagonal);
+        sfemi_damage_cauchy(&tet, s, sigma);
+        for (k = 0; k < 6; ++k) {
+            const sfem_real *n = tet.n[k];
+            weight[k] = 0;
+            if (g->def.criterion == SFEM_BREAK_STRESS)
+                weight[k] = tet.volume * (n[0] * sfemi_dot3(sigma, n) + n[1] * sfemi_dot3(sigma + 3, n) +
+                                          n[2] * sfemi_dot3(sigma + 6, n));
+            else if (diagonal[k] > 0)
+                weight[k] = tet.volume * s[k] * s[k] / (2 * diagonal[k]);
+        }
+    }
+}
+
+/* Is the largest principal stress of some tet round edge k above the gate? */
+static int sfemi_damage_rankine(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int i;
+    if (!(g->def.rankine > 0)) return 1;
+    for (i = g->tet_start[k]; i < g->tet_start[k + 1]; ++i) {
+        const sfem_int e = g->edge_tet[i] / 6;
+        sfem_real sigma[9], w[3], v[9];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(g->model, e, &tet);
+        sfemi_damage_cauchy(&tet, d->stress + 6 * (size_t)e, sigma);
+        sfemi_sym_eigen(3, sigma, w, v);
+        if (w[0] >= g->def.rankine) return 1;
+    }
+    return 0;
+}
+
+static void sfemi_damage_ratio_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    const sfem_damage_def *def = &g->def;
+    sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
+    for (; k < end; ++k) {
+        sfem_real sum = 0, pull = 0, volume = 0;
+        d->ratio[k] = 0;
+        if (!d->near_hot[k]) continue;
+        for (i = g->tet_start[k]; i < g->tet_start[k + 1]; ++i) {
+            const sfem_real v = g->model->volume[g->edge_tet[i] / 6];
+            sum += d->weight[g->edge_tet[i]];
+            pull += v * d->stress[g->edge_tet[i]];
+            volume += v;
+        }
+        switch (def->criterion) {
+        case SFEM_BREAK_ENERGY: sum = pull > 0 ? sum / g->price[k] : 0; break;
+        case SFEM_BREAK_STRESS: sum /= volume * def->strength * g->factor[k]; break;
+        default: sum = pull > 0 ? d->strain[k] / (def->strength * g->factor[k]) : 0;
+        }
+        d->ratio[k] = fmax(sum, 0.0);
+        if (d->ratio[k] >= 1 && !sfemi_damage_rankine(d, k)) d->ratio[k] = 0;
+    }
+}
+
+static void sfemi_damage_most_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, i = sfemi_damage_range(index, g->model->mesh.nodes, &end), k;
+    for (; i < end; ++i)
+        for (k = g->node_start[i], d->most[i] = 0; k < g->node_start[i + 1]; ++k)
+            d->most[i] = fmax(d->most[i], d->ratio[g->node_edge[k]]);
+}
+
+/* Is edge k the first of the edges with the largest ratio round both of its nodes? */
+static int sfemi_damage_is_peak(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    int side;
+    for (side = 0; side < 2; ++side) {
+        const sfem_int node = g->end[2 * k + side];
+        sfem_int i;
+        if (d->ratio[k] < d->most[node]) return 0;
+        for (i = g->node_start[node]; g->node_edge[i] != k; ++i) /* ascending */
+            if (d->ratio[g->node_edge[i]] >= d->ratio[k]) return 0;
+    }
+    return 1;
+}
+
+/* What one tet contributes to the invariant, and its forces at both ends. */
+static void sfemi_damage_local(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law, int kind,
+                               const sfem_real zeta[6], const sfem_real s_d[36], const sfem_real u0[12],
+                               const sfem_real u1[12], sfem_real f[24], sfem_real out[3])
+{
+    int i;
+    out[0] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u0, f);
+    out[1] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u1, f + 12);
+    for (i = 0, out[2] = 0; i < 12; ++i) out[2] += (u1[i] - u0[i]) * (f[12 + i] - f[i]);
+}
+
+/* What lowering zeta of edge k to `to` does: the sums over its tets of the changes of Psi(u0), Psi(u1),
+ * (u1-u0).(f1-f0); S_d and the changes of the forces go to d->local. */
+static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to, const sfemi_damage_step *step,
+                                  sfem_real sum[3])
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_model *model = g->model;
+    sfem_real *local = d->local;
+    sfem_int at;
+    int i;
+    sum[0] = sum[1] = sum[2] = 0;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at, local += 60) {
+        const sfem_int e = g->edge_tet[at] / 6, *t = model->mesh.tet + 4 * (size_t)e;
+        const sfem_law law = (sfem_law)model->law[e];
+        sfem_real zeta[6], u0[12], u1[12], f[24], before[3], after[3];
+        sfem_damage_tet tet;
+        unsigned mask = sfemi_damage_zetas(d, e, zeta);
+        int kind;
+        sfemi_damage_tet(model, e, &tet);
+        sfemi_damage_gather(step->u0, t, u0);
+        sfemi_damage_gather(step->u1, t, u1);
+        sfemi_damage_local(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u0, u1, f, before);
+        zeta[g->edge_tet[at] % 6] = to;
+        if (!(to > 0)) mask &= ~(1u << g->edge_tet[at] % 6);
+        kind = sfemi_damage_assess(d, &tet, zeta, mask, local);
+        sfemi_damage_local(d, &tet, law, kind, zeta, local, u0, u1, local + 36, after);
+        for (i = 0; i < 24; ++i) local[36 + i] -= f[i];
+        for (i = 0; i < 3; ++i) sum[i] += after[i] - before[i];
+    }
+}
+
+/* Makes it so. */
+static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to, const sfemi_damage_step *step,
+                                sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_real *local = d->local;
+    sfem_int at;
+    int i;
+    d->zeta[k] = to;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at, local += 60) {
+        const sfem_int e = g->edge_tet[at] / 6, *t = g->model->mesh.tet + 4 * (size_t)e;
+        sfem_real zeta[6];
+        const unsigned mask = sfemi_damage_zetas(d, e, zeta);
+        if (d->kind[e] == SFEMI_INTACT) {
+            d->fresh[d->fresh_count++] = e;
+            sfemi_damage_mask(d, e);
+            ++change->hurt;
+        }
+        memcpy(d->s + 36 * (size_t)e, local, 36 * sizeof *local);
+        d->kind[e] = sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
+        for (i = 0; i < 12; ++i) {
+            const size_t to_node = 3 * (size_t)t[i / 3] + (size_t)(i % 3);
+            if (step->f0 && step->u0 != step->u1) step->f0[to_node] += local[36 + i];
+            if (step->f1) step->f1[to_node] += local[48 + i];
+        }
+    }
+}
+
+static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason reason, sfem_real released)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_break *b = d->event + d->events;
+    int c;
+    d->event_edge[d->events++] = k;
+    for (c = 0; c < 2; ++c) b->node[c] = g->end[2 * k + c];
+    for (c = 0; c < 3; ++c)
+        b->x[c] = (g->model->mesh.x[3 * (size_t)b->node[0] + (size_t)c] +
+                   g->model->mesh.x[3 * (size_t)b->node[1] + (size_t)c]) / 2;
+    b->reason = reason;
+    b->area = g->area[k];
+    b->price = g->price[k];
+    b->released = released;
+}
+
+/* Lowers zeta of edge k to `to` unless that made energy; then it has to wait. */
+static int sfemi_damage_try(sfemi_damage *d, sfem_int k, sfem_real to, sfem_break_reason reason,
+                            const sfemi_damage_step *step, sfemi_damage_change *change)
+{
+    sfem_real sum[3], rise;
+    sfemi_damage_consider(d, k, to, step, sum);
+    rise = step->a0 * sum[0] + step->a1 * sum[1] - step->ac * sum[2];
+    if (!(rise <= 0)) {
+        ++change->delayed;
+        return 0;
+    }
+    sfemi_damage_commit(d, k, to, step, change);
+    change->psi0 += sum[0];
+    change->psi1 += sum[1];
+    change->cross += sum[2];
+    change->released -= rise;
+    if (to > 0) {
+        ++change->softened;
+        return 1;
+    }
+    d->mark[k] = 0;
+    sfemi_damage_record(d, k, reason, -rise);
+    change->price += d->bonds->price[k];
+    return 1;
+}
+
+/* The newly damaged tets join the others in ascending order. */
+static void sfemi_damage_merge(sfemi_damage *d)
+{
+    sfem_int i, j, n = 0, gap, e;
+    for (gap = d->fresh_count / 2; gap > 0; gap /= 2) /* Shell 1959 */
+        for (i = gap; i < d->fresh_count; ++i) {
+            e = d->fresh[i];
+            for (j = i; j >= gap && d->fresh[j - gap] > e; j -= gap) d->fresh[j] = d->fresh[j - gap];
+            d->fresh[j] = e;
+        }
+    if (!d->fresh_count) return;
+    for (i = j = 0; i < d->tets || j < d->fresh_count;)
+        d->merge[n++] = j == d->fresh_count || (i < d->tets && d->tet[i] < d->fresh[j]) ? d->tet[i++]
+                                                                                       : d->fresh[j++];
+    memcpy(d->tet, d->merge, (size_t)n * sizeof *d->tet);
+    d->tets = n;
+    d->fresh_count = 0;
+}
+
+/* Is edge k, which is not broken, the only link between its nodes in every tet around it? */
+static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_real zeta[6];
+    sfem_int at;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
+        const sfem_int e = g->edge_tet[at] / 6;
+        if (d->kind[e] == SFEMI_INTACT ||
+            !(sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1))
+            return 0;
+    }
+    return 1;
+}
+
+/* Breaks lone edges: no crack surface separates what they hold, and they hold next to nothing. Breaking
+ * one may leave another. d->lone: there may be some, for something broke or one had to wait. */
+static void sfemi_damage_sweep_lone(sfemi_damage *d, const sfemi_damage_step *step,
+                                    sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_real zeta[6];
+    sfem_int i;
+    int pass, k, did = d->lone || d->events;
+    for (pass = 0; pass < 10 && did; ++pass) {
+        for (i = did = d->lone = 0; i < d->tets; ++i) {
+            const sfem_int e = d->tet[i];
+            const unsigned links = sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)];
+            for (k = 0; k < 6; ++k) {
+                const sfem_int edge = g->tet_edge[6 * e + k];
+                if (!(links >> k & 1) || g->never[edge] || g->edge_tet[g->tet_start[edge]] / 6 != e)
+                    continue; /* each edge once, at its first tet */
+                if (!(d->zeta[edge] > 0) || !sfemi_damage_is_lone(d, edge)) continue;
+                if (sfemi_damage_try(d, edge, 0, SFEM_BROKE_LONE, step, change)) did = 1;
+                else d->lone = 1;
+            }
+        }
+        sfemi_damage_merge(d);
+    }
+    d->lone |= did;
+}
+
+/* zeta of a ductile edge, from the largest strain so far. */
+static sfem_real sfemi_damage_soft(const sfemi_damage *d, sfem_int k)
+{
+    const sfem_damage_def *def = &d->bonds->def;
+    const sfem_real strain = d->peak[k] / d->bonds->factor[k];
+    if (strain <= def->soften[0]) return 1;
+    return strain < def->soften[1] ? (def->soften[1] - strain) / (def->soften[1] - def->soften[0]) : 0;
+}
+
+static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
+                                sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int k;
+    for (k = 0; k < g->edges; ++k) {
+        if (!(d->zeta[k] > 0) || g->never[k]) continue;
+        if (d->near_hot[k] && d->strain[k] > d->peak[k] && sfemi_damage_rankine(d, k))
+            d->peak[k] = d->strain[k];
+        if (sfemi_damage_soft(d, k) < d->zeta[k])
+            sfemi_damage_try(d, k, sfemi_damage_soft(d, k), SFEM_BROKE_CRITERION, step, change);
+    }
+}
+
+/* One round of breaking after a step: softening, or local maxima of the criterion at the midpoint; edges
+ * that a blade has marked; then lone edges. Every break lowers the invariant, at worst by nothing. Fills
+ * *change and d->event[0 .. d->events). What is far from breaking costs about 10 ns a tet. */
+SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
+                                            sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_int per = SFEMI_ROUND_TASK, edges = (g->edges + per - 1) / per;
+    const sfem_int tets = (g->model->mesh.tets + per - 1) / per;
+    const sfem_int pieces = d->pieces;
+    sfemi_damage_round_job job;
+    sfem_int k, i;
+    int hot;
+    memset(change, 0, sizeof *change);
+    d->events = 0;
+    job.d = d;
+    job.step = step;
+    sfemi_run(step->exec, edges, sfemi_damage_strain_task, &job);
+    sfemi_run(step->exec, tets, sfemi_damage_hot_task, &job);
+    hot = memchr(d->hot, 1, (size_t)g->model->mesh.tets) != NULL;
+    if (hot) {
+        sfemi_run(step->exec, edges, sfemi_damage_near_task, &job);
+        sfemi_run(step->exec, tets, sfemi_damage_weigh_task, &job);
+    } else {
+        memset(d->near_hot, 0, (size_t)g->edges);
+    }
+    if (d->peak) {
+        sfemi_damage_soften(d, step, change);
+    } else if (hot) {
+        sfemi_run(step->exec, edges, sfemi_damage_ratio_task, &job);
+        sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
+        for (k = 0; k < g->edges; ++k)
+            if (d->ratio[k] >= 1 && sfemi_damage_is_peak(d, k))
+                sfemi_damage_try(d, k, 0, SFEM_BROKE_CRITERION, step, change);
+    }
+    for (k = 0; k < g->edges; ++k)
+        if (d->mark[k] && d->zeta[k] > 0) sfemi_damage_try(d, k, 0, SFEM_BROKE_BLADE, step, change);
+    sfemi_damage_merge(d);
+    sfemi_damage_sweep_lone(d, step, change);
+    change->broken = d->events;
+    for (i = 0; i < d->events; ++i) sfemi_damage_part(d, d->event_edge[i]);
+    if (d->pieces != pieces) sfemi_damage_number_pieces(d);
+    change->pieces = d->pieces - pieces;
+    d->account[SFEMI_RELEASED] += change->released;
+    d->account[SFEMI_PRICE] += change->price;
+    d->account[SFEMI_BROKEN] += change->broken;
+    d->account[SFEMI_DELAYED] += change->delayed;
+}
+
+/* ---- a blade ---- */
+
+/* f(t) = c0 + .. + c3 t^3: the roots in [0, 1], at most 3, between its extrema by bisection. */
+static int sfemi_damage_roots(const sfem_real c[4], sfem_real root[3])
+{
+    sfem_real knot[4] = {0, 1, 1, 1}, a = 3 * c[3], b = c[2], q, r;
+    int knots = 1, i, found = 0, pass;
+    const sfem_real discriminant = b * b - a * c[1];
+    if (discriminant > 0) { /* of f'/1 = a t^2 + 2 b t + c1 */
+        q = -(b + (b < 0 ? -1 : 1) * sqrt(discriminant));
+        for (i = 0; i < 2; ++i) {
+            r = i ? (q != 0 ? c[1] / q : 0) : (a != 0 ? q / a : 0);
+            if (r > 0 && r < 1) knot[knots++] = r;
+        }
+        if (knots == 3 && knot[1] > knot[2]) r = knot[1], knot[1] = knot[2], knot[2] = r;
+    }
+    knot[knots] = 1;
+    for (i = 0; i < knots; ++i) {
+        sfem_real low = knot[i], high = knot[i + 1];
+        const sfem_real fl = ((c[3] * low + c[2]) * low + c[1]) * low + c[0];
+        const sfem_real fh = ((c[3] * high + c[2]) * high + c[1]) * high + c[0];
+        if (!((fl <= 0 && fh >= 0) || (fl >= 0 && fh <= 0)) || fl == fh) continue;
+        for (pass = 0; pass < 60; ++pass) {
+            const sfem_real mid = (low + high) / 2;
+            const sfem_real f = ((c[3] * mid + c[2]) * mid + c[1]) * mid + c[0];
+            if ((f > 0) == (fh > 0) && f != 0) high = mid;
+            else low = mid;
+        }
+        root[found++] = (low + high) / 2;
+    }
+    return found;
+}
+
+/* The cubic through the values at 0, 1/3, 2/3, 1. */
+static void sfemi_damage_cubic(const sfem_real f[4], sfem_real c[4])
+{
+    c[0] = f[0];
+    c[1] = (-11 * f[0] + 18 * f[1] - 9 * f[2] + 2 * f[3]) / 2;
+    c[2] = (18 * f[0] - 45 * f[1] + 36 * f[2] - 9 * f[3]) / 2;
+    c[3] = (-9 * f[0] + 27 * f[1] - 27 * f[2] + 9 * f[3]) / 2;
+}
+
+static void sfemi_damage_between(const sfem_real *from, const sfem_real *to, sfem_real t, int n,
+                                 sfem_real *out)
+{
+    int i;
+    for (i = 0; i < n; ++i) out[i] = from[i] + t * (to[i] - from[i]);
+}
+
+/* Does segment a b meet triangle v? Lying in its plane does not count. */
+static int sfemi_damage_stabs(const sfem_real *a, const sfem_real *b, const sfem_real v[9])
+{
+    const sfem_real da = sfemi_volume6(v, v + 3, v + 6, a), db = sfemi_volume6(v, v + 3, v + 6, b);
+    sfem_real side[3];
+    int i;
+    if ((da > 0 && db > 0) || (da < 0 && db < 0) || (da == 0 && db == 0)) return 0;
+    for (i = 0; i < 3; ++i) side[i] = sfemi_volume6(a, b, v + 3 * i, v + 3 * ((i + 1) % 3));
+    return (side[0] >= 0 && side[1] >= 0 && side[2] >= 0) || (side[0] <= 0 && side[1] <= 0 && side[2] <= 0);
+}
+
+/* Is p, which lies in the plane of triangle v, in the triangle? */
+static int sfemi_damage_inside(const sfem_real *p, const sfem_real v[9])
+{
+    sfem_real e[3], f[3], n[3], c[3], area2;
+    int i;
+    sfemi_sub3(v + 3, v, e);
+    sfemi_sub3(v + 6, v, f);
+    sfemi_cross(e, f, n);
+    area2 = sfemi_dot3(n, n);
+    for (i = 0; i < 3; ++i) {
+        sfemi_sub3(v + 3 * ((i + 1) % 3), v + 3 * i, e);
+        sfemi_sub3(p, v + 3 * i, f);
+        sfemi_cross(e, f, c);
+        if (!(sfemi_dot3(c, n) >= -1e-9 * area2)) return 0;
+    }
+    return area2 > 0;
+}
+
+/* Do segments a b and c d, which lie in one plane, meet? */
+static int sfemi_damage_meet(const sfem_real *a, const sfem_real *b, const sfem_real *c, const sfem_real *d)
+{
+    sfem_real r[3], s[3], w[3], n[3], rw[3], sw[3], n2, along, across;
+    sfemi_sub3(b, a, r);
+    sfemi_sub3(d, c, s);
+    sfemi_sub3(c, a, w);
+    sfemi_cross(r, s, n);
+    n2 = sfemi_dot3(n, n);
+    if (!(n2 > 1e-24 * sfemi_dot3(r, r) * sfemi_dot3(s, s))) return 0;
+    sfemi_cross(w, s, sw);
+    sfemi_cross(w, r, rw);
+    along = sfemi_dot3(sw, n) / n2;
+    across = sfemi_dot3(rw, n) / n2;
+    return along >= -1e-9 && along <= 1 + 1e-9 && across >= -1e-9 && across <= 1 + 1e-9;
+}
+
+/* Does a triangle whose corners move straight from `from` to `to` cross segment a b? If it does, it
+ * does so at the start or the end, or there is a first time, at which an end of the segment lies in the
+ * triangle or the segment meets one of its sides: roots of cubics [after Provot 1997]. */
+static int sfemi_damage_crosses(const sfem_real a[3], const sfem_real b[3], const sfem_real from[9],
+                                const sfem_real to[9])
+{
+    sfem_real v[4][9], f[4], c[4], root[3], now[9];
+    int i, t, event, roots;
+    if (sfemi_damage_stabs(a, b, from) || sfemi_damage_stabs(a, b, to)) return 1;
+    for (t = 0; t < 4; ++t) sfemi_damage_between(from, to, t / 3.0, 9, v[t]);
+    for (event = 0; event < 5; ++event) {
+        const int i0 = 3 * (event % 3), i1 = 3 * ((event + 1) % 3);
+        for (t = 0; t < 4; ++t)
+            f[t] = event < 3 ? sfemi_volume6(a, b, v[t] + i0, v[t] + i1)
+                             : sfemi_volume6(v[t], v[t] + 3, v[t] + 6, event == 3 ? a : b);
+        sfemi_damage_cubic(f, c);
+        roots = sfemi_damage_roots(c, root);
+        for (i = 0; i < roots; ++i) {
+            sfemi_damage_between(from, to, root[i], 9, now);
+            if (event < 3 ? sfemi_damage_meet(a, b, now + i0, now + i1)
+                          : sfemi_damage_inside(event == 3 ? a : b, now))
+                return 1;
+        }
+    }
+    return 0;
+}
+
+/* Marks every edge that the triangle from [3][3], m, crosses while its corners move to `to`, the edges
+ * where u puts them; returns how many were newly marked. They break in the rounds that follow.
+ * O(edges). */
+SFEMI_UNUSED static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u, const sfem_real from[9],
+                                              const sfem_real to[9])
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_real low[3], high[3];
+    sfem_int k, count = 0;
+    int i, c;
+    for (c = 0; c < 3; ++c) {
+        low[c] = high[c] = from[c];
+        for (i = 0; i < 3; ++i) {
+            low[c] = fmin(low[c], fmin(from[3 * i + c], to[3 * i + c]));
+            high[c] = fmax(high[c], fmax(from[3 * i + c], to[3 * i + c]));
+        }
+    }
+    for (k = 0; k < g->edges; ++k) {
+        const size_t i0 = 3 * (size_t)g->end[2 * k], i1 = 3 * (size_t)g->end[2 * k + 1];
+        const sfem_real *x = g->model->mesh.x;
+        sfem_real a[3], b[3];
+        if (!(d->zeta[k] > 0) || d->mark[k] || g->never[k] == SFEMI_NEVER) continue;
+        for (c = 0; c < 3; ++c) {
+            a[c] = x[i0 + (size_t)c] + u[i0 + (size_t)c];
+            b[c] = x[i1 + (size_t)c] + u[i1 + (size_t)c];
+            if (fmax(a[c], b[c]) < low[c] || fmin(a[c], b[c]) > high[c]) break;
+        }
+        if (c < 3 || !sfemi_damage_crosses(a, b, from, to)) continue;
+        d->mark[k] = 1;
+        ++count;
+    }
+    return count;
+}
+
+/* out [d->pieces], at displacements u and velocities v (NULL: at rest). O(nodes). */
+SFEMI_UNUSED static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const sfem_real *v,
+                                             sfem_piece *out)
+{
+    const sfem_model *model = d->bonds->model;
+    const sfem_int nodes = model->mesh.nodes;
+    sfem_int i;
+    int c;
+    memset(out, 0, (size_t)d->pieces * sizeof *out);
+    for (i = 0; i < nodes; ++i) {
+        const sfem_real m = model->node_mass[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_piece *p;
+        if (d->piece_of[i] < 0) continue;
+        p = out + d->piece_of[i];
+        if (!p->nodes++) p->first = i;
+        p->mass += m;
+        for (c = 0; c < 3; ++c) {
+            const sfem_real x = model->mesh.x[at + (size_t)c] + u[at + (size_t)c];
+            p->centre[c] += m * x;
+            if (v) p->momentum[c] += m * v[at + (size_t)c];
+            p->box[0][c] = p->nodes == 1 ? x : fmin(p->box[0][c], x);
+            p->box[1][c] = p->nodes == 1 ? x : fmax(p->box[1][c], x);
+        }
+    }
+    for (i = 0; i < d->pieces; ++i)
+        for (c = 0; c < 3; ++c) out[i].centre[c] /= out[i].mass;
+    for (i = 0; v && i < nodes; ++i) {
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], l[3];
+        sfem_piece *p;
+        if (d->piece_of[i] < 0) continue;
+        p = out + d->piece_of[i];
+        for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+        sfemi_cross(r, v + at, l);
+        for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
+    }
+}
 
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
