@@ -1032,6 +1032,8 @@ typedef struct sfem_body_def {
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
     int no_guard;             /* take every step as it comes, even if it makes energy */
+    const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
+                               * NULL, the default: it does not, and pays nothing for it. Read by create only */
     sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
     sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
@@ -1241,6 +1243,76 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, con
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
+
+/* Fracture, of a body made with a damage definition (>>api-damage); on others these trip SFEM_ASSERT, but
+ * for sfem_body_fracture. At the end of a step edges are judged at its midpoint, in one round: an edge
+ * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
+ * whole body stays, and stays stable (see sfem_damage_law for p). What it costs is accuracy: pieces that
+ * are held part too slowly at large steps, by the inertia p h^2 K across the crack, until the factor is
+ * renewed; pieces that nothing holds move, and turn, as they should at once. How a crack runs depends on the
+ * mesh and on the step: no more than one round a step, so a crack passes at most about one edge a step.
+ * Nothing is allocated after sfem_body_create. set_state keeps what is broken; statics are refused then;
+ * a body of linear laws sees small rotations only, and its pieces with it. */
+typedef struct sfem_fracture {
+    sfem_int pieces;     /* connected components over intact edges: 1 */
+    sfem_int free_pieces; /* those that no pin or handle holds */
+    sfem_int broken;     /* edges */
+    sfem_int breaks;     /* edges broken in the last step */
+    sfem_int marked;     /* edges that a blade has crossed, or that were told to break, and that wait: they
+                          * would make energy */
+    /* Energies since the state was last set, J, taken in the middle of steps: */
+    sfem_real kinetic_elastic; /* T + U of the last step: 1/2 w'.r M w' + (Psi + Psi')/2 + (p-1/2)
+                          * (u'-u).(f'-f)/2, of nodes that are not pinned; at p = 1/4 and linear Psi((u+u')/2) */
+    sfem_real start;     /* the same of the first step */
+    sfem_real work;      /* of loads, handles and moved pins; not of forces added to sfem_body_rhs */
+    sfem_real damped;    /* taken by damping */
+    sfem_real released;  /* taken by breaks */
+    sfem_real guarded;   /* taken by steps that were done again */
+    sfem_real error;     /* kinetic_elastic - start - work + damped + released + guarded: what lies in the
+                          * inertia of an old factor (< 0 as it builds up), and in turning by finite steps */
+    sfem_real scale;     /* the largest of the terms so far: error/scale is the relative error */
+    sfem_real surface;   /* share Gc a of all edges broken since the body was whole */
+    sfem_real least_p;   /* that the damage asks for; 0: no more than any body */
+} sfem_fracture;
+SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *body); /* one piece, zeros without damage */
+/* What broke in the last step, in ascending order of edges; good until the next one. */
+SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *body, sfem_int *count);
+/* All pieces, [sfem_body_fracture(body).pieces], by their lowest node; and the piece of each node, -1 in no
+ * tet: [nodes], good until the next step. O(nodes). */
+SFEM_DEF void sfem_body_pieces(const sfem_body *body, sfem_piece *out);
+SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *body);
+/* What is left of the edge between two nodes, 1 intact to 0 broken; 0 where the mesh has none. */
+SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *body, sfem_int i, sfem_int j);
+/* Tells an edge to break, from the next step on as soon as that makes no energy. Unbreakable edges
+ * do not.  errors SFEM_BAD_ARGUMENT: no such edge, or unbreakable */
+SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *body, sfem_int i, sfem_int j, sfem_error *err);
+/* A blade: the same for every edge that the triangle `from` [3][3] crosses on its way to `to`, m, at the
+ * positions of now. *marked (or NULL): how many it met. O(edges).  errors SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_body_cut(sfem_body *body, const sfem_real from[9], const sfem_real to[9],
+                                   sfem_int *marked, sfem_error *err);
+/* Everything intact again, where it is; energies start afresh. O(tets) */
+SFEM_DEF void sfem_body_heal(sfem_body *body);
+
+/* The surface of what is left, for display: every node's cell of the barycentric dual, bounded by the outer
+ * surface and by the dual areas of broken edges, which appear once for each side. Midpoints of edges,
+ * faces and tets have one copy for each group of their nodes that their own intact edges connect, so that
+ * pieces, and cracks that end inside a piece, are closed surfaces alike: every edge in two triangles. */
+typedef struct sfem_fragments {
+    sfem_int vertices, triangles;
+    sfem_int *tri;        /* [triangles][3] vertices, counter-clockwise from outside */
+    sfem_int *node;       /* [triangles] whose cell it bounds: sfem_body_piece_of tells the piece */
+    unsigned char *made;  /* [triangles] 1: by a break, 0: of the outer surface */
+    sfem_int *simplex;    /* [vertices][4] the nodes that a vertex lies between, -1 where there are fewer, */
+    unsigned char *group; /* [vertices] and those it goes with: bit k for the k-th */
+    sfem_allocator allocator;
+} sfem_fragments;
+/* O(tets), 1 us a tet. errors SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *body, const sfem_allocator *allocator,
+                                         sfem_fragments *out, sfem_error *err);
+SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
+/* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
+ * take them, turned with the intact edges there. Between steps; allocates nothing. */
+SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
 
 /* ============================================================================================
  * >>api-modes   eigenvalues and modes
@@ -11656,6 +11728,8 @@ static void sfemi_damage_find_pieces(sfemi_damage *d)
     }
 }
 
+enum { SFEMI_NEXT = 2 }; /* in near_hot: broken, too, but to be looked at later */
+
 /* Does edge `edge`, broken, part a piece? Searches from its two ends by turns, a node each, until they
  * meet or the smaller side is done, which then gets a label of its own: O(smaller side). stamp is
  * all -1 before and after. */
@@ -11675,7 +11749,9 @@ static int sfemi_damage_part(sfemi_damage *d, sfem_int edge)
         const sfem_int node = queue[side][head[side]++];
         for (k = g->node_start[node]; k < g->node_start[node + 1] && !met; ++k) {
             const sfem_int j = sfemi_damage_across(g, g->node_edge[k], node);
-            if (!(d->zeta[g->node_edge[k]] > 0) || d->stamp[j] == side) continue;
+            if (!(d->zeta[g->node_edge[k]] > 0 || d->near_hot[g->node_edge[k]] == SFEMI_NEXT) ||
+                d->stamp[j] == side)
+                continue;
             met = d->stamp[j] == !side;
             d->stamp[j] = met ? d->stamp[j] : side;
             if (!met) queue[side][tail[side]++] = j;
@@ -12375,7 +12451,12 @@ SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_
     sfemi_damage_merge(d);
     sfemi_damage_sweep_lone(d, step, change);
     change->broken = d->events;
-    for (i = 0; i < d->events; ++i) sfemi_damage_part(d, d->event_edge[i]);
+    /* one after the other: of two that part three pieces, the first must find the other one whole */
+    for (i = 0; i < d->events; ++i) d->near_hot[d->event_edge[i]] = SFEMI_NEXT;
+    for (i = 0; i < d->events; ++i) {
+        d->near_hot[d->event_edge[i]] = 0;
+        sfemi_damage_part(d, d->event_edge[i]);
+    }
     if (d->pieces != pieces) sfemi_damage_number_pieces(d);
     change->pieces = d->pieces - pieces;
     d->account[SFEMI_RELEASED] += change->released;
@@ -12954,6 +13035,14 @@ enum { SFEMI_AWAKE, SFEMI_CALM, SFEMI_ASLEEP };
 enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
+/* What has come and gone of the energy of a body that may break. */
+typedef struct sfemi_books {
+    sfem_real start, now;   /* kinetic and elastic energy in the middle of the first step and the last, J */
+    sfem_real work, damped, released, guarded; /* since then */
+    sfem_real scale;        /* the largest of all of these so far */
+    int64_t open;           /* start is known */
+} sfemi_books;
+
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
  * the mean velocity over the last step for (p,q,r). */
 typedef struct sfemi_state {
@@ -12965,6 +13054,8 @@ typedef struct sfemi_state {
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
+    sfemi_books *books;    /* these two only where the body may break */
+    void *damage;          /* [bytes] >>damage's own state */
 } sfemi_state;
 
 /* reals a node: u, w, a and three loads; f, f_past and frame besides; before */
@@ -12973,13 +13064,17 @@ static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
     return ((turns ? 33 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
 }
 
-static size_t sfemi_state_bytes(sfem_int nodes, int turns, int sleeps, sfem_int pins, sfem_int handles)
+/* damage: how many bytes of it, 0 where the body cannot break */
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, int sleeps, sfem_int pins, sfem_int handles,
+                                size_t damage)
 {
     return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns, sleeps) * sizeof(sfem_real) +
-           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
+           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle) +
+           (damage ? sizeof(sfemi_books) + damage : 0);
 }
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, int sleeps, sfem_int pins)
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, int sleeps, sfem_int pins,
+                                sfem_int handles, size_t damage)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -12995,6 +13090,8 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->before = sleeps ? at + (turns ? 11 : 6) * n : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
+    s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
+    s->damage = damage ? (void *)(s->books + 1) : NULL;
 }
 
 /* FNV-1a [Fowler, Noll, Vo 1991]. */
@@ -13211,6 +13308,7 @@ typedef struct sfemi_turn {
     sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
     sfem_real *trace;    /* [nodes] and this */
     sfem_real *v;        /* [nodes][3] scratch */
+    sfem_real *still;    /* [nodes][3] zeros where no law turns, else NULL */
 } sfemi_turn;
 
 /* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
@@ -13313,12 +13411,14 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    int turns;             /* a nonlinear law: >>turn and >>guard apply */
+    int turns;             /* a nonlinear law or damage: >>turn and >>guard apply */
     int sleeps;            /* it may */
     sfemi_state state;
     sfemi_grip grip;
     sfemi_turn turn;
     sfemi_guard guard;
+    sfemi_bonds *bonds;    /* these two only where the body may break */
+    sfemi_damage *damage;
     /* prepared */
     sfem_factor *factor;
     sfem_real h, p;      /* what the factor is for */
@@ -14946,7 +15046,7 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
  * ============================================================================================ */
 
 /* Inverse of an inertia, kept finite where it is singular; that of a piece crushed to a point, so far below
- * its inertia at rest that only rounding tells its rotation, becomes zero. */
+ * its inertia at rest that only rounding tells its rotation, becomes zero, as does that of a lone node. */
 static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real inverse[9])
 {
     sfem_real a[9], c[9], det;
@@ -14955,7 +15055,14 @@ static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real in
     for (i = 0; i < 9; i += 4) a[i] += 1e-12 * (m[0] + m[4] + m[8]);
     sfemi_cofactor3(a, c);
     det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
-    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && rest > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
+}
+
+/* Where rigid motions are taken: at X + u, or at X where all laws are linear. What costs no energy there,
+ * and what K does not see, are the infinitesimal rotations of the rest pose. */
+static const sfem_real *sfemi_turn_pose(const sfem_body *b, const sfem_real *u)
+{
+    return b->turn.still ? b->turn.still : u;
 }
 
 /* Mass, centre and inertia of every piece at X + u. */
@@ -14965,9 +15072,10 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
     const sfem_int nodes = model->mesh.nodes;
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
-    int c, held = 1;
+    int c, held = !b->damage;
     for (k = 0; k < t->pieces; ++k) held &= t->piece[k].held;
     if (held) return; /* nobody asks */
+    u = sfemi_turn_pose(b, u);
     for (k = 0; k < t->pieces; ++k) {
         t->piece[k].mass = 0;
         memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
@@ -15011,15 +15119,33 @@ static void sfemi_turn_weigh(sfem_body *b)
     for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += model->volume[i / 4];
     for (i = 0; i < model->mesh.nodes; ++i)
         if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
-    memset(b->guard.u, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->guard.u);
-    sfemi_turn_locate(b, b->guard.u);
+    memset(b->turn.v, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->turn.v);
+    sfemi_turn_locate(b, b->turn.v);
+    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
             const sfem_real r = model->mesh.x[3 * (size_t)i + (size_t)c] - p->centre[c];
             p->rest += model->node_mass[i] * r * r;
         }
+        if (b->turn.piece_of[i] >= 0) p->sum[0][0] += 1;
     }
+    for (i = 0; i < b->turn.pieces; ++i)
+        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+}
+
+/* Which pieces are held by pins or handles. */
+static void sfemi_turn_find_held(sfem_body *b)
+{
+    sfem_int i, k;
+    int l;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i)
+        for (l = 0; b->state.handle[i].used && l < 4; ++l)
+            if (b->state.handle[i].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
 }
 
 /* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
@@ -15029,6 +15155,7 @@ static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_rea
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
     int c;
+    u = sfemi_turn_pose(b, u);
     for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = t->piece + t->piece_of[i];
@@ -15077,6 +15204,7 @@ static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real sc
     const sfem_model *model = b->model;
     sfem_int i;
     int c;
+    u = sfemi_turn_pose(b, u);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
         const size_t at = 3 * (size_t)i;
@@ -15266,7 +15394,7 @@ static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
 static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
 {
     sfemi_frames job;
-    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT || !b->model->turns) return;
     if (b->def.frame == SFEM_FRAME_PIECE) {
         sfemi_turn_piece_frames(b, frame);
         return;
@@ -15275,6 +15403,53 @@ static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
     job.frame = frame;
     job.kernel = sfemi_polars_pick();
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
+}
+
+/* y += (K_frac - K) z, small strain about rest. */
+static void sfemi_fracture_multiply(const sfem_body *b, const sfem_real *z, sfem_real *y)
+{
+    const sfem_model *model = b->model;
+    sfem_int k;
+    int a, c;
+    for (k = 0; k < b->damage->tets; ++k) {
+        const sfem_int e = b->damage->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real x[12], u[12], f[12];
+        sfem_damage_tet tet;
+        for (a = 0; a < 4; ++a) {
+            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
+            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
+        }
+        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
+        for (a = 0; a < 36; ++a) tet.s[a] = b->damage->s[36 * (size_t)e + (size_t)a] - tet.s[a];
+        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
+        for (a = 0; a < 4; ++a)
+            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
+    }
+}
+
+/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
+ * overwritten. */
+static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const sfem_real *u = b->state.u, *frame = b->state.frame;
+    const int projects = sfemi_turn_projects(b);
+    sfem_real *sum = b->turn.v;
+    size_t i;
+    if (!b->damage || !b->damage->tets) return;
+    if (projects) {
+        sfemi_turn_motion(b, u, z, 1);
+        sfemi_turn_add_motion(b, u, -1, 0, z);
+    }
+    sfemi_turn_rotate(frame, nodes, 1, z, z);
+    memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
+    sfemi_fracture_multiply(b, z, sum);
+    sfemi_turn_rotate(frame, nodes, 0, sum, sum);
+    if (projects) {
+        sfemi_turn_motion(b, u, sum, 0);
+        sfemi_turn_add_motion(b, u, -1, 1, sum);
+    }
+    for (i = 0; i < 3 * (size_t)nodes; ++i) y[i] += sum[i];
 }
 
 /* Room for the solves with f, `rhs` at a time. */
@@ -15393,8 +15568,16 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
 static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
     const int turns = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
-    return sfemi_fem_forces(b->model, u, b->def.precision, f, NULL, NULL, turns ? b->turn.spin : NULL,
-                            turns ? b->turn.sum : NULL, b->turn.work, &b->exec);
+    sfem_real *spin = turns ? b->turn.spin : NULL, *sum = turns ? b->turn.sum : NULL;
+    sfem_real psi;
+    if (b->damage && b->model->turns)
+        return sfemi_damage_total_forces(b->damage, u, b->def.precision, f, NULL, NULL, spin, sum, b->turn.work,
+                                         &b->exec);
+    if (!b->damage || !b->damage->tets)
+        return sfemi_fem_forces(b->model, b->model->chunks.block, u, b->def.precision, f, NULL, NULL, spin, sum,
+                                b->turn.work, &b->exec);
+    psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->turn.work, &b->exec);
+    return psi + sfemi_damage_forces(b->damage, u, f, NULL, NULL, &b->exec);
 }
 
 /* Forces and frames where the state was set from outside; the pieces' places. */
@@ -15576,6 +15759,8 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
         sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
+        for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
+        if (b->beta != 0) sfemi_fracture_soften(b, b->zk, b->rhs);
     } else {
         memcpy(b->rhs, s->f, n * sizeof *b->rhs);
     }
@@ -15673,6 +15858,10 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
         if (damped && (b->beta != 0 || b->zd))
             sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, g->grad);
         else memset(g->grad, 0, n * sizeof *g->grad);
+        if (b->damage && b->beta != 0) {
+            for (i = 0; i < n; ++i) b->zk[i] = b->beta * (running ? (s->w[i] + g->w[i]) / 2 : g->w[i]);
+            sfemi_fracture_soften(b, b->zk, g->grad);
+        }
         for (i = 0; i < n; ++i)
             g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
                           (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
@@ -16158,7 +16347,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
     g->redone = g->measured = 0;
-    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL) {
+    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && b->model->turns) {
         head->budget += sfemi_guard_step_work(b);
         e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
         g->measured = 1;
@@ -16224,6 +16413,188 @@ static void sfemi_guard_finish(sfem_body *b)
     memcpy(s->w, g->w, n * sizeof *s->w);
     sfemi_turn_frames(b, s->frame);
     head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
+}
+
+/* ---- breaking ----
+ *
+ * Edges are judged in the middle of a step from u to u', and break only where the exact local energy
+ *   (Psi + Psi')/2 - (u'-u).(f'-f)/4
+ * does not rise; after a redone step, which starts afresh from u', where Psi' does not. Then the forces at
+ * both ends are those of what is left, so that the next step goes on as if it had never been otherwise,
+ * and what the ledger counts falls by what has been released. A and its factor stay: they bound
+ * what is left of K. New pieces that nothing holds get the rigid projection of >>turn at once. */
+
+/* T + U of the step just taken, which (p,q,r) conserves where it is linear and A belongs to K:
+ * 1/2 w'.r M w' + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2, after a redo 1/2 w'.r M w' + Psi'. */
+static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real stretch = 0, sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        stretch += (g->u[i] - s->u[i]) * (g->f[i] - s->f[i]);
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
+    }
+    *kinetic = sum * sfemi_body_coefficients(b, b->p).r;
+    return *kinetic + (g->redone ? g->psi : (s->head->psi + g->psi) / 2 + (b->p - 0.5) / 2 * stretch);
+}
+
+/* The way from where the last step's energy was taken to where this one's is. */
+static sfem_real sfemi_fracture_way(const sfem_body *b, size_t i)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
+    return h1 / 2 * s->w[i] + (g->redone ? g->u[i] - s->u[i] : b->step / 2 * g->w[i]);
+}
+
+/* The work of loads, handles and moved pins in the step. */
+static sfem_real sfemi_fracture_work(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const sfem_real *gravity = s->head->gravity, *mass = b->model->node_mass;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int loaded = s->head->loaded;
+    sfem_real work = g->redone ? sfemi_guard_work(b) : 0;
+    sfem_int k;
+    size_t i;
+    int l, c;
+    for (i = 0; i < n; ++i) {
+        sfem_real load = mass[i / 3] * gravity[i % 3];
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        if (loaded && !g->redone)
+            load += t.load[0] * s->force[0][i] + t.load[1] * s->force[1][i] + t.load[2] * s->force[2][i];
+        else if (loaded) load += s->force[1][i];
+        work += load * sfemi_fracture_way(b, i);
+    }
+    if (g->redone) return work;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = s->handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)h->node[l] + (size_t)c;
+                if (!(b->mask[i / 3] >> c & 1))
+                    work += b->grip.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
+            }
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (s->f[i] + b->p * (b->step / t.d) * (g->f[i] - s->f[i]) +
+                     b->p * (2 - b->step / t.d) * (s->f_past[i] - s->f[i])) * sfemi_fracture_way(b, i);
+        }
+    return work;
+}
+
+/* What damping takes in the step: d w~.D w~, w~ = (w + w')/2, d the time between the means. */
+static sfem_real sfemi_fracture_damping(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int running = s->head->started == SFEMI_RUNNING;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    sfem_real sum = 0;
+    size_t i;
+    if (g->redone || (b->alpha == 0 && b->beta == 0 && !b->zd)) return 0;
+    for (i = 0; i < n; ++i) {
+        const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+        b->zk[i] = b->beta * v;
+        b->zm[i] = b->beta * v;
+        if (b->zd) b->zd[i] = v;
+    }
+    if (b->beta != 0 || b->zd) {
+        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        sfemi_fracture_soften(b, b->zm, b->rhs);
+    } else {
+        memset(b->rhs, 0, n * sizeof *b->rhs);
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        sum += v * (b->rhs[i] + b->alpha * b->model->node_mass[i / 3] * v);
+    }
+    return d * sum;
+}
+
+/* Enters the step, before anything breaks. */
+static void sfemi_fracture_account(sfem_body *b)
+{
+    sfemi_books *k = b->state.books;
+    sfem_real kinetic, size;
+    const sfem_real energy = sfemi_fracture_energy(b, &kinetic);
+    if (k->open) {
+        const sfem_real work = sfemi_fracture_work(b);
+        k->work += work;
+        if (b->guard.redone) k->guarded += k->now + work - energy;
+        else k->damped += sfemi_fracture_damping(b);
+    } else {
+        k->start = energy;
+        k->open = 1;
+    }
+    k->now = energy;
+    size = fmax(fmax(fabs(energy), fabs(k->work)), fmax(k->damped, k->released + k->guarded));
+    k->scale = fmax(k->scale, size);
+}
+
+/* The pieces as >>damage has them, which of them are held, and what they weigh. */
+static void sfemi_fracture_regroup(sfem_body *b)
+{
+    b->turn.pieces = b->damage->pieces;
+    memcpy(b->turn.piece_of, b->damage->piece_of, (size_t)b->model->mesh.nodes * sizeof *b->turn.piece_of);
+    sfemi_turn_find_held(b);
+    sfemi_turn_weigh(b);
+}
+
+/* What p must be at least: damaged tets are up to `stiffening` times as stiff as intact ones, and a crack
+ * that closes is stiffer than the open one that the step started with. */
+static sfem_real sfemi_fracture_least_p(const sfem_body *b)
+{
+    sfem_real least = 0;
+    if (b->bonds && b->bonds->stiffening > 1) least = b->bonds->stiffening / 4;
+    if (b->bonds && b->bonds->def.closure) least = fmax(least, 0.5);
+    return least;
+}
+
+/* The round of breaks of a step that is taken but not yet entered in the state. */
+static void sfemi_fracture_round(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    sfemi_damage_step step;
+    sfemi_damage_change change;
+    sfem_real fallen;
+    sfemi_fracture_account(b);
+    step.u0 = g->redone ? g->u : b->state.u;
+    step.u1 = g->u;
+    step.a0 = g->redone ? 0 : 0.5;
+    step.a1 = g->redone ? 1 : 0.5;
+    step.ac = g->redone ? 0 : 0.25;
+    step.f0 = g->redone ? NULL : b->state.f;
+    step.f1 = g->f;
+    step.exec = &b->exec;
+    sfemi_damage_round(b->damage, &step, &change);
+    if (!change.broken && !change.softened) return;
+    fallen = g->redone ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
+    if (!g->redone) head->psi += change.psi0;
+    g->psi += change.psi1;
+    head->budget += fallen;
+    b->state.books->now += fallen;
+    b->state.books->released -= fallen;
+    if (change.pieces) { /* what the energies leave out, the centres' motion, is other motion now */
+        sfemi_guard_energies before, after;
+        sfemi_turn_locate(b, b->state.u);
+        before = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        sfemi_fracture_regroup(b);
+        sfemi_turn_locate(b, b->state.u);
+        after = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        head->budget += g->redone ? after.ec - before.ec : after.eb - before.eb;
+    }
 }
 
 /* ============================================================================================
@@ -16791,7 +17162,8 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     size_t i;
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
-    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
+    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
+    if (!b->model->turns) SFEMI_NEW(sfem_real, b->turn.still, al, n);
     SFEMI_NEW(sfem_real, b->turn.work, al,
               sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + 2 * (n / 3) +
                   (3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
@@ -16826,6 +17198,9 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.work);
+    sfemi_delete(&al, b->turn.still);
+    sfemi_damage_free(b->damage);
+    sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
@@ -16836,20 +17211,6 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b);
 }
 
-/* Which pieces are held by pins or handles. */
-static void sfemi_body_find_held(sfem_body *b)
-{
-    sfem_int i, k;
-    int l;
-    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
-    for (i = 0; i < b->pin_count; ++i)
-        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
-    for (i = 0; i < b->def.max_handles; ++i)
-        for (l = 0; b->state.handle[i].used && l < 4; ++l)
-            if (b->state.handle[i].weight[l] != 0)
-                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
-}
-
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
@@ -16857,15 +17218,17 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
     const size_t vectors = b->model->damping ? 5 : 4;
     sfem_status status = SFEM_OK;
-    size_t bytes;
+    size_t bytes, damage;
     void *block = NULL;
     SFEMI_NEW(unsigned char, b->mask, al, nodes);
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, b->pin_count, def->max_handles);
+    if (def->damage) SFEMI_TRY(sfemi_bonds_create(b->model, def->damage, al, &b->bonds, err));
+    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
+    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, b->pin_count, def->max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->sleeps, b->pin_count);
+    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->sleeps, b->pin_count, def->max_handles, damage);
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
@@ -16877,8 +17240,14 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    if (b->bonds) {
+        SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
+        sfemi_damage_attach(b->damage, b->state.damage);
+        sfemi_damage_reset(b->damage);
+        sfemi_fracture_regroup(b);
+    }
     if (b->turns) sfemi_turn_weigh(b);
-    if (b->turns) sfemi_body_find_held(b);
+    if (b->turns) sfemi_turn_find_held(b);
 done:
     return status;
 }
@@ -16900,11 +17269,21 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = model->turns && sfemi_body_keeps_mean(b);
+    b->turns = (model->turns && sfemi_body_keeps_mean(b)) ||
+               (def->damage && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL));
     b->sleeps = def->sleep_tolerance > 0;
+    b->def.damage = NULL;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
+    if (def->damage && !b->turns) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
+        goto done;
+    }
+    if (def->damage && model->block_mass) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
+        goto done;
+    }
     if (b->turns && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
                             "a nonlinear body steps with lumped mass only: a consistent one does not turn");
@@ -16931,7 +17310,7 @@ static void sfemi_body_held_changed(sfem_body *b)
     int changed = 0;
     if (!b->turns) return;
     for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
-    sfemi_body_find_held(b);
+    sfemi_turn_find_held(b);
     for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
@@ -16958,7 +17337,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
+    for (i = 0; b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
         SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
@@ -17000,7 +17379,13 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
     if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
-    if (*p < 0) *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
+    if (*p < 0) {
+        *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
+        *p = fmax(*p, sfemi_fracture_least_p(b));
+    }
+    if (*p < sfemi_fracture_least_p(b))
+        return sfemi_fail(err, SFEM_UNSTABLE, "p is %g, but what this body's damage can stiffen asks for %g", *p,
+                          sfemi_fracture_least_p(b));
     limit = sfemi_pqr_stable_step(b, *p);
     if (limit > 0 && h > limit)
         return sfemi_fail(err, SFEM_UNSTABLE, "a step of %g s is beyond the stable one, %g s", h, limit);
@@ -17150,6 +17535,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
         if (status != SFEM_OK) return status;
     }
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    if (b->damage) sfemi_fracture_round(b);
     if (b->turns) sfemi_guard_finish(b);
     else sfemi_body_finish_linear(b);
     for (i = 0; i < g->count; ++i)
@@ -17299,6 +17685,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
     b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
+    if (b->damage) memset(b->state.books, 0, sizeof *b->state.books);
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -17350,7 +17737,11 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
-    if (b->turns) sfemi_body_find_held(b);
+    if (b->damage) {
+        sfemi_damage_refresh(b->damage);
+        sfemi_fracture_regroup(b);
+    }
+    if (b->turns) sfemi_turn_find_held(b);
     sfemi_renew_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
@@ -17368,18 +17759,24 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     unsigned char *mask = NULL;
     sfem_int *list = NULL, listed;
     void *block = NULL;
-    size_t bytes;
+    size_t bytes, damage;
     int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, listed, b->def.max_handles);
+    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
+    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, b->turns, b->sleeps, listed);
+    sfemi_state_lay_out(&fresh, block, nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
     memcpy(fresh.head, old.head,
            sizeof *old.head + sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
+    if (damage) {
+        memcpy(fresh.books, old.books, sizeof *old.books + damage);
+        sfemi_damage_attach(b->damage, fresh.damage);
+        sfemi_damage_refresh(b->damage);
+    }
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
     sfemi_delete(al, b->pin);
@@ -17537,6 +17934,8 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
         sfemi_guard_look(b);
         sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i) b->zk[i] = b->beta * v[i];
+        sfemi_fracture_soften(b, b->zk, b->rhs);
         for (i = 0; i < n; ++i)
             b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
         sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
@@ -17544,6 +17943,393 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
     }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+}
+
+/* ---- fracture ---- */
+
+SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
+{
+    const sfemi_books *k = b->state.books;
+    sfem_fracture f;
+    sfem_int i;
+    memset(&f, 0, sizeof f);
+    f.pieces = 1;
+    if (!b->damage) return f;
+    f.pieces = b->damage->pieces;
+    for (i = 0; i < b->turn.pieces; ++i) f.free_pieces += !b->turn.piece[i].held;
+    f.broken = (sfem_int)b->damage->account[SFEMI_BROKEN];
+    f.breaks = b->damage->events;
+    for (i = 0; i < b->bonds->edges; ++i) f.marked += b->damage->mark[i] && b->damage->zeta[i] > 0;
+    f.kinetic_elastic = k->now;
+    f.start = k->start;
+    f.work = k->work;
+    f.damped = k->damped;
+    f.released = k->released;
+    f.guarded = k->guarded;
+    f.error = k->now - k->start - k->work + k->damped + k->released + k->guarded;
+    f.scale = k->scale;
+    f.surface = b->damage->account[SFEMI_PRICE];
+    f.least_p = sfemi_fracture_least_p(b);
+    return f;
+}
+
+SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
+{
+    SFEM_ASSERT(b && b->damage && count);
+    *count = b->damage->events;
+    return b->damage->event;
+}
+
+SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
+{
+    SFEM_ASSERT(b && b->damage && out);
+    sfem_body_velocities(b, b->zk); /* scratch between steps */
+    sfemi_damage_pieces(b->damage, b->state.u, b->zk, out);
+}
+
+SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
+{
+    SFEM_ASSERT(b && b->damage);
+    return b->damage->piece_of;
+}
+
+/* The edge between two nodes, or -1. */
+static sfem_int sfemi_body_find_edge(const sfem_body *b, sfem_int i, sfem_int j)
+{
+    const sfemi_bonds *g = b->bonds;
+    sfem_int k;
+    if (i < 0 || j < 0 || i >= b->model->mesh.nodes || j >= b->model->mesh.nodes) return -1;
+    for (k = g->node_start[i]; k < g->node_start[i + 1]; ++k) {
+        const sfem_int *end = g->end + 2 * (size_t)g->node_edge[k];
+        if (i != j && (end[0] == j || end[1] == j)) return g->node_edge[k];
+    }
+    return -1;
+}
+
+SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *b, sfem_int i, sfem_int j)
+{
+    sfem_int edge;
+    SFEM_ASSERT(b && b->damage);
+    edge = sfemi_body_find_edge(b, i, j);
+    return edge < 0 ? 0 : b->damage->zeta[edge];
+}
+
+SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *b, sfem_int i, sfem_int j, sfem_error *err)
+{
+    sfem_int edge;
+    SFEM_ASSERT(b && b->damage);
+    edge = sfemi_body_find_edge(b, i, j);
+    if (edge < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the mesh has no edge between nodes %d and %d", (int)i, (int)j);
+    if (b->bonds->never[edge] == SFEMI_NEVER)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the edge between nodes %d and %d is unbreakable", (int)i, (int)j);
+    b->damage->mark[edge] = 1;
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const sfem_real to[9],
+                                   sfem_int *marked, sfem_error *err)
+{
+    sfem_int count;
+    SFEM_ASSERT(b && b->damage && from && to);
+    if (!sfemi_all_finite(from, 9) || !sfemi_all_finite(to, 9))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the blade's place is not finite");
+    count = sfemi_damage_cut(b->damage, b->state.u, from, to);
+    if (marked) *marked = count;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_body_heal(sfem_body *b)
+{
+    SFEM_ASSERT(b && b->damage);
+    sfemi_damage_reset(b->damage);
+    sfemi_fracture_regroup(b);
+    memset(b->state.books, 0, sizeof *b->state.books);
+    b->state.head->current = 0;
+    b->phase = SFEMI_IDLE;
+}
+
+/* ---- fragments ---- */
+
+/* Slots of the copies: nodes, then two for each edge, three for each face, four for each tet; number is
+ * the vertex made of a slot, or -1. */
+typedef struct sfemi_shards {
+    const sfem_body *b;
+    sfem_fragments out;
+    sfem_int faces, *face_of;      /* [tets][4] */
+    unsigned char *alone;          /* [tets][4] the face is on the outer surface */
+    sfem_int *number;              /* [slots]; NULL: only count */
+    size_t edge_slot, face_slot, tet_slot;
+} sfemi_shards;
+
+/* Are the ends of an edge together? */
+static int sfemi_shards_joined(const sfemi_shards *s, sfem_int tet, int edge)
+{
+    return s->b->damage->zeta[s->b->bonds->tet_edge[6 * tet + edge]] > 0;
+}
+
+/* The edge between local nodes a and b of a tet. */
+static int sfemi_shards_edge(int a, int b)
+{
+    const int low = a < b ? a : b, high = a < b ? b : a;
+    return low == 0 ? high - 1 : low + high;
+}
+
+/* Those of the nodes in `among` (bits) that intact edges among them connect with node a. */
+static int sfemi_shards_group(const sfemi_shards *s, sfem_int tet, int a, int among)
+{
+    int group = 1 << a, before = 0, i, j;
+    while (group != before) {
+        before = group;
+        for (i = 0; i < 4; ++i)
+            for (j = 0; j < 4; ++j)
+                if ((group >> i & 1) && (among >> j & 1) && i != j &&
+                    sfemi_shards_joined(s, tet, sfemi_shards_edge(i, j)))
+                    group |= 1 << j;
+    }
+    return group;
+}
+
+/* The vertex of the simplex of local nodes `among` on the side of node a. */
+static sfem_int sfemi_shards_vertex(sfemi_shards *s, sfem_int tet, int a, int among)
+{
+    const sfem_int *t = s->b->model->mesh.tet + 4 * (size_t)tet;
+    const int group = sfemi_shards_group(s, tet, a, among);
+    sfem_int nodes[4], low = -1, v;
+    int size = 0, rank = 0, i, mask = 0, other = 0;
+    size_t slot;
+    for (i = 0; i < 4; ++i) {
+        if (!(among >> i & 1)) {
+            other = i;
+            continue;
+        }
+        if (group >> i & 1) {
+            mask |= 1 << size;
+            if (low < 0 || t[i] < low) low = t[i];
+        }
+        nodes[size++] = t[i];
+    }
+    for (i = 0; i < size; ++i) rank += nodes[i] < low; /* of the group's lowest node in its simplex */
+    if (size == 1) slot = (size_t)t[a];
+    else if (size == 4) slot = s->tet_slot + 4 * (size_t)tet + (size_t)rank;
+    else if (size == 3) slot = s->face_slot + 3 * (size_t)s->face_of[4 * (size_t)tet + (size_t)other] + (size_t)rank;
+    else {
+        const int b = among & ~(1 << a);
+        const int edge = sfemi_shards_edge(a, b >> 1 == 4 ? 3 : b >> 1);
+        slot = s->edge_slot + 2 * (size_t)s->b->bonds->tet_edge[6 * tet + edge] + (size_t)rank;
+    }
+    v = s->number[slot];
+    if (v >= 0) return v;
+    v = s->number[slot] = s->out.vertices++;
+    if (!s->out.simplex) return v;
+    for (i = 0; i < 4; ++i) s->out.simplex[4 * (size_t)v + (size_t)i] = i < size ? nodes[i] : -1;
+    s->out.group[v] = (unsigned char)mask;
+    return v;
+}
+
+static void sfemi_shards_quad(sfemi_shards *s, sfem_int node, int made, sfem_int a, sfem_int b, sfem_int c,
+                              sfem_int d)
+{
+    const size_t n = (size_t)s->out.triangles;
+    s->out.triangles += 2;
+    if (!s->out.tri) return;
+    s->out.tri[3 * n] = s->out.tri[3 * n + 3] = a;
+    s->out.tri[3 * n + 1] = b;
+    s->out.tri[3 * n + 2] = s->out.tri[3 * n + 4] = c;
+    s->out.tri[3 * n + 5] = d;
+    s->out.node[n] = s->out.node[n + 1] = node;
+    s->out.made[n] = s->out.made[n + 1] = (unsigned char)made;
+}
+
+/* Numbers the faces, and finds those that only one tet has. */
+static sfem_status sfemi_shards_faces(sfemi_shards *s, const sfem_allocator *al, sfem_error *err)
+{
+    const sfem_mesh *m = &s->b->model->mesh;
+    const sfem_int all = 4 * m->tets;
+    sfem_int *key = NULL, *order = NULL, *other = NULL, *bucket = NULL, i;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, key, al, 3 * (size_t)all);
+    SFEMI_NEW(sfem_int, order, al, all);
+    SFEMI_NEW(sfem_int, other, al, all);
+    SFEMI_NEW(sfem_int, bucket, al, (size_t)m->nodes + 1);
+    for (i = 0; i < all; ++i) (void)sfemi_mesh_face_key(m->tet + (size_t)(i & ~3), i & 3, key + 3 * (size_t)i);
+    sfemi_mesh_sort(key + 2, 3, all, m->nodes, NULL, order, bucket);
+    sfemi_mesh_sort(key + 1, 3, all, m->nodes, order, other, bucket);
+    sfemi_mesh_sort(key, 3, all, m->nodes, other, order, bucket);
+    for (i = 0; i < all; ++i) {
+        const int same = i > 0 && memcmp(key + 3 * (size_t)order[i], key + 3 * (size_t)order[i - 1],
+                                         3 * sizeof *key) == 0;
+        if (!same) ++s->faces;
+        s->face_of[order[i]] = s->faces - 1;
+        s->alone[order[i]] = (unsigned char)!same;
+        if (same) s->alone[order[i - 1]] = 0;
+    }
+done:
+    sfemi_delete(al, bucket);
+    sfemi_delete(al, other);
+    sfemi_delete(al, order);
+    sfemi_delete(al, key);
+    return status;
+}
+
+/* All quads: counts them, and writes them where there is room. */
+static void sfemi_shards_emit(sfemi_shards *s)
+{
+    /* the ends of an edge, then the other two nodes, so that all four are an even permutation */
+    static const unsigned char even[6][4] = {{0, 1, 2, 3}, {0, 2, 3, 1}, {0, 3, 1, 2}, {1, 2, 0, 3}, {1, 3, 2, 0}, {2, 3, 0, 1}};
+    const sfem_mesh *m = &s->b->model->mesh;
+    sfem_int e;
+    int k, side, i;
+    s->out.vertices = s->out.triangles = 0;
+    for (e = 0; e < m->tets; ++e) {
+        const sfem_int *t = m->tet + 4 * (size_t)e;
+        for (k = 0; s->b->damage->kind[e] != SFEMI_INTACT && k < 6; ++k) {
+            const unsigned char *p = even[k];
+            if (sfemi_shards_joined(s, e, k)) continue;
+            for (side = 0; side < 2; ++side) {
+                const int a = p[side], both = 1 << p[0] | 1 << p[1];
+                const sfem_int mid = sfemi_shards_vertex(s, e, a, both);
+                const sfem_int left = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 3 : 2]);
+                const sfem_int cell = sfemi_shards_vertex(s, e, a, 15);
+                const sfem_int right = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 2 : 3]);
+                sfemi_shards_quad(s, t[a], 1, mid, left, cell, right);
+            }
+        }
+        for (k = 0; k < 4; ++k)
+            for (i = 0; s->alone[4 * (size_t)e + (size_t)k] && i < 3; ++i) {
+                const unsigned char *f = sfemi_mesh_face[k];
+                const int a = f[i], next = f[(i + 1) % 3], last = f[(i + 2) % 3];
+                const sfem_int node = sfemi_shards_vertex(s, e, a, 1 << a);
+                const sfem_int to = sfemi_shards_vertex(s, e, a, 1 << a | 1 << next);
+                const sfem_int middle = sfemi_shards_vertex(s, e, a, 15 & ~(1 << k));
+                const sfem_int from = sfemi_shards_vertex(s, e, a, 1 << a | 1 << last);
+                sfemi_shards_quad(s, t[a], 0, node, to, middle, from);
+            }
+    }
+}
+
+SFEM_DEF void sfem_fragments_free(sfem_fragments *f)
+{
+    if (!f) return;
+    sfemi_delete(&f->allocator, f->tri);
+    sfemi_delete(&f->allocator, f->node);
+    sfemi_delete(&f->allocator, f->made);
+    sfemi_delete(&f->allocator, f->simplex);
+    sfemi_delete(&f->allocator, f->group);
+    memset(f, 0, sizeof *f);
+}
+
+SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *b, const sfem_allocator *allocator,
+                                         sfem_fragments *out, sfem_error *err)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_allocator al;
+    sfemi_shards s;
+    sfem_status status = SFEM_OK;
+    size_t slots, i;
+    SFEM_ASSERT(b && b->damage && out);
+    memset(&s, 0, sizeof s);
+    if (allocator) s.out.allocator = *allocator;
+    al = s.out.allocator;
+    s.b = b;
+    if (m->tets > INT32_MAX / 24) {
+        status = sfemi_fail(err, SFEM_TOO_LARGE, "the fragments of %ld tets cannot be numbered", (long)m->tets);
+        goto done;
+    }
+    SFEMI_NEW(sfem_int, s.face_of, &al, 4 * (size_t)m->tets);
+    SFEMI_NEW(unsigned char, s.alone, &al, 4 * (size_t)m->tets);
+    SFEMI_TRY(sfemi_shards_faces(&s, &al, err));
+    s.edge_slot = (size_t)m->nodes;
+    s.face_slot = s.edge_slot + 2 * (size_t)b->bonds->edges;
+    s.tet_slot = s.face_slot + 3 * (size_t)s.faces;
+    slots = s.tet_slot + 4 * (size_t)m->tets;
+    SFEMI_NEW(sfem_int, s.number, &al, slots);
+    memset(s.number, -1, slots * sizeof *s.number);
+    sfemi_shards_emit(&s);
+    SFEMI_NEW(sfem_int, s.out.tri, &al, 3 * (size_t)s.out.triangles);
+    SFEMI_NEW(sfem_int, s.out.node, &al, s.out.triangles);
+    SFEMI_NEW(unsigned char, s.out.made, &al, s.out.triangles);
+    SFEMI_NEW(sfem_int, s.out.simplex, &al, 4 * (size_t)s.out.vertices);
+    SFEMI_NEW(unsigned char, s.out.group, &al, s.out.vertices);
+    for (i = 0; i < slots; ++i) s.number[i] = -1;
+    sfemi_shards_emit(&s);
+    *out = s.out;
+done:
+    if (status != SFEM_OK) sfem_fragments_free(&s.out);
+    sfemi_delete(&al, s.number);
+    sfemi_delete(&al, s.alone);
+    sfemi_delete(&al, s.face_of);
+    return status;
+}
+
+/* The rotation of every node's intact edges, the other edges of its piece counting a little, in turn.sum. */
+static void sfemi_shards_turn(sfem_body *b)
+{
+    const sfemi_bonds *g = b->bonds;
+    const sfem_real *rest = b->model->mesh.x, *u = b->state.u;
+    sfem_real *sum = b->turn.sum, *whole = b->guard.frame;
+    sfem_int i, k;
+    int c, q;
+    memset(sum, 0, 9 * (size_t)b->model->mesh.nodes * sizeof *sum);
+    memset(whole, 0, 9 * (size_t)b->damage->pieces * sizeof *whole);
+    for (k = 0; k < g->edges; ++k) {
+        const size_t p = (size_t)g->end[2 * k], r = (size_t)g->end[2 * k + 1];
+        const size_t piece = (size_t)b->damage->piece_of[p];
+        const sfem_real weight = 1 / (g->length[k] * g->length[k]);
+        if (!(b->damage->zeta[k] > 0)) continue;
+        for (c = 0; c < 9; ++c) {
+            const sfem_real big = rest[3 * p + (size_t)(c % 3)] - rest[3 * r + (size_t)(c % 3)];
+            const size_t at = (size_t)(c / 3);
+            const sfem_real d = weight * big * (rest[3 * p + at] + u[3 * p + at] - rest[3 * r + at] - u[3 * r + at]);
+            sum[9 * p + (size_t)c] += d;
+            sum[9 * r + (size_t)c] += d;
+            whole[9 * piece + (size_t)c] += d;
+        }
+    }
+    for (k = 0; k < b->damage->pieces; ++k) {
+        sfem_real size = 1e-300;
+        for (c = 0; c < 9; ++c) size += fabs(whole[9 * (size_t)k + (size_t)c]);
+        for (c = 0; c < 9; ++c) whole[9 * (size_t)k + (size_t)c] /= size;
+        for (q = 0; q < 9; q += 4) whole[9 * (size_t)k + (size_t)q] += 1e-3; /* lone edges and nodes: as at rest */
+    }
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfem_real f[9];
+        if (b->damage->piece_of[i] < 0) continue;
+        for (c = 0; c < 9; ++c)
+            f[c] = sum[9 * (size_t)i + (size_t)c] + 0.1 * whole[9 * (size_t)b->damage->piece_of[i] + (size_t)c];
+        sfem_polar(f, sum + 9 * (size_t)i, NULL);
+    }
+}
+
+SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f, sfem_real *x)
+{
+    const sfem_real *rest = b->model->mesh.x, *u = b->state.u;
+    sfem_int v;
+    int k, c, size, members;
+    SFEM_ASSERT(b && b->damage && f && x);
+    sfemi_shards_turn(b);
+    for (v = 0; v < f->vertices; ++v) {
+        const sfem_int *node = f->simplex + 4 * (size_t)v;
+        sfem_real middle[3] = {0, 0, 0}, r[3], *to = x + 3 * (size_t)v;
+        for (size = 0; size < 4 && node[size] >= 0; ++size)
+            for (c = 0; c < 3; ++c) middle[c] += rest[3 * (size_t)node[size] + (size_t)c];
+        for (c = 0; c < 3; ++c) {
+            middle[c] /= size;
+            to[c] = 0;
+        }
+        for (k = members = 0; k < size; ++k) {
+            const size_t at = 3 * (size_t)node[k];
+            if (!(f->group[v] >> k & 1)) continue;
+            ++members;
+            sfemi_sub3(middle, rest + at, r);
+            for (c = 0; c < 3; ++c) {
+                to[c] += rest[at + (size_t)c] + u[at + (size_t)c];
+                if (f->group[v] != (1 << size) - 1) /* else these parts all but cancel */
+                    to[c] += sfemi_dot3(b->turn.sum + 3 * at + 3 * c, r);
+            }
+        }
+        for (c = 0; c < 3; ++c) to[c] /= members;
+    }
 }
 
 /* ---- statics ---- */
@@ -17677,6 +18463,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     size_t i;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
+    if (b->damage && b->damage->tets)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with broken edges has no static solution: let it step");
     b->phase = SFEMI_IDLE;
     SFEMI_NEW(unsigned char, mask, &b->allocator, b->model->mesh.nodes);
     sfemi_body_static_mask(b, mask);
@@ -17940,7 +18728,7 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
     for (k = 0; k < s->n; ++k)
         for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
             blocks += number[m->col[at]] > 0;
-    SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, s->al, &row, &col, &s->k, err));
+    SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, 9, s->al, &row, &col, &s->k, err));
     SFEMI_NEW(sfem_real, s->mass, s->al, 3 * (size_t)s->n);
     if (m->block_mass)
         SFEMI_NEW(sfem_real, s->scalar, s->al, blocks);
@@ -19402,7 +20190,7 @@ static void sfemi_turn_coefficients(int kind, const sfem_real w[3], sfem_real *a
 }
 
 /* out = u + a w x u + b w x (w x u); with -a the transpose. out may be u. */
-static void sfemi_turn_apply(sfem_real a, sfem_real b, const sfem_real w[3], const sfem_real u[3],
+static void sfemi_warp_apply(sfem_real a, sfem_real b, const sfem_real w[3], const sfem_real u[3],
                              sfem_real out[3])
 {
     sfem_real wu[3], wwu[3];
@@ -20160,7 +20948,7 @@ static void sfemi_modal_displace(const sfem_modal *b, sfem_int node, const sfem_
     if (b->def.warp == SFEM_WARP_NONE) return;
     sfemi_modal_rotation(b, node, q, w);
     sfemi_turn_coefficients(sfemi_modal_path_kind(b), w, &k1, &k2);
-    sfemi_turn_apply(k1, k2, w, u, u);
+    sfemi_warp_apply(k1, k2, w, u, u);
 }
 
 /* What is drawn: the modes that are not 0. */
@@ -20412,7 +21200,7 @@ static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_rea
         sfem_real w[3], turned[3], k1, k2;
         b->kernels->dot3(b->stride, r->group_psi + at, q, w);
         sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
-        sfemi_turn_apply(-k1, k2, w, g, turned);
+        sfemi_warp_apply(-k1, k2, w, g, turned);
         b->kernels->add3(b->stride, r->group_phi + at, turned, f);
     }
 }
@@ -20443,7 +21231,7 @@ static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
         if (b->def.warp != SFEM_WARP_NONE) {
             sfemi_modal_rotation(b, node, q, w);
             sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
-            sfemi_turn_apply(-k1, k2, w, local, local);
+            sfemi_warp_apply(-k1, k2, w, local, local);
         }
         b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
     }
