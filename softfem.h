@@ -1237,7 +1237,7 @@ typedef struct sfem_modal_def {
     sfem_exec exec;                      /* threads for reconstruction */
 } sfem_modal_def;
 
-/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-5, 4 iterations; 16 handles of
+/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16 handles of
  * 64 nodes in all; tolerance 0; no gravity. */
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
 
@@ -16962,7 +16962,7 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
     def.gamma = 0.5;
     def.handle_beta = 0.3025;
     def.handle_gamma = 0.6;
-    def.compliance = 1e-5;
+    def.compliance = 1e-4;
     def.handle_iterations = 4;
     def.max_handles = 16;
     def.max_handle_nodes = 64;

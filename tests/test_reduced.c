@@ -752,12 +752,10 @@ static void warping_errors_are_those_of_the_theory(void **state)
 static void a_warped_bar_keeps_its_length(void **state)
 {
     hanging g = make_hanging();
-    double drop;
     (void)state;
-    hang(&g, 5000);
+    assert_near(hang(&g, 4650), 4, 0, 0.03); /* 40 % of its length */
+    assert_near(axis_length(&g.s, g.exact), 10, 0.001, 0);
     hang_warped(&g, SFEM_WARP_PATH);
-    drop = mean_drop(&g, g.u);
-    assert_near(drop, 4, 0, 0.1); /* 40 % of its length */
     assert_near(axis_length(&g.s, g.u), 10, 0.015, 0);
     hang_warped(&g, SFEM_WARP_NONE); /* what warping is for */
     assert_true(axis_length(&g.s, g.u) > 11);
@@ -919,16 +917,18 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
     free_scene(&s);
 }
 
-/* the work of the hand is the change of energy, as the body is pulled slowly */
+/* A body pulled slowly: the work of the handle's force on the modes is the change of energy, and where nothing
+ * warps it is the work of the hand. (Warped, the node's displacement turns with q as well, which J leaves out.) */
 static void the_work_of_a_hand_goes_into_the_body(void **state)
 {
     scene s = make_beam(1);
-    int warp, i, c;
+    int warp, i, c, k;
     (void)state;
     for (warp = 0; warp < 3; ++warp) {
         sfem_modal *b = plain_modal(&s, (sfem_warp)warp);
         const double x0[3] = {5, 1, 1};
-        double work = 0, f[3], last[3] = {0, 0, 0}, at[3], before[3];
+        double work = 0, hand = 0, f[3], last[3] = {0, 0, 0}, at[3], before[3];
+        double fq[BEAM_MODES], last_fq[BEAM_MODES] = {0}, q[BEAM_MODES] = {0};
         const sfem_int handle = grab(b, s.nodes - 1);
         sfem_error err;
         sfem_modal_handle_position(b, handle, before);
@@ -937,68 +937,102 @@ static void the_work_of_a_hand_goes_into_the_body(void **state)
             assert_ok(sfem_modal_solve_static(b, NULL, &err), err);
             sfem_modal_handle_force(b, handle, f);
             sfem_modal_handle_position(b, handle, at);
-            for (c = 0; c < 3; ++c) work += (f[c] + last[c]) / 2 * (at[c] - before[c]);
+            sfem_modal_handle_modal_force(b, handle, fq);
+            for (c = 0; c < 3; ++c) hand += (f[c] + last[c]) / 2 * (at[c] - before[c]);
+            for (k = 0; k < BEAM_MODES; ++k)
+                work += (fq[k] + last_fq[k]) / 2 * (sfem_modal_coordinates(b)[k] - q[k]);
             memcpy(last, f, sizeof f);
+            memcpy(last_fq, fq, sizeof fq);
             memcpy(before, at, sizeof at);
+            memcpy(q, sfem_modal_coordinates(b), sizeof q);
         }
-        /* warped, J^T leaves out the turn of Rt with q: the force is conjugate to virtual displacements Rt
-         * Phi dq, which differ from those of the node by less than a tenth here */
-        assert_near(work, sfem_modal_get_info(b).elastic, warp ? 0.2 : 1e-3, 0);
+        assert_near(work, sfem_modal_get_info(b).elastic, 1e-4, 0);
+        if (!warp) assert_near(hand, sfem_modal_get_info(b).elastic, 1e-4, 0);
+        assert_true(hand > 0);
         sfem_modal_free(b);
     }
     free_scene(&s);
 }
 
-static double largest_coordinate(const sfem_modal *b, int count)
+static double largest_displacement(const sfem_modal *b, const scene *s)
 {
-    double most = 0;
-    int k;
-    for (k = 0; k < count; ++k) most = fmax(most, fabs(sfem_modal_coordinates(b)[k]));
+    double *u = (double *)malloc(24 * (size_t)s->nodes), most = 0;
+    const double zero[3] = {0, 0, 0};
+    sfem_int i;
+    sfem_modal_displacements(b, s->view, u);
+    for (i = 0; i < s->nodes; ++i) most = fmax(most, distance(u + 3 * i, zero));
+    free(u);
     return most;
 }
 
-/* seven nodes side by side, each target off by 1 % of the pull at random */
-static void noisy_and_redundant_handles_do_not_blow_up(void **state)
+/* Seven nodes side by side, each target off by 1 % of the pull at random: the source's system asks modes for
+ * thousands of metres; the compliance gives the pull. */
+static void noisy_handles_are_eased_by_compliance(void **state)
 {
     scene s = make_beam(1);
-    test_random random = {21};
-    sfem_modal *b = plain_modal(&s, SFEM_WARP_PATH), *one = plain_modal(&s, SFEM_WARP_PATH);
-    sfem_int handle[16], i, k;
-    double x0[16][3], x[3], f[3];
+    int soft, i, k;
     (void)state;
-    handle[15] = grab(one, s.nodes - 1);
-    sfem_modal_handle_position(one, handle[15], x0[15]);
-    move_by(one, handle[15], x0[15], 0, 0, 0.1);
-    for (i = 0; i < 100; ++i) step(one, 0.02);
-    for (k = 0; k < 7; ++k) {
-        handle[k] = grab(b, s.nodes - 1 - k);
-        sfem_modal_handle_position(b, handle[k], x0[k]);
-    }
-    for (i = 0; i < 100; ++i) {
-        for (k = 0; k < 7; ++k)
-            move_by(b, handle[k], x0[k], 0.001 * random_normal(&random), 0.001 * random_normal(&random),
+    for (soft = 0; soft < 3; ++soft) {
+        test_random random = {21};
+        sfem_modal_def def = sfem_default_modal_def();
+        double x0[3];
+        sfem_int handle;
+        sfem_modal *b;
+        sfem_error err;
+        def.warp = soft < 2 ? SFEM_WARP_NONE : SFEM_WARP_PATH;
+        if (soft == 0) def.compliance = 1e-14;
+        b = make_modal(&s, &def);
+        for (k = 0; k < 7; ++k) {
+            handle = grab(b, s.nodes - 1 - k);
+            sfem_modal_handle_position(b, handle, x0);
+            move_by(b, handle, x0, 0.001 * random_normal(&random), 0.001 * random_normal(&random),
                     0.1 + 0.001 * random_normal(&random));
-        step(b, 0.02);
+        }
+        assert_ok(sfem_modal_solve_static(b, NULL, &err), err);
+        if (soft) assert_near(largest_displacement(b, &s), 0.104, 0.15, 0);
+        else assert_true(largest_displacement(b, &s) > 1);
+        /* and in motion, with new noise at each step */
+        for (i = 0; soft && i < 100; ++i) {
+            for (k = 0; k < 7; ++k) {
+                const double *x = sfem_reduced_get_info(s.reduced).x + 3 * (s.nodes - 1 - k);
+                move_by(b, k, x, 0.001 * random_normal(&random), 0.001 * random_normal(&random),
+                        0.1 + 0.001 * random_normal(&random));
+            }
+            step(b, 0.02);
+            assert_true(largest_displacement(b, &s) < 1);
+        }
+        sfem_modal_free(b);
     }
-    sfem_modal_node(b, s.nodes - 3, x, NULL, NULL);
-    assert_near(x[2] - x0[2][2], 0.1, 0, 0.02);
-    assert_true(largest_coordinate(b, BEAM_MODES) < 3 * largest_coordinate(one, BEAM_MODES));
-    /* far more rows than modes, each node once more, and a fixed one */
-    for (k = 7; k < 15; ++k) {
-        handle[k] = grab(b, k < 14 ? s.nodes - 1 - (k - 7) : 0);
+    free_scene(&s);
+}
+
+/* far more rows than modes, nodes held several times and by targets that contradict, and a fixed one */
+static void handles_in_any_number_stay_finite(void **state)
+{
+    scene s = make_beam(1);
+    sfem_modal_def def = sfem_default_modal_def();
+    sfem_int handle[24], i, k;
+    double x0[24][3], f[3];
+    sfem_modal *b;
+    sfem_error err;
+    (void)state;
+    def.max_handles = 24;
+    b = make_modal(&s, &def);
+    for (k = 0; k < 24; ++k) {
+        handle[k] = grab(b, k < 23 ? s.nodes - 1 - k % 9 : 0);
         sfem_modal_handle_position(b, handle[k], x0[k]);
+        move_by(b, handle[k], x0[k], 0, 0.01 * (k % 4), 0.2);
     }
-    move_by(b, handle[14], x0[14], 0, 0, 1); /* cannot follow */
-    for (i = 0; i < 100; ++i) step(b, 0.02);
-    assert_true(largest_coordinate(b, BEAM_MODES) < 3 * largest_coordinate(one, BEAM_MODES));
-    sfem_modal_handle_force(b, handle[14], f);
+    assert_status(sfem_modal_grab_node(b, 50, &i, &err), SFEM_FULL);
+    for (i = 0; i < 200; ++i) step(b, 0.02);
+    assert_true(largest_displacement(b, &s) < 2); /* what least squares make of it without warping, too */
+    sfem_modal_handle_force(b, handle[23], f); /* cannot follow, and pulls nobody's hand */
     assert_true(f[0] == 0 && f[1] == 0 && f[2] == 0);
     assert_int_equal(sfem_modal_get_info(b).handle_rows_left, 3);
-    for (k = 0; k < 15; ++k) sfem_modal_release_handle(b, handle[k]);
+    for (k = 0; k < 24; ++k) sfem_modal_release_handle(b, handle[k]);
     for (i = 0; i < 100; ++i) step(b, 0.02);
-    assert_true(largest_coordinate(b, BEAM_MODES) < 3 * largest_coordinate(one, BEAM_MODES));
+    assert_true(largest_displacement(b, &s) < 6);
     sfem_modal_free(b);
-    sfem_modal_free(one);
     free_scene(&s);
 }
 
@@ -1405,7 +1439,8 @@ int main(void)
         cmocka_unit_test(a_handle_holds_its_node_at_its_target),
         cmocka_unit_test(the_force_of_a_handle_is_work_conjugate),
         cmocka_unit_test(the_work_of_a_hand_goes_into_the_body),
-        cmocka_unit_test(noisy_and_redundant_handles_do_not_blow_up),
+        cmocka_unit_test(noisy_handles_are_eased_by_compliance),
+        cmocka_unit_test(handles_in_any_number_stay_finite),
         cmocka_unit_test(redundant_handles_without_compliance_are_finite),
         cmocka_unit_test(a_moving_node_that_is_grabbed_does_not_ring),
         cmocka_unit_test(grabbing_takes_the_velocity_of_the_node_alone),
