@@ -1514,7 +1514,7 @@ typedef struct sfem_modal_def {
     sfem_exec exec;                      /* threads for reconstruction */
 } sfem_modal_def;
 
-/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-5, 4 iterations; 16 handles of
+/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16 handles of
  * 64 nodes in all; tolerance 0; no gravity. */
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
 
@@ -20228,6 +20228,46 @@ static void sfemi_turn_back(const sfem_real m[9], const sfem_real x[3], sfem_rea
     for (c = 0; c < 3; ++c) y[c] = m[c] * v[0] + m[3 + c] * v[1] + m[6 + c] * v[2];
 }
 
+/* The derivatives of the two coefficients by th^2. */
+static void sfemi_turn_slopes(int kind, sfem_real t, sfem_real *da, sfem_real *db)
+{
+    *da = *db = 0;
+    if (t < 10) {
+        sfem_real c[2][SFEMI_TURN_TERMS];
+        const int terms = t < 0.01 ? 6 : SFEMI_TURN_TERMS;
+        int k;
+        sfemi_turn_series(kind, terms, c[0]);
+        sfemi_turn_series(kind + 1, terms, c[1]);
+        for (k = terms - 1; k > 0; --k) *da = *da * t + k * c[0][k], *db = *db * t + k * c[1][k];
+    } else {
+        const sfem_real th = sqrt(t), sinc = sin(th) / th, dsinc = (cos(th) - sinc) / (2 * t);
+        const sfem_real half = sin(th / 2), k = 2 * half * half / t, dk = (sinc / 2 - k) / t;
+        *da = kind == SFEMI_TURN_PATH ? dk : dsinc;
+        *db = kind == SFEMI_TURN_PATH ? (-dsinc - (1 - sinc) / t) / t : dk;
+    }
+}
+
+/* The derivative by w of u + a w x u + b w x (w x u): -a [u]x + b (w.u + w u^T - 2 u w^T)
+ * + 2 (da w x u + db w x (w x u)) w^T. */
+static void sfemi_turn_derivative(int kind, const sfem_real w[3], const sfem_real u[3], sfem_real out[9])
+{
+    sfem_real a, b, da, db, wu[3], wwu[3];
+    const sfem_real dot = sfemi_dot3(w, u);
+    int i, j;
+    sfemi_turn_coefficients(kind, w, &a, &b);
+    sfemi_turn_slopes(kind, sfemi_dot3(w, w), &da, &db);
+    sfemi_cross(w, u, wu);
+    sfemi_cross(w, wu, wwu);
+    for (i = 0; i < 3; ++i) {
+        const int next = (i + 1) % 3, last = (i + 2) % 3;
+        for (j = 0; j < 3; ++j)
+            out[3 * i + j] = b * ((i == j ? dot : 0) + w[i] * u[j] - 2 * u[i] * w[j]) +
+                             2 * (da * wu[i] + db * wwu[i]) * w[j];
+        out[3 * i + next] += a * u[last];
+        out[3 * i + last] -= a * u[next];
+    }
+}
+
 /* --- the reduced model ----------------------------------------------------------------------- */
 
 typedef struct sfemi_reduced_head {
@@ -20907,9 +20947,11 @@ struct sfem_modal {
     sfem_int *force_node;          /* [nodes] */
     /* scratch */
     void *backup;                  /* small_bytes */
-    sfem_real *next, *b, *qp, *vp, *inverse; /* [stride] */
+    sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
     sfemi_oscillator *oscillator;  /* [stride] */
-    sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H], [3H], [3H] */
+    sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H] each */
+    sfem_real *exact;              /* [H][3][stride] G */
+    sfem_int *column, *fixed;      /* [3H]; fixed: rows that carry nothing */
     sfem_int *place;               /* [nodes] a node's place in force_node + 1, or 0 */
     sfem_int *drawn;               /* [stride] modes whose q is not 0 */
     double *drawn_q;               /* [stride] */
@@ -20979,7 +21021,7 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
     def.gamma = 0.5;
     def.handle_beta = 0.3025;
     def.handle_gamma = 0.6;
-    def.compliance = 1e-5;
+    def.compliance = 1e-4;
     def.handle_iterations = 4;
     def.max_handles = 16;
     def.max_handle_nodes = 64;
@@ -21073,6 +21115,7 @@ SFEM_DEF void sfem_modal_free(sfem_modal *b)
     sfemi_delete(&al, b->next);
     sfemi_delete(&al, b->oscillator);
     sfemi_delete(&al, b->s);
+    sfemi_delete(&al, b->column);
     sfemi_delete(&al, b->place);
     sfemi_delete(&al, b->drawn);
     sfemi_delete(&al, b->drawn_q32);
@@ -21099,24 +21142,28 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(char, block, al, b->state_bytes);
     sfemi_modal_lay_out(b, block);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
-    SFEMI_NEW(sfem_real, b->next, al, 6 * b->stride + 1);
+    SFEMI_NEW(sfem_real, b->next, al, 7 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
     b->inverse = b->vp + b->stride;
-    b->drawn_q = b->inverse + b->stride;
+    b->from = b->inverse + b->stride;
+    b->drawn_q = b->from + b->stride;
     SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
-    SFEMI_NEW(sfem_real, b->s, al, rows * rows + 3 * rows + 1);
+    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 3 + b->stride) + 1);
+    SFEMI_NEW(sfem_int, b->column, al, 2 * rows + 1);
+    b->fixed = b->column + rows;
     b->arm = b->s + rows * rows;
     b->l = b->arm + rows;
     b->residual = b->l + rows;
+    b->exact = b->residual + rows;
     SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
     b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
-               b->stride * (6 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (7 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
-               (rows * rows + 3 * rows) * sizeof(sfem_real) +
+               rows * ((rows + 3 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
     sfemi_modal_series(b);
     memcpy(b->head->magic, "sfemmod", 8);
@@ -21173,6 +21220,9 @@ SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, con
         memset(b->force + 3 * (size_t)at, 0, 3 * sizeof *f);
     }
     at = b->place[node] - 1;
+    for (c = 0; c < 3; ++c)
+        if (!sfemi_finite(b->force[3 * (size_t)at + (size_t)c] + f[c]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d overflows", (int)node);
     for (c = 0; c < 3; ++c) b->force[3 * (size_t)at + (size_t)c] += f[c];
     return SFEM_OK;
 }
@@ -21309,28 +21359,44 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
  * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation that displaces
  * node k; of a free body's frame also the identity and -[arm]x, with mass and inertia in A. With those,
  * S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps d l, d the mean of S's diagonal, by
- * (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at once where nothing warps; else x is not linear
- * in q, and a few repetitions with J renewed bring the handles to their targets. */
+ * (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at once where nothing warps. Else x is not linear in
+ * q, and dx = G dq with G = J + H (dRt/dw Phi q) Psi: the body feels J^T l, and Newton's iteration for l has
+ * G A^-1 J^T for S. (With S it converges slowly where Rt warps, and not at all for a bar that R bends far.) */
 
-/* x and, unless NULL, J at q in the given pose; arm is x - the frame's place, in the world. */
+/* rows += t phi, t 3x3 */
+static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_real t[9], const sfem_real *phi,
+                                  sfem_real *rows)
+{
+    size_t k;
+    int i;
+    for (i = 0; i < 3; ++i, rows += stride) {
+        const sfem_real a = weight * t[3 * i], b = weight * t[3 * i + 1], c = weight * t[3 * i + 2];
+        for (k = 0; k < stride; ++k) rows[k] += a * phi[k] + b * phi[stride + k] + c * phi[2 * stride + k];
+    }
+}
+
+/* x and, unless NULL, J and (also unless NULL) G at q in the given pose, nodes turned as at q_turn; arm is x - the
+ * frame's place, in the world. */
 static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, const sfem_real *q,
-                              const sfem_rigid *frame, sfem_real x[3], sfem_real arm[3], sfem_real *rows)
+                              const sfem_real *q_turn, const sfem_rigid *frame, sfem_real x[3],
+                              sfem_real arm[3], sfem_real *rows, sfem_real *exact)
 {
     const sfem_reduced *r = b->reduced;
     const size_t stride = b->stride;
     const int loose = r->head->free;
     sfem_int p;
-    size_t k;
-    int i, c;
+    int c;
     for (c = 0; c < 3; ++c) arm[c] = 0;
     if (rows) memset(rows, 0, 3 * stride * sizeof *rows);
+    if (exact) memset(exact, 0, 3 * stride * sizeof *exact);
     for (p = h->first; p < h->first + h->count; ++p) {
         const sfem_int node = b->handle_node[p];
-        const sfem_real *phi = r->phi + 3 * stride * (size_t)node;
-        sfem_real t[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, w[3], u[3];
-        sfemi_modal_linear(b, node, q, u);
+        const sfem_real *phi = r->phi + 3 * stride * (size_t)node, *psi = r->psi + 3 * stride * (size_t)node;
+        sfem_real t[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, d[9], w[3], u[3], linear[3], turned[9];
+        sfemi_modal_linear(b, node, q, linear);
+        memcpy(u, linear, sizeof u);
         if (b->def.warp != SFEM_WARP_NONE) {
-            sfemi_modal_rotation(b, node, q, w);
+            sfemi_modal_rotation(b, node, q_turn, w);
             sfemi_turn_matrix(sfemi_modal_path_kind(b), w, t);
             sfemi_turn_vector(t, u, u);
         }
@@ -21339,15 +21405,18 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
                       (r->x[3 * (size_t)node + (size_t)c] - (loose ? r->head->centre[c] : 0) + u[c]);
         if (!rows) continue;
         if (loose) {
-            sfem_real turned[9];
             sfemi_mul3(frame->r, t, turned);
             memcpy(t, turned, sizeof t);
         }
-        for (i = 0; i < 3; ++i)
-            for (c = 0; c < 3; ++c) {
-                const sfem_real s = b->weight[p] * t[3 * i + c];
-                for (k = 0; k < stride; ++k) rows[(size_t)i * stride + k] += s * phi[(size_t)c * stride + k];
-            }
+        sfemi_handle_add_rows(stride, b->weight[p], t, phi, rows);
+        if (!exact) continue;
+        sfemi_turn_derivative(sfemi_modal_path_kind(b), w, linear, d);
+        if (loose) {
+            sfemi_mul3(frame->r, d, turned);
+            memcpy(d, turned, sizeof d);
+        }
+        sfemi_handle_add_rows(stride, b->weight[p], t, phi, exact);
+        sfemi_handle_add_rows(stride, b->weight[p], d, psi, exact);
     }
     if (loose) sfemi_turn_vector(frame->r, arm, arm);
     for (c = 0; c < 3; ++c) x[c] = arm[c] + (loose ? frame->x[c] : 0);
@@ -21360,26 +21429,28 @@ static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
     return slot;
 }
 
-/* S = J A^-1 J^T over all rows in use, factored with the compliance added; inverse NULL: A = I. Rows that move
- * nothing get a zero pivot. Returns eps times the mean diagonal. */
-static sfem_real sfemi_handle_factor(sfem_modal *b, const sfem_real *inverse, const sfem_real r[9])
+/* S over all rows in use, with the compliance added: J A^-1 J^T, or with `exact` G A^-1 J^T; inverse NULL: A = I.
+ * Rows that move nothing become zero. Returns eps times the mean diagonal of J A^-1 J^T. */
+static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
+                                     const sfem_real r[9])
 {
     const sfemi_reduced_head *head = b->reduced->head;
     const sfem_int n = 3 * b->head->handles;
-    sfem_int hi, hj, i = 0, j, c, d, rows = 0, left = 0;
-    sfem_real *s = b->s, most = 0, mean = 0, world[9], half[9];
+    sfem_int hi, hj, i = 0, j, c, d, rows = 0;
+    sfem_real *s = b->s, *diagonal = b->residual, most = 0, mean = 0, world[9], half[9];
     size_t k;
     if (head->free) {
         sfemi_mul3(r, head->inverse, half);
         sfemi_mul3_nt(half, r, world);
     }
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        for (j = 0, hj = sfemi_handle_next(b, 0); hj <= hi; hj = sfemi_handle_next(b, hj + 1), j += 3) {
+        for (j = 0, hj = sfemi_handle_next(b, 0); j < n; hj = sfemi_handle_next(b, hj + 1), j += 3) {
             for (c = 0; c < 3; ++c) {
-                const sfem_real *x = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
+                const sfem_real *x = left + (3 * (size_t)hi + (size_t)c) * b->stride;
+                const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
                 for (d = 0; d < 3; ++d) {
                     const sfem_real *y = b->rows + (3 * (size_t)hj + (size_t)d) * b->stride;
-                    sfem_real sum = 0;
+                    sfem_real sum = 0, own = 0, frame = 0;
                     for (k = 0; k < b->m; ++k) sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
                     if (head->free) { /* I/mass + [ai]x^T W [aj]x */
                         sfem_real e[3] = {0, 0, 0}, g[3] = {0, 0, 0}, p[3], w[3];
@@ -21387,29 +21458,73 @@ static sfem_real sfemi_handle_factor(sfem_modal *b, const sfem_real *inverse, co
                         sfemi_cross(b->arm + i, e, p); /* the torque of a unit force along c */
                         sfemi_cross(b->arm + j, g, w);
                         sfemi_turn_vector(world, w, w);
-                        sum += (c == d ? 1 / head->mass : 0) + sfemi_dot3(p, w);
+                        frame = (c == d ? 1 / head->mass : 0) + sfemi_dot3(p, w);
                     }
-                    s[(i + c) * n + j + d] = sum;
+                    s[(i + c) * n + j + d] = sum + frame;
+                    if (i != j || c != d) continue;
+                    for (k = 0; k < b->m; ++k) own += inverse ? z[k] * inverse[k] * z[k] : z[k] * z[k];
+                    diagonal[i + c] = own + frame;
+                    most = fmax(most, diagonal[i + c]);
                 }
             }
         }
     }
-    for (i = 0; i < n; ++i) most = fmax(most, s[i * n + i]);
     for (i = 0; i < n; ++i)
-        if (s[i * n + i] > 1e-12 * most) mean += s[i * n + i], ++rows;
+        if (diagonal[i] > 1e-12 * most) mean += diagonal[i], ++rows;
     mean = rows ? b->def.compliance * mean / rows : 0;
     for (i = 0; i < n; ++i) {
-        if (s[i * n + i] > 1e-12 * most) s[i * n + i] += mean;
+        if (diagonal[i] > 1e-12 * most) s[i * n + i] += mean;
         else
-            for (j = 0; j < n; ++j) { /* nothing moves it */
-                if (j <= i) s[i * n + j] = 0;
-                else s[j * n + i] = 0;
-            }
+            for (j = 0; j < n; ++j) s[i * n + j] = s[j * n + i] = 0;
     }
-    sfemi_grip_factor(s, n, n);
-    for (i = 0; i < n; ++i) left += !(s[i * n + i] > 0);
-    b->head->rows_left = left;
     return mean;
+}
+
+/* x = S^-1 x by elimination with complete pivoting; what depends on the rest is left at 0. Returns how many rows
+ * that were. */
+static sfem_int sfemi_handle_eliminate(sfem_real *s, sfem_int n, sfem_real *x, sfem_int *column)
+{
+    sfem_real first = 0;
+    sfem_int rank, i, j, k;
+    for (i = 0; i < n; ++i) column[i] = i;
+    for (rank = 0; rank < n; ++rank) {
+        sfem_int row = rank, col = rank;
+        for (i = rank; i < n; ++i)
+            for (j = rank; j < n; ++j)
+                if (fabs(s[i * n + j]) > fabs(s[row * n + col])) row = i, col = j;
+        if (rank == 0) first = fabs(s[row * n + col]);
+        if (!(fabs(s[row * n + col]) > 1e-9 * first)) break;
+        for (j = 0; j < n && row != rank; ++j) {
+            const sfem_real t = s[row * n + j];
+            s[row * n + j] = s[rank * n + j];
+            s[rank * n + j] = t;
+        }
+        for (i = 0; i < n && col != rank; ++i) {
+            const sfem_real t = s[i * n + col];
+            s[i * n + col] = s[i * n + rank];
+            s[i * n + rank] = t;
+        }
+        {
+            const sfem_real t = x[row];
+            x[row] = x[rank];
+            x[rank] = t;
+            k = column[col];
+            column[col] = column[rank];
+            column[rank] = k;
+        }
+        for (i = rank + 1; i < n; ++i) {
+            const sfem_real f = s[i * n + rank] / s[rank * n + rank];
+            for (j = rank + 1; j < n; ++j) s[i * n + j] -= f * s[rank * n + j];
+            x[i] -= f * x[rank];
+        }
+    }
+    for (i = rank - 1; i >= 0; --i) {
+        for (j = i + 1; j < rank; ++j) x[i] -= s[i * n + j] * x[j];
+        x[i] /= s[i * n + i];
+    }
+    for (i = 0; i < n; ++i) s[column[i]] = i < rank ? x[i] : 0; /* S has served */
+    memcpy(x, s, (size_t)n * sizeof *x);
+    return n - rank;
 }
 
 /* y -= J^T l, all rows in use */
@@ -21448,7 +21563,8 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     const sfem_int n = 3 * head->handles;
     sfem_int hi, i = 0;
     int c;
-    sfemi_handle_factor(b, NULL, head->rigid.r);
+    sfemi_handle_matrix(b, NULL, b->rows, head->rigid.r);
+    sfemi_grip_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
         sfem_real turn[3] = {0, 0, 0};
@@ -21474,8 +21590,8 @@ static void sfemi_handle_locate(sfem_modal *b)
     sfem_int hi, i = 0;
     sfem_real x[3];
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
-        sfemi_handle_rows(b, b->handle + hi, b->q, &b->head->rigid, x, b->arm + i,
-                          b->rows + 3 * (size_t)hi * b->stride);
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &b->head->rigid, x, b->arm + i,
+                          b->rows + 3 * (size_t)hi * b->stride, NULL);
 }
 
 /* a = f - c v - lambda q, less what the handles hold of it. */
@@ -21528,7 +21644,7 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
     }
     b->head->handle_nodes += count;
     ++b->head->handles;
-    sfemi_handle_rows(b, h, b->q, &b->head->rigid, h->target, arm, NULL);
+    sfemi_handle_rows(b, h, b->q, b->q, &b->head->rigid, h->target, arm, NULL, NULL);
     sfemi_modal_wake(b);
     sfemi_handle_locate(b);
     sfemi_handle_project(b, slot, 0);
@@ -21593,7 +21709,7 @@ SFEM_DEF void sfem_modal_handle_position(const sfem_modal *b, sfem_int handle, s
 {
     sfem_real arm[3];
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
-    sfemi_handle_rows(b, b->handle + handle, b->q, &b->head->rigid, x, arm, NULL);
+    sfemi_handle_rows(b, b->handle + handle, b->q, b->q, &b->head->rigid, x, arm, NULL, NULL);
 }
 
 SFEM_DEF void sfem_modal_handle_force(const sfem_modal *b, sfem_int handle, sfem_real force[3])
@@ -21626,69 +21742,122 @@ static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta,
     b->gamma = gamma;
 }
 
+/* Distance of the handles from where they are to be, less what the compliance lets them: b->residual, over scale;
+ * returns the largest, m. */
+static sfem_real sfemi_handle_gaps(sfem_modal *b, sfem_real scale, sfem_real eps, const sfem_real *q_turn,
+                                   const sfemi_modal_head *to)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_real worst = 0;
+    sfem_int hi, i;
+    int c;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real x[3], arm[3];
+        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &to->rigid, x, arm, NULL, NULL);
+        for (c = 0; c < 3; ++c) {
+            const sfem_real gap = x[c] - b->handle[hi].target[c] - scale * eps * b->l[i + c];
+            b->residual[i + c] = gap / scale;
+            if (!b->fixed[i + c]) worst = fmax(worst, sfemi_finite(gap) ? fabs(gap) : HUGE_VAL);
+        }
+    }
+    return worst;
+}
+
+typedef struct sfemi_handle_step {
+    sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
+    sfemi_modal_head *to;
+} sfemi_handle_step;
+
 /* q = qp + scale inverse (b - J^T l), and of a free body the pose at the end of the step. */
-static void sfemi_handle_respond(sfem_modal *b, sfem_real scale, sfem_real h, sfem_real beta, sfem_real gamma,
-                                 sfemi_modal_head *to)
+static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
 {
     size_t k;
     memcpy(b->a, b->b, b->stride * sizeof *b->a);
     sfemi_handle_subtract(b, b->l, b->a);
     for (k = 0; k < b->m; ++k) {
         b->a[k] *= b->inverse[k];
-        b->q[k] = b->qp[k] + scale * b->a[k];
+        b->q[k] = b->qp[k] + step->scale * b->a[k];
     }
     if (b->reduced->head->free) {
         sfem_real force[3], torque[3];
         sfemi_handle_frame_force(b, b->l, force, torque);
-        sfemi_frame_step(b, h, beta, gamma, force, torque, to);
+        sfemi_frame_step(b, step->h, step->beta, step->gamma, force, torque, step->to);
     }
 }
 
+/* The multipliers of [000 A.14]: nodes turned as they are when the step begins, so that all is linear. Returns
+ * eps d. */
+static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *step)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_real eps;
+    sfem_int i;
+    memcpy(b->q, b->from, b->stride * sizeof *b->q);
+    sfemi_handle_locate(b);
+    eps = sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r);
+    sfemi_grip_factor(b->s, n, n);
+    for (i = 0; i < n; ++i) b->l[i] = 0;
+    sfemi_handle_respond(b, step);
+    sfemi_handle_gaps(b, step->scale, eps, b->from, step->to);
+    sfemi_grip_solve(b->s, n, n, b->residual, 1);
+    for (step->to->rows_left = 0, i = 0; i < n; ++i) {
+        b->fixed[i] = !(b->s[i * n + i] > 0);
+        step->to->rows_left += b->fixed[i];
+        b->l[i] = b->residual[i];
+    }
+    sfemi_handle_respond(b, step);
+    return eps;
+}
+
+/* One correction of Newton's; returns the gap that is left. */
+static sfem_real sfemi_handle_correct(sfem_modal *b, const sfemi_handle_step *step)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_real *exact = b->def.warp != SFEM_WARP_NONE ? b->exact : NULL, eps, x[3];
+    sfem_int hi, i;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, b->arm + i,
+                          b->rows + 3 * (size_t)hi * b->stride,
+                          exact ? exact + 3 * (size_t)hi * b->stride : NULL);
+    eps = sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r);
+    sfemi_handle_respond(b, step);
+    sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    sfemi_handle_eliminate(b->s, n, b->residual, b->column);
+    for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
+    sfemi_handle_respond(b, step);
+    return sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+}
+
 /* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T l) of the end
- * of the step, l in the handles, and J, in rows, that of the last solve. */
-static void sfemi_handle_solve(sfem_modal *b, sfem_real scale, sfem_real h, sfem_real beta, sfem_real gamma,
-                               sfemi_modal_head *to)
+ * of the step, l in the handles, and J, in rows, that of the last solve. Where Newton's corrections bring them no
+ * nearer, as with targets that contradict one another, the linear answer stands: it is bounded whatever the
+ * targets. */
+static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_step *step)
 {
     const sfemi_reduced_head *r = b->reduced->head;
-    const sfem_int n = 3 * b->head->handles;
-    const sfem_int most = b->def.warp == SFEM_WARP_NONE && !r->free ? 1 : b->def.handle_iterations;
     const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
+    sfem_real worst, eps;
     sfem_int it, hi, i;
     int c;
-    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
-        for (c = 0; c < 3; ++c) b->l[i + c] = b->head->rows_left ? 0 : b->handle[hi].l[c];
-    to->iterations = 0;
-    for (it = 0; it < most; ++it) {
-        sfem_real x[3], arm[3], worst = 0, eps;
-        if (it == 0) sfemi_handle_locate(b);
-        else
-            for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
-                sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, b->arm + i,
-                                  b->rows + 3 * (size_t)hi * b->stride);
-        eps = sfemi_handle_factor(b, b->inverse, to->rigid.r);
-        sfemi_handle_respond(b, scale, h, beta, gamma, to);
-        for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-            sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, arm, NULL);
-            for (c = 0; c < 3; ++c) {
-                const sfem_real gap = x[c] - b->handle[hi].target[c] - scale * eps * b->l[i + c];
-                if (b->s[(i + c) * n + i + c] > 0) worst = fmax(worst, fabs(gap));
-                b->residual[i + c] = gap / scale;
-            }
+    memcpy(b->from, b->q, b->stride * sizeof *b->q);
+    eps = sfemi_handle_linear(b, step);
+    worst = sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    for (it = 1; it < most && worst > 1e-10 * size; ++it) {
+        const sfem_real left = sfemi_handle_correct(b, step);
+        if (!(left < worst)) {
+            sfemi_handle_linear(b, step);
+            break;
         }
-        sfemi_grip_solve(b->s, n, n, b->residual, 1);
-        for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
-        sfemi_handle_respond(b, scale, h, beta, gamma, to);
-        ++to->iterations;
-        if (worst <= 1e-10 * size) break;
+        worst = left;
     }
-    to->rows_left = b->head->rows_left;
-    to->residual = 0;
-    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+    step->to->iterations = it;
+    step->to->residual = 0;
+    for (i = 0, hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
         sfem_real x[3], arm[3];
-        sfemi_handle_rows(b, b->handle + hi, b->q, &to->rigid, x, arm, NULL);
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, arm, NULL, NULL);
         for (c = 0; c < 3; ++c) {
             b->handle[hi].l[c] = b->l[i + c];
-            to->residual = fmax(to->residual, fabs(x[c] - b->handle[hi].target[c]));
+            step->to->residual = fmax(step->to->residual, fabs(x[c] - b->handle[hi].target[c]));
         }
     }
 }
@@ -21697,6 +21866,7 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
                                 sfemi_modal_head *to)
 {
     const sfem_reduced *r = b->reduced;
+    sfemi_handle_step step;
     size_t k;
     sfemi_modal_coefficients(b, h, beta, gamma);
     if (b->head->handles == 0) {
@@ -21718,7 +21888,12 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
         b->vp[k] = b->v[k] + (1 - gamma) * h * b->a[k];
         b->b[k] = b->next[k] - r->damping[k] * b->vp[k] - r->lambda[k] * b->qp[k];
     }
-    sfemi_handle_solve(b, beta * h * h, h, beta, gamma, to);
+    step.scale = beta * h * h;
+    step.h = h;
+    step.beta = beta;
+    step.gamma = gamma;
+    step.to = to;
+    sfemi_handle_solve(b, b->def.warp != SFEM_WARP_NONE || r->head->free ? b->def.handle_iterations : 1, &step);
     for (k = 0; k < b->m; ++k) b->v[k] = b->vp[k] + gamma * h * b->a[k];
 }
 
@@ -21917,7 +22092,11 @@ static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_
         b->inverse[k] = r->lambda[k] > 0 ? 1 / r->lambda[k] : 0;
         b->qp[k] = r->lambda[k] > 0 ? 0 : b->q[k];
     }
-    if (b->head->handles > 0) sfemi_handle_solve(b, 1, 0, 0, 0, to);
+    if (b->head->handles > 0) {
+        sfemi_handle_step step = {1, 0, 0, 0, NULL};
+        step.to = to;
+        sfemi_handle_solve(b, 1, &step);
+    }
     else
         for (k = 0; k < b->m; ++k) b->q[k] = b->qp[k] + b->inverse[k] * b->b[k];
     for (k = 0; k < b->m; ++k) {
@@ -22094,34 +22273,6 @@ SFEM_DEF void sfem_modal_to_floats(const sfem_modal *b, const sfem_reduced_view 
     sfemi_view_reconstruct(b, view, 0, NULL, x, stride);
 }
 
-/* d/dt of u + a w x u + b w x (w x u) */
-static void sfemi_turn_rate(int kind, const sfem_real w[3], const sfem_real wdot[3], const sfem_real u[3],
-                            const sfem_real udot[3], sfem_real out[3])
-{
-    const sfem_real t = sfemi_dot3(w, w), rate = 2 * sfemi_dot3(w, wdot);
-    sfem_real a, b, da = 0, db = 0, c[2][SFEMI_TURN_TERMS], wu[3], wwu[3], p[3], q[3], dwu[3], s[3];
-    int k;
-    sfemi_turn_coefficients(kind, w, &a, &b);
-    if (t < 10) {
-        sfemi_turn_series(kind, SFEMI_TURN_TERMS, c[0]);
-        sfemi_turn_series(kind + 1, SFEMI_TURN_TERMS, c[1]);
-        for (k = SFEMI_TURN_TERMS - 1; k > 0; --k) da = da * t + k * c[0][k], db = db * t + k * c[1][k];
-    } else {
-        const sfem_real th = sqrt(t), sinc = sin(th) / th, dsinc = (cos(th) - sinc) / (2 * t);
-        da = kind == SFEMI_TURN_PATH ? (sinc / 2 - a) / t : dsinc;
-        db = kind == SFEMI_TURN_PATH ? (-dsinc - b) / t : (sinc / 2 - b) / t;
-    }
-    sfemi_cross(w, u, wu);
-    sfemi_cross(w, wu, wwu);
-    sfemi_cross(wdot, u, p);
-    sfemi_cross(w, udot, q);
-    for (k = 0; k < 3; ++k) dwu[k] = p[k] + q[k]; /* d/dt w x u */
-    sfemi_cross(wdot, wu, p);
-    sfemi_cross(w, dwu, s);
-    for (k = 0; k < 3; ++k)
-        out[k] = udot[k] + da * rate * wu[k] + a * dwu[k] + db * rate * wwu[k] + b * (p[k] + s[k]);
-}
-
 SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3], sfem_real v[3],
                               sfem_real w[3])
 {
@@ -22138,13 +22289,16 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
     for (c = 0; c < 3; ++c) x[c] = arm[c] + (r->head->free ? frame->x[c] : 0);
     if (w) memcpy(w, rotation, sizeof rotation);
     if (v) {
-        sfem_real u[3], udot[3], wdot[3], spin[3], turn[3];
+        sfem_real u[3], wdot[3], spin[3], turn[3], change[9], k1, k2;
         sfemi_modal_linear(b, node, b->v, v);
         if (b->def.warp != SFEM_WARP_NONE) {
-            memcpy(udot, v, sizeof udot);
             sfemi_modal_linear(b, node, b->q, u);
             sfemi_modal_rotation(b, node, b->v, wdot);
-            sfemi_turn_rate(sfemi_modal_path_kind(b), rotation, wdot, u, udot, v);
+            sfemi_turn_coefficients(sfemi_modal_path_kind(b), rotation, &k1, &k2);
+            sfemi_turn_apply(k1, k2, rotation, v, v);
+            sfemi_turn_derivative(sfemi_modal_path_kind(b), rotation, u, change);
+            sfemi_turn_vector(change, wdot, wdot);
+            for (c = 0; c < 3; ++c) v[c] += wdot[c];
         }
         if (!r->head->free) return;
         sfemi_turn_vector(frame->r, v, v);

@@ -166,7 +166,7 @@ static void what_does_not_belong_together_is_refused(void **state)
     assert_status(sfem_reduced_create(other.model, &s.modes, &def, &reduced, &err), SFEM_MISMATCH);
     def.free = 1;
     assert_status(sfem_reduced_create(s.model, &s.modes, &def, &reduced, &err), SFEM_BAD_ARGUMENT);
-    assert_names(err, "mode 0 moves the body as a whole");
+    assert_names(err, "moves the body as a whole");
     def.free = -1;
     def.ratio = ratio;
     assert_status(sfem_reduced_create(s.model, &s.modes, &def, &reduced, &err), SFEM_BAD_ARGUMENT);
@@ -175,11 +175,11 @@ static void what_does_not_belong_together_is_refused(void **state)
     def.alpha = -1;
     assert_status(sfem_reduced_create(s.model, &s.modes, &def, &reduced, &err), SFEM_BAD_ARGUMENT);
     def.alpha = 0;
-    keep = s.modes.phi[3 * s.nodes + 40];
-    s.modes.phi[3 * s.nodes + 40] = NAN;
+    keep = s.modes.phi[3 * s.nodes + 20];
+    s.modes.phi[3 * s.nodes + 20] = NAN;
     assert_status(sfem_reduced_create(s.model, &s.modes, &def, &reduced, &err), SFEM_NOT_FINITE);
     assert_names(err, "mode 1");
-    s.modes.phi[3 * s.nodes + 40] = keep;
+    s.modes.phi[3 * s.nodes + 20] = keep;
     assert_status(sfem_reduced_view_create(s.reduced, 1, &outside, SFEM_DOUBLE, &view, &err),
                   SFEM_BAD_ARGUMENT);
     assert_int_equal(err.node, outside);
@@ -483,7 +483,7 @@ static void sleeping_modes_stay_within_the_tolerance_and_wake(void **state)
     sfem_error err;
     scene s;
     (void)state;
-    for (k = 0; k < BEAM_MODES; ++k) ratio[k] = 0.05;
+    for (k = 0; k < BEAM_MODES; ++k) ratio[k] = 0.3;
     reduced_def.ratio = ratio;
     s = make_bar(cells, 5, 1, BEAM_MODES, SFEM_LINEAR, &reduced_def);
     x = (double *)malloc(48 * (size_t)s.nodes);
@@ -493,8 +493,8 @@ static void sleeping_modes_stay_within_the_tolerance_and_wake(void **state)
     some = make_modal(&s, &def);
     step(all, h), step(some, h);
     assert_int_equal(sfem_modal_get_info(all).awake, 0); /* at rest and unloaded: even without a tolerance */
-    for (i = 0; i < 3000; ++i) {
-        const int loaded = i % 1500 < 30;
+    for (i = 0; i < 6000; ++i) {
+        const int loaded = i % 3000 < 30;
         assert_ok(sfem_modal_set_force(all, NULL, &err), err);
         assert_ok(sfem_modal_set_force(some, NULL, &err), err);
         if (loaded) {
@@ -536,10 +536,10 @@ static void reference_warp(sfem_warp warp, const double w[3], const double u[3],
         memcpy(out, u, 3 * sizeof *out);
         return;
     }
-    for (piece = 0; piece < (warp == SFEM_WARP_PATH ? 8 : 1); ++piece)
+    for (piece = 0; piece < (warp == SFEM_WARP_PATH ? 64 : 1); ++piece)
         for (k = 0; k < (warp == SFEM_WARP_PATH ? 5 : 1); ++k) { /* Gauss, or the end */
-            const double t = warp == SFEM_WARP_PATH ? (piece + (1 + at[k]) / 2) / 8 : 1;
-            const double part = warp == SFEM_WARP_PATH ? share[k] / 16 : 1;
+            const double t = warp == SFEM_WARP_PATH ? (piece + (1 + at[k]) / 2) / 64 : 1;
+            const double part = warp == SFEM_WARP_PATH ? share[k] / 128 : 1;
             const double n[3] = {w[0] / th, w[1] / th, w[2] / th}, s = sin(t * th), o = cos(t * th);
             const double nu = n[0] * u[0] + n[1] * u[1] + n[2] * u[2];
             const double cross[3] = {n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2],
@@ -567,7 +567,7 @@ static void views_reconstruct_what_the_formulas_say(void **state)
     static const double sizes[] = {0, 1e-9, 1e-3, 0.3, 3, 20};
     test_random random = {11};
     sfem_reduced_view *surface, *surface32, *few;
-    sfem_int list[3] = {100, 7, 100}, i;
+    sfem_int list[3] = {90, 7, 90}, i;
     double q[BEAM_MODES], u[3], w[3], want[3], *x = (double *)malloc(24 * (size_t)s.nodes);
     float *f = (float *)malloc(20 * (size_t)s.nodes);
     sfem_error err;
@@ -752,12 +752,10 @@ static void warping_errors_are_those_of_the_theory(void **state)
 static void a_warped_bar_keeps_its_length(void **state)
 {
     hanging g = make_hanging();
-    double drop;
     (void)state;
-    hang(&g, 5000);
+    assert_near(hang(&g, 4650), 4, 0, 0.03); /* 40 % of its length */
+    assert_near(axis_length(&g.s, g.exact), 10, 0.001, 0);
     hang_warped(&g, SFEM_WARP_PATH);
-    drop = mean_drop(&g, g.u);
-    assert_near(drop, 4, 0, 0.1); /* 40 % of its length */
     assert_near(axis_length(&g.s, g.u), 10, 0.015, 0);
     hang_warped(&g, SFEM_WARP_NONE); /* what warping is for */
     assert_true(axis_length(&g.s, g.u) > 11);
@@ -804,3 +802,656 @@ static void gravity_in_groups_is_nearly_gravity_on_nodes(void **state)
     free_hanging(&g);
 }
 
+/* --------------------------------------------------------------------------------------------
+ * handles
+ * -------------------------------------------------------------------------------------------- */
+
+static sfem_int grab(sfem_modal *b, sfem_int node)
+{
+    sfem_int handle = -1;
+    sfem_error err;
+    assert_ok(sfem_modal_grab_node(b, node, &handle, &err), err);
+    return handle;
+}
+
+static void move_by(sfem_modal *b, sfem_int handle, const double from[3], double dx, double dy, double dz)
+{
+    const double target[3] = {from[0] + dx, from[1] + dy, from[2] + dz};
+    sfem_error err;
+    assert_ok(sfem_modal_move_handle(b, handle, target, &err), err);
+}
+
+static void a_handle_holds_its_node_at_its_target(void **state)
+{
+    scene s[2];
+    int kind, warp, i;
+    (void)state;
+    s[0] = make_beam(1);
+    s[1] = make_beam(0);
+    for (kind = 0; kind < 2; ++kind)
+        for (warp = 0; warp < 3; ++warp) {
+            sfem_modal_def def = sfem_default_modal_def();
+            double x0[3], x[3], worst = 0;
+            sfem_int handle;
+            sfem_modal *b;
+            def.warp = (sfem_warp)warp;
+            def.compliance = 0;
+            b = make_modal(&s[kind], &def);
+            handle = grab(b, s[kind].nodes - 1);
+            sfem_modal_handle_position(b, handle, x0);
+            for (i = 0; i < 120; ++i) {
+                const double t = fmin(i / 60.0, 1), r = 1.5 * t * t * (3 - 2 * t); /* a third of its length */
+                move_by(b, handle, x0, -r * r / 5, 0.2 * r, r);
+                step(b, 1 / 60.0);
+                sfem_modal_node(b, s[kind].nodes - 1, x, NULL, NULL);
+                worst = fmax(worst, sfem_modal_get_info(b).handle_residual);
+                assert_int_equal(sfem_modal_get_info(b).handle_rows_left, 0);
+            }
+            assert_near(x[2] - x0[2], 1.5, 0, kind || warp ? 1e-6 : 1e-13);
+            assert_true(worst < (kind || warp ? 1e-5 : 1e-13));
+            sfem_modal_free(b);
+        }
+    free_scene(&s[0]);
+    free_scene(&s[1]);
+}
+
+/* f_q = J^T l on the modes, -l on nodes, related by Phi^T Rt^T f (R, I); and what the modes feel is the
+ * residual of their equation of motion. */
+static void the_force_of_a_handle_is_work_conjugate(void **state)
+{
+    scene s = make_beam(1);
+    const sfem_int region[3] = {97, 98, 96};
+    const double weight[3] = {0.5, 0.2, 0.3}, g[3] = {0, 1, -9.81};
+    int warp, i, j, k, c;
+    (void)state;
+    for (warp = 0; warp < 3; ++warp) {
+        sfem_modal *b = plain_modal(&s, (sfem_warp)warp);
+        double x0[2][3], load[BEAM_MODES], got[2][BEAM_MODES], want[2][BEAM_MODES], f[2][3];
+        sfem_int handle[2];
+        sfem_error err;
+        assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+        for (i = 0; i < 20; ++i) step(b, 0.01);
+        handle[0] = grab(b, s.nodes - 1);
+        assert_ok(sfem_modal_grab_region(b, 3, region, weight, &handle[1], &err), err);
+        for (j = 0; j < 2; ++j) sfem_modal_handle_position(b, handle[j], x0[j]);
+        for (i = 1; i <= 200; ++i) {
+            double before[BEAM_MODES];
+            memcpy(before, sfem_modal_coordinates(b), sizeof before);
+            for (j = 0; j < 2; ++j)
+                move_by(b, handle[j], x0[j], 0, 0.001 * i, i < 150 ? 0.004 * i : 0.6);
+            sfem_modal_load(b, load);
+            step(b, 0.01);
+            for (k = 0; k < BEAM_MODES; ++k) { /* A q'' + ... = load + sum of handles */
+                const double left = sfem_modal_accelerations(b)[k] +
+                                    s.modes.lambda[k] * sfem_modal_coordinates(b)[k];
+                double sum = load[k];
+                sfem_modal_handle_modal_force(b, handle[0], got[0]);
+                sfem_modal_handle_modal_force(b, handle[1], got[1]);
+                sum += got[0][k] + got[1][k];
+                assert_near(left, sum, 1e-9, 1e-9 * (1 + fabs(load[k])));
+            }
+        }
+        for (j = 0; j < 2; ++j) {
+            const sfem_int tip = s.nodes - 1;
+            const sfem_int *node = j ? region : &tip;
+            sfem_modal_handle_force(b, handle[j], f[j]);
+            memset(want[j], 0, sizeof want[j]);
+            for (i = 0; i < (j ? 3 : 1); ++i) {
+                double phi[3 * BEAM_MODES], u[3], w[3], column[3], e[3], image[3];
+                sfem_reduced_node_modes(s.reduced, node[i], phi, NULL);
+                multiply(&s, node[i], sfem_modal_coordinates(b), u, w);
+                for (k = 0; k < BEAM_MODES; ++k) {
+                    for (c = 0; c < 3; ++c) column[c] = phi[BEAM_MODES * c + k];
+                    memcpy(e, column, sizeof e);
+                    reference_warp((sfem_warp)warp, w, e, image);
+                    for (c = 0; c < 3; ++c) want[j][k] += (j ? weight[i] : 1) * f[j][c] * image[c];
+                }
+            }
+            /* at rest by now, so the rotations of the last solve are those of q */
+            assert_all_near(got[j], want[j], BEAM_MODES, 1e-3, 0);
+        }
+        /* pulled up, the hand pulls up */
+        assert_true(f[0][2] + f[1][2] > 0);
+        sfem_modal_free(b);
+    }
+    free_scene(&s);
+}
+
+/* A body pulled slowly: the work of the handle's force on the modes is the change of energy, and where nothing
+ * warps it is the work of the hand. (Warped, the node's displacement turns with q as well, which J leaves out.) */
+static void the_work_of_a_hand_goes_into_the_body(void **state)
+{
+    scene s = make_beam(1);
+    int warp, i, c, k;
+    (void)state;
+    for (warp = 0; warp < 3; ++warp) {
+        sfem_modal *b = plain_modal(&s, (sfem_warp)warp);
+        const double x0[3] = {5, 1, 1};
+        double work = 0, hand = 0, f[3], last[3] = {0, 0, 0}, at[3], before[3];
+        double fq[BEAM_MODES], last_fq[BEAM_MODES] = {0}, q[BEAM_MODES] = {0};
+        const sfem_int handle = grab(b, s.nodes - 1);
+        sfem_error err;
+        sfem_modal_handle_position(b, handle, before);
+        for (i = 1; i <= 400; ++i) {
+            move_by(b, handle, x0, 0, 0, 1.5 * i / 400);
+            assert_ok(sfem_modal_solve_static(b, NULL, &err), err);
+            sfem_modal_handle_force(b, handle, f);
+            sfem_modal_handle_position(b, handle, at);
+            sfem_modal_handle_modal_force(b, handle, fq);
+            for (c = 0; c < 3; ++c) hand += (f[c] + last[c]) / 2 * (at[c] - before[c]);
+            for (k = 0; k < BEAM_MODES; ++k)
+                work += (fq[k] + last_fq[k]) / 2 * (sfem_modal_coordinates(b)[k] - q[k]);
+            memcpy(last, f, sizeof f);
+            memcpy(last_fq, fq, sizeof fq);
+            memcpy(before, at, sizeof at);
+            memcpy(q, sfem_modal_coordinates(b), sizeof q);
+        }
+        assert_near(work, sfem_modal_get_info(b).elastic, 1e-4, 0);
+        if (!warp) assert_near(hand, sfem_modal_get_info(b).elastic, 1e-4, 0);
+        assert_true(hand > 0);
+        sfem_modal_free(b);
+    }
+    free_scene(&s);
+}
+
+static double largest_displacement(const sfem_modal *b, const scene *s)
+{
+    double *u = (double *)malloc(24 * (size_t)s->nodes), most = 0;
+    const double zero[3] = {0, 0, 0};
+    sfem_int i;
+    sfem_modal_displacements(b, s->view, u);
+    for (i = 0; i < s->nodes; ++i) most = fmax(most, distance(u + 3 * i, zero));
+    free(u);
+    return most;
+}
+
+/* Seven nodes side by side, each target off by 1 % of the pull at random: the source's system asks modes for
+ * thousands of metres; the compliance gives the pull. */
+static void noisy_handles_are_eased_by_compliance(void **state)
+{
+    scene s = make_beam(1);
+    int soft, i, k;
+    (void)state;
+    for (soft = 0; soft < 3; ++soft) {
+        test_random random = {21};
+        sfem_modal_def def = sfem_default_modal_def();
+        double x0[3];
+        sfem_int handle;
+        sfem_modal *b;
+        sfem_error err;
+        def.warp = soft < 2 ? SFEM_WARP_NONE : SFEM_WARP_PATH;
+        if (soft == 0) def.compliance = 1e-14;
+        b = make_modal(&s, &def);
+        for (k = 0; k < 7; ++k) {
+            handle = grab(b, s.nodes - 1 - k);
+            sfem_modal_handle_position(b, handle, x0);
+            move_by(b, handle, x0, 0.001 * random_normal(&random), 0.001 * random_normal(&random),
+                    0.1 + 0.001 * random_normal(&random));
+        }
+        assert_ok(sfem_modal_solve_static(b, NULL, &err), err);
+        if (soft) assert_near(largest_displacement(b, &s), 0.104, 0.15, 0);
+        else assert_true(largest_displacement(b, &s) > 1);
+        /* and in motion, with new noise at each step */
+        for (i = 0; soft && i < 100; ++i) {
+            for (k = 0; k < 7; ++k) {
+                const double *x = sfem_reduced_get_info(s.reduced).x + 3 * (s.nodes - 1 - k);
+                move_by(b, k, x, 0.001 * random_normal(&random), 0.001 * random_normal(&random),
+                        0.1 + 0.001 * random_normal(&random));
+            }
+            step(b, 0.02);
+            assert_true(largest_displacement(b, &s) < 1);
+        }
+        sfem_modal_free(b);
+    }
+    free_scene(&s);
+}
+
+/* far more rows than modes, nodes held several times and by targets that contradict, and a fixed one */
+static void handles_in_any_number_stay_finite(void **state)
+{
+    scene s = make_beam(1);
+    sfem_modal_def def = sfem_default_modal_def();
+    sfem_int handle[24], i, k;
+    double x0[24][3], f[3];
+    sfem_modal *b;
+    sfem_error err;
+    (void)state;
+    def.max_handles = 24;
+    b = make_modal(&s, &def);
+    for (k = 0; k < 24; ++k) {
+        handle[k] = grab(b, k < 23 ? s.nodes - 1 - k % 9 : 0);
+        sfem_modal_handle_position(b, handle[k], x0[k]);
+        move_by(b, handle[k], x0[k], 0, 0.01 * (k % 4), 0.2);
+    }
+    assert_status(sfem_modal_grab_node(b, 50, &i, &err), SFEM_FULL);
+    for (i = 0; i < 200; ++i) step(b, 0.02);
+    assert_true(largest_displacement(b, &s) < 2); /* what least squares make of it without warping, too */
+    sfem_modal_handle_force(b, handle[23], f); /* cannot follow, and pulls nobody's hand */
+    assert_true(f[0] == 0 && f[1] == 0 && f[2] == 0);
+    assert_int_equal(sfem_modal_get_info(b).handle_rows_left, 3);
+    for (k = 0; k < 24; ++k) sfem_modal_release_handle(b, handle[k]);
+    for (i = 0; i < 100; ++i) step(b, 0.02);
+    assert_true(largest_displacement(b, &s) < 6);
+    sfem_modal_free(b);
+    free_scene(&s);
+}
+
+/* without compliance the dependent rows are left out */
+static void redundant_handles_without_compliance_are_finite(void **state)
+{
+    scene s = make_beam(1);
+    sfem_modal_def def = sfem_default_modal_def();
+    sfem_int handle[10], i, k;
+    double x[3];
+    sfem_modal *b;
+    (void)state;
+    def.compliance = 0;
+    b = make_modal(&s, &def);
+    for (k = 0; k < 10; ++k) handle[k] = grab(b, k % 3 ? s.nodes - 1 - k : s.nodes - 1);
+    for (i = 0; i < 60; ++i) {
+        for (k = 0; k < 10; ++k) {
+            sfem_modal_handle_position(b, handle[k], x);
+            move_by(b, handle[k], x, 0, 0, 1e-4);
+        }
+        step(b, 0.02);
+    }
+    assert_true(sfem_modal_get_info(b).handle_rows_left >= 10);
+    sfem_modal_free(b);
+    free_scene(&s);
+}
+
+/* accelerations of the grabbed node of a moving body: largest in the last fifth over the first */
+static double ringing(const scene *s, double beta, double gamma, sfem_modal_integrator integrator)
+{
+    sfem_modal_def def = sfem_default_modal_def();
+    double early = 0, late = 0, a[3], x[3];
+    double phi[3 * BEAM_MODES];
+    sfem_modal *b;
+    sfem_error err;
+    int i, c, k;
+    def.warp = SFEM_WARP_NONE;
+    def.handle_beta = beta;
+    def.handle_gamma = gamma;
+    def.integrator = integrator;
+    b = make_modal(s, &def);
+    assert_ok(sfem_modal_add_node_force(b, 50, (const double[3]){0, 3000, 9000}, &err), err);
+    for (i = 0; i < 30; ++i) step(b, 0.01);
+    assert_ok(sfem_modal_set_force(b, NULL, &err), err);
+    grab(b, s->nodes - 1);
+    sfem_reduced_node_modes(s->reduced, s->nodes - 1, phi, NULL);
+    for (i = 0; i < 1000; ++i) {
+        step(b, 0.01);
+        for (c = 0; c < 3; ++c)
+            for (a[c] = 0, k = 0; k < BEAM_MODES; ++k)
+                a[c] += phi[BEAM_MODES * c + k] * sfem_modal_accelerations(b)[k];
+        if (i < 10) early = fmax(early, sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]));
+        if (i >= 800) late = fmax(late, sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]));
+    }
+    sfem_modal_node(b, s->nodes - 1, x, NULL, NULL);
+    (void)x;
+    sfem_modal_free(b);
+    return late / early;
+}
+
+static void a_moving_node_that_is_grabbed_does_not_ring(void **state)
+{
+    scene s = make_beam(1);
+    const double bad = ringing(&s, 0.25, 0.5, SFEM_MODAL_NEWMARK);
+    (void)state;
+    print_message("|J q''| late over early: (1/4, 1/2) %.3g, default %.3g, exact %.3g\n", bad,
+                  ringing(&s, 0.3025, 0.6, SFEM_MODAL_NEWMARK), ringing(&s, 0.3025, 0.6, SFEM_MODAL_EXACT));
+    assert_true(ringing(&s, 0.3025, 0.6, SFEM_MODAL_NEWMARK) < 0.01);
+    assert_true(ringing(&s, 0.3025, 0.6, SFEM_MODAL_EXACT) < 0.01);
+    free_scene(&s);
+}
+
+static void grabbing_takes_the_velocity_of_the_node_alone(void **state)
+{
+    scene s = make_beam(1);
+    const double g[3] = {0, 0, -9.81};
+    sfem_modal_def def = sfem_default_modal_def();
+    double v[3], before[3], other[3], p[3];
+    sfem_modal *b;
+    sfem_error err;
+    int i;
+    (void)state;
+    def.compliance = 0;
+    def.warp = SFEM_WARP_NONE;
+    b = make_modal(&s, &def);
+    assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+    for (i = 0; i < 30; ++i) step(b, 0.01);
+    sfem_modal_node(b, 50, p, before, NULL);
+    grab(b, s.nodes - 1);
+    sfem_modal_node(b, s.nodes - 1, p, v, NULL);
+    sfem_modal_node(b, 50, p, other, NULL);
+    assert_true(fabs(v[0]) + fabs(v[1]) + fabs(v[2]) < 1e-12);
+    assert_true(fabs(other[2]) > 0.1 * fabs(before[2]));
+    sfem_modal_free(b);
+    free_scene(&s);
+}
+
+/* --------------------------------------------------------------------------------------------
+ * free bodies
+ * -------------------------------------------------------------------------------------------- */
+
+static void a_tumbling_body_keeps_its_momenta(void **state)
+{
+    scene s = make_beam(0);
+    const sfem_reduced_info info = sfem_reduced_get_info(s.reduced);
+    int integrator, i, c;
+    (void)state;
+    assert_int_equal(info.free, 1);
+    for (integrator = 0; integrator < 2; ++integrator) {
+        sfem_modal_def def = sfem_default_modal_def();
+        sfem_rigid rigid;
+        double p0[3], l0[3], p[3], l[3], e0, worst = 0, product[9];
+        sfem_modal *b;
+        sfem_error err;
+        def.integrator = (sfem_modal_integrator)integrator;
+        b = make_modal(&s, &def);
+        rigid = sfem_modal_rigid(b);
+        rigid.v[0] = 1, rigid.v[2] = 2;
+        rigid.w[0] = 0.7, rigid.w[1] = 5, rigid.w[2] = 1;
+        assert_ok(sfem_modal_set_rigid(b, &rigid, &err), err);
+        sfem_modal_momentum(b, p0, l0);
+        e0 = sfem_modal_get_info(b).kinetic;
+        for (i = 0; i < 2000; ++i) {
+            step(b, 1 / 60.0);
+            worst = fmax(worst, fabs(sfem_modal_get_info(b).kinetic / e0 - 1));
+        }
+        sfem_modal_momentum(b, p, l);
+        assert_all_near(p, p0, 3, 1e-14, 0);
+        assert_all_near(l, l0, 3, 1e-14, 0);
+        assert_true(worst < 0.01);
+        rigid = sfem_modal_rigid(b);
+        assert_near(rigid.x[0], info.centre[0] + 2000 / 60.0, 1e-12, 0);
+        for (i = 0; i < 3; ++i)
+            for (c = 0; c < 3; ++c)
+                product[3 * i + c] = rigid.r[3 * i] * rigid.r[3 * c] + rigid.r[3 * i + 1] * rigid.r[3 * c + 1] +
+                                     rigid.r[3 * i + 2] * rigid.r[3 * c + 2];
+        for (i = 0; i < 9; ++i) assert_near(product[i], i % 4 == 0, 0, 1e-14);
+        sfem_modal_free(b);
+    }
+    free_scene(&s);
+}
+
+/* second order against a fine solution, and falling is exact */
+static void the_frame_turns_and_falls_right(void **state)
+{
+    scene s = make_beam(0);
+    const double g[3] = {0, 0, -10};
+    double end[3][9];
+    int level, i, c;
+    (void)state;
+    for (level = 0; level < 3; ++level) {
+        const int count = level == 2 ? 4096 : 64 << level;
+        sfem_modal *b = plain_modal(&s, SFEM_WARP_NONE);
+        sfem_rigid rigid = sfem_modal_rigid(b);
+        sfem_error err;
+        rigid.w[0] = 1, rigid.w[1] = 3, rigid.w[2] = -0.5;
+        assert_ok(sfem_modal_set_rigid(b, &rigid, &err), err);
+        assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+        for (i = 0; i < count; ++i) step(b, 1.0 / count);
+        rigid = sfem_modal_rigid(b);
+        memcpy(end[level], rigid.r, sizeof rigid.r);
+        assert_near(rigid.x[2], sfem_reduced_get_info(s.reduced).centre[2] - 5, 0, 1e-12);
+        assert_near(rigid.v[2], -10, 1e-13, 0);
+        sfem_modal_free(b);
+    }
+    {
+        double coarse = 0, fine = 0;
+        for (c = 0; c < 9; ++c) {
+            coarse = fmax(coarse, fabs(end[0][c] - end[2][c]));
+            fine = fmax(fine, fabs(end[1][c] - end[2][c]));
+        }
+        assert_near(coarse / fine, 4, 0.05, 0);
+        assert_true(fine < 1e-3);
+    }
+    free_scene(&s);
+}
+
+/* a central push moves the frame, an eccentric one turns it, too; the modes feel both in the frame */
+static void loads_on_a_free_body_move_its_frame(void **state)
+{
+    scene s = make_beam(0);
+    const sfem_reduced_info info = sfem_reduced_get_info(s.reduced);
+    const double f[3] = {0, 0, 100};
+    sfem_modal *b = plain_modal(&s, SFEM_WARP_PATH);
+    double p[3], l[3];
+    sfem_error err;
+    int i;
+    (void)state;
+    assert_ok(sfem_modal_add_node_force(b, s.nodes - 1, f, &err), err);
+    for (i = 0; i < 10; ++i) step(b, 0.001);
+    sfem_modal_momentum(b, p, l);
+    assert_near(p[2], 1, 1e-12, 0);
+    assert_near(l[1], -(info.x[3 * (s.nodes - 1)] - info.centre[0]) * 1, 1e-3, 0);
+    assert_true(sfem_modal_get_info(b).elastic > 0);
+    sfem_modal_free(b);
+    free_scene(&s);
+}
+
+/* --------------------------------------------------------------------------------------------
+ * state, memory, threads
+ * -------------------------------------------------------------------------------------------- */
+
+static void a_loaded_state_goes_on_as_the_saved_one(void **state)
+{
+    scene s[2];
+    int kind, i;
+    (void)state;
+    s[0] = make_beam(1);
+    s[1] = make_beam(0);
+    for (kind = 0; kind < 2; ++kind) {
+        sfem_modal_def def = sfem_default_modal_def();
+        sfem_modal *a, *b;
+        const double f[3] = {10, 20, -300};
+        double x0[3];
+        sfem_int handle;
+        size_t bytes;
+        void *block;
+        sfem_error err;
+        def.tolerance = 1e-6;
+        a = make_modal(&s[kind], &def);
+        b = make_modal(&s[kind], &def);
+        bytes = sfem_modal_state_size(a);
+        block = malloc(bytes);
+        assert_ok(sfem_modal_add_node_force(a, 50, f, &err), err);
+        assert_ok(sfem_modal_add_node_force(b, 20, f, &err), err);
+        for (i = 0; i < 20; ++i) step(a, 0.01);
+        handle = grab(a, s[kind].nodes - 1);
+        sfem_modal_handle_position(a, handle, x0);
+        move_by(a, handle, x0, 0.1, 0, 0.1);
+        step(b, 0.02);
+        step(a, 0.01);
+        sfem_modal_save_state(a, block);
+        assert_ok(sfem_modal_load_state(b, block, bytes, &err), err);
+        for (i = 0; i < 20; ++i) {
+            step(a, 0.01), step(b, 0.01);
+            if (i == 10) sfem_modal_release_handle(a, handle), sfem_modal_release_handle(b, handle);
+        }
+        assert_memory_equal(sfem_modal_coordinates(a), sfem_modal_coordinates(b),
+                            BEAM_MODES * sizeof(double));
+        free(block);
+        sfem_modal_free(a);
+        sfem_modal_free(b);
+    }
+    {
+        sfem_modal *a = plain_modal(&s[0], SFEM_WARP_PATH), *b = plain_modal(&s[1], SFEM_WARP_PATH);
+        void *block = malloc(sfem_modal_state_size(a));
+        sfem_error err;
+        sfem_modal_save_state(a, block);
+        assert_status(sfem_modal_load_state(b, block, sfem_modal_state_size(a), &err), SFEM_MISMATCH);
+        free(block);
+        sfem_modal_free(a);
+        sfem_modal_free(b);
+    }
+    free_scene(&s[0]);
+    free_scene(&s[1]);
+}
+
+static void a_step_that_fails_leaves_the_state(void **state)
+{
+    scene s = make_beam(1);
+    sfem_modal *b = plain_modal(&s, SFEM_WARP_NONE);
+    double q[BEAM_MODES], bad[BEAM_MODES] = {0};
+    const double huge[3] = {1e308, 1e308, 1e308}, not_a_number[3] = {0, NAN, 0}, small[3] = {0, 0, 1};
+    sfem_error err;
+    int i;
+    (void)state;
+    assert_ok(sfem_modal_add_node_force(b, 97, small, &err), err);
+    for (i = 0; i < 5; ++i) step(b, 0.01);
+    memcpy(q, sfem_modal_coordinates(b), sizeof q);
+    assert_status(sfem_modal_step(b, 0, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_modal_step(b, NAN, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_modal_add_node_force(b, 97, not_a_number, &err), SFEM_NOT_FINITE);
+    bad[3] = INFINITY;
+    assert_status(sfem_modal_step_with(b, bad, 0.01, 0.25, 0.5, &err), SFEM_NOT_FINITE);
+    assert_status(sfem_modal_set_coordinates(b, bad, NULL, NULL, &err), SFEM_NOT_FINITE);
+    assert_ok(sfem_modal_add_node_force(b, 90, huge, &err), err);
+    assert_status(sfem_modal_add_node_force(b, 90, huge, &err), SFEM_NOT_FINITE);
+    assert_ok(sfem_modal_set_force(b, NULL, &err), err);
+    bad[3] = 0;
+    bad[BEAM_MODES - 1] = 1e308; /* times lambda is too much */
+    assert_ok(sfem_modal_set_coordinates(b, bad, NULL, NULL, &err), err);
+    assert_status(sfem_modal_step(b, 0.01, &err), SFEM_NOT_FINITE);
+    assert_memory_equal(bad, sfem_modal_coordinates(b), sizeof q);
+    assert_ok(sfem_modal_set_coordinates(b, q, NULL, NULL, &err), err);
+    assert_memory_equal(q, sfem_modal_coordinates(b), sizeof q);
+    assert_near(sfem_modal_time(b), 0.05, 1e-14, 0);
+    assert_ok(sfem_modal_set_force(b, NULL, &err), err);
+    step(b, 0.01);
+    sfem_modal_free(b);
+    free_scene(&s);
+}
+
+static sfem_status build_and_grab(sfem_allocator allocator, void *user, sfem_error *err)
+{
+    scene *s = (scene *)user;
+    sfem_reduced_def reduced_def = sfem_default_reduced_def();
+    sfem_modal_def def = sfem_default_modal_def();
+    sfem_reduced *reduced = NULL, *loaded = NULL;
+    sfem_reduced_view *view = NULL;
+    sfem_modal *b = NULL;
+    void *block = NULL;
+    sfem_int handle;
+    sfem_status status;
+    reduced_def.allocator = def.allocator = allocator;
+    status = sfem_reduced_create(s->model, &s->modes, &reduced_def, &reduced, err);
+    if (status == SFEM_OK) {
+        block = malloc(sfem_reduced_size(reduced));
+        sfem_reduced_save(reduced, block);
+        status = sfem_reduced_load(block, sfem_reduced_size(reduced), &allocator, &loaded, err);
+    }
+    if (status == SFEM_OK) status = sfem_reduced_view_surface(loaded, SFEM_MIXED, &view, err);
+    if (status == SFEM_OK) status = sfem_modal_create(loaded, &def, &b, err);
+    if (status == SFEM_OK) status = sfem_modal_grab_node(b, s->nodes - 1, &handle, err);
+    free(block);
+    sfem_modal_free(b);
+    sfem_reduced_view_free(view);
+    sfem_reduced_free(loaded);
+    sfem_reduced_free(reduced);
+    return status;
+}
+
+static void failed_allocations_leave_nothing_behind(void **state)
+{
+    scene s = make_beam(1);
+    (void)state;
+    assert_true(fail_every_allocation(build_and_grab, &s) > 10);
+    free_scene(&s);
+}
+
+static void stepping_and_grabbing_allocate_nothing(void **state)
+{
+    scene s = make_beam(1);
+    test_memory memory = {0};
+    sfem_modal_def def = sfem_default_modal_def();
+    const double g[3] = {0, 0, -9.81};
+    double *x = (double *)malloc(24 * (size_t)s.nodes);
+    sfem_modal *b;
+    size_t calls;
+    sfem_error err;
+    int i;
+    (void)state;
+    def.allocator = test_allocator(&memory);
+    b = make_modal(&s, &def);
+    calls = memory.calls;
+    assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+    for (i = 0; i < 20; ++i) {
+        const sfem_int handle = grab(b, s.nodes - 1 - i);
+        step(b, 0.01);
+        sfem_modal_positions(b, s.view, x);
+        if (i % 2) sfem_modal_release_handle(b, handle);
+    }
+    assert_int_equal(memory.calls, calls);
+    sfem_modal_free(b);
+    assert_no_leak(memory);
+    free(x);
+    free_scene(&s);
+}
+
+static void reconstruction_has_the_same_bits_for_any_number_of_threads(void **state)
+{
+    const sfem_int cells[3] = {30, 4, 4};
+    scene s = make_bar(cells, 8, 1, 6, SFEM_LINEAR, NULL);
+    const double g[3] = {0, 1, -9.81};
+    uint64_t first = 0;
+    double *x = (double *)malloc(24 * (size_t)s.nodes);
+    sfem_int threads;
+    (void)state;
+    for (threads = 1; threads <= 4; ++threads) {
+        sfem_modal_def def = sfem_default_modal_def();
+        sfem_modal *b;
+        sfem_error err;
+        int i;
+        def.exec = thread_exec(threads);
+        b = make_modal(&s, &def);
+        assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+        for (i = 0; i < 10; ++i) step(b, 0.02);
+        sfem_modal_positions(b, s.view, x);
+        if (threads == 1) first = hash_reals(x, 3 * (size_t)s.nodes);
+        assert_true(first == hash_reals(x, 3 * (size_t)s.nodes));
+        sfem_modal_free(b);
+    }
+    free(x);
+    free_scene(&s);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(psi_is_half_the_curl_of_linear_fields),
+        cmocka_unit_test(what_does_not_belong_together_is_refused),
+        cmocka_unit_test(a_saved_model_moves_as_the_one_it_was_saved_from),
+        cmocka_unit_test(damaged_blocks_are_refused),
+        cmocka_unit_test(newmark_in_all_modes_is_newmark_in_full_space),
+        cmocka_unit_test(the_exact_oscillator_is_exact_at_any_step),
+        cmocka_unit_test(the_exact_oscillator_has_no_period_error),
+        cmocka_unit_test(a_receiver_integrates_accelerations),
+        cmocka_unit_test(sleeping_modes_stay_within_the_tolerance_and_wake),
+        cmocka_unit_test(views_reconstruct_what_the_formulas_say),
+        cmocka_unit_test(velocities_are_the_rate_of_positions),
+        cmocka_unit_test(warping_errors_are_those_of_the_theory),
+        cmocka_unit_test(a_warped_bar_keeps_its_length),
+        cmocka_unit_test(a_bar_bent_too_far_is_told),
+        cmocka_unit_test(gravity_in_groups_is_nearly_gravity_on_nodes),
+        cmocka_unit_test(a_handle_holds_its_node_at_its_target),
+        cmocka_unit_test(the_force_of_a_handle_is_work_conjugate),
+        cmocka_unit_test(the_work_of_a_hand_goes_into_the_body),
+        cmocka_unit_test(noisy_handles_are_eased_by_compliance),
+        cmocka_unit_test(handles_in_any_number_stay_finite),
+        cmocka_unit_test(redundant_handles_without_compliance_are_finite),
+        cmocka_unit_test(a_moving_node_that_is_grabbed_does_not_ring),
+        cmocka_unit_test(grabbing_takes_the_velocity_of_the_node_alone),
+        cmocka_unit_test(a_tumbling_body_keeps_its_momenta),
+        cmocka_unit_test(the_frame_turns_and_falls_right),
+        cmocka_unit_test(loads_on_a_free_body_move_its_frame),
+        cmocka_unit_test(a_loaded_state_goes_on_as_the_saved_one),
+        cmocka_unit_test(a_step_that_fails_leaves_the_state),
+        cmocka_unit_test(failed_allocations_leave_nothing_behind),
+        cmocka_unit_test(stepping_and_grabbing_allocate_nothing),
+        cmocka_unit_test(reconstruction_has_the_same_bits_for_any_number_of_threads),
+    };
+    return run_all_tests(tests);
+}
