@@ -22295,7 +22295,7 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
             sfemi_modal_linear(b, node, b->q, u);
             sfemi_modal_rotation(b, node, b->v, wdot);
             sfemi_turn_coefficients(sfemi_modal_path_kind(b), rotation, &k1, &k2);
-            sfemi_turn_apply(k1, k2, rotation, v, v);
+            sfemi_warp_apply(k1, k2, rotation, v, v);
             sfemi_turn_derivative(sfemi_modal_path_kind(b), rotation, u, change);
             sfemi_turn_vector(change, wdot, wdot);
             for (c = 0; c < 3; ++c) v[c] += wdot[c];
