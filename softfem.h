@@ -1186,13 +1186,15 @@ typedef struct sfem_body_info {
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
-/* A RENEWED FACTOR, for (p,q,r) with a nonlinear law and the frames NODE, PIECE or REST, where
+/* A RENEWED FACTOR, for (p,q,r) with a nonlinear law or damage and the frames NODE, PIECE or REST, where
  * renew_flops > 0. The constant factor is that of the rest pose, turned; where a body stays far from that
  * (stretched, cut), or K changes for another reason (damage), another one may serve better. renew starts
  * one: of A0 = Q^T (r M + (q/2) h D + p h^2 K) Q with K the positive semidefinite tangent at the present
  * positions and Q the present frames, so that from then on it is turned as the first one was; or of a K
  * of the caller's, on the model's pattern (sfem_model_combine makes such), in space, without negative
- * eigenvalues, which is copied. Stiffness damping goes with it.
+ * eigenvalues, which is copied. Stiffness damping goes with it. Of a body with damage (k NULL) it is the K of
+ * what is left at rest, turned; asked for by itself 8 steps after the last break, so that pieces have
+ * parted.
  *   After each step renew_flops operations of that work are done, counted, never timed, so that runs
  * repeat bit for bit, on any number of threads; a renewal takes flops / renew_flops steps, rounded up. Then
  * the factor is taken whole, between two steps: w, the forces and the guard's ledger go on as they are,
@@ -1250,7 +1252,7 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
  * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
  * whole body stays, and stays stable (see sfem_damage_law for p). What it costs is accuracy: pieces that
  * are held part too slowly at large steps, by the inertia p h^2 K across the crack, until the factor is
- * renewed; pieces that nothing holds move, and turn, as they should at once. How a crack runs depends on the
+ * renewed (renew_flops, below); pieces that nothing holds move, and turn, as they should at once. How a crack runs depends on the
  * mesh and on the step: no more than one round a step, so a crack passes at most about one edge a step.
  * Nothing is allocated after sfem_body_create. set_state keeps what is broken; statics are refused then;
  * a body of linear laws sees small rotations only, and its pieces with it. */
@@ -1284,8 +1286,8 @@ SFEM_DEF void sfem_body_pieces(const sfem_body *body, sfem_piece *out);
 SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *body);
 /* What is left of the edge between two nodes, 1 intact to 0 broken; 0 where the mesh has none. */
 SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *body, sfem_int i, sfem_int j);
-/* Tells an edge to break, from the next step on as soon as that makes no energy. Unbreakable edges
- * do not.  errors SFEM_BAD_ARGUMENT: no such edge, or unbreakable */
+/* Tells an edge to break, from the next step on as soon as that makes no energy, after 16 steps in any case.
+ * Unbreakable edges do not.  errors SFEM_BAD_ARGUMENT: no such edge, or unbreakable */
 SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *body, sfem_int i, sfem_int j, sfem_error *err);
 /* A blade: the same for every edge that the triangle `from` [3][3] crosses on its way to `to`, m, at the
  * positions of now. *marked (or NULL): how many it met. O(edges).  errors SFEM_NOT_FINITE */
@@ -13423,6 +13425,8 @@ typedef struct sfemi_renewal {
     sfemi_slice at;
     double credit, flops, done;
     sfem_real wrong, all; /* of the drift */
+    sfem_real broken;     /* edges that were broken when it was asked for */
+    sfem_int quiet;       /* steps since one has broken or softened */
     int64_t made, failed;
 } sfemi_renewal;
 
@@ -15477,6 +15481,13 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     sfemi_turn_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
     sfemi_fracture_multiply(b, z, sum);
+    if (b->renewal.live) { /* what was left when the factor was renewed is out already */
+        sfem_real *kz = b->guard.trial_f;
+        sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
+        for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] += kz[i];
+        sfem_matrix_multiply(b->renewal.k + b->renewal.live - 1, z, kz, &b->exec);
+        for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] -= kz[i];
+    }
     sfemi_turn_rotate(frame, nodes, 0, sum, sum);
     if (projects) {
         sfemi_turn_motion(b, u, sum, 0);
@@ -16613,6 +16624,7 @@ static void sfemi_fracture_round(sfem_body *b)
     step.exec = &b->exec;
     sfemi_damage_round(b->damage, &step, &change);
     if (!change.broken && !change.softened) return;
+    b->renewal.quiet = 0;
     fallen = g->redone ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
     if (!g->redone) head->psi += change.psi0;
     g->psi += change.psi1;
@@ -16764,6 +16776,8 @@ static void sfemi_renew_drop(sfem_body *b)
     r->live = 0;
     r->stage = SFEMI_RENEW_IDLE;
     r->wrong = r->all = 0;
+    r->broken = 0;
+    r->quiet = 0;
 }
 
 static void sfemi_renew_destroy(sfem_body *b)
@@ -16838,8 +16852,14 @@ static void sfemi_renew_begin(sfem_body *b, const sfem_matrix *k)
     memcpy(r->u, b->state.u, n * sizeof *r->u);
     memcpy(r->frame, b->state.frame, 3 * n * sizeof *r->frame);
     if (k) memcpy(r->k[to].val, k->val, 9 * blocks * sizeof *k->val);
+    else if (b->damage) memcpy(r->k[to].val, model->stiffness.val, 9 * blocks * sizeof *r->k[to].val);
     else memset(r->k[to].val, 0, 9 * blocks * sizeof *r->k[to].val);
     r->stage = k ? SFEMI_RENEW_TURN : SFEMI_RENEW_TANGENT;
+    if (b->damage && !k) { /* what is left of K at rest: there it is turned already */
+        sfemi_damage_add_stiffness(b->damage, 1, r->k[to].val);
+        r->stage = SFEMI_RENEW_MATRIX;
+    }
+    if (b->damage) r->broken = b->damage->account[SFEMI_BROKEN];
     r->next = 0;
     r->credit = r->done = 0;
     r->flops = (k ? 0 : SFEMI_RENEW_TET * (double)model->mesh.tets) + SFEMI_RENEW_BLOCK * (double)blocks +
@@ -16981,13 +17001,24 @@ static void sfemi_renew_advance(sfem_body *b)
     }
 }
 
+/* After breaks, once pieces have parted: a factor of what is left. While edges break, it would have to be made
+ * again and again, and takes the margin that the guard of bodies that turn lives on. */
+static void sfemi_renew_follow(sfem_body *b)
+{
+    enum { QUIET = 8 }; /* steps */
+    sfemi_renewal *r = &b->renewal;
+    if (!b->damage || !r->source) return;
+    if (r->quiet < QUIET) ++r->quiet;
+    else if (r->stage == SFEMI_RENEW_IDLE && b->damage->account[SFEMI_BROKEN] != r->broken) sfemi_renew_begin(b, NULL);
+}
+
 SFEM_DEF sfem_status sfem_body_renew(sfem_body *b, const sfem_matrix *k, sfem_error *err)
 {
     const sfem_model *model = b->model;
     sfem_int i;
     if (!sfemi_renew_serves(b))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "only a nonlinear (p,q,r) body with renew_flops > 0 renews its factor");
+                          "only a nonlinear or breaking (p,q,r) body with renew_flops > 0 renews its factor");
     if (!b->renewal.source)
         return sfemi_fail(err, SFEM_NOT_PREPARED, "prepare the body before its factor is renewed");
     if (k && (k->n != model->mesh.nodes || k->row[k->n] != model->row[k->n]))
@@ -17577,7 +17608,9 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->state.head->h = b->step;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
+    if (b->damage && b->damage->events) sfemi_sleep_rouse(b);
     sfemi_sleep_watch(b);
+    sfemi_renew_follow(b);
     sfemi_renew_advance(b);
     return SFEM_OK;
 }
@@ -18056,7 +18089,8 @@ SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *b, sfem_int i, sfem_int j, 
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the mesh has no edge between nodes %d and %d", (int)i, (int)j);
     if (b->bonds->never[edge] == SFEMI_NEVER)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the edge between nodes %d and %d is unbreakable", (int)i, (int)j);
-    b->damage->mark[edge] = 1;
+    if (!b->damage->mark[edge]) b->damage->mark[edge] = 1;
+    sfemi_sleep_rouse(b);
     return SFEM_OK;
 }
 
@@ -18068,6 +18102,7 @@ SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const 
     if (!sfemi_all_finite(from, 9) || !sfemi_all_finite(to, 9))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the blade's place is not finite");
     count = sfemi_damage_cut(b->damage, b->state.u, from, to);
+    if (count) sfemi_sleep_rouse(b);
     if (marked) *marked = count;
     return SFEM_OK;
 }
@@ -18079,6 +18114,8 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     sfemi_fracture_regroup(b);
     memset(b->state.books, 0, sizeof *b->state.books);
     b->state.head->current = 0;
+    sfemi_renew_drop(b); /* or K would be larger than the factor's */
+    sfemi_sleep_rouse(b);
     b->phase = SFEMI_IDLE;
 }
 
