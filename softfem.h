@@ -805,7 +805,7 @@ typedef struct sfem_damage_def {
     sfem_real toughness;   /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
                             * breaks for another reason; then it may be 0 */
     sfem_real share;       /* of Gc that is booked at breaks; 0 means 2/3, the inverse of the 3/2
-                            * above. About as much again is released as the body relaxes */
+                            * above. One to two times as much is released as the body relaxes */
     sfem_real strength;    /* Pa, or a strain */
     sfem_real soften[2];   /* strains, 0 <= soften[0] < soften[1] */
     sfem_real rankine;     /* Pa; > 0: an edge breaks only where the largest principal stress of one
