@@ -22986,7 +22986,7 @@ static void sfemi_link_correct(sfem_receiver *r, int64_t step, int held)
         used[i] = a;
         if (step == r->step) {
             r->a[i] = a;
-            r->last[i] += sfemi_link_swing_of(r, i).cosine * d;
+            if (r->run > 1) r->last[i] += sfemi_link_swing_of(r, i).cosine * d;
         } else if (step == r->step - 1) {
             r->last[i] = a;
         }
@@ -23053,6 +23053,10 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32
         sfemi_link_replay(r, step, held);
     else
         sfemi_link_correct(r, step, held);
+    if (step == r->step)
+        r->run = 0;
+    else if (step == r->step - 1 && r->run > 1)
+        r->run = 1;
     return SFEM_ARRIVAL_LATE;
 }
 
