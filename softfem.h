@@ -16822,6 +16822,7 @@ static double sfemi_renew_tangent(sfem_body *b)
     sfemi_tangents job;
     sfem_int chunk;
     job.model = b->model;
+    job.block = b->model->chunks.block;
     job.u = r->u;
     job.kind = SFEM_TANGENT_PSD;
     job.val = r->k[r->live == 1].val;
