@@ -12141,7 +12141,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
-    const sfem_real p = b->def.corrections > 0 ? 0.25 : b->p; /* corrections lead to Newmark(1/4, 1/2) */
+    const sfem_real weight = b->def.corrections > 0 ? 0.25 : b->p; /* corrections lead to Newmark(1/4, 1/2) */
     sfemi_guard_energies e;
     sfem_real mid = 0, end = 0, stretch = 0;
     sfem_int i, k;
@@ -12178,7 +12178,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
         }
     }
     e.kinetic *= r;
-    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (p - 0.5) / 2 * stretch + mid;
+    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (weight - 0.5) / 2 * stretch + mid;
     e.ec = e.kinetic + psi1 + end;
     return e;
 }
