@@ -15503,7 +15503,7 @@ done:
  *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
  * by descent with the factor of p = 1, from the better of u and y, until Ec is in order and a step gains
  * less than .01 S; Phi(z) <= Phi(u) alone implies Psi(z) - L.z <= Ec(u), so the last
- * resort, less velocity, always ends it. Then the motion starts afresh from there. Energy and momentum are
+ * resort, less velocity, always ends it. What the caller adds to the right side is part of L here. Then the motion starts afresh from there. Energy and momentum are
  * kept, angular momentum not wholly: a redone step of .7 rad loses up to a twentieth, less the finer h is.
  *   In a crumpled body neighbouring tets turn so differently that the turned factor is no guide: the steps
  * of descent get short, and the body would creep for minutes. Where one is shorter than 1/8, the isotropic
@@ -15519,6 +15519,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real weight = b->def.corrections > 0 ? 0.25 : b->p; /* corrections lead to Newmark(1/4, 1/2) */
     sfemi_guard_energies e;
     sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
     sfem_real stretch[3] = {0, 0, 0};
@@ -15560,7 +15561,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     e.kinetic = r / 2 * (kinetic[0] + kinetic[1] + kinetic[2]);
     e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
     e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
-           (b->p - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
+           (weight - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
     e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
     return e;
 }
@@ -17271,13 +17272,13 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->beta = model->beta + def->beta_k;
     b->model = model;
     b->turns = (model->turns && sfemi_body_keeps_mean(b)) ||
-               (def->damage && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL));
+               (def->damage && (b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL));
     b->sleeps = def->sleep_tolerance > 0;
     b->def.damage = NULL;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
-    if (def->damage && !b->turns) {
+    if (def->damage && (!b->turns || b->def.integrator == SFEM_KR_ALPHA)) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
         goto done;
     }
@@ -18580,7 +18581,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.redone = b->state.head->redone;
     info.descents = b->state.head->descents;
     info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + b->work_size) * sizeof(sfem_real);
+    info.body_bytes = (size_t)b->state.head->size +
+                      ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i) {
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
         for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
@@ -18588,7 +18590,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     }
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
-                            2 * (n / 3) + 22 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
+                            2 * (n / 3) + 23 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
