@@ -12414,20 +12414,66 @@ static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
     return sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
 }
 
-/* The better of u and y, by Phi, as z in guard.u, with f and grad. Returns Phi. */
+/* z = u, but free pieces moved rigidly to where y is nearest in the mass norm: the least Phi of all rigid
+ * motions. The rotation is the polar part of sum m (y - centre) (u - centre)^T. */
+static void sfemi_guard_move_rigidly(sfem_body *b, sfem_real *z)
+{
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *u = b->state.u, *y = b->guard.y;
+    const sfem_int nodes = b->model->mesh.nodes, *piece_of = b->turn.piece_of;
+    sfemi_piece *piece = b->turn.piece;
+    sfem_int i, k;
+    int c, d;
+    sfemi_turn_locate(b, u);
+    for (k = 0; k < b->turn.pieces; ++k) {
+        memcpy(piece[k].kept, piece[k].centre, sizeof piece[k].centre);
+        memset(piece[k].sum, 0, sizeof piece[k].sum);
+    }
+    sfemi_turn_locate(b, y);
+    for (i = 0; i < nodes; ++i) {
+        sfemi_piece *p = piece + piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        for (c = 0; c < 3 && piece_of[i] >= 0; ++c)
+            for (d = 0; d < 3; ++d)
+                p->sum[c][d] += mass[i] * (rest[at + (size_t)c] + y[at + (size_t)c] - p->centre[c]) *
+                                (rest[at + (size_t)d] + u[at + (size_t)d] - p->kept[d]);
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfem_real sum[9], stretch[9], rotation[9];
+        memcpy(sum, piece[k].sum, sizeof sum);
+        sfem_polar(sum, rotation, stretch);
+        memcpy(piece[k].sum, rotation, sizeof rotation);
+    }
+    memcpy(z, u, 3 * (size_t)nodes * sizeof *z);
+    for (i = 0; i < nodes; ++i) {
+        const sfemi_piece *p = piece + piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real arm[3];
+        if (piece_of[i] < 0 || p->held) continue;
+        for (c = 0; c < 3; ++c) arm[c] = rest[at + (size_t)c] + u[at + (size_t)c] - p->kept[c];
+        for (c = 0; c < 3; ++c) z[at + (size_t)c] = p->centre[c] + sfemi_dot3(p->sum[c], arm) - rest[at + (size_t)c];
+    }
+}
+
+/* The best of u, y and u moved rigidly, by Phi, as z in guard.u, with f and grad. Returns Phi. */
 static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
-    sfem_real phi, phi_y;
-    memcpy(g->trial_u, g->y, bytes);
-    sfemi_guard_constrain(b, g->trial_u);
-    phi_y = sfemi_guard_potential(b, g->trial_u, g->f, psi);
-    memcpy(g->u, b->state.u, bytes);
-    sfemi_guard_constrain(b, g->u);
-    phi = sfemi_guard_potential(b, g->u, g->f, psi);
-    if (!(sfemi_finite(phi_y) && phi_y <= phi)) return phi;
-    memcpy(g->u, g->trial_u, bytes);
+    sfem_real phi = 0;
+    int k, best = 0;
+    for (k = 0; k < 3; ++k) {
+        sfem_real value;
+        if (k == 1 && !sfemi_turn_projects(b)) continue;
+        if (k == 1) sfemi_guard_move_rigidly(b, g->trial_u);
+        else memcpy(g->trial_u, k ? g->y : b->state.u, bytes);
+        sfemi_guard_constrain(b, g->trial_u);
+        value = sfemi_guard_potential(b, g->trial_u, g->f, psi);
+        if (k > 0 && !(sfemi_finite(value) && value <= phi)) continue;
+        phi = value;
+        best = k;
+        memcpy(g->u, g->trial_u, bytes);
+    }
+    if (best == 2) return phi;
     return sfemi_guard_potential(b, g->u, g->f, psi);
 }
 
@@ -12439,7 +12485,8 @@ static void sfemi_guard_precondition(sfem_body *b, int kind, sfem_real *x)
     const sfem_real *frame = kind == SFEMI_TURNED ? b->guard.frame : b->guard.unit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t i;
-    sfemi_turn_solve(b, b->guard.redo[kind].factor, kind == SFEMI_TURNED ? b->state.u : NULL, frame, x);
+    if (kind == SFEMI_TURNED) sfemi_turn_locate(b, b->guard.u); /* a step may turn far: at u, stiff modes would stir */
+    sfemi_turn_solve(b, b->guard.redo[kind].factor, kind == SFEMI_TURNED ? b->guard.u : NULL, frame, x);
     if (grip->count) {
         memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
         sfemi_guard_hold(b, grip, frame, x);
@@ -12525,20 +12572,20 @@ static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real
     return 0;
 }
 
-/* Gives free pieces the momentum that h L adds to M w, and as much of the angular momentum as the ledger
- * allows. */
+/* Gives free pieces the momentum that h L adds to M w. The angular one takes energy: a step's mean velocity,
+ * taken for that at its end, points inward of the circle. Where the ledger has not enough, what of w is
+ * not rigid motion gives it, and only where that is not enough, angular momentum is lost. */
 static void sfemi_guard_restore_momentum(sfem_body *b, sfem_real psi)
 {
     sfemi_guard *g = &b->guard;
+    const sfem_real *mass = b->model->node_mass, r = sfemi_body_coefficients(b, b->p).r;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real spin2 = 0, cross = 0, room, part = 1;
-    sfemi_guard_energies e;
+    sfem_real *inner = g->dir, spin2 = 0, cross = 0, inner2 = 0, room, part = 1, ec;
     size_t i;
     sfem_int k;
     int c;
     if (!sfemi_turn_projects(b)) return;
-    for (i = 0; i < n; ++i)
-        b->zk[i] = b->model->node_mass[i / 3] * (b->state.w[i] + (g->y[i] - b->state.u[i] - b->step * b->state.w[i]) / b->step);
+    for (i = 0; i < n; ++i) b->zk[i] = mass[i / 3] * (g->y[i] - b->state.u[i]) / b->step;
     sfemi_turn_locate(b, b->state.u);
     sfemi_turn_momentum(b, b->state.u, b->zk, 0);
     for (k = 0; k < b->turn.pieces; ++k)
@@ -12559,15 +12606,25 @@ static void sfemi_guard_restore_momentum(sfem_body *b, sfem_real psi)
     }
     memset(b->zk, 0, n * sizeof *b->zk);
     sfemi_turn_add_motion(b, g->u, 1, 0, b->zk);
+    ec = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step).ec;
+    memcpy(inner, g->w, n * sizeof *inner);
+    sfemi_turn_motion(b, g->u, inner, 1);
+    sfemi_turn_add_motion(b, g->u, -1, 0, inner);
     for (i = 0; i < n; ++i) {
-        spin2 += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
-        cross += b->model->node_mass[i / 3] * b->zk[i] * g->w[i];
+        if (b->mask[i / 3] >> (i % 3) & 1) inner[i] = 0;
+        spin2 += r * mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        cross += r * mass[i / 3] * b->zk[i] * g->w[i];
+        inner2 += r * mass[i / 3] * inner[i] * inner[i] / 2;
     }
-    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-    room = b->state.head->budget - e.ec;
-    if (spin2 + cross > room && spin2 > 0) {
-        const sfem_real root = cross * cross + 4 * spin2 * (room > 0 ? room : 0);
-        part = (sqrt(root) - cross) / (2 * spin2);
+    room = b->state.head->budget > ec ? b->state.head->budget - ec : 0;
+    if (spin2 + cross > room) { /* take from inner what is missing, up to all */
+        const sfem_real missing = spin2 + cross - room;
+        const sfem_real take = inner2 > missing ? 1 - sqrt(1 - missing / inner2) : 1;
+        for (i = 0; i < n; ++i) g->w[i] -= take * inner[i];
+        room += (inner2 > missing ? missing : inner2);
+    }
+    if (spin2 + cross > room * (1 + 1e-12) && spin2 > 0) {
+        part = (sqrt(cross * cross + 4 * spin2 * room) - cross) / (2 * spin2);
         part = part < 0 ? 0 : part > 1 ? 1 : part;
     }
     for (i = 0; i < n; ++i) g->w[i] += part * b->zk[i];
@@ -12713,7 +12770,6 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
         g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
     }
     memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
-    sfemi_turn_locate(b, b->state.u);
     phi = sfemi_guard_choose_start(b, &psi);
     head->budget += sfemi_guard_work(b);
     target = head->budget + .01 * head->scale;
