@@ -12454,7 +12454,8 @@ static void sfemi_guard_move_rigidly(sfem_body *b, sfem_real *z)
         sfem_real arm[3];
         if (piece_of[i] < 0 || p->held) continue;
         for (c = 0; c < 3; ++c) arm[c] = rest[at + (size_t)c] + u[at + (size_t)c] - p->kept[c];
-        for (c = 0; c < 3; ++c) z[at + (size_t)c] = p->centre[c] + sfemi_dot3(p->sum[c], arm) - rest[at + (size_t)c];
+        for (c = 0; c < 3; ++c)
+            z[at + (size_t)c] = p->centre[c] + sfemi_dot3(p->sum[c], arm) - rest[at + (size_t)c];
     }
 }
 
@@ -12488,9 +12489,10 @@ static void sfemi_guard_precondition(sfem_body *b, int kind, sfem_real *x)
     sfemi_grip *grip = &b->guard.redo[kind].grip;
     const sfem_real *frame = kind == SFEMI_TURNED ? b->guard.frame : b->guard.unit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *place = kind == SFEMI_TURNED ? b->guard.u : NULL;
     size_t i;
-    if (kind == SFEMI_TURNED) sfemi_turn_locate(b, b->guard.u); /* a step may turn far: at u, stiff modes would stir */
-    sfemi_turn_solve(b, b->guard.redo[kind].factor, kind == SFEMI_TURNED ? b->guard.u : NULL, frame, x);
+    if (place) sfemi_turn_locate(b, place); /* a step may turn far: projected at u, it stirs stiff modes */
+    sfemi_turn_solve(b, b->guard.redo[kind].factor, place, frame, x);
     if (grip->count) {
         memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
         sfemi_guard_hold(b, grip, frame, x);
