@@ -15248,19 +15248,22 @@ static int sfemi_turn_projects(const sfem_body *b)
 /* x = Q A0^-1 Q^T x, held axes becoming 0. */
 static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real *frame, sfem_real *x)
 {
+    /* in work, from a node to the next and from an axis to the next */
+    const size_t node = f->scalar ? 1 : 3, axis = f->scalar ? (size_t)f->free_nodes : 1;
     sfem_real *at = b->work;
     const sfem_real *diagonal = f->inverse;
     sfem_int i, k;
     int c;
-    for (k = 0; k < f->free_nodes; ++k, at += 3) {
+    for (k = 0; k < f->free_nodes; ++k, at += node) {
         const sfem_real *q = frame + 9 * (size_t)f->node[k], *from = x + 3 * (size_t)f->node[k];
         const int mask = f->mask[f->node[k]];
         const sfem_real v0 = mask & 1 ? 0 : from[0], v1 = mask & 2 ? 0 : from[1], v2 = mask & 4 ? 0 : from[2];
         at[0] = q[0] * v0 + q[3] * v1 + q[6] * v2;
-        at[1] = q[1] * v0 + q[4] * v1 + q[7] * v2;
-        at[2] = q[2] * v0 + q[5] * v1 + q[8] * v2;
+        at[axis] = q[1] * v0 + q[4] * v1 + q[7] * v2;
+        at[2 * axis] = q[2] * v0 + q[5] * v1 + q[8] * v2;
     }
-    if (f->ldl) sfem_ldl_solve(f->ldl, 1, b->work, at, &b->exec);
+    if (f->ldl)
+        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->work, b->work + 3 * (size_t)f->free_nodes, &b->exec);
     for (i = 0, k = 0, at = b->work; i < b->model->mesh.nodes; ++i) {
         const sfem_real *q = frame + 9 * (size_t)i;
         sfem_real *to = x + 3 * (size_t)i;
@@ -15269,13 +15272,14 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
             continue;
         }
         for (c = 0; c < 3; ++c) {
-            if (diagonal) at[c] *= diagonal[3 * (size_t)k + (size_t)c];
-            if (f->mask[i] >> c & 1) at[c] = 0;
+            sfem_real *one = at + axis * (size_t)c;
+            if (diagonal) *one *= diagonal[3 * (size_t)k + (size_t)c];
+            if (f->mask[i] >> c & 1) *one = 0;
         }
-        to[0] = q[0] * at[0] + q[1] * at[1] + q[2] * at[2];
-        to[1] = q[3] * at[0] + q[4] * at[1] + q[5] * at[2];
-        to[2] = q[6] * at[0] + q[7] * at[1] + q[8] * at[2];
-        at += 3;
+        to[0] = q[0] * at[0] + q[1] * at[axis] + q[2] * at[2 * axis];
+        to[1] = q[3] * at[0] + q[4] * at[axis] + q[5] * at[2 * axis];
+        to[2] = q[6] * at[0] + q[7] * at[axis] + q[8] * at[2 * axis];
+        at += node;
         ++k;
     }
 }
