@@ -1107,7 +1107,7 @@ SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^
  * body that is woken goes on from there at the tolerance or slower.
  *   It wakes by what changes a load (compared bit by bit at the next step: setting the same again is
  * no change), gravity, a pin's or handle's target, by a new state or static solution, by pins and handles
- * set, taken or released, by sfem_body_predict, and by sfem_body_wake; all of these, and a change of the
+ * set, taken or released, by edges broken or healed, by sfem_body_predict, and by sfem_body_wake; all of these, and a change of the
  * load while awake, also begin the calm time anew. Whether it sleeps, and since when it is calm, belongs to
  * the saved state. The tolerance is off by default because its unit is the caller's: for bodies of
  * a metre in a game .02 m/s does. A body without damping of any kind hardly ever comes to rest.
@@ -18090,6 +18090,7 @@ SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *b, sfem_int i, sfem_int j, 
     if (b->bonds->never[edge] == SFEMI_NEVER)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the edge between nodes %d and %d is unbreakable", (int)i, (int)j);
     b->damage->mark[edge] = 1;
+    sfemi_sleep_rouse(b);
     return SFEM_OK;
 }
 
@@ -18101,6 +18102,7 @@ SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const 
     if (!sfemi_all_finite(from, 9) || !sfemi_all_finite(to, 9))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the blade's place is not finite");
     count = sfemi_damage_cut(b->damage, b->state.u, from, to);
+    if (count > 0) sfemi_sleep_rouse(b);
     if (marked) *marked = count;
     return SFEM_OK;
 }
@@ -18108,6 +18110,7 @@ SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const 
 SFEM_DEF void sfem_body_heal(sfem_body *b)
 {
     SFEM_ASSERT(b && b->damage);
+    sfemi_sleep_rouse(b);
     sfemi_damage_reset(b->damage);
     sfemi_fracture_regroup(b);
     memset(b->state.books, 0, sizeof *b->state.books);
