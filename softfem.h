@@ -4337,16 +4337,23 @@ static void sfemi_matrix_gather(void *data, sfem_int task)
     const sfem_matrix_upper *u = a->upper;
     const sfem_int first = task * SFEMI_MATRIX_ROWS;
     const sfem_int last = first + SFEMI_MATRIX_ROWS < a->n ? first + SFEMI_MATRIX_ROWS : a->n;
-    sfem_int i, k;
-    for (i = first; i < last; ++i) {
+    sfem_int i, k, j;
+    for (i = first; i < last; ++i) { /* blocks among the task's own rows are read once */
+        const sfem_real *xi = job->x + 3 * (size_t)i;
         sfem_real s[3] = {0, 0, 0};
-        for (k = a->row[i]; k < a->row[i + 1]; ++k)
-            sfemi_block_times(a->val + 9 * (size_t)k, job->x + 3 * (size_t)a->col[k], s);
-        for (k = u->start[i]; k < u->start[i + 1]; ++k)
-            sfemi_block_times_transposed(a->val + 9 * (size_t)u->entry[k],
-                                         job->x + 3 * (size_t)u->row[k], s);
+        for (k = a->row[i]; k < a->row[i + 1] - 1; ++k) {
+            const sfem_real *b = a->val + 9 * (size_t)k;
+            j = a->col[k];
+            sfemi_block_times(b, job->x + 3 * (size_t)j, s);
+            if (j >= first) sfemi_block_times_transposed(b, xi, job->y + 3 * (size_t)j);
+        }
+        sfemi_block_times(a->val + 9 * (size_t)k, xi, s);
         memcpy(job->y + 3 * (size_t)i, s, sizeof s);
     }
+    for (i = first; i < last; ++i)
+        for (k = u->start[i + 1] - 1; k >= u->start[i] && u->row[k] >= last; --k)
+            sfemi_block_times_transposed(a->val + 9 * (size_t)u->entry[k],
+                                         job->x + 3 * (size_t)u->row[k], job->y + 3 * (size_t)i);
 }
 
 SFEM_DEF void sfem_matrix_multiply(const sfem_matrix *a, const sfem_real *x, sfem_real *y,
