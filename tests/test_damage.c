@@ -250,9 +250,9 @@ static void zsz_stiffens_as_its_worst_pattern_says(void **state)
                 if (mask < 63)
                     worst = fmax(worst, most);
                 else
-                    assert_true(most <= found * (1 + 1e-9));
+                    assert_true(most <= found * (1 + 1e-6));
             }
-            assert_near(found, worst, 1e-8, 0);
+            assert_near(found, worst, 1e-6, 0); /* a root may be double */
         }
 }
 
@@ -1071,7 +1071,7 @@ static void no_break_makes_energy_at_any_step_with_the_old_factor(void **state)
 }
 
 /* growth of |w|_M over 300 steps of a body whose edges across a plane, or at random, are broken */
-static double growth(sfem_damage_law law, double p, double omega, int random)
+static double growth(sfem_damage_law law, double p, double omega, int random, int closure)
 {
     sfem_damage_def def = sfem_default_damage_def();
     test_random r = {20};
@@ -1082,6 +1082,7 @@ static double growth(sfem_damage_law law, double p, double omega, int random)
     sfem_int n, k, i;
     make_mesh(6, 2, 2, .1, SFEM_CELL_6_TETS, 0, 4, &mesh);
     def.law = law;
+    def.closure = closure;
     make_scene(&mesh, SFEM_LINEAR, 1e6, &def, &s);
     for (k = 0; k < s.bonds->edges; ++k) {
         const double a = mesh.x[3 * s.bonds->end[2 * k]], b = mesh.x[3 * s.bonds->end[2 * k + 1]];
@@ -1109,15 +1110,32 @@ static void zsz_explodes_with_the_old_factor_and_condensed_does_not(void **state
     (void)state;
     for (random = 0; random < 2; ++random) {
         const double omega = 10;
-        const double zsz = growth(SFEM_DAMAGE_ZSZ, .25, omega, random);
-        const double wide = growth(SFEM_DAMAGE_ZSZ, 0, omega, random);
-        const double condensed = growth(SFEM_DAMAGE_CONDENSED, .25, omega, random);
+        const double zsz = growth(SFEM_DAMAGE_ZSZ, .25, omega, random, 0);
+        const double wide = growth(SFEM_DAMAGE_ZSZ, 0, omega, random, 0);
+        const double condensed = growth(SFEM_DAMAGE_CONDENSED, .25, omega, random, 0);
         print_message("%s, 300 steps: ZSZ grows %.1e, with p = lambda/4 %.2f, condensed %.2f\n",
                       random ? "20 % at random" : "one plane", zsz, wide, condensed);
         if (random) assert_true(zsz > 1e6); /* tets across a plane are loose: they carry nothing */
         assert_true(wide < 10);
         assert_true(condensed < 10);
     }
+}
+
+/* a crack that opens and closes is no constant stiffness: it takes p = 1/2 */
+static void closing_cracks_need_twice_the_p(void **state)
+{
+    int random;
+    double most = 0;
+    (void)state;
+    for (random = 0; random < 2; ++random) {
+        const double quarter = growth(SFEM_DAMAGE_CONDENSED, .25, 10, random, 1);
+        const double half = growth(SFEM_DAMAGE_CONDENSED, .5, 10, random, 1);
+        print_message("closure, %s, 300 steps: p = 1/4 grows %.2e, p = 1/2 %.2f\n",
+                      random ? "20 % at random" : "one plane", quarter, half);
+        assert_true(half < 2);
+        most = fmax(most, quarter);
+    }
+    assert_true(most > 1e3);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -1571,6 +1589,144 @@ static void a_stray_fibre_is_broken_with_the_last_crack_round_it(void **state)
 }
 
 /* --------------------------------------------------------------------------------------------
+ * inversion, and the switch to the edge form
+ * -------------------------------------------------------------------------------------------- */
+
+static sfem_int count_inverted(scene *s, const double *u)
+{
+    double *f = reals(s->n);
+    sfem_int inverted = 0;
+    sfemi_damage_forces(s->damage, u, f, NULL, &inverted, NULL);
+    free(f);
+    return inverted;
+}
+
+/* Newton with the positive semidefinite tangent and Armijo's rule: where it comes to rest */
+static void come_to_rest(scene *s, double *u)
+{
+    sfem_ldl_def def = sfem_default_ldl_def();
+    double *f = reals(s->n), *d = reals(s->n), *v = reals(s->n), *g = reals(s->n), *work = NULL,
+           psi;
+    sfem_ldl *ldl = NULL;
+    sfem_matrix k;
+    sfem_error err;
+    sfem_int i;
+    int n;
+    assert_ok(sfem_model_combine(s->model, 1, 0, 0, NULL, &k, &err), err);
+    psi = total_forces(s, u, f);
+    for (n = 0; n < 200; ++n) {
+        double t = 1, slope, next = psi;
+        sfemi_damage_total_tangent(s->damage, u, SFEM_TANGENT_PSD, &k, NULL);
+        for (i = 0; i < s->mesh.nodes; ++i) { /* nothing holds the body: a little inertia */
+            double *block = k.val + 9 * (k.row[i + 1] - 1);
+            int c;
+            for (c = 0; c < 3; ++c) block[4 * c] += 1e-4 * block[4 * c] + 1e-3;
+        }
+        if (!ldl) {
+            assert_ok(sfem_ldl_create(&def, &k, &ldl, &err), err);
+            work = reals((sfem_int)sfem_ldl_work_size(ldl, 1));
+        } else {
+            assert_ok(sfem_ldl_refactor(ldl, &k, &err), err);
+        }
+        for (i = 0; i < s->n; ++i) d[i] = -f[i];
+        sfem_ldl_solve(ldl, 1, d, work, NULL);
+        slope = dot(f, d, s->n);
+        assert_true(slope <= 0);
+        for (; t > 1e-10; t /= 2) {
+            for (i = 0; i < s->n; ++i) v[i] = u[i] + t * d[i];
+            next = total_forces(s, v, g);
+            if (next <= psi + 1e-4 * t * slope) break;
+        }
+        if (!(next < psi) || slope > -1e-12) break;
+        psi = next;
+        memcpy(u, v, (size_t)s->n * sizeof *u);
+        memcpy(f, g, (size_t)s->n * sizeof *f);
+    }
+    sfem_ldl_free(ldl);
+    sfem_matrix_free(&k, NULL);
+    free(work), free(f), free(d), free(v), free(g);
+}
+
+static void a_crushed_and_broken_block_gets_its_tets_back_upright(void **state)
+{
+    int guarded, hurt = 0;
+    (void)state;
+    for (guarded = 0; guarded < 2; ++guarded) {
+        sfem_int before = 0, after = 0;
+        uint64_t seed;
+        for (seed = 30; seed < 35; ++seed) {
+            sfem_damage_def def = sfem_default_damage_def();
+            test_random r;
+            double *u;
+            sfem_mesh mesh;
+            scene s;
+            sfem_int i, e;
+            r.state = seed;
+            make_mesh(3, 3, 3, 1, SFEM_CELL_6_TETS, .1, seed, &mesh);
+            if (!guarded) def.upright[0] = -1e9, def.upright[1] = -1e8;
+            make_scene(&mesh, SFEM_COROTATIONAL, 1, &def, &s);
+            break_some(&s, &r, .08);
+            u = reals(s.n);
+            for (i = 0; i < s.n; ++i) u[i] = -.7 * mesh.x[i] + random_uniform(&r, -.6, .6);
+            for (e = hurt = 0; e < mesh.tets; ++e) hurt += s.damage->kind[e] == SFEMI_HURT;
+            before += count_inverted(&s, u);
+            come_to_rest(&s, u);
+            after += count_inverted(&s, u);
+            free(u);
+            free_scene(&s);
+        }
+        print_message("%s: %d of about %d damaged tets inverted when crushed, %d at rest\n",
+                      guarded ? "with the corotational law below J = .25" : "edge lengths alone",
+                      (int)before, 5 * hurt, (int)after);
+        if (guarded)
+            assert_int_equal(after, 0);
+        else
+            assert_true(after > 0);
+    }
+}
+
+/* what the first break of a tet costs or gives because the edge form is not the law it had */
+static void the_switch_to_the_edge_form_is_small_at_small_strain(void **state)
+{
+    static const char *const name[] = {"", "corotational", "StVK", "neo-Hookean"};
+    static const double strain[] = {.01, .05, .1};
+    test_random r = {40};
+    size_t k;
+    int law;
+    (void)state;
+    for (law = SFEM_COROTATIONAL; law <= SFEM_NEOHOOKEAN; ++law) {
+        double median[3];
+        for (k = 0; k < 3; ++k) {
+            double jump[400];
+            int n, i, j;
+            for (n = 0; n < 400; ++n) {
+                sfem_damage_tet tet;
+                double g[9], u[12], whole, edges, f[12];
+                make_damage_tet(RANDOM, .3, &r, &tet);
+                random_fill(&r, g, 9, -strain[k], strain[k]);
+                for (i = 0; i < 12; ++i) u[i] = sfemi_dot3(g + 3 * (i % 3), tet.x + i / 3 * 3);
+                whole = sfem_law_tet((sfem_law)law, tet.lambda, tet.mu, tet.x, u, SFEM_TANGENT_PSD,
+                                     f, NULL);
+                edges = sfem_damage_energy(&tet, tet.s, 0, u, SFEM_TANGENT_PSD, f, NULL);
+                jump[n] = fabs(edges / whole - 1);
+                for (j = n; j > 0 && jump[j - 1] > jump[j]; --j) {
+                    const double t = jump[j];
+                    jump[j] = jump[j - 1], jump[j - 1] = t;
+                }
+            }
+            median[k] = jump[200];
+        }
+        print_message(
+            "from %s to the edge form: energy changes by %.2f, %.1f, %.1f %% (median) at 1, 5, "
+            "10 %% strain\n",
+            name[law], 100 * median[0], 100 * median[1], 100 * median[2]);
+        assert_true(median[0] < .01 && median[1] < .06 && median[2] < .12);
+        assert_near(median[1] / median[0], 5, .4,
+                    0); /* first order in strain, relative to the energy */
+    }
+}
+
+/* --------------------------------------------------------------------------------------------
  * options
  * -------------------------------------------------------------------------------------------- */
 
@@ -1907,6 +2063,7 @@ int main(void)
         cmocka_unit_test(pieces_add_up_to_the_body),
         cmocka_unit_test(no_break_makes_energy_at_any_step_with_the_old_factor),
         cmocka_unit_test(zsz_explodes_with_the_old_factor_and_condensed_does_not),
+        cmocka_unit_test(closing_cracks_need_twice_the_p),
         cmocka_unit_test(a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength),
         cmocka_unit_test(dual_areas_scatter_by_orientation),
         cmocka_unit_test(a_round_books_the_energy_that_it_changes_under_every_law),
@@ -1915,6 +2072,8 @@ int main(void)
         cmocka_unit_test(a_saved_state_goes_on_with_the_same_bits),
         cmocka_unit_test(threads_do_not_change_a_bit_of_damage),
         cmocka_unit_test(a_stray_fibre_is_broken_with_the_last_crack_round_it),
+        cmocka_unit_test(a_crushed_and_broken_block_gets_its_tets_back_upright),
+        cmocka_unit_test(the_switch_to_the_edge_form_is_small_at_small_strain),
         cmocka_unit_test(toughness_follows_region_direction_callback_seed_and_line),
         cmocka_unit_test(unbreakable_edges_and_the_rankine_gate_hold),
         cmocka_unit_test(a_ductile_edge_softens_and_does_not_heal),
