@@ -781,56 +781,58 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
 
-/* A body breaks along the edges of its mesh. Every edge k carries a zeta_k, 1 intact .. 0 broken, and
- * a tet knows of damage by the zeta of its six edges alone: nodes, pattern and factor stay as they are.
- * [after Mandal, Chaudhuri, Chaudhuri 2023, supplement, eqs. 10-20, its edge strains taken along rest
- * directions]. The six edges of a tet: 01 02 03 12 13 23, d_ij = x_i - x_j, strain > 0 is tension. With
- * edge strains e = T eps, S = T^-T Ce T^-1, the energy of an intact tet is V/2 e.S e, that of a damaged
- * one V/2 e.S_d e. */
+/* A body breaks along the edges of its mesh. Every edge k carries a zeta_k, 1 intact .. 0 broken,
+ * and a tet knows of damage by the zeta of its six edges alone: nodes, pattern and factor stay as
+ * they are. [after Mandal, Chaudhuri, Chaudhuri 2023, supplement, eqs. 10-20, its edge strains
+ * taken along rest directions]. The six edges of a tet: 01 02 03 12 13 23, d_ij = x_i - x_j, strain
+ * > 0 is tension. With edge strains e = T eps, S = T^-T Ce T^-1, the energy of an intact tet is V/2
+ * e.S e, that of a damaged one V/2 e.S_d e. */
 typedef enum sfem_damage_law {
-    SFEM_DAMAGE_CONDENSED, /* a broken edge carries no force: the compliance S^-1 grows by
-                            * (1-z)/(z S_kk) on its diagonal, S_d its inverse, less what has z = 0. Never
-                            * stiffer than intact, so that any p >= 1/4 and any old factor stay stable */
-    SFEM_DAMAGE_ZSZ        /* Z S Z, Z = diag(zeta) [eqs. 18-20]: a broken edge feels no strain. Stiffens
-                            * a tet up to lambda times, see sfem_damage_stiffening: p >= lambda/4 */
+    /* A broken edge carries no force: the compliance S^-1 grows by (1-z)/(z S_kk) on its diagonal,
+     * S_d is its inverse, without rows and columns of z = 0. Never stiffer than intact: any p >=
+     * 1/4 and any old factor stay stable. */
+    SFEM_DAMAGE_CONDENSED,
+    /* Z S Z, Z = diag(zeta) [eqs. 18-20]: a broken edge feels no strain. Up to lambda times
+     * stiffer, see sfem_damage_stiffening: p >= lambda/4. */
+    SFEM_DAMAGE_ZSZ
 } sfem_damage_law;
 
 /* What an edge is measured by. w_k = sum_e V_e s_k^2/(2 S_d,kk), s = S_d e, is the energy that its
- * breaking releases at once; a_k = sum_e V_e/(2 L_k) its dual area, the sum of which over the edges that
- * cross a plane is 3/2 of the plane's area (1.1 to 2.1 by orientation and mesh). */
+ * breaking releases at once; a_k = sum_e V_e/(2 L_k) its dual area, the sum of which over the edges
+ * that cross a plane is 3/2 of the plane's area (1.1 to 2.1 by orientation and mesh). */
 typedef enum sfem_damage_criterion {
     SFEM_BREAK_ENERGY, /* w_k >= share Gc a_k, in tension: independent of mesh size */
-    SFEM_BREAK_STRESS, /* mean over its tets of n.sigma n >= strength, Pa; the finer the mesh, the less
-                        * energy a crack takes */
+    SFEM_BREAK_STRESS, /* mean over its tets of n.sigma n >= strength, Pa; the finer the mesh, the
+                        * less energy a crack takes */
     SFEM_BREAK_STRAIN, /* (l - L)/L >= strength, a number */
-    SFEM_BREAK_DUCTILE /* zeta falls from 1 to 0 while the largest strain so far grows from soften[0] to
-                        * soften[1] */
+    SFEM_BREAK_DUCTILE /* zeta falls from 1 to 0 while the largest strain so far grows from
+                        * soften[0] to soften[1] */
 } sfem_damage_criterion;
 
-/* A factor > 0 of an edge's toughness and strength; x its midpoint at rest, n its direction. Called when
- * the graph is built, once for each edge i < j. */
-typedef sfem_real (*sfem_toughness)(const sfem_real x[3], const sfem_real n[3], sfem_int i, sfem_int j,
-                                    void *user);
+/* A factor > 0 of an edge's toughness and strength; x its midpoint at rest, n its direction. Called
+ * when the graph is built, once for each edge i < j. */
+typedef sfem_real (*sfem_toughness)(const sfem_real x[3], const sfem_real n[3], sfem_int i,
+                                    sfem_int j, void *user);
 
 typedef struct sfem_damage_def {
     sfem_damage_law law;
     sfem_damage_criterion criterion;
-    sfem_real toughness;         /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
-                                  * breaks for another reason; then it may be 0 */
-    sfem_real share;             /* of Gc that is booked at breaks; 0 means 2/3, the inverse of the 3/2
-                                  * above. About as much again is released as the body relaxes */
-    sfem_real strength;          /* Pa, or a strain */
-    sfem_real soften[2];         /* strains, 0 <= soften[0] < soften[1] */
-    sfem_real rankine;           /* Pa; > 0: an edge breaks only where the largest principal stress of
-                                  * one of its tets is above this, too */
-    sfem_real weibull;           /* > 0: factors of mean 1 from a Weibull distribution of this modulus
-                                  * (50 uniform, 10 ceramics, 3 scattered) multiply toughness and strength */
-    uint64_t seed;               /* the same seed and mesh give the same factors */
-    sfem_real direction[3];      /* with direction_factor > 0: an edge along this direction has that factor, */
-    sfem_real direction_factor;  /* one across it 1, between 1 + (factor - 1) cos^2 */
+    sfem_real toughness;   /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
+                            * breaks for another reason; then it may be 0 */
+    sfem_real share;       /* of Gc that is booked at breaks; 0 means 2/3, the inverse of the 3/2
+                            * above. One to two times as much is released as the body relaxes */
+    sfem_real strength;    /* Pa, or a strain */
+    sfem_real soften[2];   /* strains, 0 <= soften[0] < soften[1] */
+    sfem_real rankine;     /* Pa; > 0: an edge breaks only where the largest principal stress of one
+                            * of its tets is above this, too */
+    sfem_real weibull;     /* > 0: factors of mean 1 from a Weibull distribution of this modulus (50
+                            * uniform, 10 ceramics, 3 scattered) multiply toughness and strength */
+    uint64_t seed;         /* the same seed and mesh give the same factors */
+    sfem_real direction[3];     /* with direction_factor > 0: an edge along this has that factor, */
+    sfem_real direction_factor; /* one across it 1, between 1 + (factor - 1) cos^2 */
     sfem_toughness factor;       /* or NULL */
     void *factor_user;
-    const sfem_real *tet_factor; /* [tets] > 0, or NULL; an edge takes the mean over its tets by V_e */
+    const sfem_real *tet_factor; /* [tets] > 0, or NULL; an edge takes its tets' mean by V_e */
     const sfem_real *region_factor; /* [region_count] > 0, or NULL, by the mesh's region of a tet */
     sfem_int region_count;
     const unsigned char *unbreakable; /* [tets] or NULL: edges of tets marked 1 never break */
@@ -838,13 +840,16 @@ typedef struct sfem_damage_def {
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
     int line_only;               /* no other edges break, except by a blade */
-    int closure;                 /* a broken edge carries compression again: p >= 1/2; SFEM_DAMAGE_CONDENSED */
-    sfem_real upright[2];        /* below J = upright[0] a damaged tet that still hangs together resists as
-                                  * an intact corotational one, which no edge length tells from its mirror
-                                  * image; between the two the energies are blended; 0, 0 means .05, .25 */
+    int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. One
+                            * at an obtuse angle of its tet opens under pressure, too */
+    sfem_real upright[2];  /* below J = upright[0] a damaged tet that still hangs together resists
+                            * as an intact corotational one, for edge lengths do not tell it from
+                            * its mirror image; between the two the energies are blended; 0, 0
+                            * means .05, .25 */
 } sfem_damage_def;
 
-SFEM_DEF sfem_damage_def sfem_default_damage_def(void); /* condensed, energy, Gc 100 J/m^2, share 2/3 */
+/* Condensed, by energy, Gc 100 J/m^2, share 2/3. */
+SFEM_DEF sfem_damage_def sfem_default_damage_def(void);
 
 /* The edge form of one tet. T is invertible unless the tet is flat: |det T| = (6V)^4/prod L^2. */
 typedef struct sfem_damage_tet {
@@ -861,33 +866,35 @@ typedef struct sfem_damage_tet {
 /* x [4][3], m, right-handed and not flat. */
 SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
                                   sfem_damage_tet *out);
-/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6] =
- * (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
+/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6]
+ * = (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
 SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
                                     sfem_real *b);
-/* S_d [6][6], Pa, of zeta [6] in [0, 1]; from zeta alone, so that healing is as good as breaking. */
+/* S_d [6][6], Pa, of zeta [6] in [0, 1]; from zeta alone, so that healing is as exact as breaking.
+ */
 SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
                                   const sfem_real zeta[6], sfem_real s_d[36]);
-/* The same for one edge more: S_d of zeta[edge] = from becomes that of to < from, by a rank-1 update,
- * SFEM_DAMAGE_CONDENSED only. Edges in any order give the same but for rounding. */
+/* The same for one edge more: S_d of zeta[edge] = from becomes that of to < from, by a rank-1
+ * update, SFEM_DAMAGE_CONDENSED only. Edges in any order give the same but for rounding. */
 SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
                                 sfem_real s_d[36]);
-/* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of that,
- * k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l - L)/L in
- * current lengths, which agrees for small strains, is blind to rotations, has forces along the edges, and
- * so keeps both momenta; k is then its exact tangent, or with SFEM_TANGENT_PSD (FROZEN) the part that
- * is positive semidefinite. Does not see inversion. */
-SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
-                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
-                                      sfem_real *k);
+/* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of
+ * that, k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l -
+ * L)/L in current lengths, which agrees for small strains, is blind to rotations, has forces along
+ * the edges, and so keeps both momenta; k is then its exact tangent, or with SFEM_TANGENT_PSD
+ * (FROZEN) the part that is positive semidefinite. Does not see inversion. */
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36],
+                                      int small, const sfem_real u[12], sfem_tangent kind,
+                                      sfem_real *force, sfem_real *k);
 /* The largest eigenvalue lambda of (k_damaged, k_intact) that any zeta gives: 1 if condensed, for
- * SFEM_DAMAGE_ZSZ that of the worst of 62 patterns, at nu = .3 1.13 for a regular tet, 4.8 for Kuhn's. */
+ * SFEM_DAMAGE_ZSZ that of the worst of 62 patterns, at nu = .3 1.13 for a regular tet, 4.8 for
+ * Kuhn's. */
 SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law);
 
 /* Why an edge broke. */
 typedef enum sfem_break_reason {
     SFEM_BROKE_CRITERION,
-    SFEM_BROKE_LONE, /* the only intact link between its nodes in every tet around it: a stray fibre */
+    SFEM_BROKE_LONE, /* the only intact link between its nodes in every tet around it: a fibre */
     SFEM_BROKE_BLADE
 } sfem_break_reason;
 
@@ -895,9 +902,9 @@ typedef struct sfem_break {
     sfem_int node[2];       /* of the edge */
     sfem_break_reason reason;
     sfem_real x[3];         /* its midpoint, m, at rest */
-    sfem_real area, price;  /* a_k, m^2; share Gc a_k with its factors, J: the surface that was made */
-    sfem_real released;     /* J, what the integrator's invariant fell by, >= 0; < 0 only where a blade that
-                             * had to wait too long did work */
+    sfem_real area, price;  /* a_k, m^2; share Gc a_k with its factors, J: the surface made */
+    sfem_real released;     /* J, what the integrator's invariant fell by, >= 0; < 0 only where a
+                             * blade that had to wait too long did work */
 } sfem_break;
 
 /* A connected component over intact edges. */
@@ -10739,18 +10746,21 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
 
-/* zeta lives on the edges of the mesh, which are the blocks below the diagonal of K's pattern. All that
- * a damaged tet needs (S_d, whether it hangs together) is computed from its six zetas directly, never by
- * updating, so that a state that was saved and loaded goes on with the same bits.
- *
- * Compliance first: S^-1_kl = ((1+nu)(n_k.n_l)^2 - nu)/Y is W W^T, row k of W the isotropic and deviatoric
- * parts of n_k n_k^T over the square roots of their moduli. Condensing takes rows out, partial damage adds
- * columns, and S_d = R^-1 R^-T, R of the QR decomposition of what is left: never indefinite, and with
- * the condition of W, the square root of that of S, which is (edge/height)^4 in slivers.
- *
- * In a body that turns, damaged tets are masked out of the vector kernels' blocks (a copy of its own)
- * rather than subtracted: across an open crack the intact force would be 1e2 .. 1e10 times Y, and only
- * its rounding would be left. A linear body subtracts: K u rounds by as much in any case. */
+/* zeta lives on the edges of the mesh, which are the blocks below the diagonal of K's pattern. All
+ * that a damaged tet needs (S_d, whether it hangs together) is computed from its six zetas
+ * directly, never by updating, so that a state that was saved and loaded goes on with the same
+ * bits.
+ * 
+ * Compliance first: S^-1_kl = ((1+nu)(n_k.n_l)^2 - nu)/Y is W W^T, row k of W the isotropic and
+ * deviatoric parts of n_k n_k^T over the square roots of their moduli. Condensing takes rows out,
+ * partial damage adds columns, and S_d = R^-1 R^-T, R of the QR decomposition of what is left:
+ * never indefinite, and with the condition of W, the square root of that of S, which is
+ * (edge/height)^4 in slivers.
+ * 
+ * In a body that turns, damaged tets are masked out of the vector kernels' blocks (a copy of its
+ * own) rather than subtracted: across an open crack the intact force would be 1e2 .. 1e10 times Y,
+ * and only its rounding would be left. A linear body subtracts: K u rounds by as much in any case.
+ */
 
 static const int sfemi_damage_place[6] = {1, 3, 6, 4, 7, 8}; /* of edges among the blocks a >= b */
 
@@ -10770,8 +10780,8 @@ static void sfemi_damage_shape(const sfem_real x[12], sfem_real lambda, sfem_rea
     }
 }
 
-/* eps of unit strain of edge k alone: -L^2 (ga gb^T + gb ga^T)/2, for d.E d = L^2 e and sum X_a g_a^T = I
- * give E = -1/2 sum_ab (d_ab.E d_ab) ga gb^T. The factor -L^2/2 is left to the caller. */
+/* eps of unit strain of edge k alone: -L^2 (ga gb^T + gb ga^T)/2, for d.E d = L^2 e and sum X_a
+ * g_a^T = I give E = -1/2 sum_ab (d_ab.E d_ab) ga gb^T. The factor -L^2/2 is left to the caller. */
 static sfem_real sfemi_damage_unit(const sfem_damage_tet *tet, int k, const sfem_real **ga,
                                    const sfem_real **gb)
 {
@@ -10871,7 +10881,7 @@ static void sfemi_damage_condense(const sfem_damage_tet *tet, const sfem_real c[
         q[m][6 + m] = sqrt(c[k]);
         of[m++] = k;
     }
-    for (k = 0; k < m; ++k) { /* modified Gram-Schmidt: R is as good as Householder's [Bjorck 1967] */
+    for (k = 0; k < m; ++k) { /* modified Gram-Schmidt: R as good as Householder's [Bjorck 1967] */
         for (l = 0; l < k; ++l) {
             for (i = 0; i < 12; ++i) r[l][k] += q[l][i] * q[k][i];
             for (i = 0; i < 12; ++i) q[k][i] -= r[l][k] * q[l][i];
@@ -10923,7 +10933,8 @@ SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real 
     int k, l;
     SFEM_ASSERT(tet && s_d && edge >= 0 && edge < 6 && from > to && to >= 0);
     for (k = 0; k < 6; ++k) column[k] = s_d[6 * k + edge];
-    scale = (from - to) / (from * to * sfemi_damage_entry(tet, edge, edge) + (from - to) * column[edge]);
+    scale = from * to * sfemi_damage_entry(tet, edge, edge) + (from - to) * column[edge];
+    scale = (from - to) / scale;
     for (k = 0; k < 6; ++k)
         for (l = 0; l < 6; ++l)
             s_d[6 * k + l] -= column[k] * column[l] * scale;
@@ -10948,7 +10959,7 @@ static void sfemi_damage_strains(const sfem_damage_tet *tet, int small, const sf
         }
         for (i = 0; i < 3; ++i) {
             d[i] = rest * n[i] + du[i];
-            square += (2 * rest * n[i] + du[i]) * du[i]; /* l^2 - L^2, small strains to their digits */
+            square += (2 * rest * n[i] + du[i]) * du[i]; /* l^2 - L^2 without cancellation */
         }
         length[k] = sqrt(sfemi_dot3(d, d));
         e[k] = square / ((length[k] + rest) * rest);
@@ -10956,38 +10967,43 @@ static void sfemi_damage_strains(const sfem_damage_tet *tet, int small, const sf
     }
 }
 
+/* k += (u_i - u_j of edge p) . block (u_i - u_j of edge q) */
+static void sfemi_damage_add_pair(int p, int q, const sfem_real block[9], sfem_real k[144])
+{
+    const int *row = sfemi_edge_ends(3, p), *col = sfemi_edge_ends(3, q);
+    int a, b, i;
+    for (a = 0; a < 2; ++a)
+        for (b = 0; b < 2; ++b)
+            for (i = 0; i < 9; ++i)
+                k[12 * (3 * row[a] + i / 3) + 3 * col[b] + i % 3] += a == b ? block[i] : -block[i];
+}
+
 /* k += V b^T S_d b + the geometric part, b_k = m_k/L_k on the edge's nodes. */
 static void sfemi_damage_add_tangent(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
                                      sfem_tangent kind, const sfem_real s[6], sfem_real m[6][3],
                                      const sfem_real length[6], sfem_real k[144])
 {
-    int p, q, a, b, i, j;
+    sfem_real block[9], c;
+    int p, q, i;
     for (p = 0; p < 6; ++p)
         for (q = 0; q < 6; ++q) {
-            const sfem_real c = tet->volume * s_d[6 * p + q] / (tet->length[p] * tet->length[q]);
-            for (a = 0; c != 0 && a < 2; ++a)
-                for (b = 0; b < 2; ++b)
-                    for (i = 0; i < 3; ++i)
-                        for (j = 0; j < 3; ++j)
-                            k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, q)[b] + j] +=
-                                (a == b ? c : -c) * m[p][i] * m[q][j];
+            c = tet->volume * s_d[6 * p + q] / (tet->length[p] * tet->length[q]);
+            if (c == 0) continue;
+            for (i = 0; i < 9; ++i) block[i] = c * m[p][i / 3] * m[q][i % 3];
+            sfemi_damage_add_pair(p, q, block, k);
         }
     for (p = 0; !small && p < 6; ++p) {
-        sfem_real c = tet->volume * s[p] / tet->length[p];
+        c = tet->volume * s[p] / tet->length[p];
         if ((kind != SFEM_TANGENT_EXACT && c < 0) || !(length[p] > 0)) continue;
-        c /= length[p];
-        for (a = 0; a < 2; ++a)
-            for (b = 0; b < 2; ++b)
-                for (i = 0; i < 3; ++i)
-                    for (j = 0; j < 3; ++j)
-                        k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, p)[b] + j] +=
-                            (a == b ? c : -c) * ((i == j) - m[p][i] * m[p][j]);
+        for (i = 0; i < 9; ++i)
+            block[i] = c / length[p] * ((i % 4 == 0) - m[p][i / 3] * m[p][i % 3]);
+        sfemi_damage_add_pair(p, p, block, k);
     }
 }
 
-SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
-                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
-                                      sfem_real *k)
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36],
+                                      int small, const sfem_real u[12], sfem_tangent kind,
+                                      sfem_real *force, sfem_real *k)
 {
     sfem_real e[6], s[6], m[6][3], length[6], energy = 0;
     int p, q, i;
@@ -11010,8 +11026,8 @@ SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_rea
     return energy;
 }
 
-/* The largest eigenvalue of the m x m matrix b, m <= 3, all of whose eigenvalues are positive: Newton's
- * method comes down on it from the trace. */
+/* The largest eigenvalue of the m x m matrix b, m <= 3, all of whose eigenvalues are positive:
+ * Newton's method comes down on it from the trace. */
 static sfem_real sfemi_damage_largest(int m, const sfem_real b[9])
 {
     sfem_real trace = 0, minors = 0, det, x, step;
@@ -11032,9 +11048,10 @@ static sfem_real sfemi_damage_largest(int m, const sfem_real b[9])
     return x;
 }
 
-/* Zeroing the strains of some edges is a projection, the other edges' the complementary one, and in the
- * norm of S both are equally long [Szyld 2006]: of the 62 patterns 31 remain, and since the least energy
- * of x on the edges I is x.(S^-1_II)^-1 x, lambda is the largest eigenvalue of S^-1_II S_II. */
+/* Zeroing the strains of some edges is a projection, the other edges' the complementary one, and in
+ * the norm of S both are equally long [Szyld 2006]: of the 62 patterns 31 remain, and since the
+ * least energy of x on the edges I is x.(S^-1_II)^-1 x, lambda is the largest eigenvalue of S^-1_II
+ * S_II. */
 SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law)
 {
     sfem_real w[6][6], a[6][6], s[6][6], worst = 1;
@@ -11063,7 +11080,8 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
     return worst;
 }
 
-/* ---- the graph: what does not change while a body breaks; shared by bodies of one definition ---- */
+/* ---- the graph: what does not change while a body breaks; shared by bodies of one definition ----
+ */
 
 enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
 
@@ -11082,7 +11100,7 @@ typedef struct sfemi_bonds {
     sfem_real *area;         /* [edges] a, m^2 */
     sfem_real *price;        /* [edges] share Gc a and all factors, J */
     sfem_real *factor;       /* [edges] of strength and of strains */
-    sfem_real *quiet;        /* [tets] no edge of it breaks while sum e^2 is below this in all its tets */
+    sfem_real *quiet;        /* [tets] no edge breaks while sum e^2 is below this in all its tets */
     unsigned char *never;    /* [edges] SFEMI_NEVER: unbreakable, SFEMI_BLADE_ONLY */
     sfem_real stiffening;    /* the largest of sfem_damage_stiffening: p >= stiffening/4 */
 } sfemi_bonds;
@@ -11092,7 +11110,7 @@ typedef struct sfemi_bonds {
  * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
  * derived: sfemi_damage_refresh makes it anew. */
 enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
-enum { SFEMI_INTACT, SFEMI_HURT, SFEMI_LOOSE }; /* loose: its intact edges do not connect its nodes */
+enum { SFEMI_INTACT, SFEMI_HURT, SFEMI_LOOSE }; /* loose: intact edges do not connect its nodes */
 
 typedef struct sfemi_damage {
     sfem_allocator allocator;
@@ -11105,7 +11123,7 @@ typedef struct sfemi_damage {
     sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
     unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
     sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
-    sfemi_block *block;      /* a copy of the model's blocks with damaged tets masked; NULL: linear body */
+    sfemi_block *block;      /* the model's blocks with damaged tets masked; NULL: linear body */
     sfem_int *lane;          /* [model tets] block times SFEMI_LANES + lane, or NULL */
     sfem_int pieces;         /* connected components over intact edges, by lowest node */
     sfem_int *piece_of;      /* [nodes], -1: in no tet */
@@ -11122,7 +11140,7 @@ typedef struct sfemi_damage {
     sfem_real *ratio;        /* [edges] criterion over its limit */
     sfem_real *most;         /* [nodes] largest ratio of a node's edges */
     unsigned char *hot, *near_hot; /* [model tets], [edges] */
-    sfem_real *local;        /* [degree][60] S_d, and forces at both ends, of a break that is tried */
+    sfem_real *local;        /* [degree][60] S_d, changes of forces at both ends, of a trial */
     sfem_int *fresh, fresh_count; /* [model tets] tets newly damaged */
     sfem_int *stamp, *queue; /* [nodes], [2 nodes] */
     sfem_int *merge;         /* [model tets] */
@@ -11160,7 +11178,8 @@ static void sfemi_bonds_free(sfemi_bonds *g) /* NULL allowed */
 static int sfemi_damage_positive(sfem_real x) { return sfemi_finite(x) && x > 0; }
 static int sfemi_damage_not_negative(sfem_real x) { return sfemi_finite(x) && x >= 0; }
 
-static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage_def *d, sfem_error *err)
+static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage_def *d,
+                                      sfem_error *err)
 {
     const sfem_mesh *mesh = &model->mesh;
     const sfem_int tets = mesh->tets;
@@ -11170,7 +11189,8 @@ static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage
                           (int)d->law, (int)d->criterion);
     if (!sfemi_damage_not_negative(d->toughness) ||
         (d->criterion == SFEM_BREAK_ENERGY && !(d->toughness > 0)))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "toughness is %g J/m^2, must be > 0", d->toughness);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "toughness is %g J/m^2, must be > 0",
+                          d->toughness);
     if ((d->criterion == SFEM_BREAK_STRESS || d->criterion == SFEM_BREAK_STRAIN) &&
         !sfemi_damage_positive(d->strength))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "strength is %g, must be > 0", d->strength);
@@ -11181,17 +11201,20 @@ static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage
                           d->soften[0], d->soften[1]);
     if (!(sfemi_damage_not_negative(d->share) && sfemi_damage_not_negative(d->rankine) &&
           sfemi_damage_not_negative(d->weibull) && sfemi_damage_not_negative(d->line_factor)))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "share, rankine, weibull and line_factor must be >= 0");
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "share, rankine, weibull and line_factor must be >= 0");
     if (!sfemi_damage_not_negative(d->direction_factor) ||
         (d->direction_factor > 0 && !(sfemi_all_finite(d->direction, 3) &&
                                       sfemi_dot3(d->direction, d->direction) > 0)))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "direction must not be 0, its factor must be > 0");
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "direction must not be 0, its factor must be > 0");
     if (d->closure && d->law != SFEM_DAMAGE_CONDENSED)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "closure needs SFEM_DAMAGE_CONDENSED");
     if ((d->upright[0] != 0 || d->upright[1] != 0) &&
         !(sfemi_finite(d->upright[0]) && d->upright[0] < d->upright[1] && d->upright[1] <= 1))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "upright is (%g, %g), must be first < second <= 1",
-                          d->upright[0], d->upright[1]);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "upright is (%g, %g), must be first < second <= 1", d->upright[0],
+                          d->upright[1]);
     for (e = 0; e < tets; ++e) {
         if (d->tet_factor && !sfemi_damage_positive(d->tet_factor[e]))
             return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e, "tet %d has toughness factor %g",
@@ -11230,7 +11253,8 @@ done:
     return status;
 }
 
-/* Edge and place of K's block: rows before that of node i hold i diagonals, row i has its own last. */
+/* Edge and place of K's block: rows before that of node i hold i diagonals, row i has its own last.
+ */
 static void sfemi_bonds_link(sfemi_bonds *g)
 {
     const sfem_model *model = g->model;
@@ -11253,10 +11277,9 @@ static void sfemi_bonds_link(sfemi_bonds *g)
             const int *end = sfemi_edge_ends(3, k);
             const sfem_int a = mesh->tet[4 * (size_t)e + (size_t)end[0]];
             const sfem_int b = mesh->tet[4 * (size_t)e + (size_t)end[1]];
-            const sfem_int edge =
-                model->chunks.place[10 * (size_t)e + (size_t)sfemi_damage_place[k]] - (a > b ? a : b);
-            g->tet_edge[6 * e + k] = edge;
-            ++g->tet_start[edge + 1];
+            at = model->chunks.place[10 * (size_t)e + (size_t)sfemi_damage_place[k]];
+            g->tet_edge[6 * e + k] = at - (a > b ? a : b);
+            ++g->tet_start[g->tet_edge[6 * e + k] + 1];
         }
     for (k = 0; k < g->edges; ++k) {
         if (g->tet_start[k + 1] > g->degree) g->degree = g->tet_start[k + 1];
@@ -11306,8 +11329,8 @@ static sfem_status sfemi_bonds_factor(const sfemi_bonds *g, const sfem_damage_de
         const sfem_real own = def->factor(x, n, i, j, def->factor_user);
         if (!sfemi_damage_positive(own))
             return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, i, -1,
-                                 "the caller's toughness factor of edge (%d, %d) is %g, must be > 0",
-                                 (int)i, (int)j, own);
+                                 "the caller's factor of edge (%d, %d) is %g, must be > 0", (int)i,
+                                 (int)j, own);
         factor *= own;
     }
     *out = factor;
@@ -11327,13 +11350,15 @@ static sfem_status sfemi_bonds_lines(sfemi_bonds *g, const sfem_damage_def *def,
         if (j >= 0 && i < model->mesh.nodes && i != j)
             at = sfemi_fem_find(model->row, model->col, i, j);
         if (at < 0)
-            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, a, -1, "line %d: (%d, %d) is no edge of the mesh",
-                                 (int)l, (int)a, (int)b);
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, a, -1,
+                                 "line %d: (%d, %d) is no edge of the mesh", (int)l, (int)a,
+                                 (int)b);
         g->never[at - i] = 0;
         if (def->line_factor > 0) g->factor[at - i] *= def->line_factor;
     }
     for (e = 0; def->unbreakable && e < model->mesh.tets; ++e)
-        for (k = 0; def->unbreakable[e] && k < 6; ++k) g->never[g->tet_edge[6 * e + k]] = SFEMI_NEVER;
+        for (k = 0; def->unbreakable[e] && k < 6; ++k)
+            g->never[g->tet_edge[6 * e + k]] = SFEMI_NEVER;
     return SFEM_OK;
 }
 
@@ -11357,13 +11382,14 @@ static void sfemi_damage_tet(const sfemi_bonds *g, sfem_int e, sfem_damage_tet *
         const int *end = sfemi_edge_ends(3, k);
         const sfem_real over = 1 / g->length[g->tet_edge[6 * (size_t)e + (size_t)k]];
         tet->length[k] = g->length[g->tet_edge[6 * (size_t)e + (size_t)k]];
-        for (i = 0; i < 3; ++i) tet->n[k][i] = (tet->x[3 * end[0] + i] - tet->x[3 * end[1] + i]) * over;
+        for (i = 0; i < 3; ++i)
+            tet->n[k][i] = (tet->x[3 * end[0] + i] - tet->x[3 * end[1] + i]) * over;
     }
 }
 
-/* A bound under which sum e^2 of a tet lets none of its edges break. With it in all tets of an edge:
- * w_k <= sum V_e Psi_e, Psi_e <= tr S/2 sum e^2, against price = sum V_e/(2 L) price/a; and |sigma| <=
- * (3 lambda + 2 mu) |eps|, |eps| <= |T^-1| |e|. */
+/* A bound under which sum e^2 of a tet lets none of its edges break. With it in all tets of an
+ * edge: w_k <= sum V_e Psi_e, Psi_e <= tr S/2 sum e^2, against price = sum V_e/(2 L) price/a; and
+ * |sigma| <= (3 lambda + 2 mu) |eps|, |eps| <= |T^-1| |e|. */
 static void sfemi_bonds_quiet(sfemi_bonds *g, sfem_int e)
 {
     const sfem_damage_def *def = &g->def;
@@ -11434,9 +11460,10 @@ done:
 
 /* Makes the graph of a model. errors SFEM_BAD_ARGUMENT (names the field, tet or edge),
  * SFEM_OUT_OF_MEMORY. O(tets). The model must outlive it. */
-SFEMI_UNUSED static sfem_status sfemi_bonds_create(const sfem_model *model, const sfem_damage_def *def,
-                                                   const sfem_allocator *allocator, sfemi_bonds **out,
-                                                   sfem_error *err)
+SFEMI_UNUSED static sfem_status sfemi_bonds_create(const sfem_model *model,
+                                                   const sfem_damage_def *def,
+                                                   const sfem_allocator *allocator,
+                                                   sfemi_bonds **out, sfem_error *err)
 {
     sfemi_bonds *g = NULL;
     sfem_status status;
@@ -11564,8 +11591,8 @@ done:
 
 /* ---- one damaged tet ---- */
 
-/* By the mask of a tet's unbroken edges: the edges that are the only link between their nodes; 64 where
- * all nodes are connected. */
+/* By the mask of a tet's unbroken edges: the edges that are the only link between their nodes; 64
+ * where all nodes are connected. */
 static const unsigned char sfemi_damage_links[64] = {
     0, 1, 2, 3, 4, 5, 6, 71, 8, 9, 10, 0, 12, 77, 78, 68,
     16, 17, 18, 83, 20, 0, 86, 66, 24, 89, 90, 80, 92, 72, 64, 64,
@@ -11601,9 +11628,9 @@ static int sfemi_damage_assess(const sfemi_damage *d, const sfem_damage_tet *tet
 
 /* With closure the energy is the least over crack openings w >= 0 of the damaged edges,
  *     1/2 (e - w).S (e - w) + sum_k w_k^2/(2 c_k),   c_k the compliance that zeta_k adds:
- * convex, once differentiable, damaged in tension and intact in compression. Which edges are open is a
- * linear complementarity problem with a positive definite matrix, which least-index pivoting solves
- * [Murty 1974]. s_d: of the open edges alone. */
+ * convex, once differentiable, damaged in tension and intact in compression. Which edges are open
+ * is a linear complementarity problem with a positive definite matrix, which least-index pivoting
+ * solves [Murty 1974]. s_d: of the open edges alone. */
 static void sfemi_damage_close(const sfem_damage_tet *tet, const sfem_real zeta[6],
                                const sfem_real e[6], sfem_real s_d[36])
 {
@@ -11673,14 +11700,16 @@ static sfem_real sfemi_damage_blend(const sfem_real upright[2], sfem_real j, sfe
 }
 
 /* Energy and force of a tet of the given kind. Below upright[1] the edge form, which does not see
- * inversion, gives way to the undamaged corotational law, in the energy, so that the force remains a
- * gradient and no energy jumps; a loose tet does not resist, for its nodes may be anywhere. */
-static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
-                                         int kind, const sfem_real zeta[6], const sfem_real s_d[36],
-                                         const sfem_real u[12], sfem_real force[12])
+ * inversion, gives way to the undamaged corotational law, in the energy, so that the force remains
+ * a gradient and no energy jumps; a loose tet does not resist, for its nodes may be anywhere. */
+static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfem_damage_tet *tet,
+                                         sfem_law law, int kind, const sfem_real zeta[6],
+                                         const sfem_real s_d[36], const sfem_real u[12],
+                                         sfem_real force[12])
 {
     const sfem_damage_def *def = &d->bonds->def;
-    sfem_real closed[36], e[6], m[6][3], length[6], whole[12], slope[12], psi, psi_whole, j, phi, dphi;
+    sfem_real closed[36], e[6], m[6][3], length[6], whole[12], slope[12];
+    sfem_real psi, psi_whole, j, phi, dphi;
     int i;
     if (kind == SFEMI_INTACT) return sfemi_damage_undamaged(tet, law, u, force);
     memset(force, 0, 12 * sizeof *force);
@@ -11773,9 +11802,9 @@ static void sfemi_damage_find_pieces(sfemi_damage *d)
 
 enum { SFEMI_NEXT = 2 }; /* in near_hot: broken, too, but to be looked at later */
 
-/* Does edge `edge`, broken, part a piece? Searches from its two ends by turns, a node each, until they
- * meet or the smaller side is done, which then gets a label of its own: O(smaller side). stamp is
- * all -1 before and after. */
+/* Does edge `edge`, broken, part a piece? Searches from its two ends by turns, a node each, until
+ * they meet or the smaller side is done, which then gets a label of its own: O(smaller side). stamp
+ * is all -1 before and after. */
 static int sfemi_damage_part(sfemi_damage *d, sfem_int edge)
 {
     const sfemi_bonds *g = d->bonds;
@@ -11866,8 +11895,8 @@ static void sfemi_damage_forces_task(void *data, sfem_int index)
         sfemi_damage_tet(d->bonds, e, &tet);
         sfemi_damage_gather(job->u, model->mesh.tet + 4 * (size_t)e, u);
         sfemi_damage_zetas(d, e, zeta);
-        d->energy[i] = sfemi_damage_tet_energy(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u,
-                                               force);
+        d->energy[i] = sfemi_damage_tet_energy(d, &tet, law, d->kind[e], zeta,
+                                               d->s + 36 * (size_t)e, u, force);
         if (!d->block) {
             d->energy[i] -= sfemi_damage_undamaged(&tet, law, u, whole);
             for (k = 0; k < 12; ++k) force[k] -= whole[k];
@@ -11883,11 +11912,11 @@ static void sfemi_damage_forces_task(void *data, sfem_int index)
     }
 }
 
-/* Adds energy and internal force of the damaged tets at u. Body that turns (d->block): theirs alone, to
- * go with sfemi_fem_forces on d->block. Linear body (block NULL): damaged less intact, to go with K u.
- * rotation [tets][9] (NULL: none): of damaged tets, as sfem_model_forces gives them, but 0 for loose tets,
- * which then weigh nothing in the frames. inverted (NULL: none) += tets with J <= 0 that hang together.
- * Same bits for any number of threads: tets in ascending order. */
+/* Adds energy and internal force of the damaged tets at u. Body that turns (d->block): theirs
+ * alone, to go with sfemi_fem_forces on d->block. Linear body (block NULL): damaged less intact, to
+ * go with K u. rotation [tets][9] (NULL: none): of damaged tets, as sfem_model_forces gives them,
+ * but 0 for loose tets, which then weigh nothing in the frames. inverted (NULL: none) += tets with
+ * J <= 0 that hang together. Same bits for any number of threads: tets in ascending order. */
 static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_real *force,
                                      sfem_real *rotation, sfem_int *inverted, const sfem_exec *exec)
 {
@@ -11899,7 +11928,8 @@ static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_r
     job.d = d;
     job.u = u;
     job.rotation = rotation;
-    sfemi_run(exec, (d->tets + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task, &job);
+    sfemi_run(exec, (d->tets + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task,
+              &job);
     for (i = 0; i < d->tets; ++i) {
         const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
         const sfem_real *f = d->force + 12 * (size_t)i;
@@ -11922,8 +11952,8 @@ static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_r
 SFEMI_UNUSED static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
                                                         sfem_precision precision, sfem_real *force,
                                                         sfem_real *rotation, sfem_int *inverted,
-                                                        sfem_real *spin, sfem_real *sum, sfem_real *work,
-                                                        const sfem_exec *exec)
+                                                        sfem_real *spin, sfem_real *sum,
+                                                        sfem_real *work, const sfem_exec *exec)
 {
     const sfem_model *model = d->bonds->model;
     sfem_real *r = sum && !rotation ? d->rotation : rotation;
@@ -11931,7 +11961,8 @@ SFEMI_UNUSED static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const s
     sfem_int i;
     size_t a, k;
     SFEM_ASSERT(d->block);
-    energy = sfemi_fem_forces(model, d->block, u, precision, force, rotation, inverted, spin, sum, work, exec);
+    energy = sfemi_fem_forces(model, d->block, u, precision, force, rotation, inverted, spin, sum,
+                              work, exec);
     energy += sfemi_damage_forces(d, u, force, r, inverted, exec);
     for (i = 0; sum && i < d->tets; ++i) {
         const size_t e = (size_t)d->tet[i];
@@ -11943,9 +11974,10 @@ SFEMI_UNUSED static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const s
 }
 
 /* The tangent of sfemi_damage_tet_energy; where it blends, what is positive semidefinite of it. */
-static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
-                                     int kind, const sfem_real zeta[6], const sfem_real s_d[36],
-                                     const sfem_real u[12], sfem_tangent tangent, sfem_real k[144])
+static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet,
+                                     sfem_law law, int kind, const sfem_real zeta[6],
+                                     const sfem_real s_d[36], const sfem_real u[12],
+                                     sfem_tangent tangent, sfem_real k[144])
 {
     const sfem_damage_def *def = &d->bonds->def;
     sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
@@ -12027,8 +12059,8 @@ SFEMI_UNUSED static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_
 
 /* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
  *     a0 dPsi(u0) + a1 dPsi(u1) - ac (u1-u0).d(f(u1)-f(u0)),   d: after less before:
- * (1/2, 1/2, 1/4) for (p,1,1) with any constant A, and for Newmark(p,1/2); (1/2, 1/2, (1/2-p)/2) is what
- * the guard's ledger sees; (0, 1, 0) judges Psi at the end alone. */
+ * (1/2, 1/2, 1/4) for (p,1,1) with any constant A, and for Newmark(p,1/2); (1/2, 1/2, (1/2-p)/2) is
+ * what the guard's ledger sees; (0, 1, 0) judges Psi at the end alone. */
 typedef struct sfemi_damage_step {
     const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
     sfem_real a0, a1, ac;
@@ -12039,7 +12071,7 @@ typedef struct sfemi_damage_step {
 typedef struct sfemi_damage_change {
     sfem_real psi0, psi1, cross; /* changes of Psi(u0), Psi(u1), (u1-u0).(f(u1)-f(u0)), J */
     sfem_real released, price;   /* what the invariant fell by; the surfaces made, J */
-    sfem_int broken, delayed;    /* edges; delayed: over the limit, but breaking would have made energy */
+    sfem_int broken, delayed;    /* edges; delayed: would have broken, but that made energy */
     sfem_int softened;           /* edges whose zeta fell without breaking */
     sfem_int hurt;               /* tets newly damaged */
     sfem_int pieces;             /* more than before */
@@ -12054,8 +12086,9 @@ enum { SFEMI_ROUND_TASK = 1024 }; /* edges, tets or nodes a task */
 
 static sfem_int sfemi_damage_range(sfem_int index, sfem_int count, sfem_int *end)
 {
-    *end = count - index * SFEMI_ROUND_TASK > SFEMI_ROUND_TASK ? (index + 1) * SFEMI_ROUND_TASK : count;
-    return index * SFEMI_ROUND_TASK;
+    const sfem_int start = index * SFEMI_ROUND_TASK;
+    *end = count - start > SFEMI_ROUND_TASK ? start + SFEMI_ROUND_TASK : count;
+    return start;
 }
 
 /* The strain of an edge; in a body that turns, from its length. */
@@ -12087,7 +12120,8 @@ static void sfemi_damage_strain_task(void *data, sfem_int index)
     }
 }
 
-/* Broken edges store nothing, unless pressed and closed: Psi_e <= tr S/2 sum e^2 over the others. */
+/* Broken edges store nothing, unless pressed and closed: Psi_e <= tr S/2 sum e^2 over the others.
+ */
 static void sfemi_damage_hot_task(void *data, sfem_int index)
 {
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
@@ -12130,10 +12164,10 @@ static void sfemi_damage_tet_stress(const sfemi_damage *d, sfem_int e, const sfe
     int k, l;
     for (k = 0; k < 6; ++k) strain[k] = d->strain[d->bonds->tet_edge[6 * e + k]];
     if (d->kind[e] == SFEMI_INTACT) {
-        sfem_real eps[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, sigma[9], *at;
+        sfem_real eps[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, sigma[9];
         for (k = 0; k < 6; ++k) {
             const sfem_real *a, *b, p = sfemi_damage_unit(tet, k, &a, &b) * strain[k] / 2;
-            for (l = 0, at = eps; l < 9; ++l, ++at) *at += p * (a[l / 3] * b[l % 3] + b[l / 3] * a[l % 3]);
+            for (l = 0; l < 9; ++l) eps[l] += p * (a[l / 3] * b[l % 3] + b[l / 3] * a[l % 3]);
         }
         sfemi_law_hooke(tet->lambda, tet->mu, eps, sigma);
         for (k = 0; k < 6; ++k) {
@@ -12155,11 +12189,13 @@ static void sfemi_damage_tet_stress(const sfemi_damage *d, sfem_int e, const sfe
 }
 
 /* sigma = T^T s = sum s_k n_k n_k^T */
-static void sfemi_damage_cauchy(const sfem_damage_tet *tet, const sfem_real s[6], sfem_real sigma[9])
+static void sfemi_damage_cauchy(const sfem_damage_tet *tet, const sfem_real s[6],
+                                sfem_real sigma[9])
 {
     int k, i;
     for (i = 0; i < 9; ++i)
-        for (k = 0, sigma[i] = 0; k < 6; ++k) sigma[i] += s[k] * tet->n[k][i / 3] * tet->n[k][i % 3];
+        for (k = 0, sigma[i] = 0; k < 6; ++k)
+            sigma[i] += s[k] * tet->n[k][i / 3] * tet->n[k][i % 3];
 }
 
 static void sfemi_damage_weigh_task(void *data, sfem_int index)
@@ -12167,7 +12203,7 @@ static void sfemi_damage_weigh_task(void *data, sfem_int index)
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
     const sfemi_bonds *g = d->bonds;
     sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
-    int k, near_hot;
+    int k, i, near_hot;
     for (; e < end; ++e) {
         sfem_real *s = d->stress + 6 * (size_t)e, *weight = d->weight + 6 * (size_t)e;
         sfem_real diagonal[6], sigma[9];
@@ -12181,8 +12217,8 @@ static void sfemi_damage_weigh_task(void *data, sfem_int index)
             const sfem_real *n = tet.n[k];
             weight[k] = 0;
             if (g->def.criterion == SFEM_BREAK_STRESS)
-                weight[k] = tet.volume * (n[0] * sfemi_dot3(sigma, n) + n[1] * sfemi_dot3(sigma + 3, n) +
-                                          n[2] * sfemi_dot3(sigma + 6, n));
+                for (i = 0; i < 3; ++i)
+                    weight[k] += tet.volume * n[i] * sfemi_dot3(sigma + 3 * i, n);
             else if (diagonal[k] > 0)
                 weight[k] = tet.volume * s[k] * s[k] / (2 * diagonal[k]);
         }
@@ -12259,9 +12295,10 @@ static int sfemi_damage_is_peak(const sfemi_damage *d, sfem_int k)
 }
 
 /* What one tet contributes to the invariant, and its forces at both ends. */
-static void sfemi_damage_local(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law, int kind,
-                               const sfem_real zeta[6], const sfem_real s_d[36], const sfem_real u0[12],
-                               const sfem_real u1[12], sfem_real f[24], sfem_real out[3])
+static void sfemi_damage_local(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
+                               int kind, const sfem_real zeta[6], const sfem_real s_d[36],
+                               const sfem_real u0[12], const sfem_real u1[12], sfem_real f[24],
+                               sfem_real out[3])
 {
     int i;
     out[0] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u0, f);
@@ -12269,10 +12306,10 @@ static void sfemi_damage_local(const sfemi_damage *d, const sfem_damage_tet *tet
     for (i = 0, out[2] = 0; i < 12; ++i) out[2] += (u1[i] - u0[i]) * (f[12 + i] - f[i]);
 }
 
-/* What lowering zeta of edge k to `to` does: the sums over its tets of the changes of Psi(u0), Psi(u1),
- * (u1-u0).(f1-f0); S_d and the changes of the forces go to d->local. */
-static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to, const sfemi_damage_step *step,
-                                  sfem_real sum[3])
+/* What lowering zeta of edge k to `to` does: the sums over its tets of the changes of Psi(u0),
+ * Psi(u1), (u1-u0).(f1-f0); S_d and the changes of the forces go to d->local. */
+static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to,
+                                  const sfemi_damage_step *step, sfem_real sum[3])
 {
     const sfemi_bonds *g = d->bonds;
     const sfem_model *model = g->model;
@@ -12290,7 +12327,8 @@ static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to, con
         sfemi_damage_tet(d->bonds, e, &tet);
         sfemi_damage_gather(step->u0, t, u0);
         sfemi_damage_gather(step->u1, t, u1);
-        sfemi_damage_local(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u0, u1, f, before);
+        sfemi_damage_local(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u0, u1, f,
+                           before);
         zeta[g->edge_tet[at] % 6] = to;
         if (!(to > 0)) mask &= ~(1u << g->edge_tet[at] % 6);
         kind = sfemi_damage_assess(d, &tet, zeta, mask, local);
@@ -12301,8 +12339,8 @@ static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to, con
 }
 
 /* Makes it so. */
-static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to, const sfemi_damage_step *step,
-                                sfemi_damage_change *change)
+static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to,
+                                const sfemi_damage_step *step, sfemi_damage_change *change)
 {
     const sfemi_bonds *g = d->bonds;
     const sfem_real *local = d->local;
@@ -12328,7 +12366,8 @@ static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to, const
     }
 }
 
-static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason reason, sfem_real released)
+static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason reason,
+                                sfem_real released)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_break *b = d->event + d->events;
@@ -12344,8 +12383,8 @@ static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason r
     b->released = released;
 }
 
-/* Rounds after which a blade forces an edge. Edges without stress of their own may wait for ever where
- * their tets' switch to the edge form costs a little. */
+/* Rounds after which a blade forces an edge. Edges without stress of their own may wait for ever
+ * where their tets' switch to the edge form costs a little. */
 enum { SFEMI_PATIENCE = 16 };
 
 /* Lowers zeta of edge k to `to` unless that made energy; then it has to wait. */
@@ -12381,13 +12420,15 @@ static void sfemi_damage_merge(sfemi_damage *d)
     for (gap = d->fresh_count / 2; gap > 0; gap /= 2) /* Shell 1959 */
         for (i = gap; i < d->fresh_count; ++i) {
             e = d->fresh[i];
-            for (j = i; j >= gap && d->fresh[j - gap] > e; j -= gap) d->fresh[j] = d->fresh[j - gap];
+            for (j = i; j >= gap && d->fresh[j - gap] > e; j -= gap)
+                d->fresh[j] = d->fresh[j - gap];
             d->fresh[j] = e;
         }
     if (!d->fresh_count) return;
-    for (i = j = 0; i < d->tets || j < d->fresh_count;)
-        d->merge[n++] = j == d->fresh_count || (i < d->tets && d->tet[i] < d->fresh[j]) ? d->tet[i++]
-                                                                                       : d->fresh[j++];
+    for (i = j = 0; i < d->tets || j < d->fresh_count;) {
+        const int old = j == d->fresh_count || (i < d->tets && d->tet[i] < d->fresh[j]);
+        d->merge[n++] = old ? d->tet[i++] : d->fresh[j++];
+    }
     memcpy(d->tet, d->merge, (size_t)n * sizeof *d->tet);
     d->tets = n;
     d->fresh_count = 0;
@@ -12408,8 +12449,9 @@ static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
     return 1;
 }
 
-/* Breaks lone edges: no crack surface separates what they hold, and they hold next to nothing. Breaking
- * one may leave another. d->lone: there may be some, for something broke or one had to wait. */
+/* Breaks lone edges: no crack surface separates what they hold, and they hold next to nothing.
+ * Breaking one may leave another. d->lone: there may be some, for something broke or one had to
+ * wait. */
 static void sfemi_damage_sweep_lone(sfemi_damage *d, const sfemi_damage_step *step,
                                     sfemi_damage_change *change)
 {
@@ -12441,7 +12483,8 @@ static sfem_real sfemi_damage_soft(const sfemi_damage *d, sfem_int k)
     const sfem_damage_def *def = &d->bonds->def;
     const sfem_real strain = d->peak[k] / d->bonds->factor[k];
     if (strain <= def->soften[0]) return 1;
-    return strain < def->soften[1] ? (def->soften[1] - strain) / (def->soften[1] - def->soften[0]) : 0;
+    if (strain >= def->soften[1]) return 0;
+    return (def->soften[1] - strain) / (def->soften[1] - def->soften[0]);
 }
 
 static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
@@ -12458,10 +12501,10 @@ static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
     }
 }
 
-/* One round of breaking after a step: softening, or local maxima of the criterion at the midpoint; edges
- * that a blade has marked; then lone edges. Every break lowers the invariant, at worst by nothing, but
- * for edges that a blade has to force. Fills *change and d->event[0 .. d->events). What is far from
- * breaking costs 30 to 40 ns a tet, a break about 50 us. */
+/* One round of breaking after a step: softening, or local maxima of the criterion at the midpoint;
+ * edges that a blade has marked; then lone edges. Every break lowers the invariant, at worst by
+ * nothing, but for edges that a blade has to force. Fills *change and d->event[0 .. d->events).
+ * What is far from breaking costs 30 to 40 ns a tet, a break about 50 us. */
 SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
                                             sfemi_damage_change *change)
 {
@@ -12499,7 +12542,7 @@ SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_
     sfemi_damage_merge(d);
     sfemi_damage_sweep_lone(d, step, change);
     change->broken = d->events;
-    /* one after the other: of two that part three pieces, the first must find the other one whole */
+    /* one after the other: of two that part three pieces, the first must find the other whole */
     for (i = 0; i < d->events; ++i) d->near_hot[d->event_edge[i]] = SFEMI_NEXT;
     for (i = 0; i < d->events; ++i) {
         d->near_hot[d->event_edge[i]] = 0;
@@ -12570,7 +12613,8 @@ static int sfemi_damage_stabs(const sfem_real *a, const sfem_real *b, const sfem
     int i;
     if ((da > 0 && db > 0) || (da < 0 && db < 0) || (da == 0 && db == 0)) return 0;
     for (i = 0; i < 3; ++i) side[i] = sfemi_volume6(a, b, v + 3 * i, v + 3 * ((i + 1) % 3));
-    return (side[0] >= 0 && side[1] >= 0 && side[2] >= 0) || (side[0] <= 0 && side[1] <= 0 && side[2] <= 0);
+    return (side[0] >= 0 && side[1] >= 0 && side[2] >= 0) ||
+           (side[0] <= 0 && side[1] <= 0 && side[2] <= 0);
 }
 
 /* Is p, which lies in the plane of triangle v, in the triangle? */
@@ -12592,7 +12636,8 @@ static int sfemi_damage_inside(const sfem_real *p, const sfem_real v[9])
 }
 
 /* Do segments a b and c d, which lie in one plane, meet? */
-static int sfemi_damage_meet(const sfem_real *a, const sfem_real *b, const sfem_real *c, const sfem_real *d)
+static int sfemi_damage_meet(const sfem_real *a, const sfem_real *b, const sfem_real *c,
+                             const sfem_real *d)
 {
     sfem_real r[3], s[3], w[3], n[3], rw[3], sw[3], n2, along, across;
     sfemi_sub3(b, a, r);
@@ -12609,8 +12654,8 @@ static int sfemi_damage_meet(const sfem_real *a, const sfem_real *b, const sfem_
 }
 
 /* Does a triangle whose corners move straight from `from` to `to` cross segment a b? If it does, it
- * does so at the start or the end, or there is a first time, at which an end of the segment lies in the
- * triangle or the segment meets one of its sides: roots of cubics [after Provot 1997]. */
+ * does so at the start or the end, or there is a first time, at which an end of the segment lies in
+ * the triangle or the segment meets one of its sides: roots of cubics [after Provot 1997]. */
 static int sfemi_damage_crosses(const sfem_real a[3], const sfem_real b[3], const sfem_real from[9],
                                 const sfem_real to[9])
 {
@@ -12635,11 +12680,11 @@ static int sfemi_damage_crosses(const sfem_real a[3], const sfem_real b[3], cons
     return 0;
 }
 
-/* Marks every edge that the triangle from [3][3], m, crosses while its corners move to `to`, the edges
- * where u puts them; returns how many were newly marked. They break in the rounds that follow.
- * O(edges). */
-SFEMI_UNUSED static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u, const sfem_real from[9],
-                                              const sfem_real to[9])
+/* Marks every edge that the triangle from [3][3], m, crosses while its corners move to `to`, the
+ * edges where u puts them; returns how many were newly marked. They break in the rounds that
+ * follow. O(edges). */
+SFEMI_UNUSED static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u,
+                                              const sfem_real from[9], const sfem_real to[9])
 {
     const sfemi_bonds *g = d->bonds;
     sfem_real low[3], high[3];
@@ -12670,8 +12715,8 @@ SFEMI_UNUSED static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *
 }
 
 /* out [d->pieces], at displacements u and velocities v (NULL: at rest). O(nodes). */
-SFEMI_UNUSED static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const sfem_real *v,
-                                             sfem_piece *out)
+SFEMI_UNUSED static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u,
+                                             const sfem_real *v, sfem_piece *out)
 {
     const sfem_model *model = d->bonds->model;
     const sfem_int nodes = model->mesh.nodes;
@@ -12702,7 +12747,8 @@ SFEMI_UNUSED static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_r
         sfem_piece *p;
         if (d->piece_of[i] < 0) continue;
         p = out + d->piece_of[i];
-        for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+        for (c = 0; c < 3; ++c)
+            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
         sfemi_cross(r, v + at, l);
         for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
     }
