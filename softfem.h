@@ -14876,6 +14876,7 @@ static sfem_status sfemi_modes_dense(const sfemi_modes_system *s, sfem_modes *ou
                     a[(size_t)k * m + (size_t)axis[r]] / (b ? 1 : s->root[r]);
     }
     sfemi_modes_refine(s, out);
+    SFEMI_TRY(sfemi_modes_errors(s, out, err));
     out->info.dense = out->info.proved = 1;
     out->info.converged = take;
     out->info.cut = sfemi_modes_cut(lambda, take, elastic);
@@ -15019,11 +15020,10 @@ static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_i
                 z->c[4 * (k - 24 * job.first) + q];
 }
 
-/* W = Op W. */
-static void sfemi_lanczos_apply(sfemi_lanczos *z)
+/* x = (the factorised matrix)^-1 b; with root, x = root (..)^-1 root b. */
+static void sfemi_lanczos_solve(sfemi_lanczos *z, const sfem_real *root, const sfem_real *b, sfem_real *x)
 {
     const sfemi_symbolic *y = z->ldl->symbolic;
-    const sfem_real *root = z->s->root;
     sfemi_solve q;
     sfem_int i;
     memset(&q, 0, sizeof q);
@@ -15035,16 +15035,15 @@ static void sfemi_lanczos_apply(sfemi_lanczos *z)
     q.done = (sfemi_counter *)(void *)(q.scratch + y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH);
     for (i = 0; i < y->n; ++i) {
         const size_t at = (size_t)y->order[i];
-        if (root) z->f->scale(root + 3 * at, z->w + 12 * at, q.w + 12 * (size_t)i);
-        else memcpy(q.w + 12 * (size_t)i, z->mw + 12 * at, 12 * sizeof *q.w);
+        if (root) z->f->scale(root + 3 * at, b + 12 * at, q.w + 12 * (size_t)i);
+        else memcpy(q.w + 12 * (size_t)i, b + 12 * at, 12 * sizeof *q.w);
     }
     sfemi_solve_sweeps(&q, z->exec, sfemi_solve_forward, sfemi_solve_backward);
     for (i = 0; i < y->n; ++i) {
         const size_t at = (size_t)y->order[i];
-        if (root) z->f->scale(root + 3 * at, q.w + 12 * (size_t)i, z->w + 12 * at);
-        else memcpy(z->w + 12 * at, q.w + 12 * (size_t)i, 12 * sizeof *q.w);
+        if (root) z->f->scale(root + 3 * at, q.w + 12 * (size_t)i, x + 12 * at);
+        else memcpy(x + 12 * at, q.w + 12 * (size_t)i, 12 * sizeof *q.w);
     }
-    ++z->info->steps;
     z->info->solves += 4;
 }
 
@@ -15123,16 +15122,21 @@ static void sfemi_lanczos_normalise(sfemi_lanczos *z, sfem_real least)
     }
 }
 
+/* Columns of V from `at` on, four at most, = those of W, or 0. */
+static void sfemi_lanczos_put(sfemi_lanczos *z, sfem_int at, sfem_int count, const sfem_real *w)
+{
+    size_t r;
+    sfem_int q;
+    for (q = 0; q < count; ++q) {
+        sfem_real *to = z->v + (size_t)((at + q) / 24) * 24 * z->padded + (size_t)((at + q) % 24);
+        for (r = 0; r < z->padded; ++r) to[24 * r] = w ? w[4 * r + (size_t)q] : 0;
+    }
+}
+
 /* Puts W behind the basis. */
 static void sfemi_lanczos_append(sfemi_lanczos *z)
 {
-    const sfem_int at = z->m;
-    size_t r;
-    int q;
-    for (q = 0; q < 4; ++q) {
-        sfem_real *to = z->v + (size_t)((at + q) / 24) * 24 * z->padded + (size_t)((at + q) % 24);
-        for (r = 0; r < z->padded; ++r) to[24 * r] = z->w[4 * r + (size_t)q];
-    }
+    sfemi_lanczos_put(z, z->m, 4, z->w);
     z->m += 4;
     z->vectors = 0;
     if (z->m > z->info->basis) z->info->basis = z->m;
@@ -15147,7 +15151,8 @@ static void sfemi_lanczos_step(sfemi_lanczos *z)
     sfem_int q;
     for (q = 0; q < 4; ++q)
         memset(z->t + (size_t)(column + q) * (size_t)z->capacity, 0, (size_t)z->capacity * sizeof *z->t);
-    sfemi_lanczos_apply(z);
+    sfemi_lanczos_solve(z, z->s->root, z->mw, z->w);
+    ++z->info->steps;
     sfemi_modes_deflate(z->s, z->w);
     sfemi_lanczos_orthogonalise(z, z->fresh || z->m < 12 ? 0 : z->m - 8, column);
     sfemi_lanczos_orthogonalise(z, 0, column);
@@ -15704,6 +15709,104 @@ static sfem_status sfemi_lanczos_iterate(sfemi_lanczos *z, sfem_error *err)
                       "larger max_basis", (int)restarts, (int)z->wanted, worst);
 }
 
+/* W to modes k ... k + 3 of the result, as displacements; and back. */
+static void sfemi_lanczos_write(const sfemi_lanczos *z, sfem_int k, sfem_modes *out)
+{
+    const sfemi_modes_system *s = z->s;
+    sfem_int i, q;
+    size_t c;
+    for (q = 0; q < 4 && k + q < z->wanted; ++q) {
+        sfem_real *phi = out->phi + (size_t)(out->rigid + k + q) * 3 * (size_t)out->nodes;
+        for (i = 0; i < s->n; ++i)
+            for (c = 0; c < 3; ++c) {
+                const size_t at = 3 * (size_t)i + c;
+                if (s->mass[at] > 0)
+                    phi[3 * (size_t)s->node[i] + c] =
+                        z->w[4 * at + (size_t)q] / (s->root ? s->root[at] : 1);
+            }
+    }
+}
+
+static void sfemi_lanczos_read(const sfemi_lanczos *z, sfem_int k, const sfem_modes *out)
+{
+    const sfemi_modes_system *s = z->s;
+    sfem_int i, q;
+    size_t c;
+    memset(z->w, 0, 4 * z->padded * sizeof *z->w);
+    for (q = 0; q < 4 && k + q < z->wanted; ++q) {
+        const sfem_real *phi = out->phi + (size_t)(out->rigid + k + q) * 3 * (size_t)out->nodes;
+        for (i = 0; i < s->n; ++i)
+            for (c = 0; c < 3; ++c) {
+                const size_t at = 3 * (size_t)i + c;
+                z->w[4 * at + (size_t)q] = phi[3 * (size_t)s->node[i] + c] * (s->root ? s->root[at] : 1);
+            }
+    }
+}
+
+/* Rounding in the first steps, of the size of the largest theta, leaves residuals of about lambda_k /
+ * lambda_1 rounding errors: a step of inverse iteration, phi -= A^-1 (K - lambda M) phi with the factor at
+ * hand, for modes k ... k + 3, which stay orthogonal to all others. */
+static void sfemi_lanczos_polish(sfemi_lanczos *z, sfem_int k, sfem_modes *out)
+{
+    const sfemi_modes_system *s = z->s;
+    const sfem_int some = z->wanted - k < 4 ? z->wanted - k : 4;
+    const size_t size = 4 * z->padded;
+    sfem_real *x = z->ax, *y = x + size;
+    size_t r;
+    int q, turn;
+    sfemi_lanczos_read(z, k, out);
+    for (r = 0; r < z->rows; ++r)
+        for (q = 0; q < 4; ++q)
+            x[4 * r + (size_t)q] =
+                s->root && s->root[r] > 0 ? z->w[4 * r + (size_t)q] / s->root[r] : z->w[4 * r + (size_t)q];
+    sfemi_modes_stiffness(s, x, y);
+    sfemi_modes_mass(s, x, z->mw == z->w ? z->work : z->mw);
+    for (r = 0; r < z->rows; ++r)
+        for (q = 0; q < 4; ++q)
+            y[4 * r + (size_t)q] = q < some ? y[4 * r + (size_t)q] -
+                                                  out->lambda[out->rigid + k + q] *
+                                                      (z->mw == z->w ? z->work : z->mw)[4 * r + (size_t)q]
+                                            : 0;
+    sfemi_lanczos_solve(z, NULL, y, x);
+    for (r = 0; r < z->rows; ++r)
+        for (q = 0; q < 4; ++q)
+            z->w[4 * r + (size_t)q] -= x[4 * r + (size_t)q] * (s->root ? s->root[r] : s->mass[r] > 0);
+    sfemi_lanczos_put(z, k, some, NULL);
+    for (turn = 0; turn < 2; ++turn) {
+        sfemi_modes_deflate(s, z->w);
+        sfemi_lanczos_orthogonalise(z, 0, -1);
+    }
+    sfemi_lanczos_normalise(z, 0);
+    sfemi_lanczos_put(z, k, some, z->w);
+    sfemi_lanczos_write(z, k, out);
+}
+
+/* All modes whose backward error is above a half of the tolerance, once more, and what that gives. */
+static sfem_status sfemi_lanczos_refine(sfemi_lanczos *z, sfem_modes *out, sfem_error *err)
+{
+    sfem_status status;
+    sfem_int k, q, turn, worse = 1;
+    for (turn = 0; turn < 3; ++turn) {
+        status = sfemi_modes_errors(z->s, out, err);
+        if (status != SFEM_OK || turn == 2) return status;
+        for (worse = 0, q = out->rigid; q < out->count; ++q)
+            worse += out->error[q] > 0.5 * z->s->def->tolerance;
+        if (worse == 0) return SFEM_OK;
+        memset(z->v, 0, (size_t)z->panels * 24 * z->padded * sizeof *z->v);
+        for (k = 0; k < z->wanted; k += 4) {
+            sfemi_lanczos_read(z, k, out);
+            sfemi_lanczos_put(z, k, z->wanted - k < 4 ? z->wanted - k : 4, z->w);
+        }
+        z->m = z->wanted;
+        for (k = 0; k < z->wanted; k += 4) {
+            for (worse = 0, q = k; q < k + 4 && q < z->wanted; ++q)
+                worse += out->error[out->rigid + q] > 0.5 * z->s->def->tolerance;
+            if (worse) sfemi_lanczos_polish(z, k, out);
+        }
+    }
+    return SFEM_OK;
+}
+
 /* The wanted Ritz vectors, as displacements. */
 static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_error *err)
 {
@@ -15712,7 +15815,6 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
     sfem_real *lambda = NULL;
     sfemi_lanczos_job job;
     sfem_int k, i;
-    int q, c;
     if (status != SFEM_OK) return status;
     if (!sfemi_lanczos_vectors(z))
         return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
@@ -15731,19 +15833,11 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
         sfemi_lanczos_pick(z, k, z->wanted, z->c);
         memset(z->w, 0, 4 * z->padded * sizeof *z->w);
         sfemi_run(z->exec, z->chunks, sfemi_lanczos_combine_chunk, &job);
-        for (q = 0; q < 4 && k + q < z->wanted; ++q) {
-            sfem_real *phi = out->phi + (size_t)(out->rigid + k + q) * 3 * (size_t)out->nodes;
-            for (i = 0; i < s->n; ++i)
-                for (c = 0; c < 3; ++c) {
-                    const size_t at = 3 * (size_t)i + (size_t)c;
-                    if (s->mass[at] > 0)
-                        phi[3 * (size_t)s->node[i] + (size_t)c] =
-                            z->w[4 * at + (size_t)q] / (s->root ? s->root[at] : 1);
-                }
-        }
+        sfemi_lanczos_write(z, k, out);
     }
     out->info.converged = z->wanted;
     out->info.sigma = z->sigma;
+    status = sfemi_lanczos_refine(z, out, err);
 done:
     sfemi_delete(s->al, lambda);
     return status;
@@ -15781,6 +15875,7 @@ static sfem_status sfemi_modes_lanczos(sfemi_modes_system *s, sfem_modes *out, i
         SFEMI_TRY(sfemi_lanczos_result(&z, out, err));
     } else {
         SFEMI_TRY(sfemi_modes_result(s, 0, out, err));
+        SFEMI_TRY(sfemi_modes_errors(s, out, err));
         out->info.proved = s->def->below_hz > 0;
         out->info.cut = -1;
     }
@@ -15837,7 +15932,6 @@ SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *
     }
     if (!dense) SFEMI_TRY(sfemi_modes_lanczos(&s, &result, &dense, err));
     if (dense) SFEMI_TRY(sfemi_modes_dense(&s, &result, err));
-    SFEMI_TRY(sfemi_modes_errors(&s, &result, err));
     *out = result;
 done:
     sfemi_modes_system_free(&s);
