@@ -59,6 +59,9 @@ bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body si
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
+bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a step and of warping
+	$(BUILD)/bench/warp
+
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
@@ -109,7 +112,10 @@ check: $(TEST_PROGRAMS)
 	if [ -n "$$failed" ]; then echo "FAILED:$$failed"; exit 1; fi; \
 	echo "every test passed: $(words $(TEST_PROGRAMS)) programs"
 
-check-examples: $(EXAMPLE_PROGRAMS)
+check-bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a step and of warping
+	$(BUILD)/bench/warp
+
+examples: $(EXAMPLE_PROGRAMS)
 	@for x in $(EXAMPLES); do \
 	    out=$(BUILD)/out/$$x; mkdir -p $$out; arguments="--quick --out $$out"; \
 	    if [ $$x = hello ]; then arguments=; fi; \
@@ -193,5 +199,5 @@ $(BUILD)/cmocka:
 force:
 .DELETE_ON_ERROR:
 .SECONDARY:
-.PHONY: help run test bench bench-solver examples strict asan tsan analyze format coverage clean \
+.PHONY: help run test bench bench-solver bench-warp examples strict asan tsan analyze format coverage clean \
         check check-examples force
