@@ -24,7 +24,7 @@ FLAGS_test_base = -ffast-math
 
 EXAMPLES := $(patsubst examples/%.c,%,$(wildcard examples/*.c))
 TESTS    ?= $(patsubst tests/%.c,%,$(wildcard tests/test_*.c))
-BENCHES  := $(filter-out solver,$(patsubst bench/%.c,%,$(wildcard bench/*.c)))
+BENCHES  := $(filter-out solver step eigen,$(patsubst bench/%.c,%,$(wildcard bench/*.c)))
 # test programs in which a test is named after threads
 THREADED := $(shell grep -l '^static void [a-z0-9_]*thread' tests/test_*.c 2>/dev/null)
 
@@ -56,11 +56,26 @@ test: check check-examples ## build and run every test, and every example once
 bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
 
+bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
+	$(ENVIRONMENT) $(BUILD)/bench/sleep
+
+bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S beside that of 3x3 blocks
+	$(ENVIRONMENT) $(BUILD)/bench/scalar
+
+bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distortion against loss
+	$(BUILD)/bench/link
+
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
 bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a step and of warping
 	$(BUILD)/bench/warp
+
+bench-step: $(BUILD)/bench/step ## the default step beside semi-implicit Newmark, also on CHOLMOD
+	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/step
+
+bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where installed; who lost which
+	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/eigen
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
@@ -112,10 +127,7 @@ check: $(TEST_PROGRAMS)
 	if [ -n "$$failed" ]; then echo "FAILED:$$failed"; exit 1; fi; \
 	echo "every test passed: $(words $(TEST_PROGRAMS)) programs"
 
-check-bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a step and of warping
-	$(BUILD)/bench/warp
-
-examples: $(EXAMPLE_PROGRAMS)
+check-examples: $(EXAMPLE_PROGRAMS)
 	@for x in $(EXAMPLES); do \
 	    out=$(BUILD)/out/$$x; mkdir -p $$out; arguments="--quick --out $$out"; \
 	    if [ $$x = hello ]; then arguments=; fi; \
@@ -173,6 +185,23 @@ $(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) s
 	$$link $(if $(filter 1,$(OPENMP)),-fopenmp) $(INSTRUMENT) -o $@ $@.o $$objects \
 	    $(BUILD)/softfem.o $(LDFLAGS) $$libraries -lm
 
+# bench/step.c holds the implementation itself, to time its parts.
+$(BUILD)/bench/step: bench/step.c examples/support.h softfem.h $(BUILD)/flags
+	@mkdir -p $(@D)
+	@cholmod=; printf '#include <suitesparse/cholmod.h>\nint main(void){return 0;}\n' | \
+	    $(CC) -x c - -o /dev/null -lcholmod >/dev/null 2>&1 && \
+	    cholmod='-DSFEM_BENCH_CHOLMOD -lcholmod'; \
+	$(CC) $(FLAGS) -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< $(LDFLAGS) $$cholmod -lm
+
+$(BUILD)/bench/eigen: bench/eigen.c softfem.h $(BUILD)/softfem.o
+	@mkdir -p $(@D)
+	@others=; if printf '#include <arpack/arpack.h>\n#include <suitesparse/cholmod.h>\nint main(void){return 0;}\n' | \
+	    $(CC) -x c - -o /dev/null -larpack -lcholmod >/dev/null 2>&1; \
+	then others='-DSFEM_BENCH_ARPACK'; libraries='-larpack -lcholmod'; \
+	else echo 'left out; to compare: apt-get install libarpack2-dev libsuitesparse-dev'; fi; \
+	$(CC) $(FLAGS) $$others -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< $(BUILD)/softfem.o \
+	    $(LDFLAGS) $$libraries -lm
+
 # Everything is built anew when the compiler or its flags change.
 $(BUILD)/flags: force
 	@mkdir -p $(BUILD)
@@ -199,5 +228,4 @@ $(BUILD)/cmocka:
 force:
 .DELETE_ON_ERROR:
 .SECONDARY:
-.PHONY: help run test bench bench-solver bench-warp examples strict asan tsan analyze format coverage clean \
-        check check-examples force
+.PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)

@@ -40,9 +40,12 @@
  *            >>newmark      linear Newmark
  *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
  *                           nonlinear statics
+ *            >>alpha        dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
+ *            >>sleep        bodies at rest, whose steps cost nothing
+ *            >>renew        a factor of the present tangent, made in slices
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
@@ -445,6 +448,7 @@ typedef struct sfem_ldl_def {
     int positive;       /* every pivot must be > 0, else SFEM_NOT_SPD */
     int mixed;          /* keep a float copy of L, which the solves use: half the memory traffic */
     int keep;           /* keep the update matrices, so that a part can be refactored */
+    int scalar;         /* A is n x n: a->val holds one number a block, right sides [n]; needs positive */
     sfem_allocator allocator;
     sfem_exec exec; /* used by create and refactor */
 } sfem_ldl_def;
@@ -469,7 +473,7 @@ SFEM_DEF sfem_ldl_def sfem_default_ldl_def(void); /* BEST, positive = 1, the res
 /* Analyses the pattern and factorises A.
  *   errors  SFEM_NOT_SPD (positive = 1: node and pivot), SFEM_SINGULAR (positive = 0: node),
  *           SFEM_NOT_FINITE (node), SFEM_BAD_ARGUMENT (the pattern is not what sfem_matrix promises,
- *           or dissection without coordinates), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *           or dissection without coordinates; scalar without positive), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
  *   n = 0   is allowed */
 SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix *a, sfem_ldl **out,
                                      sfem_error *err);
@@ -494,7 +498,7 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
  * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but
  * may differ between a right side alone and among others. */
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs); /* in sfem_real */
-SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n] */,
+SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n]; scalar: [rhs][n] */,
                              sfem_real *work, const sfem_exec *exec);
 
 SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl);
@@ -777,6 +781,134 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
 
+/* A body breaks along the edges of its mesh. Every edge k carries a zeta_k, 1 intact .. 0 broken, and
+ * a tet knows of damage by the zeta of its six edges alone: nodes, pattern and factor stay as they are.
+ * [after Mandal, Chaudhuri, Chaudhuri 2023, supplement, eqs. 10-20, its edge strains taken along rest
+ * directions]. The six edges of a tet: 01 02 03 12 13 23, d_ij = x_i - x_j, strain > 0 is tension. With
+ * edge strains e = T eps, S = T^-T Ce T^-1, the energy of an intact tet is V/2 e.S e, that of a damaged
+ * one V/2 e.S_d e. */
+typedef enum sfem_damage_law {
+    SFEM_DAMAGE_CONDENSED, /* a broken edge carries no force: the compliance S^-1 grows by
+                            * (1-z)/(z S_kk) on its diagonal, S_d its inverse, less what has z = 0. Never
+                            * stiffer than intact, so that any p >= 1/4 and any old factor stay stable */
+    SFEM_DAMAGE_ZSZ        /* Z S Z, Z = diag(zeta) [eqs. 18-20]: a broken edge feels no strain. Stiffens
+                            * a tet up to lambda times, see sfem_damage_stiffening: p >= lambda/4 */
+} sfem_damage_law;
+
+/* What an edge is measured by. w_k = sum_e V_e s_k^2/(2 S_d,kk), s = S_d e, is the energy that its
+ * breaking releases at once; a_k = sum_e V_e/(2 L_k) its dual area, the sum of which over the edges that
+ * cross a plane is 3/2 of the plane's area (1.1 to 2.1 by orientation and mesh). */
+typedef enum sfem_damage_criterion {
+    SFEM_BREAK_ENERGY, /* w_k >= share Gc a_k, in tension: independent of mesh size */
+    SFEM_BREAK_STRESS, /* mean over its tets of n.sigma n >= strength, Pa; the finer the mesh, the less
+                        * energy a crack takes */
+    SFEM_BREAK_STRAIN, /* (l - L)/L >= strength, a number */
+    SFEM_BREAK_DUCTILE /* zeta falls from 1 to 0 while the largest strain so far grows from soften[0] to
+                        * soften[1] */
+} sfem_damage_criterion;
+
+/* A factor > 0 of an edge's toughness and strength; x its midpoint at rest, n its direction. Called when
+ * the graph is built, once for each edge i < j. */
+typedef sfem_real (*sfem_toughness)(const sfem_real x[3], const sfem_real n[3], sfem_int i, sfem_int j,
+                                    void *user);
+
+typedef struct sfem_damage_def {
+    sfem_damage_law law;
+    sfem_damage_criterion criterion;
+    sfem_real toughness;         /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
+                                  * breaks for another reason; then it may be 0 */
+    sfem_real share;             /* of Gc that is booked at breaks; 0 means 2/3, the inverse of the 3/2
+                                  * above. About as much again is released as the body relaxes */
+    sfem_real strength;          /* Pa, or a strain */
+    sfem_real soften[2];         /* strains, 0 <= soften[0] < soften[1] */
+    sfem_real rankine;           /* Pa; > 0: an edge breaks only where the largest principal stress of
+                                  * one of its tets is above this, too */
+    sfem_real weibull;           /* > 0: factors of mean 1 from a Weibull distribution of this modulus
+                                  * (50 uniform, 10 ceramics, 3 scattered) multiply toughness and strength */
+    uint64_t seed;               /* the same seed and mesh give the same factors */
+    sfem_real direction[3];      /* with direction_factor > 0: an edge along this direction has that factor, */
+    sfem_real direction_factor;  /* one across it 1, between 1 + (factor - 1) cos^2 */
+    sfem_toughness factor;       /* or NULL */
+    void *factor_user;
+    const sfem_real *tet_factor; /* [tets] > 0, or NULL; an edge takes the mean over its tets by V_e */
+    const sfem_real *region_factor; /* [region_count] > 0, or NULL, by the mesh's region of a tet */
+    sfem_int region_count;
+    const unsigned char *unbreakable; /* [tets] or NULL: edges of tets marked 1 never break */
+    const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
+    sfem_int line_count;
+    sfem_real line_factor;       /* 0 means 1 */
+    int line_only;               /* no other edges break, except by a blade */
+    int closure;                 /* a broken edge carries compression again: p >= 1/2; SFEM_DAMAGE_CONDENSED */
+    sfem_real upright[2];        /* below J = upright[0] a damaged tet that still hangs together resists as
+                                  * an intact corotational one, which no edge length tells from its mirror
+                                  * image; between the two the energies are blended; 0, 0 means .05, .25 */
+} sfem_damage_def;
+
+SFEM_DEF sfem_damage_def sfem_default_damage_def(void); /* condensed, energy, Gc 100 J/m^2, share 2/3 */
+
+/* The edge form of one tet. T is invertible unless the tet is flat: |det T| = (6V)^4/prod L^2. */
+typedef struct sfem_damage_tet {
+    sfem_real volume, lambda, mu;
+    sfem_real x[12];         /* [4][3] rest positions */
+    sfem_real length[6];     /* L_k */
+    sfem_real n[6][3];       /* (X_i - X_j)/L_k */
+    sfem_real gradient[4][3]; /* of the shape functions */
+    sfem_real t[36];         /* T [6][6]: e = T eps; eps xx yy zz xy xz yz with engineering shear */
+    sfem_real t_inverse[36]; /* [6][6] */
+    sfem_real s[36];         /* S [6][6], Pa; (S^-1)_kk = 1/Young for every edge of every tet */
+} sfem_damage_tet;
+
+/* x [4][3], m, right-handed and not flat. */
+SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                                  sfem_damage_tet *out);
+/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6] =
+ * (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
+SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
+                                    sfem_real *b);
+/* S_d [6][6], Pa, of zeta [6] in [0, 1]; from zeta alone, so that healing is as good as breaking. */
+SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
+                                  const sfem_real zeta[6], sfem_real s_d[36]);
+/* The same for one edge more: S_d of zeta[edge] = from becomes that of to < from, by a rank-1 update,
+ * SFEM_DAMAGE_CONDENSED only. Edges in any order give the same but for rounding. */
+SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
+                                sfem_real s_d[36]);
+/* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of that,
+ * k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l - L)/L in
+ * current lengths, which agrees for small strains, is blind to rotations, has forces along the edges, and
+ * so keeps both momenta; k is then its exact tangent, or with SFEM_TANGENT_PSD (FROZEN) the part that
+ * is positive semidefinite. Does not see inversion. */
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
+                                      sfem_real *k);
+/* The largest eigenvalue lambda of (k_damaged, k_intact) that any zeta gives: 1 if condensed, for
+ * SFEM_DAMAGE_ZSZ that of the worst of 62 patterns, at nu = .3 1.13 for a regular tet, 4.8 for Kuhn's. */
+SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law);
+
+/* Why an edge broke. */
+typedef enum sfem_break_reason {
+    SFEM_BROKE_CRITERION,
+    SFEM_BROKE_LONE, /* the only intact link between its nodes in every tet around it: a stray fibre */
+    SFEM_BROKE_BLADE
+} sfem_break_reason;
+
+typedef struct sfem_break {
+    sfem_int node[2];       /* of the edge */
+    sfem_break_reason reason;
+    sfem_real x[3];         /* its midpoint, m, at rest */
+    sfem_real area, price;  /* a_k, m^2; share Gc a_k with its factors, J: the surface that was made */
+    sfem_real released;     /* J, what the integrator's invariant fell by, >= 0 */
+} sfem_break;
+
+/* A connected component over intact edges. */
+typedef struct sfem_piece {
+    sfem_int nodes, first;  /* how many; the lowest, by which pieces are ordered */
+    sfem_real mass;         /* kg, of its nodes */
+    sfem_real centre[3];    /* m, of mass */
+    sfem_real momentum[3];  /* kg m/s */
+    sfem_real angular[3];   /* kg m^2/s about the centre */
+    sfem_real box[2][3];    /* m */
+} sfem_piece;
+
 /* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
@@ -788,6 +920,16 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
  *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
+ *   SFEM_KR_ALPHA [Kolay and Ricles 2014], one solve with a constant A, second order, unconditionally
+ *                 stable for linear bodies; it damps the fastest modes by rho_inf a step, the slow ones
+ *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]. Steps may
+ *                 change, but by more than a tenth all the time they drive modes that are not resolved
+ *   SFEM_GUI      [Gui et al. 2014] with gui_lambda: (1/gui_lambda, 1, 1) under the load at the start of the
+ *                 step, whatever p, q, r say; unconditionally stable up to 4, which is CR
+ *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
+ *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
+ *                 body is nonlinear or its load changes.)
+ * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
  * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
  * unconditionally stable for linear bodies, and second order but for the first:
@@ -805,7 +947,10 @@ typedef enum sfem_integrator {
     SFEM_BACKWARD_EULER,
     SFEM_HHT,
     SFEM_GENERALIZED_ALPHA,
-    SFEM_BATHE
+    SFEM_BATHE,
+    SFEM_KR_ALPHA,
+    SFEM_GUI,
+    SFEM_CHANG
 } sfem_integrator;
 
 /* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
@@ -879,17 +1024,24 @@ typedef struct sfem_body_def {
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
                                * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
-    sfem_real rho_inf;        /* of generalized-alpha, 0 to 1; .8 */
+    sfem_real rho_inf;        /* of generalized-alpha and KR-alpha, 0 to 1; .8 */
+    sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Beyond it steps are limited */
     sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; .1 */
     sfem_newton_def newton;
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
     int no_guard;             /* take every step as it comes, even if it makes energy */
+    const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
+                               * NULL, the default: it does not, and pays nothing for it. Read by create only */
     sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself */
     sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
+    sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
+                               * no memory for it */
+    sfem_real renew_drift;    /* renew by itself where the drift is larger; 0: on request only */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
-                               * of p F+ + (1-2p) F + p F-, which makes it equal Newmark */
+                               * of p F+ + (1-2p) F + p F-, which makes it equal Newmark. KR-alpha takes
+                               * (F + rho_inf F-)/(1 + rho_inf) */
     sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In
                                * the implicit methods K is the current K(u), which brakes a rotation
                                * at the rate beta_k omega^2; what the tets of a model do not share of
@@ -900,6 +1052,8 @@ typedef struct sfem_body_def {
     sfem_int pin_count;
     sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use; of a body that
                                * turns up to 4 times that, and 4 times more for each factor of redone steps */
+    sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
+    sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
     int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
@@ -932,7 +1086,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
- * them. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
+ * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
  * during this step, as F at its start does. solve leaves the step's acceleration where
  * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
@@ -941,6 +1095,25 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
 SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
                                                                * the method is implicit */
+
+/* Sleep. With def.sleep_tolerance > 0 a body falls asleep at the end of a step where for sleep_time seconds
+ * no node has moved faster than the tolerance and none has changed its velocity by more than a quarter of it
+ * from one end of that time to the other, loads, pins and handles unchanged. What is watched is the mean
+ * acceleration, so a ringing of high frequency does not keep a body awake, and the turning point of a swing
+ * does: one of period up to 2 sleep_time never sleeps while a node reaches the tolerance, one of period
+ * up to 40 sleep_time never while a node reaches twice that. Then velocities and accelerations become
+ * zero, u stays, and a step only counts the time: below 100 ns whatever the size. Nothing but kinetic
+ * energy, at most 1/2 mass tolerance^2, is lost; what little force is out of balance stays, so that a
+ * body that is woken goes on from there at the tolerance or slower.
+ *   It wakes by what changes a load (compared bit by bit at the next step: setting the same again is
+ * no change), gravity, a pin's or handle's target, by a new state or static solution, by pins and handles
+ * set, taken or released, by sfem_body_predict, and by sfem_body_wake; all of these, and a change of the
+ * load while awake, also begin the calm time anew. Whether it sleeps, and since when it is calm, belongs to
+ * the saved state. The tolerance is off by default because its unit is the caller's: for bodies of
+ * a metre in a game .02 m/s does. A body without damping of any kind hardly ever comes to rest.
+ *   cost   awake, a look at each node's velocity until one is too fast; 3 reals a node of state */
+SFEM_DEF int sfem_body_is_asleep(const sfem_body *body);
+SFEM_DEF void sfem_body_wake(sfem_body *body);
 
 /* How the last implicit step (SFEM_BATHE: its two systems together) or nonlinear static solution went,
  * also where it failed. All zero before. */
@@ -1012,6 +1185,40 @@ typedef struct sfem_body_info {
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
+/* A RENEWED FACTOR, for (p,q,r) with a nonlinear law and the frames NODE, PIECE or REST, where
+ * renew_flops > 0. The constant factor is that of the rest pose, turned; where a body stays far from that
+ * (stretched, cut), or K changes for another reason (damage), another one may serve better. renew starts
+ * one: of A0 = Q^T (r M + (q/2) h D + p h^2 K) Q with K the positive semidefinite tangent at the present
+ * positions and Q the present frames, so that from then on it is turned as the first one was; or of a K
+ * of the caller's, on the model's pattern (sfem_model_combine makes such), in space, without negative
+ * eigenvalues, which is copied. Stiffness damping goes with it.
+ *   After each step renew_flops operations of that work are done, counted, never timed, so that runs
+ * repeat bit for bit, on any number of threads; a renewal takes flops / renew_flops steps, rounded up. Then
+ * the factor is taken whole, between two steps: w, the forces and the guard's ledger go on as they are,
+ * an error of order h^2, once. Handles cost three solves for each node that they hold more in that step. Asking
+ * again while one is under way starts over. A K that makes no positive definite matrix is given up,
+ * and counted as failed.
+ *   sfem_body_prepare allocates all that it needs: two more factors, two matrices; steps and renew
+ * allocate nothing.
+ *   The state block does not hold a factor: loading or setting a state, steps of another length and other
+ * pins drop a renewed factor and one under way, and the body goes on with the rest pose's. To save a
+ * state from which both this body and another go on with the same bits, drop it then, too.
+ *   errors  SFEM_BAD_ARGUMENT (no such body, K of another pattern), SFEM_NOT_FINITE (K: node),
+ *           SFEM_NOT_PREPARED */
+SFEM_DEF sfem_status sfem_body_renew(sfem_body *body, const sfem_matrix *k, sfem_error *err);
+SFEM_DEF void sfem_body_drop_renewal(sfem_body *body);
+
+typedef struct sfem_renewal {
+    int renewed;         /* the factor in use is a renewed one */
+    int running;
+    double flops, done;  /* of the one under way, or of the last: all, so far */
+    sfem_real drift;     /* |w.(p h^2 Q K0 Q^T w - p h (f - f-))| over w.(r M + p h^2 Q K0 Q^T) w, both averaged over
+                          * a quarter second: by what part the inertia along the motion is wrong. 0 is
+                          * exact. Only with renew_drift > 0 (a product with K a step); else 0 */
+    int64_t made, failed;
+} sfem_renewal;
+SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *body);
+
 /* Pins hold a node where it was when it was pinned. Those of the definition are eliminated; this call
  * replaces them all, and the next step prepares a new factor. move_pin sets where a pinned node is to be
  * at the end of the next step. A reaction is the force of the support on the body, N, in the present
@@ -1036,6 +1243,76 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, con
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
+
+/* Fracture, of a body made with a damage definition (>>api-damage); on others these trip SFEM_ASSERT, but
+ * for sfem_body_fracture. At the end of a step edges are judged at its midpoint, in one round: an edge
+ * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
+ * whole body stays, and stays stable (see sfem_damage_law for p). What it costs is accuracy: pieces that
+ * are held part too slowly at large steps, by the inertia p h^2 K across the crack, until the factor is
+ * renewed; pieces that nothing holds move, and turn, as they should at once. How a crack runs depends on the
+ * mesh and on the step: no more than one round a step, so a crack passes at most about one edge a step.
+ * Nothing is allocated after sfem_body_create. set_state keeps what is broken; statics are refused then;
+ * a body of linear laws sees small rotations only, and its pieces with it. */
+typedef struct sfem_fracture {
+    sfem_int pieces;     /* connected components over intact edges: 1 */
+    sfem_int free_pieces; /* those that no pin or handle holds */
+    sfem_int broken;     /* edges */
+    sfem_int breaks;     /* edges broken in the last step */
+    sfem_int marked;     /* edges that a blade has crossed, or that were told to break, and that wait: they
+                          * would make energy */
+    /* Energies since the state was last set, J, taken in the middle of steps: */
+    sfem_real kinetic_elastic; /* T + U of the last step: 1/2 w'.r M w' + (Psi + Psi')/2 + (p-1/2)
+                          * (u'-u).(f'-f)/2, of nodes that are not pinned; at p = 1/4 and linear Psi((u+u')/2) */
+    sfem_real start;     /* the same of the first step */
+    sfem_real work;      /* of loads, handles and moved pins; not of forces added to sfem_body_rhs */
+    sfem_real damped;    /* taken by damping */
+    sfem_real released;  /* taken by breaks */
+    sfem_real guarded;   /* taken by steps that were done again */
+    sfem_real error;     /* kinetic_elastic - start - work + damped + released + guarded: what lies in the
+                          * inertia of an old factor (< 0 as it builds up), and in turning by finite steps */
+    sfem_real scale;     /* the largest of the terms so far: error/scale is the relative error */
+    sfem_real surface;   /* share Gc a of all edges broken since the body was whole */
+    sfem_real least_p;   /* that the damage asks for; 0: no more than any body */
+} sfem_fracture;
+SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *body); /* one piece, zeros without damage */
+/* What broke in the last step, in ascending order of edges; good until the next one. */
+SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *body, sfem_int *count);
+/* All pieces, [sfem_body_fracture(body).pieces], by their lowest node; and the piece of each node, -1 in no
+ * tet: [nodes], good until the next step. O(nodes). */
+SFEM_DEF void sfem_body_pieces(const sfem_body *body, sfem_piece *out);
+SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *body);
+/* What is left of the edge between two nodes, 1 intact to 0 broken; 0 where the mesh has none. */
+SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *body, sfem_int i, sfem_int j);
+/* Tells an edge to break, from the next step on as soon as that makes no energy. Unbreakable edges
+ * do not.  errors SFEM_BAD_ARGUMENT: no such edge, or unbreakable */
+SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *body, sfem_int i, sfem_int j, sfem_error *err);
+/* A blade: the same for every edge that the triangle `from` [3][3] crosses on its way to `to`, m, at the
+ * positions of now. *marked (or NULL): how many it met. O(edges).  errors SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_body_cut(sfem_body *body, const sfem_real from[9], const sfem_real to[9],
+                                   sfem_int *marked, sfem_error *err);
+/* Everything intact again, where it is; energies start afresh. O(tets) */
+SFEM_DEF void sfem_body_heal(sfem_body *body);
+
+/* The surface of what is left, for display: every node's cell of the barycentric dual, bounded by the outer
+ * surface and by the dual areas of broken edges, which appear once for each side. Midpoints of edges,
+ * faces and tets have one copy for each group of their nodes that their own intact edges connect, so that
+ * pieces, and cracks that end inside a piece, are closed surfaces alike: every edge in two triangles. */
+typedef struct sfem_fragments {
+    sfem_int vertices, triangles;
+    sfem_int *tri;        /* [triangles][3] vertices, counter-clockwise from outside */
+    sfem_int *node;       /* [triangles] whose cell it bounds: sfem_body_piece_of tells the piece */
+    unsigned char *made;  /* [triangles] 1: by a break, 0: of the outer surface */
+    sfem_int *simplex;    /* [vertices][4] the nodes that a vertex lies between, -1 where there are fewer, */
+    unsigned char *group; /* [vertices] and those it goes with: bit k for the k-th */
+    sfem_allocator allocator;
+} sfem_fragments;
+/* O(tets), 1 us a tet. errors SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *body, const sfem_allocator *allocator,
+                                         sfem_fragments *out, sfem_error *err);
+SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
+/* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
+ * take them, turned with the intact edges there. Between steps; allocates nothing. */
+SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
 
 /* ============================================================================================
  * >>api-modes   eigenvalues and modes
@@ -1375,6 +1652,149 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
 /* ============================================================================================
  * >>api-link   modal motion over a lossy link
  * ============================================================================================ */
+
+/* One side simulates a modal body and sends the m accelerations q'' of each step; the other
+ * integrates what arrives, with the same Newmark(beta, gamma):
+ *     q'+ = q' + h ((1-gamma) q'' + gamma q''+)
+ *     q+  = q + h q' + h^2 ((1/2-beta) q'' + beta q''+)
+ * An acceleration that is lost, replaced by zero, at step t leaves the received velocity wrong by
+ * -gamma h q'' at t and by -h q'' ever after, the displacement by -h^2 q'' times beta at t and
+ * k - 1/2 + gamma at t + k: 1/4, 1, 2, 3, ... for the average acceleration [000 Lemma, Theorem,
+ * A.18-A.25]. So the distortion grows with time, until the next key frame: the
+ * whole of q, q' and q'', which puts the receiver where the sender is.
+ *
+ * The link makes and reads bytes; carrying them is the caller's. A sound packet may come late,
+ * twice, out of order or not at all; a damaged one is recognised. For a body whose every step is
+ * Newmark's: one whose state jumps (a velocity projected, a state set) has to ask for a key frame;
+ * an exact oscillator drifts from its receiver, between key frames, as its integrator differs from
+ * Newmark's.
+ *
+ * A packet, all little-endian, numbers as in IEEE 754:
+ *     0  4 bytes "SFLK"           12  u32 stream            24  f64 h
+ *     4  u32 CRC-32 [IEEE 802.3]  16  u32 sequence number   32  count numbers, q'' of this step; of
+ *        of all from 8 on         20  u32 count                 a key frame 3 count: q, q', q''
+ *     8  u8 1, the version; u8 kind, 1 accelerations, 2 key frame; u8 bytes in a number, 4 or 8;
+ *        u8 held, 0 or 1: which beta and gamma this step was made with
+ * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits, and
+ * lets one in 2^32 others pass; it does not keep out who means harm. */
+
+/* What a receiver takes for an acceleration that is not there when its step comes. A mode turns by
+ * omega h a step: below pi/3 held is better than zero and extrapolated better than held, above it
+ * is the other way round. Without key frames the distortion of none is bounded. */
+typedef enum sfem_lost {
+    SFEM_LOST_ZERO,         /* the source's: no acceleration */
+    SFEM_LOST_HELD,         /* that of the step before */
+    SFEM_LOST_EXTRAPOLATED, /* on a line through the last two; in a run of losses held after the
+                             * first */
+    SFEM_LOST_PREDICTED     /* as the mode would swing on under a constant load, for which the last
+                             * two are enough; needs its k and c. Wrong by what the load changes */
+} sfem_lost;
+
+typedef struct sfem_link_def {
+    sfem_int modes;      /* m >= 1; both sides: modes, h, stream, betas and gammas alike */
+    sfem_real h;         /* s, > 0 */
+    sfem_real beta, gamma; /* >= 0; 1/4, 1/2 */
+    sfem_real held_beta, held_gamma; /* the same for steps of a body with handles; .3025, .6 */
+    uint32_t stream;     /* any number: tells several bodies on one socket apart */
+    /* the sender's */
+    sfem_int key_every;  /* one of so many packets is a key frame, beginning with the first; 0: the
+                          * first alone; 30 */
+    int single;          /* numbers travel as floats, half the bytes: accelerations are then off by
+                          * up to 6e-8 of their size, which adds up between key frames */
+    uint32_t first;      /* sequence number of the first packet; 0 */
+    /* the receiver's */
+    sfem_lost lost;      /* SFEM_LOST_ZERO */
+    int drop_late;       /* do not take late packets into account */
+    sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory: 48
+                          * bytes a step and mode */
+    const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised
+                          * modes, >= 0, for SFEM_LOST_PREDICTED; copied; damping NULL: none */
+    sfem_allocator allocator;
+} sfem_link_def;
+
+SFEM_DEF sfem_link_def sfem_default_link_def(void); /* modes 0, h 1/60 */
+
+typedef struct sfem_sender sfem_sender;
+typedef struct sfem_receiver sfem_receiver;
+
+/* O(m); the only functions of the link that allocate.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
+SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out,
+                                        sfem_error *err);
+SFEM_DEF void sfem_sender_free(sfem_sender *sender); /* NULL allowed */
+
+/* Bytes of the largest packet, a key frame. Over UDP more than 1472 travel in pieces that are lost
+ * together, more than 65507 not at all. */
+SFEM_DEF size_t sfem_sender_packet_size(const sfem_sender *sender);
+
+/* Writes the packet of the sender's present step to packet [capacity], and its length to bytes; to
+ * be called once a step, in the initial state first. q and v, [m], are read for key frames only.
+ *   errors  SFEM_FULL (capacity), SFEM_NOT_FINITE (names the mode, also of what is too large for a
+ *           float), SFEM_BAD_ARGUMENT (a key frame is due, and q or v is NULL); the packet then
+ *           counts as not written */
+SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, const sfem_real *v,
+                                       const sfem_real *a, void *packet, size_t capacity,
+                                       size_t *bytes, sfem_error *err);
+SFEM_DEF void sfem_sender_request_key(sfem_sender *sender); /* make the next packet a key frame */
+SFEM_DEF int sfem_sender_key_due(const sfem_sender *sender); /* will it be one? */
+/* From the next packet on steps are made with held_beta, held_gamma (1), or with beta, gamma (0).
+ * A change asks for a key frame: where handles come and go, velocities jump. */
+SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held);
+
+SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receiver **out,
+                                          sfem_error *err);
+SFEM_DEF void sfem_receiver_free(sfem_receiver *receiver); /* NULL allowed */
+
+/* What became of a packet. */
+typedef enum sfem_arrival {
+    SFEM_ARRIVAL_TAKEN,     /* waits for its step; or a key frame that the receiver began at */
+    SFEM_ARRIVAL_LATE,      /* its step was over: corrected exactly, as if it had come in time */
+    SFEM_ARRIVAL_DROPPED,   /* late, and: beyond the window, or older than the last key frame, which
+                             * knows better, or drop_late */
+    SFEM_ARRIVAL_REPEATED,
+    SFEM_ARRIVAL_CORRUPTED, /* not a packet, damaged, or with numbers that are not finite */
+    SFEM_ARRIVAL_FOREIGN,   /* a sound packet of another version, stream, m or h */
+    SFEM_ARRIVAL_EARLY,     /* beyond the window, or before the first key frame: not kept */
+    SFEM_ARRIVAL_COUNT
+} sfem_arrival;
+
+/* Takes a packet of any bytes, at any time. A late acceleration is put right by the theorem: both
+ * sides being linear, dq = (k - 1/2 + gamma) h^2 (q'' - what was taken for it), and so on; a late
+ * key frame by integrating again from it. Substitutes of later steps stay, until their own packets
+ * come. A key frame that is ahead by more than the window moves the receiver to its step.
+ *   cost    O(m), of a late key frame O(m window); allocates nothing */
+SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *packet, size_t bytes);
+
+/* The next step, h s on. Returns 1 if its packet was there, 0 if it was lost, or if nothing has
+ * begun: before the first key frame a receiver stands still at zero. Where a step would overflow,
+ * as after a mad packet that is sound, a mode stops where it is. O(m); allocates nothing. */
+SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver);
+
+/* Steps from the receiver's present one to that of the newest packet; negative where even that was
+ * late. Whoever steps only while it is larger than some delay gives packets that time to come. 0
+ * before the first key frame. */
+SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver);
+
+/* q, q' and q'' in the present step, [m]; q'' as used. They stay where they are. */
+SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver);
+
+/* As created, waiting for the first key frame of this stream: when the sender has begun anew. The
+ * counts go on. */
+SFEM_DEF void sfem_receiver_restart(sfem_receiver *receiver, uint32_t stream);
+
+typedef struct sfem_receiver_info {
+    int started;       /* a key frame has come */
+    uint32_t sequence; /* of the present step */
+    int64_t arrivals[SFEM_ARRIVAL_COUNT]; /* packets by what became of them */
+    int64_t steps;     /* taken: */
+    int64_t received, keys, lost; /* with an acceleration, a key frame, or nothing in time */
+    int64_t late_keys, jumps; /* key frames applied late; that moved the receiver, with */
+    int64_t skipped;   /* so many steps left out */
+    int64_t overflows; /* modes stopped */
+} sfem_receiver_info;
+SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver);
 
 #ifdef __cplusplus
 }
@@ -4548,14 +4968,15 @@ static sfem_status sfemi_matrix_check_pattern(const sfem_matrix *a, sfem_error *
     return SFEM_OK;
 }
 
-static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, sfem_error *err)
+/* `size` numbers a block. */
+static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, size_t size, sfem_error *err)
 {
     sfem_int i, k;
-    int c;
+    size_t c;
     for (i = 0; i < a->n; ++i)
         for (k = a->row[i]; k < a->row[i + 1]; ++k)
-            for (c = 0; c < 9; ++c)
-                if (!sfemi_finite(a->val[9 * (size_t)k + (size_t)c]))
+            for (c = 0; c < size; ++c)
+                if (!sfemi_finite(a->val[size * (size_t)k + c]))
                     return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1,
                                          "block (%ld, %ld) of the matrix is not finite", (long)i,
                                          (long)a->col[k]);
@@ -4565,7 +4986,7 @@ static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, sfem_error *e
 SFEM_DEF sfem_status sfem_matrix_check(const sfem_matrix *a, sfem_error *err)
 {
     const sfem_status status = sfemi_matrix_check_pattern(a, err);
-    return status != SFEM_OK ? status : sfemi_matrix_check_values(a, err);
+    return status != SFEM_OK ? status : sfemi_matrix_check_values(a, 9, err);
 }
 
 SFEM_DEF sfem_status sfem_matrix_upper_create(const sfem_matrix *a, const sfem_allocator *allocator,
@@ -5820,22 +6241,22 @@ typedef struct sfemi_ldl_kernels {
     void (*eliminate)(size_t, size_t, const double *, const double *, size_t, double *, int,
                       const double *);
     int (*pivots)(size_t, size_t, double *, int, int, const double *, double *, double *);
-    void (*add)(sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
+    void (*add)(size_t, sfem_int, const sfem_int *, size_t, const double *, size_t, double *, size_t);
     void (*dense_minus)(size_t, const double *, size_t, const double *, double *);
     void (*dense_dots)(size_t, const double *, size_t, const double *, double *);
     void (*invert)(size_t, size_t, double *, const double *);
-    void (*forward)(size_t, size_t, const double *, double *, const sfem_int *, double *);
-    void (*backward)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+    void (*forward)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                      const double *, double *);
-    void (*forward8)(size_t, size_t, const double *, double *, const sfem_int *, double *);
-    void (*backward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *,
+    void (*forward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
+    void (*backward8)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                       const double *, double *);
     void (*invert32)(size_t, size_t, float *, const double *);
-    void (*forward32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
-    void (*backward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+    void (*forward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward32)(size_t, size_t, size_t, size_t, const float *, float *, const sfem_int *,
                        const float *, float *);
-    void (*forward8_32)(size_t, size_t, const float *, float *, const sfem_int *, float *);
-    void (*backward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *,
+    void (*forward8_32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, float *);
+    void (*backward8_32)(size_t, size_t, size_t, size_t, const float *, float *, const sfem_int *,
                          const float *, float *);
 } sfemi_ldl_kernels;
 
@@ -5892,6 +6313,7 @@ typedef struct sfemi_symbolic {
     sfem_allocator allocator;
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
+    size_t per; /* unknowns to a node: 3, or 1 */
     sfem_ordering ordering;
     sfem_int *order;     /* [n] order[new] = old */
     sfem_int *inverse;   /* [n] */
@@ -5926,8 +6348,8 @@ typedef struct sfemi_symbolic {
 
 static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, size_t w)
 {
-    const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);
-    return sfemi_shape_of(k, k + 3 * (y->start[s + 1] - y->start[s]), w);
+    const size_t k = y->per * (size_t)(y->first[s + 1] - y->first[s]);
+    return sfemi_shape_of(k, k + y->per * (y->start[s + 1] - y->start[s]), w);
 }
 
 static void sfemi_symbolic_free(sfemi_symbolic *y)
@@ -5966,14 +6388,16 @@ static void sfemi_symbolic_free(sfemi_symbolic *y)
 /* Is it worth a merged supernode of k columns over m rows to hold so many zeros? On small meshes
  * the calls for each supernode dominate, on large ones the memory that the solve reads (measured).
  */
-static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n)
+static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n, size_t per)
 {
-    static const double limit[3][4] = {/* up to 4, 8, 16 and more columns, in nodes */
+    static const double limit[3][4] = {/* up to 4, 8, 16 and more columns, in nodes of 3 */
                                        {.8, .5, .3, .15},
                                        {.6, .35, .2, .08},
                                        {.4, .15, .08, .03}};
-    const double *most = limit[n < 500 ? 0 : n < 2500 ? 1 : 2];
-    return zeros / (k * (k + 1) / 2 + k * m) < most[k <= 4 ? 0 : k <= 8 ? 1 : k <= 16 ? 2 : 3];
+    const double size = (double)per / 3, *most = limit[n * size < 500 ? 0 : n * size < 2500 ? 1 : 2];
+    const double wide = k * size;
+    return zeros / (k * (k + 1) / 2 + k * m) <
+           most[wide <= 4 ? 0 : wide <= 8 ? 1 : wide <= 16 ? 2 : 3];
 }
 
 /* Supernodes: columns of equal structure [Ashcraft, Grimes 1989], then children merged into parents
@@ -6029,7 +6453,8 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
             for (c = child[s]; c >= 0; before = c, c = sibling[c]) {
                 const double extra = zeros[c] + (double)width[c] * (width[s] + below[s] - below[c]);
                 if (pick >= 0 && extra >= least) continue;
-                if (!sfemi_merge_pays(width[c] + width[s], below[s], extra + zeros[s], n)) continue;
+                if (!sfemi_merge_pays(width[c] + width[s], below[s], extra + zeros[s], n, y->per))
+                    continue;
                 pick = c;
                 pick_before = before;
                 least = extra;
@@ -6260,8 +6685,8 @@ static size_t sfemi_slot_take(sfemi_slot *slot, sfem_int *count, size_t size, sf
 
 static double sfemi_front_flops(const sfemi_symbolic *y, sfem_int s)
 {
-    const double k = 3.0 * (y->first[s + 1] - y->first[s]);
-    const double m = 3.0 * (double)(y->start[s + 1] - y->start[s]);
+    const double per = (double)y->per, k = per * (y->first[s + 1] - y->first[s]);
+    const double m = per * (double)(y->start[s + 1] - y->start[s]);
     return k * (k * k / 3 + k * m + m * m);
 }
 
@@ -6446,6 +6871,7 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     sfemi_symbolic *y = NULL;
     sfemi_graph g = {0, NULL, NULL};
     sfemi_tree tree;
+    sfem_int i;
     memset(&tree, 0, sizeof tree);
     if (def->ordering == SFEM_ORDER_DISSECTION && !def->x)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "nested dissection needs coordinates");
@@ -6457,10 +6883,12 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     y->allocator = *m;
     y->kernels = sfemi_ldl_kernels_of(sfemi_path());
     y->n = a->n;
+    y->per = def->scalar ? 1 : 3;
     y->blocks = a->n ? a->row[a->n] : 0;
     SFEMI_TRY(sfemi_graph_create(a, m, &g, err));
     SFEMI_TRY(sfemi_symbolic_order(def, &g, &y->ordering, &tree, err));
-    y->flops = tree.flops;
+    y->flops = def->scalar ? 0 : tree.flops;
+    for (i = 0; def->scalar && i < a->n; ++i) y->flops += (double)tree.count[i] * tree.count[i];
     SFEMI_TRY(sfemi_symbolic_supernodes(y, &tree, err));
     SFEMI_TRY(sfemi_symbolic_rows(y, &g, err));
     SFEMI_TRY(sfemi_symbolic_blocks(y, a, err));
@@ -6523,7 +6951,7 @@ typedef struct sfemi_solve {
 
 static size_t sfemi_solve_rows(const sfemi_symbolic *y)
 {
-    return 3 * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
+    return y->per * ((size_t)y->n + (size_t)y->buffer[y->tasks]);
 }
 
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
@@ -6541,7 +6969,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfemi_solve *q = (const sfemi_solve *)data;                                          \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                \
         const sfem_int t = index, root = y->task[t + 1] - 1;                                       \
-        const size_t n = 3 * q->block; /* numbers to a node */                                     \
+        const size_t n = y->per * q->block; /* numbers to a node */                                \
         R *const w = q->w_, *const buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);         \
         const sfem_int wide = y->first[root + 1] - y->first[root];                                 \
         sfem_int s, c;                                                                             \
@@ -6558,13 +6986,13 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
             }                                                                                      \
         }                                                                                          \
         for (s = y->task[t]; s <= root; ++s) {                                                     \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            const size_t k = y->per * (size_t)(y->first[s + 1] - y->first[s]);                     \
+            const size_t f = k + y->per * (y->start[s + 1] - y->start[s]);                         \
             R *x = w + n * (size_t)y->first[s];                                                    \
             (q->block == 1 ? y->kernels->forward_ : y->kernels->forward8_)(                        \
-                k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w);                   \
+                y->per, k, f, q->ldl->l_ + y->panel_[s], x, y->target + y->start[s], w);           \
             if (q->ldl->negative[s]) {                                                             \
-                const double *scale = q->ldl->scale + 3 * (size_t)y->first[s];                     \
+                const double *scale = q->ldl->scale + y->per * (size_t)y->first[s];                \
                 size_t p;                                                                          \
                 for (p = 0; p < k; ++p)                                                            \
                     for (i = 0; i < q->block && scale[p] < 0; ++i)                                 \
@@ -6577,7 +7005,7 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         const sfemi_solve *q = (const sfemi_solve *)data;                                          \
         const sfemi_symbolic *y = q->ldl->symbolic;                                                \
         const sfem_int t = index, root = y->task[t + 1] - 1, p = y->parent[root];                  \
-        const size_t n = 3 * q->block;                                                             \
+        const size_t n = y->per * q->block;                                                        \
         R *const w = q->w_, *buffer = w + n * ((size_t)y->n + (size_t)y->buffer[t]);               \
         R *const scratch = q->scratch_ + y->scratch[t] * SFEMI_SOLVE_SCRATCH;                      \
         size_t a;                                                                                  \
@@ -6590,10 +7018,10 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
             memcpy(buffer, w + n * (size_t)at, n * sizeof *buffer);                                \
         }                                                                                          \
         for (s = root; s >= y->task[t]; --s) {                                                     \
-            const size_t k = 3 * (size_t)(y->first[s + 1] - y->first[s]);                          \
-            const size_t f = k + 3 * (y->start[s + 1] - y->start[s]);                              \
+            const size_t k = y->per * (size_t)(y->first[s + 1] - y->first[s]);                     \
+            const size_t f = k + y->per * (y->start[s + 1] - y->start[s]);                         \
             (q->block == 1 ? y->kernels->backward_ : y->kernels->backward8_)(                      \
-                k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],                  \
+                y->per, k, f, y->panel_[s + 1] - y->panel_[s], q->ldl->l_ + y->panel_[s],          \
                 w + n * (size_t)y->first[s], y->target + y->start[s], w, scratch);                 \
         }                                                                                          \
     }
@@ -6655,9 +7083,9 @@ static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task 
 static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
+    const size_t per = y->per, n = per * (size_t)y->n, b = q->block;
     size_t i, r, c;
-    if (b == 1) {
+    if (b == 1 && per == 3) {
         double *w = q->w;
         for (i = 0; i < (size_t)y->n; ++i) {
             const double *from = x + 3 * (size_t)y->order[i];
@@ -6675,21 +7103,22 @@ static void sfemi_solve_some(sfemi_solve *q, size_t count, double *x, const sfem
         return;
     }
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < b; ++r)
-                q->w[(3 * i + c) * b + r] = r < count ? x[r * n + 3 * (size_t)y->order[i] + c] : 0;
+                q->w[(per * i + c) * b + r] =
+                    r < count ? x[r * n + per * (size_t)y->order[i] + c] : 0;
     sfemi_solve_sweeps(q, exec, sfemi_solve_forward, sfemi_solve_backward);
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] = q->w[(3 * i + c) * b + r];
+                x[r * n + per * (size_t)y->order[i] + c] = q->w[(per * i + c) * b + r];
 }
 
 /* The same in float, each right side scaled to 1 lest floats overflow. */
 static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sfem_exec *exec)
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
-    const size_t n = 3 * (size_t)y->n, b = q->block;
+    const size_t per = y->per, n = per * (size_t)y->n, b = q->block;
     double unit[SFEMI_SOLVE_BLOCK];
     size_t i, r, c;
     for (r = 0; r < count; ++r) {
@@ -6701,23 +7130,23 @@ static void sfemi_solve_some32(sfemi_solve *q, size_t count, double *x, const sf
         unit[r] = ldexp(1.0, -e);
     }
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < b; ++r)
-                q->w32[(3 * i + c) * b + r] =
-                    r < count ? (float)(unit[r] * x[r * n + 3 * (size_t)y->order[i] + c]) : 0;
+                q->w32[(per * i + c) * b + r] =
+                    r < count ? (float)(unit[r] * x[r * n + per * (size_t)y->order[i] + c]) : 0;
     sfemi_solve_sweeps(q, exec, sfemi_solve_forward32, sfemi_solve_backward32);
     for (r = 0; r < count; ++r) unit[r] = 1 / unit[r] / q->ldl->unit / q->ldl->unit;
     for (i = 0; i < (size_t)y->n; ++i)
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < per; ++c)
             for (r = 0; r < count; ++r)
-                x[r * n + 3 * (size_t)y->order[i] + c] =
-                    unit[r] * (double)q->w32[(3 * i + c) * b + r];
+                x[r * n + per * (size_t)y->order[i] + c] =
+                    unit[r] * (double)q->w32[(per * i + c) * b + r];
 }
 
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sfem_real *work,
                              const sfem_exec *exec)
 {
-    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    const size_t n = ldl->symbolic->per * (size_t)ldl->symbolic->n;
     sfemi_solve q;
     SFEM_ASSERT(ldl->valid && rhs >= 0 && (rhs == 0 || n == 0 || (x && work)));
     memset(&q, 0, sizeof q);
@@ -6765,18 +7194,24 @@ static void sfemi_front_begin(sfemi_front *q)
     const sfemi_symbolic *y = q->ldl->symbolic;
     const sfemi_shape *h = &q->h;
     const double least = q->ldl->positive ? 4e-15 : 1e-13;
+    const size_t per = y->per;
     sfem_int e;
     memset(q->l, 0, sfemi_shape_panel_size(h) * sizeof *q->l);
     if (q->load) memset(q->u, 0, sfemi_shape_update_size(h) * sizeof *q->u);
     for (e = y->from[q->s]; e < y->from[q->s + 1]; ++e) {
         const sfem_int in = y->into[2 * (size_t)e];
-        const double *v = q->a->val + 9 * (size_t)y->source[e];
-        const size_t row = 3 * (size_t)(in < 0 ? ~in : in),
-                     col = 3 * (size_t)y->into[2 * (size_t)e + 1];
+        const double *v = q->a->val + per * per * (size_t)y->source[e];
+        const size_t row = per * (size_t)(in < 0 ? ~in : in),
+                     col = per * (size_t)y->into[2 * (size_t)e + 1];
         const size_t tile = row / h->t, hd = sfemi_shape_height(h, tile);
         const size_t across = in < 0 ? 3 : 1, down = in < 0 ? 1 : 3;
         double *d = q->l + sfemi_shape_panel(h, tile) + col * hd + (row - tile * h->t);
         int c;
+        if (per == 1) {
+            *d = *v;
+            if (row == col) q->ldl->floor[(size_t)y->first[q->s] + row] = least * fabs(*v);
+            continue;
+        }
         for (c = 0; c < 3; ++c, d += hd, v += across) {
             d[0] = v[0];
             d[1] = v[down];
@@ -6797,35 +7232,35 @@ static void sfemi_front_add_tile(const sfemi_front *q, sfem_int child, size_t ti
     const sfemi_shape *h = &q->h, ch = sfemi_symbolic_shape(y, child, h->w);
     const sfem_int *place = y->place + y->start[child];
     const sfem_int pivots = y->first[q->s + 1] - y->first[q->s],
-                   below = (sfem_int)((ch.f - ch.k) / 3);
-    const size_t hs = sfemi_shape_height(&ch, tile);
+                   below = (sfem_int)((ch.f - ch.k) / y->per);
+    const size_t hs = sfemi_shape_height(&ch, tile), n = y->per;
     const double *src = sfemi_ldl_update_of(q->ldl, child) + sfemi_shape_update(&ch, tile);
     const size_t c0 = ch.boundary * ch.t, d0 = h->boundary * h->t;
-    const sfem_int per = (sfem_int)(h->t / 3),
-                   shift = (sfem_int)(tile * ch.t / 3) - (sfem_int)(ch.k / 3);
+    const sfem_int per = (sfem_int)(h->t / n),
+                   shift = (sfem_int)(tile * ch.t / n) - (sfem_int)(ch.k / n);
     sfem_int a = shift < 0 ? 0 : shift, last = shift + per < below ? shift + per : below, b, inner;
     for (inner = 0; inner < a && place[inner] < pivots; ++inner) continue;
     while (a < last) {
-        const size_t pt = 3 * (size_t)place[a] / h->t, hd = sfemi_shape_height(h, pt);
-        double *dl = q->l + sfemi_shape_panel(h, pt) + (3 * (size_t)place[a] - pt * h->t);
+        const size_t pt = n * (size_t)place[a] / h->t, hd = sfemi_shape_height(h, pt);
+        double *dl = q->l + sfemi_shape_panel(h, pt) + (n * (size_t)place[a] - pt * h->t);
         double *du = NULL;
-        const double *from = src + (ch.k + 3 * (size_t)a - tile * ch.t) + (ch.k - c0) * hs;
+        const double *from = src + (ch.k + n * (size_t)a - tile * ch.t) + (ch.k - c0) * hs;
         sfem_int stop = a + 1;
         while (stop < last && place[stop] == place[stop - 1] + 1 &&
-               3 * (size_t)place[stop] / h->t == pt)
+               n * (size_t)place[stop] / h->t == pt)
             ++stop;
         if (place[a] >= pivots || place[stop - 1] >= pivots)
-            du = q->u + sfemi_shape_update(h, pt) + (3 * (size_t)place[a] - pt * h->t);
+            du = q->u + sfemi_shape_update(h, pt) + (n * (size_t)place[a] - pt * h->t);
         /* columns left of the run, then its own triangle */
         for (; inner < a && place[inner] < pivots; ++inner) continue;
-        y->kernels->add(inner, place, 3 * (size_t)(stop - a), from, hs, dl, hd);
+        y->kernels->add(n, inner, place, n * (size_t)(stop - a), from, hs, dl, hd);
         if (inner < a)
-            y->kernels->add(a - inner, place + inner, 3 * (size_t)(stop - a),
-                            from + 3 * (size_t)inner * hs, hs, du - d0 * hd, hd);
+            y->kernels->add(n, a - inner, place + inner, n * (size_t)(stop - a),
+                            from + n * (size_t)inner * hs, hs, du - d0 * hd, hd);
         for (b = a; b < stop; ++b) {
-            const size_t skip = 3 * (size_t)(b - a);
-            y->kernels->add(1, place + b, 3 * (size_t)(stop - b), from + 3 * (size_t)b * hs + skip,
-                            hs, (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
+            const size_t skip = n * (size_t)(b - a);
+            y->kernels->add(n, 1, place + b, n * (size_t)(stop - b), from + n * (size_t)b * hs + skip, hs,
+                            (place[b] < pivots ? dl : du - d0 * hd) + skip, hd);
         }
         a = stop;
     }
@@ -6867,7 +7302,7 @@ static sfem_int sfemi_front_diagonal(const sfemi_front *q, size_t tile, double *
     const sfemi_shape *h = &q->h;
     const size_t ha = sfemi_shape_height(h, tile), first = tile * h->t;
     const size_t n = sfemi_shape_columns(h, tile) - first, at = sfemi_shape_panel(h, tile);
-    const double *floor = q->ldl->floor + 3 * (size_t)q->ldl->symbolic->first[q->s] + first;
+    const double *floor = q->ldl->floor + q->ldl->symbolic->per * (size_t)q->ldl->symbolic->first[q->s] + first;
     double *a = q->l + at;
     size_t g;
     if (q->b != q->l) sfemi_front_sign(q, tile, 0, first);
@@ -7053,7 +7488,7 @@ static sfemi_front sfemi_front_of(const sfem_ldl *ldl, const sfem_matrix *a, sfe
     q.h = sfemi_symbolic_shape(y, s, y->kernels->width);
     q.l = ldl->l + y->panel[s];
     q.u = sfemi_ldl_update_of(ldl, s);
-    q.scale = ldl->scale + 3 * (size_t)y->first[s];
+    q.scale = ldl->scale + y->per * (size_t)y->first[s];
     q.b = ldl->positive ? q.l : ldl->signs + y->signs[y->of[s]];
     q.load = y->child[s] >= 0;
     q.begin = q.end = 0;
@@ -7075,7 +7510,7 @@ static sfem_int sfemi_front_factor(const sfem_ldl *ldl, const sfem_matrix *a, sf
     for (q.begin = 0; q.begin < q.h.diagonal; q.begin = q.end) {
         q.end = q.begin + block < q.h.diagonal ? q.begin + block : q.h.diagonal;
         c = sfemi_front_block(&q, lost);
-        if (c >= 0) return c + 3 * y->first[s];
+        if (c >= 0) return c + (sfem_int)y->per * y->first[s];
         for (n = sfemi_front_chunks(q.h.tiles - q.end), unit = 0; unit < n; ++unit)
             sfemi_front_below(&q, unit);
     }
@@ -7144,7 +7579,7 @@ static void sfemi_factor_unit(void *data, sfem_int unit)
         sfemi_crew_wait(ldl->done + t, (sfem_int)before);
         if (ldl->lost_at[t] == -1) {
             const sfem_int at = sfemi_front_unit(&q, (size_t)unit, 1, &before, ldl->lost + t);
-            if (at >= 0) ldl->lost_at[t] = at + 3 * y->first[q.s];
+            if (at >= 0) ldl->lost_at[t] = at + (sfem_int)y->per * y->first[q.s];
         }
     }
     (void)SFEMI_ATOMIC_ADD(ldl->done + t, 1);
@@ -7169,7 +7604,7 @@ static void sfemi_factor_units(const sfem_ldl *ldl)
 
 static void sfemi_ldl_statistics(sfem_ldl *ldl)
 {
-    const size_t n = 3 * (size_t)ldl->symbolic->n;
+    const size_t n = ldl->symbolic->per * (size_t)ldl->symbolic->n;
     double low = 0, high = 0;
     size_t i;
     for (i = 0; i < n; ++i) {
@@ -7226,34 +7661,30 @@ static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error
 static sfem_status sfemi_ldl_failed(const sfem_ldl *ldl, const sfem_matrix *a, sfem_int task,
                                     sfem_error *err)
 {
-    const sfem_int node = ldl->symbolic->order[ldl->lost_at[task] / 3];
-    const sfem_status status = sfemi_matrix_check_values(a, err);
+    const sfem_int per = (sfem_int)ldl->symbolic->per, node = ldl->symbolic->order[ldl->lost_at[task] / per];
+    const sfem_status status =
+        sfemi_matrix_check_values(a, ldl->symbolic->per * ldl->symbolic->per, err);
     if (status != SFEM_OK) return status;
     if (ldl->positive)
         return sfemi_fail_at(
             err, SFEM_NOT_SPD, node, -1,
             "the matrix is not positive definite: pivot %g at node %ld, direction %d",
-            ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+            ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % per));
     return sfemi_fail_at(
         err, SFEM_SINGULAR, node, -1,
         "the matrix is singular or needs pivoting: pivot %g at node %ld, direction %d",
-        ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % 3));
+        ldl->lost[task], (long)node, (int)(ldl->lost_at[task] % per));
 }
 
-/* Factorises the supernodes that are marked stale. */
-static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+static void sfemi_ldl_begin(sfem_ldl *ldl, const sfem_matrix *a)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    sfemi_factor_job job;
-    sfem_status status = SFEM_OK;
-    sfem_int threads, k;
+    double most = 0;
+    sfem_int k;
     int e = 0;
-    double most = 0, start;
     ldl->valid = 0;
-    job.ldl = ldl;
-    job.a = a;
     for (k = 0; k < y->n; ++k) {
-        const double *v = a->val + 9 * ((size_t)a->row[k + 1] - 1);
+        const double *v = a->val + y->per * y->per * ((size_t)a->row[k + 1] - 1);
         if (fabs(v[0]) > most) most = fabs(v[0]);
     }
     if (most > 0 && sfemi_finite(most)) (void)frexp(sqrt(most), &e);
@@ -7263,6 +7694,19 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
         ldl->lost_at[k] = -1;
         SFEMI_ATOMIC_SET(ldl->done + k, 0);
     }
+}
+
+/* Factorises the supernodes that are marked stale. */
+static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfemi_factor_job job;
+    sfem_status status = SFEM_OK;
+    sfem_int threads, k;
+    double start;
+    job.ldl = ldl;
+    job.a = a;
+    sfemi_ldl_begin(ldl, a);
     threads = y->tasks > 1 ? sfemi_pace_threads(ldl->pace, &ldl->exec) : 1;
     start = ldl->exec.threads > 1 ? sfemi_seconds() : 0;
     if (threads > 1) {
@@ -7285,17 +7729,80 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return status;
 }
 
+/* A factorisation in slices, with the bits of one at a stroke: where it stands, in fronts of the tasks by
+ * levels, and in a large front in its units. */
+typedef struct sfemi_slice {
+    sfem_int task, front;
+    size_t unit;
+} sfemi_slice;
+
+#define SFEMI_SLICE_FRONT 1e6 /* operations up to which a front is not cut */
+#define SFEMI_SLICE_LEAST 2e3 /* what the work around a front is counted as */
+
+static double sfemi_slice_total(const sfem_ldl *ldl)
+{
+    double sum = 0;
+    sfem_int s;
+    for (s = 0; s < ldl->symbolic->supernodes; ++s)
+        sum += sfemi_front_flops(ldl->symbolic, s) + SFEMI_SLICE_LEAST;
+    return sum;
+}
+
+static void sfemi_slice_start(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+{
+    memset(ldl->stale, 1, (size_t)ldl->symbolic->supernodes);
+    sfemi_ldl_begin(ldl, a);
+    memset(at, 0, sizeof *at);
+}
+
+/* Does the next front, or unit of one, and returns its operations; 0 where all is done, -1 where the
+ * matrix is not positive definite. */
+static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice *at)
+{
+    const sfemi_symbolic *y = ldl->symbolic;
+    sfem_int t, s, lost;
+    size_t units = 1, before;
+    double cost;
+    sfemi_front q;
+    if (at->task == y->tasks) return 0;
+    t = y->by_level[at->task];
+    s = y->task[t] + at->front;
+    cost = sfemi_front_flops(y, s) + SFEMI_SLICE_LEAST;
+    if (cost <= SFEMI_SLICE_FRONT) {
+        lost = sfemi_front_factor(ldl, a, s, ldl->lost + t);
+    } else {
+        q = sfemi_front_of(ldl, a, s);
+        (void)sfemi_front_unit(&q, (size_t)-1, 0, &units, NULL);
+        lost = sfemi_front_unit(&q, at->unit, 1, &before, ldl->lost + t);
+    }
+    if (lost >= 0) return -1;
+    if (++at->unit < units) return cost / (double)units;
+    at->unit = 0;
+    if (s + 1 < y->task[t + 1]) {
+        ++at->front;
+    } else {
+        at->front = 0;
+        ++at->task;
+    }
+    if (at->task == y->tasks) {
+        sfemi_ldl_statistics(ldl);
+        ldl->valid = 1;
+    }
+    return cost / (double)units;
+}
+
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
 
-/* The options of like's or def's; takes over one reference to the analysis, also when it fails. */
+/* The options of like's or def's; takes over one reference to the analysis, also when it fails. Without a
+ * matrix there is room for a factor, but none yet. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
                                   sfem_ldl **out, sfem_error *err)
 {
     const sfem_allocator *m = &like->allocator;
     sfem_status status = SFEM_OK;
     sfem_ldl *ldl = NULL;
-    const size_t n = 3 * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
+    const size_t n = y->per * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
     SFEMI_NEW(sfem_ldl, ldl, m, 1);
     ldl->symbolic = y;
     y = NULL;
@@ -7321,7 +7828,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
     memset(ldl->stale, 1, ns);
     sfemi_factor_units(ldl);
-    SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
+    if (a) SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
     *out = ldl;
     return SFEM_OK;
 done:
@@ -7348,6 +7855,8 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
     sfemi_symbolic *y = NULL;
     sfem_ldl like;
     SFEM_ASSERT(def && a && out);
+    if (def->scalar && !def->positive)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a scalar matrix has to be positive definite");
     status = sfemi_matrix_check_pattern(a, err);
     if (status == SFEM_OK) status = sfemi_symbolic_create(def, a, &y, err);
     if (status != SFEM_OK) return status;
@@ -7417,7 +7926,7 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
 SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
 {
     const sfemi_symbolic *y = ldl->symbolic;
-    const size_t ns = (size_t)y->supernodes, n = 3 * (size_t)y->n;
+    const size_t ns = (size_t)y->supernodes, n = y->per * (size_t)y->n;
     sfem_ldl_info info;
     sfem_int s;
     memset(&info, 0, sizeof info);
@@ -7858,14 +8367,15 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
     c.z = c.p + c.n;
     ap = c.z + c.n;
     c.inverse = c.work = ap + c.n;
-    if (def->preconditioner && def->preconditioner->symbolic->n != a->n)
+    if (def->preconditioner &&
+        (def->preconditioner->symbolic->n != a->n || def->preconditioner->symbolic->per != 3))
         return sfemi_fail(err, SFEM_MISMATCH, "the preconditioner has %ld rows, the matrix %ld",
                           (long)def->preconditioner->symbolic->n, (long)a->n);
     if (!def->preconditioner)
         for (node = 0; node < a->n; ++node)
             if (!sfemi_block_invert(a->val + 9 * ((size_t)a->row[node + 1] - 1),
                                     c.inverse + 9 * (size_t)node)) {
-                const sfem_status status = sfemi_matrix_check_values(a, err);
+                const sfem_status status = sfemi_matrix_check_values(a, 9, err);
                 return status != SFEM_OK
                            ? status
                            : sfemi_fail_at(err, SFEM_NOT_SPD, node, -1,
@@ -8620,6 +9130,7 @@ typedef struct sfemi_block {
     sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
     sfem_real lambda[SFEMI_LANES];    /* times the volume, J; 0 in lanes that fill up */
     sfem_real mu[SFEMI_LANES];
+    sfem_real volume[SFEMI_LANES];    /* m^3, 0 likewise */
     sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
     sfem_int tet[SFEMI_LANES];
     sfem_int law, count;              /* so many lanes are tets, the others copies of the last */
@@ -8632,9 +9143,14 @@ typedef struct sfemi_totals {
 } sfemi_totals;
 
 /* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
- * the nearest rotations go to rotation [tets][9], if not NULL. */
+ * the nearest rotations go to rotation [tets][9], and times the volume are added to their nodes'
+ * spin [nodes of the chunk][12], nine of them used, where these are not NULL. */
 typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
-                                    sfem_real *out, sfem_real *rotation, sfemi_totals *totals);
+                                    sfem_real *out, sfem_real *rotation, sfem_real *spin,
+                                    sfemi_totals *totals);
+/* The rotations nearest to sum [count][9] times over [count], and the traces of what stretches. */
+typedef void (*sfemi_polars_kernel)(sfem_int count, const sfem_real *sum, const sfem_real *over,
+                                    sfem_real *rotation, sfem_real *trace);
 
 #if defined(__GNUC__)
 #define SFEMI_FMA_d(a, b, c) __builtin_fma(a, b, c)
@@ -8649,6 +9165,7 @@ typedef void (*sfemi_gather)(const sfemi_block *block, const sfem_real *u,
                              sfem_real d[9][SFEMI_LANES]);
 typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                               sfem_real *out);
+/* spin_a += r of every lane, a = 0, 1, 2, 3: the same signature. */
 
 static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
                                   sfem_real d[9][SFEMI_LANES])
@@ -8679,6 +9196,17 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
             f3[i] += d[6 + i][l];
         }
     }
+}
+
+static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
+                                  sfem_real *spin)
+{
+    int l, i, a;
+    for (l = 0; l < block->count; ++l)
+        for (a = 0; a < 4; ++a) {
+            sfem_real *to = spin + 3 * (size_t)block->node[a][l];
+            for (i = 0; i < 9; ++i) to[i] += r[i][l];
+        }
 }
 
 #if SFEMI_X86
@@ -8751,6 +9279,25 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
         sfemi_add_avx2(out + block->node[0][l + 3], s3);
     }
 }
+
+SFEMI_AVX2 static void sfemi_spread_avx2(const sfemi_block *block,
+                                         const sfem_real r[9][SFEMI_LANES], sfem_real *spin)
+{
+    int l, i, a, k;
+    for (l = 0; l < SFEMI_LANES; l += 4) {
+        __m256d v[12];
+        for (i = 0; i < 9; ++i) v[i] = _mm256_loadu_pd(r[i] + l);
+        v[9] = v[10] = v[11] = _mm256_setzero_pd();
+        for (i = 0; i < 12; i += 4) sfemi_transpose_avx2(v + i);
+        for (k = 0; k < 4; ++k)
+            for (a = 0; a < 4; ++a) {
+                sfem_real *to = spin + 3 * (size_t)block->node[a][l + k];
+                sfemi_add_avx2(to, v[k]);
+                sfemi_add_avx2(to + 4, v[4 + k]);
+                sfemi_add_avx2(to + 8, v[8 + k]);
+            }
+    }
+}
 #endif
 
 /* R of a lane that the fast way has given up. */
@@ -8797,7 +9344,8 @@ SFEMI_LANE_ARITHMETIC(float, f)
 
 #define SFEMI_LANE_KERNELS(T, S, MA, DOT, DET, STEP, ROUND)                                        \
 typedef struct sfemi_lanes_##S {                                                                   \
-    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes */     \
+    sfem_real d[9][SFEMI_LANES]; /* u_a - u_0, a = 1, 2, 3; later the forces on those nodes, */    \
+                                 /* and at last the rotation times the volume */                   \
     T g[9][SFEMI_LANES];      /* displacement gradient G = F - I */                                \
     T r[9][SFEMI_LANES];      /* F, later the rotation nearest to it */                            \
     T c[9][SFEMI_LANES];      /* cof F */                                                          \
@@ -9064,9 +9612,11 @@ static SFEMI_INLINE void sfemi_lanes_forces_##S(sfemi_lanes_##S *w, const sfemi_
 }                                                                                                  \
                                                                                                    \
 static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_int count,          \
-                                                const sfem_real *u, sfem_real *out, sfem_real *rotation,\
+                                                const sfem_real *u, sfem_real *out,                \
+                                                sfem_real *rotation, sfem_real *spin,              \
                                                 sfemi_totals *totals, const sfemi_gather gather,   \
-                                                const sfemi_scatter scatter, const int fused)      \
+                                                const sfemi_scatter scatter,                       \
+                                                const sfemi_scatter spread, const int fused)       \
 {                                                                                                  \
     sfemi_totals sum;                                                                              \
     sfemi_lanes_##S w;                                                                             \
@@ -9075,7 +9625,8 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
     for (; count > 0; --count, ++block) {                                                          \
         gather(block, u, w.d);                                                                     \
         sfemi_lanes_deform_##S(&w, block, fused);                                                  \
-        if (block->law == SFEM_COROTATIONAL || (rotation && block->law != SFEM_LINEAR))            \
+        if (block->law == SFEM_COROTATIONAL ||                                                     \
+            ((rotation || spin) && block->law != SFEM_LINEAR))                                     \
             sfemi_lanes_polar_##S(&w, fused);                                                      \
         switch (block->law) {                                                                      \
         case SFEM_COROTATIONAL: sfemi_lanes_corotational_##S(&w, fused); break;                    \
@@ -9094,6 +9645,12 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
                 rotation[9 * (size_t)block->tet[l] + (size_t)i] =                                  \
                     block->law == SFEM_LINEAR ? (sfem_real)(i % 4 == 0) : w.r[i][l];               \
         }                                                                                          \
+        if (!spin) continue;                                                                       \
+        for (i = 0; block->law == SFEM_LINEAR && i < 9; ++i)                                       \
+            for (l = 0; l < SFEMI_LANES; ++l) w.r[i][l] = i % 4 ? 0 : 1;                           \
+        for (i = 0; i < 9; ++i)                                                                    \
+            for (l = 0; l < SFEMI_LANES; ++l) w.d[i][l] = (sfem_real)w.r[i][l] * block->volume[l]; \
+        spread(block, (const sfem_real(*)[SFEMI_LANES])w.d, spin);                                 \
     }                                                                                              \
     *totals = sum;                                                                                 \
 }
@@ -9101,21 +9658,77 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
+/* Lanes without a matrix, and where over is 0, get the unit matrix. */
+static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
+                                            const sfem_real *over, sfem_real *rotation,
+                                            sfem_real *trace, const int fused)
+{
+    sfemi_lanes_d w;
+    sfem_int first;
+    int l, n;
+    for (first = 0; first < count; first += SFEMI_LANES) {
+        n = count - first < SFEMI_LANES ? (int)(count - first) : SFEMI_LANES;
+        memset(w.g, 0, sizeof w.g);
+        for (l = 0; l < n; ++l) {
+            const sfem_real *from = sum + 9 * (size_t)(first + l), scale = over[first + l];
+            const sfem_real one = scale > 0 ? 1 : 0;
+            w.g[0][l] = from[0] * scale - one;
+            w.g[1][l] = from[1] * scale;
+            w.g[2][l] = from[2] * scale;
+            w.g[3][l] = from[3] * scale;
+            w.g[4][l] = from[4] * scale - one;
+            w.g[5][l] = from[5] * scale;
+            w.g[6][l] = from[6] * scale;
+            w.g[7][l] = from[7] * scale;
+            w.g[8][l] = from[8] * scale - one;
+        }
+        for (l = 0; l < SFEMI_LANES; ++l) {
+            const sfem_real f0 = w.g[0][l] + 1, f1 = w.g[1][l], f2 = w.g[2][l];
+            const sfem_real f3 = w.g[3][l], f4 = w.g[4][l] + 1, f5 = w.g[5][l];
+            const sfem_real f6 = w.g[6][l], f7 = w.g[7][l], f8 = w.g[8][l] + 1;
+            w.det[l] = SFEMI_DOT_d(f0, SFEMI_DET_d(f4, f8, f5, f7), f1, SFEMI_DET_d(f5, f6, f3, f8),
+                                   f2, SFEMI_DET_d(f3, f7, f4, f6));
+        }
+        sfemi_lanes_polar_d(&w, fused);
+        for (l = 0; l < SFEMI_LANES; ++l)
+            w.trace[l] = SFEMI_DOT_d(w.r[0][l], w.g[0][l] + 1, w.r[1][l], w.g[1][l], w.r[2][l], w.g[2][l]) +
+                         SFEMI_DOT_d(w.r[3][l], w.g[3][l], w.r[4][l], w.g[4][l] + 1, w.r[5][l], w.g[5][l]) +
+                         SFEMI_DOT_d(w.r[6][l], w.g[6][l], w.r[7][l], w.g[7][l], w.r[8][l], w.g[8][l] + 1);
+        for (l = 0; l < n; ++l) {
+            sfem_real *to = rotation + 9 * (size_t)(first + l);
+            to[0] = w.r[0][l], to[1] = w.r[1][l], to[2] = w.r[2][l];
+            to[3] = w.r[3][l], to[4] = w.r[4][l], to[5] = w.r[5][l];
+            to[6] = w.r[6][l], to[7] = w.r[7][l], to[8] = w.r[8][l];
+            trace[first + l] = w.trace[l];
+        }
+    }
+}
+
 #define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
 TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfemi_totals *totals)                 \
+                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
+                        sfemi_totals *totals)                                                      \
 {                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, totals, sfemi_gather_##PATH,            \
-                           sfemi_scatter_##PATH, FUSED);                                           \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
+                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+}
+#define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
+TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
+                        sfem_real *rotation, sfem_real *trace)                                     \
+{                                                                                                  \
+    sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
 #if SFEMI_X86
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
 SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
 #endif
 
 /* The widest path that this processor has. */
@@ -9130,6 +9743,18 @@ static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
     }
 #endif
     return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
+static sfemi_polars_kernel sfemi_polars_pick(void)
+{
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return sfemi_polars_avx512;
+    case 1: return sfemi_polars_avx2;
+    default: break;
+    }
+#endif
+    return sfemi_polars_portable;
 }
 
 /* ============================================================================================
@@ -9395,6 +10020,7 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
     for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
     block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
     block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
+    block->volume[lane] = filler ? 0 : model->volume[e];
     block->tet[lane] = e;
     if (!filler) block->count = lane + 1;
 }
@@ -9710,8 +10336,8 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
 
-/* Arrays of a matrix of the given size; on failure those made so far are in *a, to be freed. */
-static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, const sfem_allocator *al,
+/* Arrays of a matrix of the given size, `size` numbers a block; on failure those made so far are in *a, to be freed. */
+static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, size_t size, const sfem_allocator *al,
                                         sfem_int **row, sfem_int **col, sfem_matrix *a, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
@@ -9721,7 +10347,7 @@ static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, const sfem_al
     a->row = *row;
     SFEMI_NEW(sfem_int, *col, al, blocks + 1);
     a->col = *col;
-    SFEMI_NEW(sfem_real, a->val, al, 9 * blocks + 1);
+    SFEMI_NEW(sfem_real, a->val, al, size * blocks + 1);
 done:
     return status;
 }
@@ -9736,7 +10362,7 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
     sfem_int *row = NULL, *col = NULL, i, at;
     sfem_matrix a;
     sfem_status status = SFEM_OK;
-    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], al, &row, &col, &a, err));
+    SFEMI_TRY(sfemi_fem_new_matrix(n, (size_t)model->row[n], 9, al, &row, &col, &a, err));
     memcpy(row, model->row, ((size_t)n + 1) * sizeof *row);
     memcpy(col, model->col, (size_t)model->row[n] * sizeof *col);
     for (i = 0; i < n; ++i)
@@ -9823,8 +10449,10 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
 
 typedef struct sfemi_forces {
     const sfem_model *model;
+    const sfemi_block *block;
     const sfem_real *u;
     sfem_real *force, *rotation, *copies, *energy, *inverted; /* the last two by chunk */
+    sfem_real *spin, *sum; /* [copies][12], [nodes][9]; or NULL */
     sfemi_blocks_kernel kernel;
 } sfemi_forces;
 
@@ -9838,14 +10466,16 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
     for (k = index * SFEMI_CHUNK_TASK; k < end; ++k) {
         const sfem_int first = c->copy_start[k], count = c->copy_start[k + 1] - first;
         sfem_real *out = job->copies + 4 * (size_t)first;
+        sfem_real *spin = job->spin ? job->spin + 12 * (size_t)first : NULL;
         sfemi_totals totals;
         for (i = 0; i < count; ++i) {
             const sfem_real *from = job->u + 3 * (size_t)c->copy_node[first + i];
             u[4 * i] = from[0], u[4 * i + 1] = from[1], u[4 * i + 2] = from[2], u[4 * i + 3] = 0;
         }
         memset(out, 0, 4 * (size_t)count * sizeof *out);
-        job->kernel(c->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
-                    job->rotation, &totals);
+        if (spin) memset(spin, 0, 12 * (size_t)count * sizeof *spin);
+        job->kernel(job->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
+                    job->rotation, spin, &totals);
         job->energy[k] = job->inverted[k] = 0;
         for (i = 0; i < SFEMI_LANES; ++i) {
             job->energy[k] += totals.energy[i];
@@ -9870,6 +10500,19 @@ static void sfemi_forces_nodes(void *data, sfem_int index)
         job->force[3 * (size_t)i + 1] = y;
         job->force[3 * (size_t)i + 2] = z;
     }
+    for (i = index * SFEMI_NODE_TASK; job->sum && i < end; ++i) {
+        sfem_real *sum = job->sum + 9 * (size_t)i;
+        sfem_real s0 = 0, s1 = 0, s2 = 0, s3 = 0, s4 = 0, s5 = 0, s6 = 0, s7 = 0, s8 = 0;
+        for (j = c->node_start[i]; j < c->node_start[i + 1]; ++j) {
+            const sfem_real *from = job->spin + 12 * (size_t)c->node_copy[j];
+            s0 += from[0], s1 += from[1], s2 += from[2];
+            s3 += from[3], s4 += from[4], s5 += from[5];
+            s6 += from[6], s7 += from[7], s8 += from[8];
+        }
+        sum[0] = s0, sum[1] = s1, sum[2] = s2;
+        sum[3] = s3, sum[4] = s4, sum[5] = s5;
+        sum[6] = s6, sum[7] = s7, sum[8] = s8;
+    }
 }
 
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
@@ -9877,20 +10520,25 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)model->chunks.copies + 2 * (size_t)model->chunks.count;
 }
 
-SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
-                                     sfem_precision precision, sfem_real *force,
-                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
-                                     const sfem_exec *exec)
+/* sfem_model_forces; also sum [nodes][9], the tets' rotations times their volumes added up by
+ * nodes, with spin [copies][12] as scratch, both NULL where that is not wanted. block: the
+ * model's, or a body's own copy in which tets that it treats otherwise are masked. */
+static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *block,
+                                  const sfem_real *u, sfem_precision precision, sfem_real *force,
+                                  sfem_real *rotation, sfem_int *inverted, sfem_real *spin,
+                                  sfem_real *sum, sfem_real *work, const sfem_exec *exec)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
     sfemi_forces job;
     sfem_int k;
-    SFEM_ASSERT(u && force && work);
     job.model = model;
+    job.block = block;
     job.u = u;
     job.force = force;
     job.rotation = rotation;
+    job.spin = spin;
+    job.sum = sum;
     job.copies = work;
     job.energy = work + 4 * (size_t)model->chunks.copies;
     job.inverted = job.energy + chunks;
@@ -9905,8 +10553,19 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
     return energy;
 }
 
+SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
+                                     sfem_precision precision, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, sfem_real *work,
+                                     const sfem_exec *exec)
+{
+    SFEM_ASSERT(u && force && work);
+    return sfemi_fem_forces(model, model->chunks.block, u, precision, force, rotation, inverted, NULL,
+                            NULL, work, exec);
+}
+
 typedef struct sfemi_tangents {
     const sfem_model *model;
+    const sfemi_block *block;
     const sfem_real *u;
     sfem_tangent kind;
     sfem_real *val;
@@ -9949,12 +10608,12 @@ static void sfemi_tangents_chunk(void *data, sfem_int index)
     const sfem_int k = job->chunk[index];
     sfem_int b, lane;
     for (b = c->block_start[k]; b < c->block_start[k + 1]; ++b)
-        for (lane = 0; lane < c->block[b].count; ++lane)
-            sfemi_tangents_tet(job, c->block + b, lane);
+        for (lane = 0; lane < job->block[b].count; ++lane)
+            sfemi_tangents_tet(job, job->block + b, lane);
 }
 
-SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
-                                 sfem_matrix *tangent, const sfem_exec *exec)
+static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block, const sfem_real *u,
+                              sfem_tangent kind, sfem_matrix *tangent, const sfem_exec *exec)
 {
     const sfemi_chunks *c = &model->chunks;
     sfemi_tangents job;
@@ -9962,6 +10621,7 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     SFEM_ASSERT(u && tangent && tangent->n == model->mesh.nodes);
     SFEM_ASSERT(tangent->row[tangent->n] == model->row[tangent->n]);
     job.model = model;
+    job.block = block;
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
@@ -9971,6 +10631,12 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
         job.chunk = c->color_chunk + c->color_start[n];
         sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
     }
+}
+
+SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
+                                 sfem_matrix *tangent, const sfem_exec *exec)
+{
+    sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
@@ -10057,13 +10723,1952 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
 
+/* zeta lives on the edges of the mesh, which are the blocks below the diagonal of K's pattern. All that
+ * a damaged tet needs (S_d, whether it hangs together) is computed from its six zetas directly, never by
+ * updating, so that a state that was saved and loaded goes on with the same bits.
+ *
+ * Compliance first: S^-1_kl = ((1+nu)(n_k.n_l)^2 - nu)/Y is W W^T, row k of W the isotropic and deviatoric
+ * parts of n_k n_k^T over the square roots of their moduli. Condensing takes rows out, partial damage adds
+ * columns, and S_d = R^-1 R^-T, R of the QR decomposition of what is left: never indefinite, and with
+ * the condition of W, the square root of that of S, which is (edge/height)^4 in slivers.
+ *
+ * In a body that turns, damaged tets are masked out of the vector kernels' blocks (a copy of its own)
+ * rather than subtracted: across an open crack the intact force would be 1e2 .. 1e10 times Y, and only
+ * its rounding would be left. A linear body subtracts: K u rounds by as much in any case. */
+
+static const int sfemi_damage_place[6] = {1, 3, 6, 4, 7, 8}; /* of edges among the blocks a >= b */
+
+static void sfemi_damage_shape(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                               sfem_damage_tet *out)
+{
+    int k, i;
+    memcpy(out->x, x, sizeof out->x);
+    out->lambda = lambda;
+    out->mu = mu;
+    out->volume = sfemi_element_gradients_of(x, x + 3, x + 6, x + 9, out->gradient);
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        sfemi_sub3(x + 3 * end[0], x + 3 * end[1], out->n[k]);
+        out->length[k] = sqrt(sfemi_dot3(out->n[k], out->n[k]));
+        for (i = 0; i < 3; ++i) out->n[k][i] /= out->length[k];
+    }
+}
+
+/* eps of unit strain of edge k alone: -L^2 (ga gb^T + gb ga^T)/2, for d.E d = L^2 e and sum X_a g_a^T = I
+ * give E = -1/2 sum_ab (d_ab.E d_ab) ga gb^T. The factor -L^2/2 is left to the caller. */
+static sfem_real sfemi_damage_unit(const sfem_damage_tet *tet, int k, const sfem_real **ga,
+                                   const sfem_real **gb)
+{
+    const int *end = sfemi_edge_ends(3, k);
+    *ga = tet->gradient[end[0]];
+    *gb = tet->gradient[end[1]];
+    return -tet->length[k] * tet->length[k];
+}
+
+/* S_kl of the intact tet. */
+static sfem_real sfemi_damage_entry(const sfem_damage_tet *tet, int k, int l)
+{
+    const sfem_real *a, *b, *c, *d;
+    const sfem_real p = sfemi_damage_unit(tet, k, &a, &b), q = sfemi_damage_unit(tet, l, &c, &d);
+    return p * q *
+           (tet->lambda * sfemi_dot3(a, b) * sfemi_dot3(c, d) +
+            tet->mu * (sfemi_dot3(a, c) * sfemi_dot3(b, d) + sfemi_dot3(a, d) * sfemi_dot3(b, c)));
+}
+
+SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
+                                  sfem_damage_tet *out)
+{
+    int k, l, i;
+    SFEM_ASSERT(x && out);
+    memset(out, 0, sizeof *out);
+    sfemi_damage_shape(x, lambda, mu, out);
+    for (k = 0; k < 6; ++k) {
+        const sfem_real *n = out->n[k], *a, *b;
+        const sfem_real p = sfemi_damage_unit(out, k, &a, &b);
+        sfem_real *t = out->t + 6 * k;
+        for (i = 0; i < 3; ++i) {
+            t[i] = n[i] * n[i];
+            out->t_inverse[6 * i + k] = p * a[i] * b[i];
+        }
+        t[3] = n[0] * n[1], t[4] = n[0] * n[2], t[5] = n[1] * n[2];
+        out->t_inverse[18 + k] = p * (a[0] * b[1] + a[1] * b[0]);
+        out->t_inverse[24 + k] = p * (a[0] * b[2] + a[2] * b[0]);
+        out->t_inverse[30 + k] = p * (a[1] * b[2] + a[2] * b[1]);
+        for (l = 0; l < 6; ++l) out->s[6 * k + l] = sfemi_damage_entry(out, k, l);
+    }
+}
+
+SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
+                                    sfem_real *b)
+{
+    sfem_real dl[72], de[36];
+    int k, i, r, c;
+    SFEM_ASSERT(tet);
+    memset(dl, 0, sizeof dl);
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        for (i = 0; i < 3; ++i) {
+            dl[6 * (3 * end[0] + i) + k] = tet->n[k][i];
+            dl[6 * (3 * end[1] + i) + k] = -tet->n[k][i];
+        }
+        for (i = 0; i < 6; ++i) de[6 * k + i] = tet->t_inverse[6 * i + k] / tet->length[k];
+    }
+    if (a1) memcpy(a1, dl, sizeof dl);
+    if (a2) memcpy(a2, de, sizeof de);
+    if (!b) return;
+    for (r = 0; r < 6; ++r)
+        for (c = 0; c < 12; ++c)
+            for (k = 0, b[12 * r + c] = 0; k < 6; ++k)
+                b[12 * r + c] += de[6 * k + r] * dl[6 * c + k];
+}
+
+/* W [6][6], S^-1 = W W^T: n n^T in an orthonormal basis of the deviators, and its trace. */
+static void sfemi_damage_root(const sfem_damage_tet *tet, sfem_real w[6][6])
+{
+    const sfem_real deviator = 1 / sqrt(2 * tet->mu);
+    const sfem_real bulk = 1 / sqrt(3 * (3 * tet->lambda + 2 * tet->mu));
+    int k;
+    for (k = 0; k < 6; ++k) {
+        const sfem_real *n = tet->n[k];
+        w[k][0] = deviator * (n[0] * n[0] - n[1] * n[1]) / sqrt(2.0);
+        w[k][1] = deviator * (n[0] * n[0] + n[1] * n[1] - 2 * n[2] * n[2]) / sqrt(6.0);
+        w[k][2] = deviator * sqrt(2.0) * n[0] * n[1];
+        w[k][3] = deviator * sqrt(2.0) * n[0] * n[2];
+        w[k][4] = deviator * sqrt(2.0) * n[1] * n[2];
+        w[k][5] = bulk;
+    }
+}
+
+/* s = (S^-1 + diag(c))^-1 on the edges with c >= 0, zero in the rows and columns of the others. */
+static void sfemi_damage_condense(const sfem_damage_tet *tet, const sfem_real c[6], sfem_real s[36])
+{
+    sfem_real w[6][6], q[6][12], r[6][6], inverse[6][6];
+    int of[6], m = 0, k, l, i;
+    sfemi_damage_root(tet, w);
+    memset(q, 0, sizeof q);
+    memset(r, 0, sizeof r);
+    memset(inverse, 0, sizeof inverse);
+    memset(s, 0, 36 * sizeof *s);
+    for (k = 0; k < 6; ++k) {
+        if (c[k] < 0) continue;
+        memcpy(q[m], w[k], sizeof w[k]);
+        q[m][6 + m] = sqrt(c[k]);
+        of[m++] = k;
+    }
+    for (k = 0; k < m; ++k) { /* modified Gram-Schmidt: R is as good as Householder's [Bjorck 1967] */
+        for (l = 0; l < k; ++l) {
+            for (i = 0; i < 12; ++i) r[l][k] += q[l][i] * q[k][i];
+            for (i = 0; i < 12; ++i) q[k][i] -= r[l][k] * q[l][i];
+        }
+        for (i = 0; i < 12; ++i) r[k][k] += q[k][i] * q[k][i];
+        r[k][k] = sqrt(r[k][k]) + 1e-300;
+        for (i = 0; i < 12; ++i) q[k][i] /= r[k][k];
+    }
+    for (k = 0; k < m; ++k) { /* R^-1, column by column */
+        inverse[k][k] = 1 / r[k][k];
+        for (l = k - 1; l >= 0; --l) {
+            for (i = l + 1; i <= k; ++i) inverse[l][k] -= r[l][i] * inverse[i][k];
+            inverse[l][k] /= r[l][l];
+        }
+    }
+    for (k = 0; k < m; ++k)
+        for (l = 0; l <= k; ++l) {
+            sfem_real sum = 0;
+            for (i = k; i < m; ++i) sum += inverse[k][i] * inverse[l][i];
+            s[6 * of[k] + of[l]] = s[6 * of[l] + of[k]] = sum;
+        }
+}
+
+/* The compliance that zeta adds to edge k, -1 for infinite. */
+static sfem_real sfemi_damage_added(const sfem_damage_tet *tet, int k, sfem_real zeta)
+{
+    if (!(zeta > 0)) return -1;
+    return zeta < 1 ? (1 - zeta) / (zeta * sfemi_damage_entry(tet, k, k)) : 0;
+}
+
+SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
+                                  const sfem_real zeta[6], sfem_real s_d[36])
+{
+    sfem_real c[6];
+    int k, l;
+    SFEM_ASSERT(tet && zeta && s_d);
+    for (k = 0; k < 6; ++k)
+        c[k] = law == SFEM_DAMAGE_ZSZ ? 0 : sfemi_damage_added(tet, k, zeta[k]);
+    sfemi_damage_condense(tet, c, s_d);
+    if (law != SFEM_DAMAGE_ZSZ) return;
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l) s_d[6 * k + l] *= zeta[k] * zeta[l];
+}
+
+SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
+                                sfem_real s_d[36])
+{
+    sfem_real column[6], scale;
+    int k, l;
+    SFEM_ASSERT(tet && s_d && edge >= 0 && edge < 6 && from > to && to >= 0);
+    for (k = 0; k < 6; ++k) column[k] = s_d[6 * k + edge];
+    scale = (from - to) / (from * to * sfemi_damage_entry(tet, edge, edge) + (from - to) * column[edge]);
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l)
+            s_d[6 * k + l] -= column[k] * column[l] * scale;
+    for (k = 0; k < 6 && to == 0; ++k) s_d[6 * k + edge] = s_d[6 * edge + k] = 0;
+}
+
+/* e, and where wanted the unit vectors m along which u_i and -u_j lengthen each edge, and l. */
+static void sfemi_damage_strains(const sfem_damage_tet *tet, int small, const sfem_real u[12],
+                                 sfem_real e[6], sfem_real m[6][3], sfem_real length[6])
+{
+    int k, i;
+    for (k = 0; k < 6; ++k) {
+        const int *end = sfemi_edge_ends(3, k);
+        const sfem_real rest = tet->length[k], *n = tet->n[k];
+        sfem_real du[3], d[3], square = 0;
+        sfemi_sub3(u + 3 * end[0], u + 3 * end[1], du);
+        if (small) {
+            e[k] = sfemi_dot3(n, du) / rest;
+            memcpy(m[k], n, sizeof m[k]);
+            length[k] = rest;
+            continue;
+        }
+        for (i = 0; i < 3; ++i) {
+            d[i] = rest * n[i] + du[i];
+            square += (2 * rest * n[i] + du[i]) * du[i]; /* l^2 - L^2, small strains to their digits */
+        }
+        length[k] = sqrt(sfemi_dot3(d, d));
+        e[k] = square / ((length[k] + rest) * rest);
+        for (i = 0; i < 3; ++i) m[k][i] = length[k] > 0 ? d[i] / length[k] : 0;
+    }
+}
+
+/* k += V b^T S_d b + the geometric part, b_k = m_k/L_k on the edge's nodes. */
+static void sfemi_damage_add_tangent(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                     sfem_tangent kind, const sfem_real s[6], sfem_real m[6][3],
+                                     const sfem_real length[6], sfem_real k[144])
+{
+    int p, q, a, b, i, j;
+    for (p = 0; p < 6; ++p)
+        for (q = 0; q < 6; ++q) {
+            const sfem_real c = tet->volume * s_d[6 * p + q] / (tet->length[p] * tet->length[q]);
+            for (a = 0; c != 0 && a < 2; ++a)
+                for (b = 0; b < 2; ++b)
+                    for (i = 0; i < 3; ++i)
+                        for (j = 0; j < 3; ++j)
+                            k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, q)[b] + j] +=
+                                (a == b ? c : -c) * m[p][i] * m[q][j];
+        }
+    for (p = 0; !small && p < 6; ++p) {
+        sfem_real c = tet->volume * s[p] / tet->length[p];
+        if ((kind != SFEM_TANGENT_EXACT && c < 0) || !(length[p] > 0)) continue;
+        c /= length[p];
+        for (a = 0; a < 2; ++a)
+            for (b = 0; b < 2; ++b)
+                for (i = 0; i < 3; ++i)
+                    for (j = 0; j < 3; ++j)
+                        k[12 * (3 * sfemi_edge_ends(3, p)[a] + i) + 3 * sfemi_edge_ends(3, p)[b] + j] +=
+                            (a == b ? c : -c) * ((i == j) - m[p][i] * m[p][j]);
+    }
+}
+
+SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
+                                      const sfem_real u[12], sfem_tangent kind, sfem_real *force,
+                                      sfem_real *k)
+{
+    sfem_real e[6], s[6], m[6][3], length[6], energy = 0;
+    int p, q, i;
+    SFEM_ASSERT(tet && s_d && u);
+    sfemi_damage_strains(tet, small, u, e, m, length);
+    if (force) memset(force, 0, 12 * sizeof *force);
+    for (p = 0; p < 6; ++p) {
+        for (q = 0, s[p] = 0; q < 6; ++q) s[p] += s_d[6 * p + q] * e[q];
+        energy += tet->volume * s[p] * e[p] / 2;
+        for (i = 0; force && i < 3; ++i) {
+            const int *end = sfemi_edge_ends(3, p);
+            const sfem_real f = tet->volume * s[p] / tet->length[p] * m[p][i];
+            force[3 * end[0] + i] += f;
+            force[3 * end[1] + i] -= f;
+        }
+    }
+    if (!k) return energy;
+    memset(k, 0, 144 * sizeof *k);
+    sfemi_damage_add_tangent(tet, s_d, small, kind, s, m, length, k);
+    return energy;
+}
+
+/* Zeroing the strains of some edges is a projection, the other edges' the complementary one, and in the
+ * norm of S both are equally long [Szyld 2006]: of the 62 patterns 31 remain, and since the least energy
+ * of x on the edges I is x.(S^-1_II)^-1 x, lambda is the largest eigenvalue of S^-1_II S_II. */
+SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law)
+{
+    sfem_real w[6][6], a[6][6], s[6][6], worst = 1;
+    int mask, k, l, i;
+    SFEM_ASSERT(tet);
+    if (law != SFEM_DAMAGE_ZSZ) return 1;
+    sfemi_damage_root(tet, w);
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l) {
+            for (i = 0, a[k][l] = 0; i < 6; ++i) a[k][l] += w[k][i] * w[l][i];
+            s[k][l] = sfemi_damage_entry(tet, k, l);
+        }
+    for (mask = 1; mask < 63; ++mask) {
+        sfem_real c[3][3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}, b[9], value[3], vector[9];
+        int of[6], m = 0, p, q;
+        for (k = 0; k < 6; ++k)
+            if (mask >> k & 1) of[m++] = k;
+        if (m > 3 || (m == 3 && mask & 1)) continue;
+        if (m == 1) {
+            worst = fmax(worst, a[of[0]][of[0]] * s[of[0]][of[0]]);
+            continue;
+        }
+        for (k = 0; k < m; ++k) /* S_II = C C^T */
+            for (l = 0; l <= k; ++l) {
+                sfem_real sum = s[of[k]][of[l]];
+                for (i = 0; i < l; ++i) sum -= c[k][i] * c[l][i];
+                c[k][l] = k == l ? sqrt(fmax(sum, 0.0)) : sum / fmax(c[l][l], 1e-300);
+            }
+        for (p = 0; p < m; ++p) /* C^T S^-1_II C */
+            for (q = 0; q < m; ++q)
+                for (k = 0, b[m * p + q] = 0; k < m; ++k)
+                    for (l = 0; l < m; ++l) b[m * p + q] += c[k][p] * a[of[k]][of[l]] * c[l][q];
+        sfemi_sym_eigen(m, b, value, vector);
+        worst = fmax(worst, value[0]);
+    }
+    return worst;
+}
+
+/* ---- the graph: what does not change while a body breaks; shared by bodies of one definition ---- */
+
+enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
+
+typedef struct sfemi_bonds {
+    sfem_allocator allocator;
+    const sfem_model *model; /* kept alive by the body */
+    sfem_damage_def def;     /* its arrays are NULL: they are in what follows */
+    sfem_int edges, degree;  /* degree: most tets round an edge */
+    sfem_int *end;           /* [edges][2] nodes i < j, by j, then i */
+    sfem_real *length;       /* [edges] L, m */
+    sfem_int *tet_edge;      /* [tets][6] */
+    sfem_int *tet_start;     /* [edges+1] tets of an edge: */
+    sfem_int *edge_tet;      /* [6 tets] 6 tet + place, ascending */
+    sfem_int *node_start;    /* [nodes+1] edges of a node: */
+    sfem_int *node_edge;     /* [2 edges] ascending */
+    sfem_real *area;         /* [edges] a, m^2 */
+    sfem_real *price;        /* [edges] share Gc a and all factors, J */
+    sfem_real *factor;       /* [edges] of strength and of strains */
+    sfem_real *quiet;        /* [tets] no edge of it breaks while sum e^2 is below this in all its tets */
+    unsigned char *never;    /* [edges] SFEMI_NEVER: unbreakable, SFEMI_BLADE_ONLY */
+    sfem_real stiffening;    /* the largest of sfem_damage_stiffening: p >= stiffening/4 */
+} sfemi_bonds;
+
+/* ---- the damage of a body ----
+ *
+ * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
+ * derived: sfemi_damage_refresh makes it anew. */
+enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
+enum { SFEMI_INTACT, SFEMI_HURT, SFEMI_LOOSE }; /* loose: its intact edges do not connect its nodes */
+
+typedef struct sfemi_damage {
+    sfem_allocator allocator;
+    const sfemi_bonds *bonds;
+    sfem_real *account;      /* [SFEMI_ACCOUNTS] J, J, edges, breaks put off */
+    sfem_real *zeta;         /* [edges] */
+    sfem_real *peak;         /* [edges] largest strain so far; NULL unless ductile */
+    unsigned char *mark;     /* [edges] 1: a blade has crossed it, it breaks as soon as it may */
+    /* derived */
+    sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
+    unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
+    sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
+    sfemi_block *block;      /* a copy of the model's blocks with damaged tets masked; NULL: linear body */
+    sfem_int *lane;          /* [model tets] block times SFEMI_LANES + lane, or NULL */
+    sfem_int pieces;         /* connected components over intact edges, by lowest node */
+    sfem_int *piece_of;      /* [nodes], -1: in no tet */
+    /* the last round */
+    sfem_int events;
+    sfem_break *event;       /* [edges] */
+    sfem_int *event_edge;    /* [edges] */
+    /* scratch */
+    sfem_real *force, *energy; /* [model tets][12], [model tets] */
+    sfem_real *rotation;     /* [model tets][9]; NULL: linear body */
+    sfem_real *strain;       /* [edges] at the midpoint */
+    sfem_real *stress;       /* [model tets][6] s */
+    sfem_real *weight;       /* [model tets][6] w_k or V n.sigma n */
+    sfem_real *ratio;        /* [edges] criterion over its limit */
+    sfem_real *most;         /* [nodes] largest ratio of a node's edges */
+    unsigned char *hot, *near_hot; /* [model tets], [edges] */
+    sfem_real *local;        /* [degree][60] S_d, and forces at both ends, of a break that is tried */
+    sfem_int *fresh, fresh_count; /* [model tets] tets newly damaged */
+    sfem_int *stamp, *queue; /* [nodes], [2 nodes] */
+    sfem_int *merge;         /* [model tets] */
+    int lone;                /* lone edges may be waiting */
+} sfemi_damage;
+
+SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
+{
+    sfem_damage_def d;
+    memset(&d, 0, sizeof d);
+    d.toughness = 100;
+    return d;
+}
+
+static void sfemi_bonds_free(sfemi_bonds *g) /* NULL allowed */
+{
+    sfem_allocator al;
+    if (!g) return;
+    al = g->allocator;
+    sfemi_delete(&al, g->end);
+    sfemi_delete(&al, g->length);
+    sfemi_delete(&al, g->tet_edge);
+    sfemi_delete(&al, g->tet_start);
+    sfemi_delete(&al, g->edge_tet);
+    sfemi_delete(&al, g->node_start);
+    sfemi_delete(&al, g->node_edge);
+    sfemi_delete(&al, g->area);
+    sfemi_delete(&al, g->price);
+    sfemi_delete(&al, g->factor);
+    sfemi_delete(&al, g->quiet);
+    sfemi_delete(&al, g->never);
+    sfemi_delete(&al, g);
+}
+
+static int sfemi_damage_positive(sfem_real x) { return sfemi_finite(x) && x > 0; }
+static int sfemi_damage_not_negative(sfem_real x) { return sfemi_finite(x) && x >= 0; }
+
+static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage_def *d, sfem_error *err)
+{
+    const sfem_mesh *mesh = &model->mesh;
+    const sfem_int tets = mesh->tets;
+    sfem_int e;
+    if ((unsigned)d->law > SFEM_DAMAGE_ZSZ || (unsigned)d->criterion > SFEM_BREAK_DUCTILE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no damage law %d or no criterion %d",
+                          (int)d->law, (int)d->criterion);
+    if (!sfemi_damage_not_negative(d->toughness) ||
+        (d->criterion == SFEM_BREAK_ENERGY && !(d->toughness > 0)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "toughness is %g J/m^2, must be > 0", d->toughness);
+    if ((d->criterion == SFEM_BREAK_STRESS || d->criterion == SFEM_BREAK_STRAIN) &&
+        !sfemi_damage_positive(d->strength))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "strength is %g, must be > 0", d->strength);
+    if (d->criterion == SFEM_BREAK_DUCTILE &&
+        !(sfemi_damage_not_negative(d->soften[0]) && sfemi_finite(d->soften[1]) &&
+          d->soften[1] > d->soften[0]))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "soften is (%g, %g), must be 0 <= first < second",
+                          d->soften[0], d->soften[1]);
+    if (!(sfemi_damage_not_negative(d->share) && sfemi_damage_not_negative(d->rankine) &&
+          sfemi_damage_not_negative(d->weibull) && sfemi_damage_not_negative(d->line_factor)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "share, rankine, weibull and line_factor must be >= 0");
+    if (!sfemi_damage_not_negative(d->direction_factor) ||
+        (d->direction_factor > 0 && !(sfemi_all_finite(d->direction, 3) &&
+                                      sfemi_dot3(d->direction, d->direction) > 0)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "direction must not be 0, its factor must be > 0");
+    if (d->closure && d->law != SFEM_DAMAGE_CONDENSED)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "closure needs SFEM_DAMAGE_CONDENSED");
+    if ((d->upright[0] != 0 || d->upright[1] != 0) &&
+        !(sfemi_finite(d->upright[0]) && d->upright[0] < d->upright[1] && d->upright[1] <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "upright is (%g, %g), must be first < second <= 1",
+                          d->upright[0], d->upright[1]);
+    for (e = 0; e < tets; ++e) {
+        if (d->tet_factor && !sfemi_damage_positive(d->tet_factor[e]))
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e, "tet %d has toughness factor %g",
+                                 (int)e, d->tet_factor[e]);
+        if (!d->region_factor) continue;
+        if (!mesh->region || mesh->region[e] < 0 || mesh->region[e] >= d->region_count)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e,
+                                 "tet %d is in region %d, region_factor has %d", (int)e,
+                                 mesh->region ? (int)mesh->region[e] : -1, (int)d->region_count);
+        if (!sfemi_damage_positive(d->region_factor[mesh->region[e]]))
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e, "region %d has toughness factor %g",
+                                 (int)mesh->region[e], d->region_factor[mesh->region[e]]);
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
+{
+    const sfem_allocator *al = &g->allocator;
+    const size_t tets = (size_t)g->model->mesh.tets, nodes = (size_t)g->model->mesh.nodes;
+    const size_t edges = (size_t)g->edges;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, g->end, al, 2 * edges);
+    SFEMI_NEW(sfem_real, g->length, al, edges);
+    SFEMI_NEW(sfem_int, g->tet_edge, al, 6 * tets);
+    SFEMI_NEW(sfem_int, g->tet_start, al, edges + 1);
+    SFEMI_NEW(sfem_int, g->edge_tet, al, 6 * tets);
+    SFEMI_NEW(sfem_int, g->node_start, al, nodes + 1);
+    SFEMI_NEW(sfem_int, g->node_edge, al, 2 * edges);
+    SFEMI_NEW(sfem_real, g->area, al, edges);
+    SFEMI_NEW(sfem_real, g->price, al, edges);
+    SFEMI_NEW(sfem_real, g->factor, al, edges);
+    SFEMI_NEW(sfem_real, g->quiet, al, tets);
+    SFEMI_NEW(unsigned char, g->never, al, edges);
+done:
+    return status;
+}
+
+/* Edge and place of K's block: rows before that of node i hold i diagonals, row i has its own last. */
+static void sfemi_bonds_link(sfemi_bonds *g)
+{
+    const sfem_model *model = g->model;
+    const sfem_mesh *mesh = &model->mesh;
+    sfem_int e, i, at, k;
+    for (i = 0; i < mesh->nodes; ++i)
+        for (at = model->row[i]; at < model->row[i + 1] - 1; ++at) {
+            g->end[2 * (at - i)] = model->col[at];
+            g->end[2 * (at - i) + 1] = i;
+            ++g->node_start[model->col[at] + 1];
+            ++g->node_start[i + 1];
+        }
+    for (i = 0; i < mesh->nodes; ++i) g->node_start[i + 1] += g->node_start[i];
+    for (k = 2 * g->edges - 1; k >= 0; --k) /* from behind, so that the counters end as starts */
+        g->node_edge[--g->node_start[g->end[k] + 1]] = k / 2;
+    for (i = 0; i < mesh->nodes; ++i) g->node_start[i] = g->node_start[i + 1];
+    g->node_start[mesh->nodes] = 2 * g->edges;
+    for (e = 0; e < mesh->tets; ++e)
+        for (k = 0; k < 6; ++k) {
+            const int *end = sfemi_edge_ends(3, k);
+            const sfem_int a = mesh->tet[4 * (size_t)e + (size_t)end[0]];
+            const sfem_int b = mesh->tet[4 * (size_t)e + (size_t)end[1]];
+            const sfem_int edge =
+                model->chunks.place[10 * (size_t)e + (size_t)sfemi_damage_place[k]] - (a > b ? a : b);
+            g->tet_edge[6 * e + k] = edge;
+            ++g->tet_start[edge + 1];
+        }
+    for (k = 0; k < g->edges; ++k) {
+        if (g->tet_start[k + 1] > g->degree) g->degree = g->tet_start[k + 1];
+        g->tet_start[k + 1] += g->tet_start[k];
+    }
+    for (k = 6 * mesh->tets - 1; k >= 0; --k) g->edge_tet[--g->tet_start[g->tet_edge[k] + 1]] = k;
+    for (k = 0; k < g->edges; ++k) g->tet_start[k] = g->tet_start[k + 1];
+    g->tet_start[g->edges] = 6 * mesh->tets;
+}
+
+/* (0, 1), from the seed and the edge's nodes [Steele, Lea, Flood 2014: splitmix64]. */
+static sfem_real sfemi_damage_random(uint64_t seed, sfem_int i, sfem_int j)
+{
+    uint64_t z = seed * 0x9e3779b97f4a7c15u + ((uint64_t)(uint32_t)i << 32 | (uint32_t)j);
+    int pass;
+    for (pass = 0; pass < 2; ++pass) {
+        z += 0x9e3779b97f4a7c15u;
+        z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
+        z = (z ^ z >> 27) * 0x94d049bb133111ebu;
+        z ^= z >> 31;
+    }
+    return ((sfem_real)(z >> 11) + 0.5) / 9007199254740992.0;
+}
+
+/* The factor of edge k but for its tets' and the line's. */
+static sfem_status sfemi_bonds_factor(const sfemi_bonds *g, const sfem_damage_def *def, sfem_int k,
+                                      sfem_real *out, sfem_error *err)
+{
+    const sfem_int i = g->end[2 * k], j = g->end[2 * k + 1];
+    const sfem_real *xi = g->model->mesh.x + 3 * (size_t)i, *xj = g->model->mesh.x + 3 * (size_t)j;
+    const sfem_real *d = def->direction;
+    sfem_real n[3], x[3], factor = 1;
+    int c;
+    sfemi_sub3(xi, xj, n);
+    for (c = 0; c < 3; ++c) {
+        n[c] /= g->length[k];
+        x[c] = (xi[c] + xj[c]) / 2;
+    }
+    if (def->direction_factor > 0) {
+        const sfem_real dn = sfemi_dot3(d, n);
+        factor *= 1 + (def->direction_factor - 1) * dn * dn / sfemi_dot3(d, d);
+    }
+    if (def->weibull > 0)
+        factor *= pow(-log(sfemi_damage_random(def->seed, i, j)), 1 / def->weibull) /
+                  tgamma(1 + 1 / def->weibull);
+    if (def->factor) {
+        const sfem_real own = def->factor(x, n, i, j, def->factor_user);
+        if (!sfemi_damage_positive(own))
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, i, -1,
+                                 "the caller's toughness factor of edge (%d, %d) is %g, must be > 0",
+                                 (int)i, (int)j, own);
+        factor *= own;
+    }
+    *out = factor;
+    return SFEM_OK;
+}
+
+/* The lines' factors, and what may not break. */
+static sfem_status sfemi_bonds_lines(sfemi_bonds *g, const sfem_damage_def *def, sfem_error *err)
+{
+    const sfem_model *model = g->model;
+    sfem_int l, k, e;
+    for (k = 0; def->line_only && k < g->edges; ++k) g->never[k] = SFEMI_BLADE_ONLY;
+    for (l = 0; l < def->line_count; ++l) {
+        const sfem_int a = def->line[2 * l], b = def->line[2 * l + 1];
+        const sfem_int i = a > b ? a : b, j = a > b ? b : a;
+        sfem_int at = -1;
+        if (j >= 0 && i < model->mesh.nodes && i != j)
+            at = sfemi_fem_find(model->row, model->col, i, j);
+        if (at < 0)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, a, -1, "line %d: (%d, %d) is no edge of the mesh",
+                                 (int)l, (int)a, (int)b);
+        g->never[at - i] = 0;
+        if (def->line_factor > 0) g->factor[at - i] *= def->line_factor;
+    }
+    for (e = 0; def->unbreakable && e < model->mesh.tets; ++e)
+        for (k = 0; def->unbreakable[e] && k < 6; ++k) g->never[g->tet_edge[6 * e + k]] = SFEMI_NEVER;
+    return SFEM_OK;
+}
+
+static void sfemi_damage_gather(const sfem_real *x, const sfem_int *t, sfem_real out[12])
+{
+    int a, i;
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i) out[3 * a + i] = x[3 * (size_t)t[a] + (size_t)i];
+}
+
+static void sfemi_damage_tet(const sfem_model *model, sfem_int e, sfem_damage_tet *tet)
+{
+    sfem_real x[12];
+    sfemi_damage_gather(model->mesh.x, model->mesh.tet + 4 * (size_t)e, x);
+    sfemi_damage_shape(x, model->lambda[e], model->mu[e], tet);
+}
+
+/* A bound under which sum e^2 of a tet lets none of its edges break. With it in all tets of an edge:
+ * w_k <= sum V_e Psi_e, Psi_e <= tr S/2 sum e^2, against price = sum V_e/(2 L) price/a; and |sigma| <=
+ * (3 lambda + 2 mu) |eps|, |eps| <= |T^-1| |e|. */
+static void sfemi_bonds_quiet(sfemi_bonds *g, sfem_int e)
+{
+    const sfem_damage_def *def = &g->def;
+    sfem_damage_tet tet;
+    sfem_real trace = 0, inverse = 0, least = 1e300;
+    int k;
+    sfemi_damage_tet(g->model, e, &tet);
+    for (k = 0; k < 6; ++k) {
+        const sfem_int edge = g->tet_edge[6 * e + k];
+        const sfem_real *a, *b, p = sfemi_damage_unit(&tet, k, &a, &b), ab = sfemi_dot3(a, b);
+        const sfem_real f = g->factor[edge];
+        trace += sfemi_damage_entry(&tet, k, k);
+        inverse += p * p * (sfemi_dot3(a, a) * sfemi_dot3(b, b) + ab * ab) / 2;
+        switch (def->criterion) {
+        case SFEM_BREAK_ENERGY:
+            least = fmin(least, g->price[edge] / (g->area[edge] * g->length[edge]));
+            break;
+        case SFEM_BREAK_DUCTILE: least = fmin(least, f * def->soften[0]); break;
+        default: least = fmin(least, f * def->strength);
+        }
+    }
+    if (def->criterion == SFEM_BREAK_ENERGY) least = sqrt(least / trace);
+    if (def->criterion == SFEM_BREAK_STRESS)
+        least /= (3 * fabs(tet.lambda) + 2 * tet.mu) * sqrt(inverse);
+    g->quiet[e] = .99 * least * least;
+}
+
+static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *def, sfem_error *err)
+{
+    const sfem_model *model = g->model;
+    const sfem_int *region = model->mesh.region;
+    sfem_real *volume = g->price; /* of an edge's tets; until it is needed */
+    sfem_damage_tet tet;
+    sfem_status status = SFEM_OK;
+    sfem_int e, k, edge;
+    g->stiffening = 1;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_real factor = (def->tet_factor ? def->tet_factor[e] : 1) *
+                                 (def->region_factor ? def->region_factor[region[e]] : 1);
+        sfemi_damage_tet(model, e, &tet);
+        if (def->law == SFEM_DAMAGE_ZSZ)
+            g->stiffening = fmax(g->stiffening, sfem_damage_stiffening(&tet, def->law));
+        for (k = 0; k < 6; ++k) {
+            edge = g->tet_edge[6 * e + k];
+            g->length[edge] = tet.length[k];
+            g->area[edge] += tet.volume / (2 * tet.length[k]);
+            g->factor[edge] += factor * tet.volume;
+            volume[edge] += tet.volume;
+        }
+    }
+    for (edge = 0; edge < g->edges; ++edge) {
+        sfem_real factor = 1;
+        SFEMI_TRY(sfemi_bonds_factor(g, def, edge, &factor, err));
+        g->factor[edge] *= factor / volume[edge];
+    }
+    SFEMI_TRY(sfemi_bonds_lines(g, def, err));
+    for (edge = 0; edge < g->edges; ++edge)
+        g->price[edge] = g->def.share * def->toughness * g->area[edge] * g->factor[edge];
+    for (e = 0; e < model->mesh.tets; ++e) sfemi_bonds_quiet(g, e);
+done:
+    return status;
+}
+
+/* Makes the graph of a model. errors SFEM_BAD_ARGUMENT (names the field, tet or edge),
+ * SFEM_OUT_OF_MEMORY. O(tets). The model must outlive it. */
+SFEMI_UNUSED static sfem_status sfemi_bonds_create(const sfem_model *model, const sfem_damage_def *def,
+                                                   const sfem_allocator *allocator, sfemi_bonds **out,
+                                                   sfem_error *err)
+{
+    sfemi_bonds *g = NULL;
+    sfem_status status;
+    SFEM_ASSERT(model && def && allocator && out);
+    SFEM_ASSERT((def->line || !def->line_count) && (def->region_factor || !def->region_count));
+    SFEMI_TRY(sfemi_damage_check(model, def, err));
+    SFEMI_NEW(sfemi_bonds, g, allocator, 1);
+    g->allocator = *allocator;
+    g->model = model;
+    g->def = *def;
+    g->def.tet_factor = g->def.region_factor = NULL;
+    g->def.unbreakable = NULL;
+    g->def.line = NULL;
+    if (!(g->def.share > 0)) g->def.share = 2 / 3.0;
+    if (g->def.upright[0] == 0 && g->def.upright[1] == 0) {
+        g->def.upright[0] = .05;
+        g->def.upright[1] = .25;
+    }
+    g->edges = model->row[model->mesh.nodes] - model->mesh.nodes;
+    SFEMI_TRY(sfemi_bonds_allocate(g, err));
+    sfemi_bonds_link(g);
+    SFEMI_TRY(sfemi_bonds_measure(g, def, err));
+    *out = g;
+    return SFEM_OK;
+done:
+    sfemi_bonds_free(g);
+    return status;
+}
+
+/* ---- a body's damage: memory ---- */
+
+static size_t sfemi_damage_state_bytes(const sfemi_bonds *g)
+{
+    const size_t edges = (size_t)g->edges;
+    const size_t reals = SFEMI_ACCOUNTS + edges * (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1);
+    return reals * sizeof(sfem_real) + (edges + 7) / 8 * 8;
+}
+
+/* The state lives in memory, aligned to 8, from now on; follow with reset or refresh. */
+SFEMI_UNUSED static void sfemi_damage_attach(sfemi_damage *d, void *memory)
+{
+    const size_t edges = (size_t)d->bonds->edges;
+    d->account = (sfem_real *)memory;
+    d->zeta = d->account + SFEMI_ACCOUNTS;
+    d->peak = d->bonds->def.criterion == SFEM_BREAK_DUCTILE ? d->zeta + edges : NULL;
+    d->mark = (unsigned char *)(d->zeta + (d->peak ? 2 * edges : edges));
+}
+
+static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
+{
+    sfem_allocator al;
+    if (!d) return;
+    al = d->allocator;
+    sfemi_delete(&al, d->tet);
+    sfemi_delete(&al, d->kind);
+    sfemi_delete(&al, d->s);
+    sfemi_delete(&al, d->block);
+    sfemi_delete(&al, d->lane);
+    sfemi_delete(&al, d->piece_of);
+    sfemi_delete(&al, d->event);
+    sfemi_delete(&al, d->event_edge);
+    sfemi_delete(&al, d->force);
+    sfemi_delete(&al, d->rotation);
+    sfemi_delete(&al, d->energy);
+    sfemi_delete(&al, d->strain);
+    sfemi_delete(&al, d->stress);
+    sfemi_delete(&al, d->weight);
+    sfemi_delete(&al, d->ratio);
+    sfemi_delete(&al, d->most);
+    sfemi_delete(&al, d->hot);
+    sfemi_delete(&al, d->near_hot);
+    sfemi_delete(&al, d->local);
+    sfemi_delete(&al, d->fresh);
+    sfemi_delete(&al, d->merge);
+    sfemi_delete(&al, d->stamp);
+    sfemi_delete(&al, d->queue);
+    sfemi_delete(&al, d);
+}
+
+/* All memory that damage needs but its state, about 800 bytes a tet; nothing else here allocates.
+ * Follow with attach, then reset or refresh. errors SFEM_OUT_OF_MEMORY */
+SFEMI_UNUSED static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
+                                                    const sfem_allocator *allocator,
+                                                    sfemi_damage **out, sfem_error *err)
+{
+    const sfem_model *model = bonds->model;
+    const size_t tets = (size_t)model->mesh.tets, nodes = (size_t)model->mesh.nodes;
+    const size_t edges = (size_t)bonds->edges;
+    sfemi_damage *d = NULL;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfemi_damage, d, allocator, 1);
+    d->allocator = *allocator;
+    d->bonds = bonds;
+    SFEMI_NEW(sfem_int, d->tet, allocator, tets);
+    SFEMI_NEW(unsigned char, d->kind, allocator, tets);
+    SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
+    if (model->turns) {
+        SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
+        SFEMI_NEW(sfem_int, d->lane, allocator, tets);
+        SFEMI_NEW(sfem_real, d->rotation, allocator, 9 * tets);
+    }
+    SFEMI_NEW(sfem_int, d->piece_of, allocator, nodes);
+    SFEMI_NEW(sfem_break, d->event, allocator, edges);
+    SFEMI_NEW(sfem_int, d->event_edge, allocator, edges);
+    SFEMI_NEW(sfem_real, d->force, allocator, 12 * tets);
+    SFEMI_NEW(sfem_real, d->energy, allocator, tets);
+    SFEMI_NEW(sfem_real, d->strain, allocator, edges);
+    SFEMI_NEW(sfem_real, d->stress, allocator, 6 * tets);
+    SFEMI_NEW(sfem_real, d->weight, allocator, 6 * tets);
+    SFEMI_NEW(sfem_real, d->ratio, allocator, edges);
+    SFEMI_NEW(sfem_real, d->most, allocator, nodes);
+    SFEMI_NEW(unsigned char, d->hot, allocator, tets);
+    SFEMI_NEW(unsigned char, d->near_hot, allocator, edges);
+    SFEMI_NEW(sfem_real, d->local, allocator, 60 * (size_t)bonds->degree);
+    SFEMI_NEW(sfem_int, d->fresh, allocator, tets);
+    SFEMI_NEW(sfem_int, d->merge, allocator, tets);
+    SFEMI_NEW(sfem_int, d->stamp, allocator, nodes);
+    SFEMI_NEW(sfem_int, d->queue, allocator, 2 * nodes);
+    *out = d;
+    return SFEM_OK;
+done:
+    sfemi_damage_free(d);
+    return status;
+}
+
+/* ---- one damaged tet ---- */
+
+/* By the mask of a tet's unbroken edges: the edges that are the only link between their nodes; 64 where
+ * all nodes are connected. */
+static const unsigned char sfemi_damage_links[64] = {
+    0, 1, 2, 3, 4, 5, 6, 71, 8, 9, 10, 0, 12, 77, 78, 68,
+    16, 17, 18, 83, 20, 0, 86, 66, 24, 89, 90, 80, 92, 72, 64, 64,
+    32, 33, 34, 99, 36, 101, 0, 65, 40, 105, 106, 96, 108, 64, 72, 64,
+    48, 113, 114, 64, 116, 96, 80, 64, 0, 65, 66, 64, 68, 64, 64, 64};
+
+enum { SFEMI_CONNECTED = 64 };
+
+/* The zetas of a tet, as a mask of what is not broken. */
+static unsigned sfemi_damage_zetas(const sfemi_damage *d, sfem_int e, sfem_real zeta[6])
+{
+    unsigned mask = 0;
+    int k;
+    for (k = 0; k < 6; ++k) {
+        zeta[k] = d->zeta[d->bonds->tet_edge[6 * e + k]];
+        mask |= (unsigned)(zeta[k] > 0) << k;
+    }
+    return mask;
+}
+
+/* S_d and the kind of a tet with these zetas. With closure, a loose tet may still be pressed. */
+static int sfemi_damage_assess(const sfemi_damage *d, const sfem_damage_tet *tet,
+                               const sfem_real zeta[6], unsigned mask, sfem_real s_d[36])
+{
+    int k, intact = 1;
+    for (k = 0; k < 6; ++k) intact &= zeta[k] >= 1;
+    memset(s_d, 0, 36 * sizeof *s_d);
+    if (intact) return SFEMI_INTACT;
+    if (!(sfemi_damage_links[mask] & SFEMI_CONNECTED) && !d->bonds->def.closure) return SFEMI_LOOSE;
+    sfem_damage_modulus(tet, d->bonds->def.law, zeta, s_d);
+    return sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
+}
+
+/* With closure the energy is the least over crack openings w >= 0 of the damaged edges,
+ *     1/2 (e - w).S (e - w) + sum_k w_k^2/(2 c_k),   c_k the compliance that zeta_k adds:
+ * convex, once differentiable, damaged in tension and intact in compression. Which edges are open is a
+ * linear complementarity problem with a positive definite matrix, which least-index pivoting solves
+ * [Murty 1974]. s_d: of the open edges alone. */
+static void sfemi_damage_close(const sfem_damage_tet *tet, const sfem_real zeta[6],
+                               const sfem_real e[6], sfem_real s_d[36])
+{
+    sfem_real w[6][6], c[6], added[6], s[6], size = 0;
+    int open[6], pass, k, l, i;
+    sfemi_damage_root(tet, w);
+    for (k = 0; k < 6; ++k) {
+        added[k] = sfemi_damage_added(tet, k, zeta[k]);
+        open[k] = zeta[k] < 1 && e[k] > 0;
+        size += fabs(e[k]);
+    }
+    for (pass = 0; pass < 200; ++pass) {
+        for (k = 0; k < 6; ++k) c[k] = open[k] ? added[k] : 0;
+        sfemi_damage_condense(tet, c, s_d);
+        for (k = 0; k < 6; ++k)
+            for (l = 0, s[k] = 0; l < 6; ++l) s[k] += s_d[6 * k + l] * e[l];
+        for (k = 0; k < 6; ++k) {
+            sfem_real gap = e[k], per = 0; /* (e - S^-1 s)_k, 1/Y */
+            if (zeta[k] >= 1) continue;
+            for (l = 0; l < 6; ++l)
+                for (i = 0; i < 6; ++i) {
+                    gap -= w[k][i] * w[l][i] * s[l];
+                    per += l == k ? w[k][i] * w[k][i] : 0;
+                }
+            if (open[k] ? gap < -1e-13 * size : s[k] * per > 1e-13 * size) break;
+        }
+        if (k == 6) return;
+        open[k] = !open[k];
+    }
+}
+
+/* The tet as it was before its first damage. */
+static sfem_real sfemi_damage_undamaged(const sfem_damage_tet *tet, sfem_law law,
+                                        const sfem_real u[12], sfem_real force[12])
+{
+    sfem_real grad[9], p[9], psi, g[4][3];
+    int a, i;
+    memcpy(g, tet->gradient, sizeof g);
+    sfemi_element_deform(u, u + 3, u + 6, u + 9, g, grad);
+    psi = sfemi_law_stress(law, tet->lambda, tet->mu, grad, p);
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i) force[3 * a + i] = tet->volume * sfemi_dot3(p + 3 * i, g[a]);
+    return tet->volume * psi;
+}
+
+/* J and its gradient [4][3]. */
+static sfem_real sfemi_damage_jacobian(const sfem_damage_tet *tet, const sfem_real u[12],
+                                       sfem_real slope[12])
+{
+    sfem_real f[9], c[9], g[4][3];
+    int a, i;
+    memcpy(g, tet->gradient, sizeof g);
+    sfemi_element_deform(u, u + 3, u + 6, u + 9, g, f);
+    for (i = 0; i < 9; i += 4) f[i] += 1;
+    sfemi_cofactor3(f, c);
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i) slope[3 * a + i] = sfemi_dot3(c + 3 * i, g[a]);
+    return sfemi_dot3(f, c);
+}
+
+/* The share of the edge form at J, 3t^2 - 2t^3 between upright[0] and upright[1], and its slope. */
+static sfem_real sfemi_damage_blend(const sfem_real upright[2], sfem_real j, sfem_real *slope)
+{
+    const sfem_real width = upright[1] - upright[0], t = (j - upright[0]) / width;
+    *slope = t > 0 && t < 1 ? 6 * t * (1 - t) / width : 0;
+    return t <= 0 ? 0 : t < 1 ? t * t * (3 - 2 * t) : 1;
+}
+
+/* Energy and force of a tet of the given kind. Below upright[1] the edge form, which does not see
+ * inversion, gives way to the undamaged corotational law, in the energy, so that the force remains a
+ * gradient and no energy jumps; a loose tet does not resist, for its nodes may be anywhere. */
+static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
+                                         int kind, const sfem_real zeta[6], const sfem_real s_d[36],
+                                         const sfem_real u[12], sfem_real force[12])
+{
+    const sfem_damage_def *def = &d->bonds->def;
+    sfem_real closed[36], e[6], m[6][3], length[6], whole[12], slope[12], psi, psi_whole, j, phi, dphi;
+    int i;
+    if (kind == SFEMI_INTACT) return sfemi_damage_undamaged(tet, law, u, force);
+    memset(force, 0, 12 * sizeof *force);
+    if (kind == SFEMI_LOOSE && !def->closure) return 0;
+    if (def->closure) {
+        sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
+        sfemi_damage_close(tet, zeta, e, closed);
+        s_d = closed;
+    }
+    psi = sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, SFEM_TANGENT_PSD, force, NULL);
+    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return psi;
+    j = sfemi_damage_jacobian(tet, u, slope);
+    phi = sfemi_damage_blend(def->upright, j, &dphi);
+    if (phi >= 1) return psi;
+    psi_whole = sfemi_damage_undamaged(tet, SFEM_COROTATIONAL, u, whole);
+    for (i = 0; i < 12; ++i)
+        force[i] = phi * force[i] + (1 - phi) * whole[i] + dphi * (psi - psi_whole) * slope[i];
+    return phi * psi + (1 - phi) * psi_whole;
+}
+
+/* ---- what is derived from zeta ---- */
+
+/* Takes a damaged tet out of the vector kernels: no stiffness, and no shape, so that F = I whatever
+ * becomes of its nodes. */
+static void sfemi_damage_mask(sfemi_damage *d, sfem_int e)
+{
+    sfemi_block *block;
+    int l, i;
+    if (!d->block) return;
+    block = d->block + d->lane[e] / SFEMI_LANES;
+    l = d->lane[e] % SFEMI_LANES;
+    block->lambda[l] = block->mu[l] = block->volume[l] = 0;
+    for (i = 0; i < 9; ++i) block->shape[i][l] = 0;
+}
+
+static void sfemi_damage_unmask(sfemi_damage *d)
+{
+    const sfemi_chunks *c = &d->bonds->model->chunks;
+    const sfem_int count = c->block_start[c->count];
+    sfem_int b, l;
+    if (!d->block) return;
+    memcpy(d->block, c->block, (size_t)count * sizeof *d->block);
+    for (b = 0; b < count; ++b)
+        for (l = 0; l < c->block[b].count; ++l) d->lane[c->block[b].tet[l]] = b * SFEMI_LANES + l;
+}
+
+/* Labels by lowest node, whatever they were: old labels lie in [0, pieces). */
+static void sfemi_damage_number_pieces(sfemi_damage *d)
+{
+    const sfem_int nodes = d->bonds->model->mesh.nodes;
+    sfem_int *label = d->stamp, i, count = 0;
+    for (i = 0; i < nodes; ++i) label[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        if (d->piece_of[i] < 0) continue;
+        if (label[d->piece_of[i]] < 0) label[d->piece_of[i]] = count++;
+        d->piece_of[i] = label[d->piece_of[i]];
+    }
+    d->pieces = count;
+    for (i = 0; i < nodes; ++i) label[i] = -1; /* as sfemi_damage_part wants it */
+}
+
+/* The other end of an edge. */
+static sfem_int sfemi_damage_across(const sfemi_bonds *g, sfem_int edge, sfem_int node)
+{
+    return g->end[2 * edge] == node ? g->end[2 * edge + 1] : g->end[2 * edge];
+}
+
+/* All pieces, by a search over intact edges from each node. */
+static void sfemi_damage_find_pieces(sfemi_damage *d)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_int nodes = g->model->mesh.nodes;
+    sfem_int i, k, head, tail;
+    d->pieces = 0;
+    for (i = 0; i < nodes; ++i) d->piece_of[i] = d->stamp[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        if (d->piece_of[i] >= 0 || g->node_start[i] == g->node_start[i + 1]) continue;
+        d->piece_of[i] = d->pieces;
+        d->queue[0] = i;
+        for (head = 0, tail = 1; head < tail; ++head)
+            for (k = g->node_start[d->queue[head]]; k < g->node_start[d->queue[head] + 1]; ++k) {
+                const sfem_int j = sfemi_damage_across(g, g->node_edge[k], d->queue[head]);
+                if (!(d->zeta[g->node_edge[k]] > 0) || d->piece_of[j] >= 0) continue;
+                d->piece_of[j] = d->pieces;
+                d->queue[tail++] = j;
+            }
+        ++d->pieces;
+    }
+}
+
+enum { SFEMI_NEXT = 2 }; /* in near_hot: broken, too, but to be looked at later */
+
+/* Does edge `edge`, broken, part a piece? Searches from its two ends by turns, a node each, until they
+ * meet or the smaller side is done, which then gets a label of its own: O(smaller side). stamp is
+ * all -1 before and after. */
+static int sfemi_damage_part(sfemi_damage *d, sfem_int edge)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int *queue[2], head[2] = {0, 0}, tail[2] = {1, 1}, k, i;
+    int side = 0, met = 0;
+    if (d->piece_of[g->end[2 * edge]] != d->piece_of[g->end[2 * edge + 1]]) return 0;
+    queue[0] = d->queue;
+    queue[1] = d->queue + g->model->mesh.nodes;
+    for (i = 0; i < 2; ++i) {
+        queue[i][0] = g->end[2 * edge + i];
+        d->stamp[queue[i][0]] = i;
+    }
+    for (;; side = !side) {
+        const sfem_int node = queue[side][head[side]++];
+        for (k = g->node_start[node]; k < g->node_start[node + 1] && !met; ++k) {
+            const sfem_int j = sfemi_damage_across(g, g->node_edge[k], node);
+            if (!(d->zeta[g->node_edge[k]] > 0 || d->near_hot[g->node_edge[k]] == SFEMI_NEXT) ||
+                d->stamp[j] == side)
+                continue;
+            met = d->stamp[j] == !side;
+            d->stamp[j] = met ? d->stamp[j] : side;
+            if (!met) queue[side][tail[side]++] = j;
+        }
+        if (met || head[side] == tail[side]) break;
+    }
+    for (i = 0; !met && i < tail[side]; ++i) d->piece_of[queue[side][i]] = d->pieces;
+    for (k = 0; k < 2; ++k)
+        for (i = 0; i < tail[k]; ++i) d->stamp[queue[k][i]] = -1;
+    d->pieces += !met;
+    return !met;
+}
+
+/* The state was loaded, or zeta changed by hand: derives everything anew. O(tets). */
+static void sfemi_damage_refresh(sfemi_damage *d)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_damage_tet tet;
+    sfem_real zeta[6];
+    sfem_int e;
+    sfemi_damage_unmask(d);
+    d->tets = d->events = d->fresh_count = 0;
+    d->lone = 1;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const unsigned mask = sfemi_damage_zetas(d, e, zeta);
+        int k, intact = 1;
+        for (k = 0; k < 6; ++k) intact &= zeta[k] >= 1;
+        d->kind[e] = SFEMI_INTACT;
+        if (intact) continue;
+        sfemi_damage_tet(model, e, &tet);
+        d->kind[e] = (unsigned char)sfemi_damage_assess(d, &tet, zeta, mask, d->s + 36 * (size_t)e);
+        d->tet[d->tets++] = e;
+        sfemi_damage_mask(d, e);
+    }
+    sfemi_damage_find_pieces(d);
+}
+
+SFEMI_UNUSED static void sfemi_damage_reset(sfemi_damage *d) /* everything intact */
+{
+    sfem_int k;
+    memset(d->account, 0, sfemi_damage_state_bytes(d->bonds));
+    for (k = 0; k < d->bonds->edges; ++k) d->zeta[k] = 1;
+    sfemi_damage_refresh(d);
+}
+
+/* ---- forces, tangents ---- */
+
+enum { SFEMI_DAMAGE_TASK = 64 }; /* tets a task */
+
+typedef struct sfemi_damage_job {
+    sfemi_damage *d;
+    const sfem_real *u;
+    sfem_real *rotation;
+} sfemi_damage_job;
+
+static void sfemi_damage_forces_task(void *data, sfem_int index)
+{
+    const sfemi_damage_job *job = (const sfemi_damage_job *)data;
+    sfemi_damage *d = job->d;
+    const sfem_model *model = d->bonds->model;
+    sfem_int i = index * SFEMI_DAMAGE_TASK, end = i + SFEMI_DAMAGE_TASK;
+    if (end > d->tets) end = d->tets;
+    for (; i < end; ++i) {
+        const sfem_int e = d->tet[i];
+        const sfem_law law = (sfem_law)model->law[e];
+        sfem_real *force = d->force + 12 * (size_t)i, u[12], zeta[6], whole[12];
+        sfem_damage_tet tet;
+        int k;
+        sfemi_damage_tet(model, e, &tet);
+        sfemi_damage_gather(job->u, model->mesh.tet + 4 * (size_t)e, u);
+        sfemi_damage_zetas(d, e, zeta);
+        d->energy[i] = sfemi_damage_tet_energy(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u,
+                                               force);
+        if (!d->block) {
+            d->energy[i] -= sfemi_damage_undamaged(&tet, law, u, whole);
+            for (k = 0; k < 12; ++k) force[k] -= whole[k];
+        }
+        if (job->rotation) {
+            sfem_real f[9], *r = job->rotation + 9 * (size_t)e;
+            for (k = 0; k < 9; ++k) r[k] = d->kind[e] != SFEMI_LOOSE && k % 4 == 0;
+            if (law == SFEM_LINEAR || d->kind[e] == SFEMI_LOOSE) continue;
+            sfemi_element_deform(u, u + 3, u + 6, u + 9, tet.gradient, f);
+            for (k = 0; k < 9; k += 4) f[k] += 1;
+            sfemi_element_rotation(f, SFEMI_TINY_F, r);
+        }
+    }
+}
+
+/* Adds energy and internal force of the damaged tets at u. Body that turns (d->block): theirs alone, to
+ * go with sfemi_fem_forces on d->block. Linear body (block NULL): damaged less intact, to go with K u.
+ * rotation [tets][9] (NULL: none): of damaged tets, as sfem_model_forces gives them, but 0 for loose tets,
+ * which then weigh nothing in the frames. inverted (NULL: none) += tets with J <= 0 that hang together.
+ * Same bits for any number of threads: tets in ascending order. */
+static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_real *force,
+                                     sfem_real *rotation, sfem_int *inverted, const sfem_exec *exec)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_real energy = 0;
+    sfemi_damage_job job;
+    sfem_int i;
+    int k;
+    job.d = d;
+    job.u = u;
+    job.rotation = rotation;
+    sfemi_run(exec, (d->tets + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task, &job);
+    for (i = 0; i < d->tets; ++i) {
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
+        const sfem_real *f = d->force + 12 * (size_t)i;
+        for (k = 0; k < 12; ++k) force[3 * (size_t)t[k / 3] + (size_t)(k % 3)] += f[k];
+        energy += d->energy[i];
+    }
+    for (i = 0; inverted && i < d->tets; ++i) {
+        sfem_real now[12], rest[12], x[12];
+        const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
+        if (d->kind[d->tet[i]] == SFEMI_LOOSE) continue;
+        sfemi_damage_gather(u, t, now);
+        sfemi_damage_gather(model->mesh.x, t, rest);
+        for (k = 0; k < 12; ++k) x[k] = rest[k] + now[k];
+        *inverted += sfemi_volume6(x, x + 3, x + 6, x + 9) <= 0;
+    }
+    return energy;
+}
+
+/* As sfemi_fem_forces, for a damaged body that turns. */
+SFEMI_UNUSED static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
+                                                        sfem_precision precision, sfem_real *force,
+                                                        sfem_real *rotation, sfem_int *inverted,
+                                                        sfem_real *spin, sfem_real *sum, sfem_real *work,
+                                                        const sfem_exec *exec)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_real *r = sum && !rotation ? d->rotation : rotation;
+    sfem_real energy;
+    sfem_int i;
+    size_t a, k;
+    SFEM_ASSERT(d->block);
+    energy = sfemi_fem_forces(model, d->block, u, precision, force, rotation, inverted, spin, sum, work, exec);
+    energy += sfemi_damage_forces(d, u, force, r, inverted, exec);
+    for (i = 0; sum && i < d->tets; ++i) {
+        const size_t e = (size_t)d->tet[i];
+        for (a = 0; a < 4; ++a)
+            for (k = 0; k < 9; ++k)
+                sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += model->volume[e] * r[9 * e + k];
+    }
+    return energy;
+}
+
+/* The tangent of sfemi_damage_tet_energy; where it blends, what is positive semidefinite of it. */
+static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
+                                     int kind, const sfem_real zeta[6], const sfem_real s_d[36],
+                                     const sfem_real u[12], sfem_tangent tangent, sfem_real k[144])
+{
+    const sfem_damage_def *def = &d->bonds->def;
+    sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
+    int i;
+    memset(k, 0, 144 * sizeof *k);
+    if (kind == SFEMI_LOOSE && !def->closure) return;
+    if (def->closure) {
+        sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
+        sfemi_damage_close(tet, zeta, e, closed);
+        s_d = closed;
+    }
+    sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, tangent, NULL, k);
+    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return;
+    phi = sfemi_damage_blend(def->upright, sfemi_damage_jacobian(tet, u, slope), &dphi);
+    if (phi >= 1) return;
+    sfem_damage_energy(tet, s_d, 0, u, SFEM_TANGENT_PSD, NULL, k);
+    sfem_law_tet(SFEM_COROTATIONAL, tet->lambda, tet->mu, tet->x, u, SFEM_TANGENT_PSD, NULL, whole);
+    for (i = 0; i < 144; ++i) k[i] = phi * k[i] + (1 - phi) * whole[i];
+}
+
+/* val += scale k on K's pattern. */
+static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real scale,
+                                 const sfem_real k[144], sfem_real *val)
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    int a, b, n = 0, i, j;
+    for (a = 0; a < 4; ++a)
+        for (b = 0; b <= a; ++b, ++n) {
+            const int row = t[a] >= t[b] ? a : b, col = t[a] >= t[b] ? b : a;
+            sfem_real *to = val + 9 * (size_t)model->chunks.place[10 * (size_t)e + (size_t)n];
+            for (i = 0; i < 3; ++i)
+                for (j = 0; j < 3; ++j)
+                    to[3 * i + j] += scale * k[12 * (3 * row + i) + 3 * col + j];
+        }
+}
+
+/* As sfem_model_tangent, for a damaged body that turns. */
+SFEMI_UNUSED static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u,
+                                                    sfem_tangent kind, sfem_matrix *tangent,
+                                                    const sfem_exec *exec)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_int i;
+    SFEM_ASSERT(d->block);
+    sfemi_fem_tangent(model, d->block, u, kind, tangent, exec);
+    for (i = 0; i < d->tets; ++i) {
+        const sfem_int e = d->tet[i];
+        sfem_real local[12], zeta[6], k[144];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(model, e, &tet);
+        sfemi_damage_gather(u, model->mesh.tet + 4 * (size_t)e, local);
+        sfemi_damage_zetas(d, e, zeta);
+        sfemi_damage_tet_tangent(d, &tet, (sfem_law)model->law[e], d->kind[e], zeta,
+                                 d->s + 36 * (size_t)e, local, kind, k);
+        sfemi_damage_scatter(model, e, 1, k, tangent->val);
+    }
+}
+
+/* val += scale (K_damaged - K) at rest, on K's pattern: what a renewed factor is made of. */
+SFEMI_UNUSED static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale,
+                                                    sfem_real *val)
+{
+    static const sfem_real still[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
+    const sfem_model *model = d->bonds->model;
+    sfem_int i;
+    for (i = 0; i < d->tets; ++i) {
+        const sfem_int e = d->tet[i];
+        sfem_real k[144];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(model, e, &tet);
+        sfem_damage_energy(&tet, d->s + 36 * (size_t)e, 1, still, SFEM_TANGENT_PSD, NULL, k);
+        sfemi_damage_scatter(model, e, scale, k, val);
+        sfem_law_tet(SFEM_LINEAR, tet.lambda, tet.mu, tet.x, still, SFEM_TANGENT_PSD, NULL, k);
+        sfemi_damage_scatter(model, e, -scale, k, val);
+    }
+}
+
+/* ---- criterion and propagation ---- */
+
+/* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
+ *     a0 dPsi(u0) + a1 dPsi(u1) - ac (u1-u0).d(f(u1)-f(u0)),   d: after less before:
+ * (1/2, 1/2, 1/4) for (p,1,1) with any constant A, and for Newmark(p,1/2); (1/2, 1/2, (1/2-p)/2) is what
+ * the guard's ledger sees; (0, 1, 0) judges Psi at the end alone. */
+typedef struct sfemi_damage_step {
+    const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
+    sfem_real a0, a1, ac;
+    sfem_real *f0, *f1;       /* [nodes][3] internal forces there, brought up to date; or NULL */
+    const sfem_exec *exec;
+} sfemi_damage_step;
+
+typedef struct sfemi_damage_change {
+    sfem_real psi0, psi1, cross; /* changes of Psi(u0), Psi(u1), (u1-u0).(f(u1)-f(u0)), J */
+    sfem_real released, price;   /* what the invariant fell by; the surfaces made, J */
+    sfem_int broken, delayed;    /* edges; delayed: over the limit, but breaking would have made energy */
+    sfem_int softened;           /* edges whose zeta fell without breaking */
+    sfem_int hurt;               /* tets newly damaged */
+    sfem_int pieces;             /* more than before */
+} sfemi_damage_change;
+
+typedef struct sfemi_damage_round_job {
+    sfemi_damage *d;
+    const sfemi_damage_step *step;
+} sfemi_damage_round_job;
+
+enum { SFEMI_ROUND_TASK = 1024 }; /* edges, tets or nodes a task */
+
+static sfem_int sfemi_damage_range(sfem_int index, sfem_int count, sfem_int *end)
+{
+    *end = count - index * SFEMI_ROUND_TASK > SFEMI_ROUND_TASK ? (index + 1) * SFEMI_ROUND_TASK : count;
+    return index * SFEMI_ROUND_TASK;
+}
+
+/* The strain of an edge; in a body that turns, from its length. */
+static sfem_real sfemi_damage_edge_strain(const sfemi_bonds *g, sfem_int k, const sfem_real *u)
+{
+    const size_t i = 3 * (size_t)g->end[2 * k], j = 3 * (size_t)g->end[2 * k + 1];
+    const sfem_real *x = g->model->mesh.x, rest = g->length[k];
+    sfem_real big[3], du[3], d[3], square;
+    sfemi_sub3(x + i, x + j, big);
+    sfemi_sub3(u + i, u + j, du);
+    square = 2 * sfemi_dot3(big, du);
+    if (!g->model->turns) return square / (2 * rest * rest);
+    square += sfemi_dot3(du, du);
+    d[0] = big[0] + du[0], d[1] = big[1] + du[1], d[2] = big[2] + du[2];
+    return square / ((sqrt(sfemi_dot3(d, d)) + rest) * rest);
+}
+
+/* The mean of the strains at both ends, not the strain of the mean, which a turn would shorten. */
+static void sfemi_damage_strain_task(void *data, sfem_int index)
+{
+    const sfemi_damage_round_job *job = (const sfemi_damage_round_job *)data;
+    const sfemi_bonds *g = job->d->bonds;
+    sfem_int end, k = sfemi_damage_range(index, g->edges, &end);
+    for (; k < end; ++k) {
+        job->d->strain[k] = sfemi_damage_edge_strain(g, k, job->step->u1);
+        if (job->step->u0 != job->step->u1)
+            job->d->strain[k] =
+                job->d->strain[k] / 2 + sfemi_damage_edge_strain(g, k, job->step->u0) / 2;
+    }
+}
+
+/* Broken edges store nothing, unless pressed and closed: Psi_e <= tr S/2 sum e^2 over the others. */
+static void sfemi_damage_hot_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
+    int k;
+    for (; e < end; ++e) {
+        const sfem_int *edge = g->tet_edge + 6 * (size_t)e;
+        sfem_real square = 0;
+        for (k = 0; k < 6; ++k) {
+            const sfem_real s = d->strain[edge[k]];
+            if (d->kind[e] == SFEMI_INTACT || d->zeta[edge[k]] > 0 || (g->def.closure && s < 0))
+                square += s * s;
+        }
+        d->hot[e] = !(square < g->quiet[e]) ||
+                    (d->kind[e] != SFEMI_INTACT && g->def.criterion == SFEM_BREAK_STRESS);
+    }
+}
+
+/* Edges that may break: stretched, whole, and in a tet that is not quiet. */
+static void sfemi_damage_near_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
+    for (; k < end; ++k) {
+        d->near_hot[k] = 0;
+        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k]) continue;
+        for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_hot[k]; ++i)
+            d->near_hot[k] = d->hot[g->edge_tet[i] / 6];
+    }
+}
+
+/* s = S_d e of a tet, and the diagonal of S_d. */
+static void sfemi_damage_tet_stress(const sfemi_damage *d, sfem_int e, const sfem_damage_tet *tet,
+                                    sfem_real s[6], sfem_real diagonal[6])
+{
+    const sfem_real *s_d = d->s + 36 * (size_t)e;
+    sfem_real strain[6], zeta[6], closed[36];
+    int k, l;
+    for (k = 0; k < 6; ++k) strain[k] = d->strain[d->bonds->tet_edge[6 * e + k]];
+    if (d->kind[e] == SFEMI_INTACT) {
+        sfem_real eps[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, sigma[9], *at;
+        for (k = 0; k < 6; ++k) {
+            const sfem_real *a, *b, p = sfemi_damage_unit(tet, k, &a, &b) * strain[k] / 2;
+            for (l = 0, at = eps; l < 9; ++l, ++at) *at += p * (a[l / 3] * b[l % 3] + b[l / 3] * a[l % 3]);
+        }
+        sfemi_law_hooke(tet->lambda, tet->mu, eps, sigma);
+        for (k = 0; k < 6; ++k) {
+            const sfem_real *a, *b, p = sfemi_damage_unit(tet, k, &a, &b);
+            for (l = 0, s[k] = 0; l < 9; ++l) s[k] += p * a[l / 3] * sigma[l] * b[l % 3];
+            diagonal[k] = sfemi_damage_entry(tet, k, k);
+        }
+        return;
+    }
+    if (d->bonds->def.closure) {
+        sfemi_damage_zetas(d, e, zeta);
+        sfemi_damage_close(tet, zeta, strain, closed);
+        s_d = closed;
+    }
+    for (k = 0; k < 6; ++k) {
+        for (l = 0, s[k] = 0; l < 6; ++l) s[k] += s_d[6 * k + l] * strain[l];
+        diagonal[k] = s_d[7 * k];
+    }
+}
+
+/* sigma = T^T s = sum s_k n_k n_k^T */
+static void sfemi_damage_cauchy(const sfem_damage_tet *tet, const sfem_real s[6], sfem_real sigma[9])
+{
+    int k, i;
+    for (i = 0; i < 9; ++i)
+        for (k = 0, sigma[i] = 0; k < 6; ++k) sigma[i] += s[k] * tet->n[k][i / 3] * tet->n[k][i % 3];
+}
+
+static void sfemi_damage_weigh_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
+    int k, near_hot;
+    for (; e < end; ++e) {
+        sfem_real *s = d->stress + 6 * (size_t)e, *weight = d->weight + 6 * (size_t)e;
+        sfem_real diagonal[6], sigma[9];
+        sfem_damage_tet tet;
+        for (k = near_hot = 0; k < 6; ++k) near_hot |= d->near_hot[g->tet_edge[6 * e + k]];
+        if (!near_hot) continue;
+        sfemi_damage_tet(g->model, e, &tet);
+        sfemi_damage_tet_stress(d, e, &tet, s, diagonal);
+        sfemi_damage_cauchy(&tet, s, sigma);
+        for (k = 0; k < 6; ++k) {
+            const sfem_real *n = tet.n[k];
+            weight[k] = 0;
+            if (g->def.criterion == SFEM_BREAK_STRESS)
+                weight[k] = tet.volume * (n[0] * sfemi_dot3(sigma, n) + n[1] * sfemi_dot3(sigma + 3, n) +
+                                          n[2] * sfemi_dot3(sigma + 6, n));
+            else if (diagonal[k] > 0)
+                weight[k] = tet.volume * s[k] * s[k] / (2 * diagonal[k]);
+        }
+    }
+}
+
+/* Is the largest principal stress of some tet round edge k above the gate? */
+static int sfemi_damage_rankine(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int i;
+    if (!(g->def.rankine > 0)) return 1;
+    for (i = g->tet_start[k]; i < g->tet_start[k + 1]; ++i) {
+        const sfem_int e = g->edge_tet[i] / 6;
+        sfem_real sigma[9], w[3], v[9];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(g->model, e, &tet);
+        sfemi_damage_cauchy(&tet, d->stress + 6 * (size_t)e, sigma);
+        sfemi_sym_eigen(3, sigma, w, v);
+        if (w[0] >= g->def.rankine) return 1;
+    }
+    return 0;
+}
+
+static void sfemi_damage_ratio_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    const sfem_damage_def *def = &g->def;
+    sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
+    for (; k < end; ++k) {
+        sfem_real sum = 0, pull = 0, volume = 0;
+        d->ratio[k] = 0;
+        if (!d->near_hot[k]) continue;
+        for (i = g->tet_start[k]; i < g->tet_start[k + 1]; ++i) {
+            const sfem_real v = g->model->volume[g->edge_tet[i] / 6];
+            sum += d->weight[g->edge_tet[i]];
+            pull += v * d->stress[g->edge_tet[i]];
+            volume += v;
+        }
+        switch (def->criterion) {
+        case SFEM_BREAK_ENERGY: sum = pull > 0 ? sum / g->price[k] : 0; break;
+        case SFEM_BREAK_STRESS: sum /= volume * def->strength * g->factor[k]; break;
+        default: sum = pull > 0 ? d->strain[k] / (def->strength * g->factor[k]) : 0;
+        }
+        d->ratio[k] = fmax(sum, 0.0);
+        if (d->ratio[k] >= 1 && !sfemi_damage_rankine(d, k)) d->ratio[k] = 0;
+    }
+}
+
+static void sfemi_damage_most_task(void *data, sfem_int index)
+{
+    sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
+    const sfemi_bonds *g = d->bonds;
+    sfem_int end, i = sfemi_damage_range(index, g->model->mesh.nodes, &end), k;
+    for (; i < end; ++i)
+        for (k = g->node_start[i], d->most[i] = 0; k < g->node_start[i + 1]; ++k)
+            d->most[i] = fmax(d->most[i], d->ratio[g->node_edge[k]]);
+}
+
+/* Is edge k the first of the edges with the largest ratio round both of its nodes? */
+static int sfemi_damage_is_peak(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    int side;
+    for (side = 0; side < 2; ++side) {
+        const sfem_int node = g->end[2 * k + side];
+        sfem_int i;
+        if (d->ratio[k] < d->most[node]) return 0;
+        for (i = g->node_start[node]; g->node_edge[i] != k; ++i) /* ascending */
+            if (d->ratio[g->node_edge[i]] >= d->ratio[k]) return 0;
+    }
+    return 1;
+}
+
+/* What one tet contributes to the invariant, and its forces at both ends. */
+static void sfemi_damage_local(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law, int kind,
+                               const sfem_real zeta[6], const sfem_real s_d[36], const sfem_real u0[12],
+                               const sfem_real u1[12], sfem_real f[24], sfem_real out[3])
+{
+    int i;
+    out[0] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u0, f);
+    out[1] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u1, f + 12);
+    for (i = 0, out[2] = 0; i < 12; ++i) out[2] += (u1[i] - u0[i]) * (f[12 + i] - f[i]);
+}
+
+/* What lowering zeta of edge k to `to` does: the sums over its tets of the changes of Psi(u0), Psi(u1),
+ * (u1-u0).(f1-f0); S_d and the changes of the forces go to d->local. */
+static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to, const sfemi_damage_step *step,
+                                  sfem_real sum[3])
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_model *model = g->model;
+    sfem_real *local = d->local;
+    sfem_int at;
+    int i;
+    sum[0] = sum[1] = sum[2] = 0;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at, local += 60) {
+        const sfem_int e = g->edge_tet[at] / 6, *t = model->mesh.tet + 4 * (size_t)e;
+        const sfem_law law = (sfem_law)model->law[e];
+        sfem_real zeta[6], u0[12], u1[12], f[24], before[3], after[3];
+        sfem_damage_tet tet;
+        unsigned mask = sfemi_damage_zetas(d, e, zeta);
+        int kind;
+        sfemi_damage_tet(model, e, &tet);
+        sfemi_damage_gather(step->u0, t, u0);
+        sfemi_damage_gather(step->u1, t, u1);
+        sfemi_damage_local(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u0, u1, f, before);
+        zeta[g->edge_tet[at] % 6] = to;
+        if (!(to > 0)) mask &= ~(1u << g->edge_tet[at] % 6);
+        kind = sfemi_damage_assess(d, &tet, zeta, mask, local);
+        sfemi_damage_local(d, &tet, law, kind, zeta, local, u0, u1, local + 36, after);
+        for (i = 0; i < 24; ++i) local[36 + i] -= f[i];
+        for (i = 0; i < 3; ++i) sum[i] += after[i] - before[i];
+    }
+}
+
+/* Makes it so. */
+static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to, const sfemi_damage_step *step,
+                                sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_real *local = d->local;
+    sfem_int at;
+    int i;
+    d->zeta[k] = to;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at, local += 60) {
+        const sfem_int e = g->edge_tet[at] / 6, *t = g->model->mesh.tet + 4 * (size_t)e;
+        sfem_real zeta[6];
+        const unsigned mask = sfemi_damage_zetas(d, e, zeta);
+        if (d->kind[e] == SFEMI_INTACT) {
+            d->fresh[d->fresh_count++] = e;
+            sfemi_damage_mask(d, e);
+            ++change->hurt;
+        }
+        memcpy(d->s + 36 * (size_t)e, local, 36 * sizeof *local);
+        d->kind[e] = sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
+        for (i = 0; i < 12; ++i) {
+            const size_t to_node = 3 * (size_t)t[i / 3] + (size_t)(i % 3);
+            if (step->f0 && step->u0 != step->u1) step->f0[to_node] += local[36 + i];
+            if (step->f1) step->f1[to_node] += local[48 + i];
+        }
+    }
+}
+
+static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason reason, sfem_real released)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_break *b = d->event + d->events;
+    int c;
+    d->event_edge[d->events++] = k;
+    for (c = 0; c < 2; ++c) b->node[c] = g->end[2 * k + c];
+    for (c = 0; c < 3; ++c)
+        b->x[c] = (g->model->mesh.x[3 * (size_t)b->node[0] + (size_t)c] +
+                   g->model->mesh.x[3 * (size_t)b->node[1] + (size_t)c]) / 2;
+    b->reason = reason;
+    b->area = g->area[k];
+    b->price = g->price[k];
+    b->released = released;
+}
+
+/* Lowers zeta of edge k to `to` unless that made energy; then it has to wait. */
+static int sfemi_damage_try(sfemi_damage *d, sfem_int k, sfem_real to, sfem_break_reason reason,
+                            const sfemi_damage_step *step, sfemi_damage_change *change)
+{
+    sfem_real sum[3], rise;
+    sfemi_damage_consider(d, k, to, step, sum);
+    rise = step->a0 * sum[0] + step->a1 * sum[1] - step->ac * sum[2];
+    if (!(rise <= 0)) {
+        ++change->delayed;
+        return 0;
+    }
+    sfemi_damage_commit(d, k, to, step, change);
+    change->psi0 += sum[0];
+    change->psi1 += sum[1];
+    change->cross += sum[2];
+    change->released -= rise;
+    if (to > 0) {
+        ++change->softened;
+        return 1;
+    }
+    d->mark[k] = 0;
+    sfemi_damage_record(d, k, reason, -rise);
+    change->price += d->bonds->price[k];
+    return 1;
+}
+
+/* The newly damaged tets join the others in ascending order. */
+static void sfemi_damage_merge(sfemi_damage *d)
+{
+    sfem_int i, j, n = 0, gap, e;
+    for (gap = d->fresh_count / 2; gap > 0; gap /= 2) /* Shell 1959 */
+        for (i = gap; i < d->fresh_count; ++i) {
+            e = d->fresh[i];
+            for (j = i; j >= gap && d->fresh[j - gap] > e; j -= gap) d->fresh[j] = d->fresh[j - gap];
+            d->fresh[j] = e;
+        }
+    if (!d->fresh_count) return;
+    for (i = j = 0; i < d->tets || j < d->fresh_count;)
+        d->merge[n++] = j == d->fresh_count || (i < d->tets && d->tet[i] < d->fresh[j]) ? d->tet[i++]
+                                                                                       : d->fresh[j++];
+    memcpy(d->tet, d->merge, (size_t)n * sizeof *d->tet);
+    d->tets = n;
+    d->fresh_count = 0;
+}
+
+/* Is edge k, which is not broken, the only link between its nodes in every tet around it? */
+static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_real zeta[6];
+    sfem_int at;
+    for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
+        const sfem_int e = g->edge_tet[at] / 6;
+        if (d->kind[e] == SFEMI_INTACT ||
+            !(sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1))
+            return 0;
+    }
+    return 1;
+}
+
+/* Breaks lone edges: no crack surface separates what they hold, and they hold next to nothing. Breaking
+ * one may leave another. d->lone: there may be some, for something broke or one had to wait. */
+static void sfemi_damage_sweep_lone(sfemi_damage *d, const sfemi_damage_step *step,
+                                    sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_real zeta[6];
+    sfem_int i;
+    int pass, k, did = d->lone || d->events;
+    for (pass = 0; pass < 10 && did; ++pass) {
+        for (i = did = d->lone = 0; i < d->tets; ++i) {
+            const sfem_int e = d->tet[i];
+            const unsigned links = sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)];
+            for (k = 0; k < 6; ++k) {
+                const sfem_int edge = g->tet_edge[6 * e + k];
+                if (!(links >> k & 1) || g->never[edge] || g->edge_tet[g->tet_start[edge]] / 6 != e)
+                    continue; /* each edge once, at its first tet */
+                if (!(d->zeta[edge] > 0) || !sfemi_damage_is_lone(d, edge)) continue;
+                if (sfemi_damage_try(d, edge, 0, SFEM_BROKE_LONE, step, change)) did = 1;
+                else d->lone = 1;
+            }
+        }
+        sfemi_damage_merge(d);
+    }
+    d->lone |= did;
+}
+
+/* zeta of a ductile edge, from the largest strain so far. */
+static sfem_real sfemi_damage_soft(const sfemi_damage *d, sfem_int k)
+{
+    const sfem_damage_def *def = &d->bonds->def;
+    const sfem_real strain = d->peak[k] / d->bonds->factor[k];
+    if (strain <= def->soften[0]) return 1;
+    return strain < def->soften[1] ? (def->soften[1] - strain) / (def->soften[1] - def->soften[0]) : 0;
+}
+
+static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
+                                sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_int k;
+    for (k = 0; k < g->edges; ++k) {
+        if (!(d->zeta[k] > 0) || g->never[k]) continue;
+        if (d->near_hot[k] && d->strain[k] > d->peak[k] && sfemi_damage_rankine(d, k))
+            d->peak[k] = d->strain[k];
+        if (sfemi_damage_soft(d, k) < d->zeta[k])
+            sfemi_damage_try(d, k, sfemi_damage_soft(d, k), SFEM_BROKE_CRITERION, step, change);
+    }
+}
+
+/* One round of breaking after a step: softening, or local maxima of the criterion at the midpoint; edges
+ * that a blade has marked; then lone edges. Every break lowers the invariant, at worst by nothing. Fills
+ * *change and d->event[0 .. d->events). What is far from breaking costs about 10 ns a tet. */
+SFEMI_UNUSED static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
+                                            sfemi_damage_change *change)
+{
+    const sfemi_bonds *g = d->bonds;
+    const sfem_int per = SFEMI_ROUND_TASK, edges = (g->edges + per - 1) / per;
+    const sfem_int tets = (g->model->mesh.tets + per - 1) / per;
+    const sfem_int pieces = d->pieces;
+    sfemi_damage_round_job job;
+    sfem_int k, i;
+    int hot;
+    memset(change, 0, sizeof *change);
+    d->events = 0;
+    job.d = d;
+    job.step = step;
+    sfemi_run(step->exec, edges, sfemi_damage_strain_task, &job);
+    sfemi_run(step->exec, tets, sfemi_damage_hot_task, &job);
+    hot = memchr(d->hot, 1, (size_t)g->model->mesh.tets) != NULL;
+    if (hot) {
+        sfemi_run(step->exec, edges, sfemi_damage_near_task, &job);
+        sfemi_run(step->exec, tets, sfemi_damage_weigh_task, &job);
+    } else {
+        memset(d->near_hot, 0, (size_t)g->edges);
+    }
+    if (d->peak) {
+        sfemi_damage_soften(d, step, change);
+    } else if (hot) {
+        sfemi_run(step->exec, edges, sfemi_damage_ratio_task, &job);
+        sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
+        for (k = 0; k < g->edges; ++k)
+            if (d->ratio[k] >= 1 && sfemi_damage_is_peak(d, k))
+                sfemi_damage_try(d, k, 0, SFEM_BROKE_CRITERION, step, change);
+    }
+    for (k = 0; k < g->edges; ++k)
+        if (d->mark[k] && d->zeta[k] > 0) sfemi_damage_try(d, k, 0, SFEM_BROKE_BLADE, step, change);
+    sfemi_damage_merge(d);
+    sfemi_damage_sweep_lone(d, step, change);
+    change->broken = d->events;
+    /* one after the other: of two that part three pieces, the first must find the other one whole */
+    for (i = 0; i < d->events; ++i) d->near_hot[d->event_edge[i]] = SFEMI_NEXT;
+    for (i = 0; i < d->events; ++i) {
+        d->near_hot[d->event_edge[i]] = 0;
+        sfemi_damage_part(d, d->event_edge[i]);
+    }
+    if (d->pieces != pieces) sfemi_damage_number_pieces(d);
+    change->pieces = d->pieces - pieces;
+    d->account[SFEMI_RELEASED] += change->released;
+    d->account[SFEMI_PRICE] += change->price;
+    d->account[SFEMI_BROKEN] += change->broken;
+    d->account[SFEMI_DELAYED] += change->delayed;
+}
+
+/* ---- a blade ---- */
+
+/* f(t) = c0 + .. + c3 t^3: the roots in [0, 1], at most 3, between its extrema by bisection. */
+static int sfemi_damage_roots(const sfem_real c[4], sfem_real root[3])
+{
+    sfem_real knot[4] = {0, 1, 1, 1}, a = 3 * c[3], b = c[2], q, r;
+    int knots = 1, i, found = 0, pass;
+    const sfem_real discriminant = b * b - a * c[1];
+    if (discriminant > 0) { /* of f'/1 = a t^2 + 2 b t + c1 */
+        q = -(b + (b < 0 ? -1 : 1) * sqrt(discriminant));
+        for (i = 0; i < 2; ++i) {
+            r = i ? (q != 0 ? c[1] / q : 0) : (a != 0 ? q / a : 0);
+            if (r > 0 && r < 1) knot[knots++] = r;
+        }
+        if (knots == 3 && knot[1] > knot[2]) r = knot[1], knot[1] = knot[2], knot[2] = r;
+    }
+    knot[knots] = 1;
+    for (i = 0; i < knots; ++i) {
+        sfem_real low = knot[i], high = knot[i + 1];
+        const sfem_real fl = ((c[3] * low + c[2]) * low + c[1]) * low + c[0];
+        const sfem_real fh = ((c[3] * high + c[2]) * high + c[1]) * high + c[0];
+        if (!((fl <= 0 && fh >= 0) || (fl >= 0 && fh <= 0)) || fl == fh) continue;
+        for (pass = 0; pass < 60; ++pass) {
+            const sfem_real mid = (low + high) / 2;
+            const sfem_real f = ((c[3] * mid + c[2]) * mid + c[1]) * mid + c[0];
+            if ((f > 0) == (fh > 0) && f != 0) high = mid;
+            else low = mid;
+        }
+        root[found++] = (low + high) / 2;
+    }
+    return found;
+}
+
+/* The cubic through the values at 0, 1/3, 2/3, 1. */
+static void sfemi_damage_cubic(const sfem_real f[4], sfem_real c[4])
+{
+    c[0] = f[0];
+    c[1] = (-11 * f[0] + 18 * f[1] - 9 * f[2] + 2 * f[3]) / 2;
+    c[2] = (18 * f[0] - 45 * f[1] + 36 * f[2] - 9 * f[3]) / 2;
+    c[3] = (-9 * f[0] + 27 * f[1] - 27 * f[2] + 9 * f[3]) / 2;
+}
+
+static void sfemi_damage_between(const sfem_real *from, const sfem_real *to, sfem_real t, int n,
+                                 sfem_real *out)
+{
+    int i;
+    for (i = 0; i < n; ++i) out[i] = from[i] + t * (to[i] - from[i]);
+}
+
+/* Does segment a b meet triangle v? Lying in its plane does not count. */
+static int sfemi_damage_stabs(const sfem_real *a, const sfem_real *b, const sfem_real v[9])
+{
+    const sfem_real da = sfemi_volume6(v, v + 3, v + 6, a), db = sfemi_volume6(v, v + 3, v + 6, b);
+    sfem_real side[3];
+    int i;
+    if ((da > 0 && db > 0) || (da < 0 && db < 0) || (da == 0 && db == 0)) return 0;
+    for (i = 0; i < 3; ++i) side[i] = sfemi_volume6(a, b, v + 3 * i, v + 3 * ((i + 1) % 3));
+    return (side[0] >= 0 && side[1] >= 0 && side[2] >= 0) || (side[0] <= 0 && side[1] <= 0 && side[2] <= 0);
+}
+
+/* Is p, which lies in the plane of triangle v, in the triangle? */
+static int sfemi_damage_inside(const sfem_real *p, const sfem_real v[9])
+{
+    sfem_real e[3], f[3], n[3], c[3], area2;
+    int i;
+    sfemi_sub3(v + 3, v, e);
+    sfemi_sub3(v + 6, v, f);
+    sfemi_cross(e, f, n);
+    area2 = sfemi_dot3(n, n);
+    for (i = 0; i < 3; ++i) {
+        sfemi_sub3(v + 3 * ((i + 1) % 3), v + 3 * i, e);
+        sfemi_sub3(p, v + 3 * i, f);
+        sfemi_cross(e, f, c);
+        if (!(sfemi_dot3(c, n) >= -1e-9 * area2)) return 0;
+    }
+    return area2 > 0;
+}
+
+/* Do segments a b and c d, which lie in one plane, meet? */
+static int sfemi_damage_meet(const sfem_real *a, const sfem_real *b, const sfem_real *c, const sfem_real *d)
+{
+    sfem_real r[3], s[3], w[3], n[3], rw[3], sw[3], n2, along, across;
+    sfemi_sub3(b, a, r);
+    sfemi_sub3(d, c, s);
+    sfemi_sub3(c, a, w);
+    sfemi_cross(r, s, n);
+    n2 = sfemi_dot3(n, n);
+    if (!(n2 > 1e-24 * sfemi_dot3(r, r) * sfemi_dot3(s, s))) return 0;
+    sfemi_cross(w, s, sw);
+    sfemi_cross(w, r, rw);
+    along = sfemi_dot3(sw, n) / n2;
+    across = sfemi_dot3(rw, n) / n2;
+    return along >= -1e-9 && along <= 1 + 1e-9 && across >= -1e-9 && across <= 1 + 1e-9;
+}
+
+/* Does a triangle whose corners move straight from `from` to `to` cross segment a b? If it does, it
+ * does so at the start or the end, or there is a first time, at which an end of the segment lies in the
+ * triangle or the segment meets one of its sides: roots of cubics [after Provot 1997]. */
+static int sfemi_damage_crosses(const sfem_real a[3], const sfem_real b[3], const sfem_real from[9],
+                                const sfem_real to[9])
+{
+    sfem_real v[4][9], f[4], c[4], root[3], now[9];
+    int i, t, event, roots;
+    if (sfemi_damage_stabs(a, b, from) || sfemi_damage_stabs(a, b, to)) return 1;
+    for (t = 0; t < 4; ++t) sfemi_damage_between(from, to, t / 3.0, 9, v[t]);
+    for (event = 0; event < 5; ++event) {
+        const int i0 = 3 * (event % 3), i1 = 3 * ((event + 1) % 3);
+        for (t = 0; t < 4; ++t)
+            f[t] = event < 3 ? sfemi_volume6(a, b, v[t] + i0, v[t] + i1)
+                             : sfemi_volume6(v[t], v[t] + 3, v[t] + 6, event == 3 ? a : b);
+        sfemi_damage_cubic(f, c);
+        roots = sfemi_damage_roots(c, root);
+        for (i = 0; i < roots; ++i) {
+            sfemi_damage_between(from, to, root[i], 9, now);
+            if (event < 3 ? sfemi_damage_meet(a, b, now + i0, now + i1)
+                          : sfemi_damage_inside(event == 3 ? a : b, now))
+                return 1;
+        }
+    }
+    return 0;
+}
+
+/* Marks every edge that the triangle from [3][3], m, crosses while its corners move to `to`, the edges
+ * where u puts them; returns how many were newly marked. They break in the rounds that follow.
+ * O(edges). */
+SFEMI_UNUSED static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u, const sfem_real from[9],
+                                              const sfem_real to[9])
+{
+    const sfemi_bonds *g = d->bonds;
+    sfem_real low[3], high[3];
+    sfem_int k, count = 0;
+    int i, c;
+    for (c = 0; c < 3; ++c) {
+        low[c] = high[c] = from[c];
+        for (i = 0; i < 3; ++i) {
+            low[c] = fmin(low[c], fmin(from[3 * i + c], to[3 * i + c]));
+            high[c] = fmax(high[c], fmax(from[3 * i + c], to[3 * i + c]));
+        }
+    }
+    for (k = 0; k < g->edges; ++k) {
+        const size_t i0 = 3 * (size_t)g->end[2 * k], i1 = 3 * (size_t)g->end[2 * k + 1];
+        const sfem_real *x = g->model->mesh.x;
+        sfem_real a[3], b[3];
+        if (!(d->zeta[k] > 0) || d->mark[k] || g->never[k] == SFEMI_NEVER) continue;
+        for (c = 0; c < 3; ++c) {
+            a[c] = x[i0 + (size_t)c] + u[i0 + (size_t)c];
+            b[c] = x[i1 + (size_t)c] + u[i1 + (size_t)c];
+            if (fmax(a[c], b[c]) < low[c] || fmin(a[c], b[c]) > high[c]) break;
+        }
+        if (c < 3 || !sfemi_damage_crosses(a, b, from, to)) continue;
+        d->mark[k] = 1;
+        ++count;
+    }
+    return count;
+}
+
+/* out [d->pieces], at displacements u and velocities v (NULL: at rest). O(nodes). */
+SFEMI_UNUSED static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const sfem_real *v,
+                                             sfem_piece *out)
+{
+    const sfem_model *model = d->bonds->model;
+    const sfem_int nodes = model->mesh.nodes;
+    sfem_int i;
+    int c;
+    memset(out, 0, (size_t)d->pieces * sizeof *out);
+    for (i = 0; i < nodes; ++i) {
+        const sfem_real m = model->node_mass[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_piece *p;
+        if (d->piece_of[i] < 0) continue;
+        p = out + d->piece_of[i];
+        if (!p->nodes++) p->first = i;
+        p->mass += m;
+        for (c = 0; c < 3; ++c) {
+            const sfem_real x = model->mesh.x[at + (size_t)c] + u[at + (size_t)c];
+            p->centre[c] += m * x;
+            if (v) p->momentum[c] += m * v[at + (size_t)c];
+            p->box[0][c] = p->nodes == 1 ? x : fmin(p->box[0][c], x);
+            p->box[1][c] = p->nodes == 1 ? x : fmax(p->box[1][c], x);
+        }
+    }
+    for (i = 0; i < d->pieces; ++i)
+        for (c = 0; c < 3; ++c) out[i].centre[c] /= out[i].mass;
+    for (i = 0; v && i < nodes; ++i) {
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], l[3];
+        sfem_piece *p;
+        if (d->piece_of[i] < 0) continue;
+        p = out + d->piece_of[i];
+        for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+        sfemi_cross(r, v + at, l);
+        for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
+    }
+}
+
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
  *
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
  * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
  * isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
- * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. All bodies of a model with the
+ * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. Unless
+ * axes are pinned one by one, or damping does not share its form, what is factored of it is the n x n
+ * matrix: a ninth of the memory, and three right sides in a solve. All bodies of a model with the
  * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
  * goes when its last body lets go. A factor never changes after it is made.
  * ============================================================================================ */
@@ -10083,6 +12688,7 @@ struct sfem_factor {
     unsigned char *mask;
     sfem_int free_nodes;
     sfem_int *node;     /* [free_nodes] their numbers in the mesh */
+    int scalar;         /* A = S (x) I, and ldl is S's */
     sfem_real *inverse; /* [free_nodes][3] if A is diagonal, else NULL */
     sfem_ldl *ldl;      /* else this */
 };
@@ -10121,6 +12727,16 @@ static void sfemi_factor_release(sfem_model *model, sfem_factor *f)
     if (left == 0) sfemi_factor_destroy(model, f);
 }
 
+/* Is A = S (x) I? */
+static int sfemi_factor_is_scalar(const sfem_model *model, const sfemi_factor_key *key)
+{
+    sfem_int i;
+    if (!key->majorant || model->block_mass || (model->damping && key->cd != 0)) return 0;
+    for (i = 0; i < model->mesh.nodes; ++i)
+        if (key->mask[i] != 0 && key->mask[i] != SFEM_AXIS_ALL) return 0;
+    return 1;
+}
+
 /* A factor in the model's list that has this key, or with `like` set, one whose analysis serves it (same
  * pins, other coefficients); retained, or NULL. */
 static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key *key, int like)
@@ -10131,7 +12747,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
     for (f = model->factors; f; f = f->next) {
         sfemi_factor_key k = *key;
         if (like) {
-            if (!f->ldl) continue;
+            if (!f->ldl || f->scalar != sfemi_factor_is_scalar(model, key)) continue;
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
@@ -10211,13 +12827,13 @@ static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, co
             if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
 }
 
-/* The rows and columns of A that are free. */
+/* The rows and columns of A that are free; of S where A = S (x) I. */
 static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_factor *f, sfem_matrix *out,
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
-    sfem_real *majorant = NULL;
+    sfem_real *majorant = NULL, block[9];
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
@@ -10227,13 +12843,15 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
     for (k = 0; k < f->free_nodes; ++k)
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
             blocks += number[model->col[at]] > 0;
-    SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, al, &row, &col, &a, err));
+    SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, f->scalar ? 1 : 9, al, &row, &col, &a, err));
     blocks = 0;
     for (k = 0; k < f->free_nodes; ++k) {
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
             if (number[model->col[at]] == 0) continue;
             col[blocks] = number[model->col[at]] - 1;
-            sfemi_factor_block(model, f, majorant, at, f->node[k], a.val + 9 * (size_t)blocks++);
+            sfemi_factor_block(model, f, majorant, at, f->node[k], block);
+            if (f->scalar) a.val[blocks++] = block[0];
+            else memcpy(a.val + 9 * (size_t)blocks++, block, sizeof block);
         }
         row[k + 1] = blocks;
     }
@@ -10259,6 +12877,7 @@ static sfem_status sfemi_factor_analyse(sfem_model *model, sfem_factor *f, const
         memcpy(x + 3 * (size_t)k, model->mesh.x + 3 * (size_t)f->node[k], 3 * sizeof *x);
     def.ordering = f->key.ordering;
     def.mixed = f->key.precision == SFEM_MIXED;
+    def.scalar = f->scalar;
     def.allocator = model->allocator;
     def.exec = *exec;
     def.x = x;
@@ -10304,6 +12923,7 @@ static sfem_status sfemi_factor_make(sfem_model *model, const sfemi_factor_key *
     f->key = *key;
     f->key.mask = f->mask;
     f->references = 1;
+    f->scalar = sfemi_factor_is_scalar(model, key);
     for (i = 0; i < model->mesh.nodes; ++i) f->free_nodes += f->mask[i] != SFEM_AXIS_ALL;
     SFEMI_NEW(sfem_int, f->node, al, f->free_nodes);
     for (i = 0; i < model->mesh.nodes; ++i)
@@ -10343,7 +12963,8 @@ static sfem_status sfemi_factor_get(sfem_model *model, const sfemi_factor_key *k
 
 static size_t sfemi_factor_work_size(const sfem_factor *f, sfem_int rhs)
 {
-    return 3 * (size_t)f->free_nodes * (size_t)rhs + (f->ldl ? sfem_ldl_work_size(f->ldl, rhs) : 0);
+    return 3 * (size_t)f->free_nodes * (size_t)rhs +
+           (f->ldl ? sfem_ldl_work_size(f->ldl, f->scalar ? 3 * rhs : rhs) : 0);
 }
 
 /* x = A^-1 b on the free axes of `rhs` vectors [nodes][3]; the held axes of x are left alone. b and x
@@ -10351,19 +12972,20 @@ static size_t sfemi_factor_work_size(const sfem_factor *f, sfem_int rhs)
 static void sfemi_factor_solve(const sfem_factor *f, sfem_int nodes, sfem_int rhs, const sfem_real *b,
                                sfem_real *x, sfem_real *work, const sfem_exec *exec)
 {
-    const size_t n = 3 * (size_t)nodes, m = 3 * (size_t)f->free_nodes;
+    const size_t n = 3 * (size_t)nodes, m = (size_t)f->free_nodes;
+    const size_t node = f->scalar ? 1 : 3, axis = f->scalar ? m : 1; /* from one to the next in work */
     sfem_int s, k;
     int c;
     for (s = 0; s < rhs; ++s)
         for (k = 0; k < f->free_nodes; ++k)
             for (c = 0; c < 3; ++c)
-                work[(size_t)s * m + 3 * (size_t)k + (size_t)c] =
+                work[(size_t)s * 3 * m + node * (size_t)k + axis * (size_t)c] =
                     f->mask[f->node[k]] >> c & 1 ? 0 : b[(size_t)s * n + 3 * (size_t)f->node[k] + (size_t)c];
-    if (f->ldl) sfem_ldl_solve(f->ldl, rhs, work, work + (size_t)rhs * m, exec);
+    if (f->ldl) sfem_ldl_solve(f->ldl, f->scalar ? 3 * rhs : rhs, work, work + (size_t)rhs * 3 * m, exec);
     for (s = 0; s < rhs; ++s)
         for (k = 0; k < f->free_nodes; ++k)
             for (c = 0; c < 3; ++c) {
-                const size_t at = (size_t)s * m + 3 * (size_t)k + (size_t)c;
+                const size_t at = (size_t)s * 3 * m + node * (size_t)k + axis * (size_t)c;
                 if (f->mask[f->node[k]] >> c & 1) continue;
                 x[(size_t)s * n + 3 * (size_t)f->node[k] + (size_t)c] =
                     f->inverse ? f->inverse[3 * k + c] * work[at] : work[at];
@@ -10399,15 +13021,27 @@ typedef struct sfemi_state_head {
     sfem_int loaded;    /* the load was ever set */
     sfem_int current;   /* f, psi and frame belong to u */
     sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
-    sfem_int unused;
+    sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
     int64_t steps, redone, descents;
+    sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
     sfem_real energy;                   /* and what it conserves */
+    sfem_real calm;     /* s */
 } sfemi_state_head;
+
+enum { SFEMI_AWAKE, SFEMI_CALM, SFEMI_ASLEEP };
 
 /* RESTARTED: as not started, but the loads have their history. */
 enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
+
+/* What has come and gone of the energy of a body that may break. */
+typedef struct sfemi_books {
+    sfem_real start, now;   /* kinetic and elastic energy in the middle of the first step and the last, J */
+    sfem_real work, damped, released, guarded; /* since then */
+    sfem_real scale;        /* the largest of all of these so far */
+    int64_t open;           /* start is known */
+} sfemi_books;
 
 /* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
  * the mean velocity over the last step for (p,q,r). */
@@ -10417,20 +13051,30 @@ typedef struct sfemi_state {
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
     sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
     sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
+    sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
+    sfemi_books *books;    /* these two only where the body may break */
+    void *damage;          /* [bytes] >>damage's own state */
 } sfemi_state;
 
-/* reals a node: u, w, a and three loads; f, f_past and frame besides */
-static size_t sfemi_state_reals(sfem_int nodes, int turns) { return (turns ? 33 : 18) * (size_t)nodes; }
-
-static size_t sfemi_state_bytes(sfem_int nodes, int turns, sfem_int pins, sfem_int handles)
+/* reals a node: u, w, a and three loads; f, f_past and frame besides; before */
+static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
 {
-    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns) * sizeof(sfem_real) +
-           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle);
+    return ((turns ? 33 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
 }
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, sfem_int pins)
+/* damage: how many bytes of it, 0 where the body cannot break */
+static size_t sfemi_state_bytes(sfem_int nodes, int turns, int sleeps, sfem_int pins, sfem_int handles,
+                                size_t damage)
+{
+    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns, sleeps) * sizeof(sfem_real) +
+           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle) +
+           (damage ? sizeof(sfemi_books) + damage : 0);
+}
+
+static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, int sleeps, sfem_int pins,
+                                sfem_int handles, size_t damage)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
@@ -10443,8 +13087,11 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->f = turns ? at + 6 * n : NULL;
     s->f_past = turns ? at + 7 * n : NULL;
     s->frame = turns ? at + 8 * n : NULL;
-    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns));
+    s->before = sleeps ? at + (turns ? 11 : 6) * n : NULL;
+    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
+    s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
+    s->damage = damage ? (void *)(s->books + 1) : NULL;
 }
 
 /* FNV-1a [Fowler, Noll, Vo 1991]. */
@@ -10654,10 +13301,14 @@ typedef struct sfemi_turn {
     sfem_int pieces;
     sfem_int *piece_of;  /* [nodes] -1: in no tet */
     sfemi_piece *piece;  /* [pieces] */
-    sfem_real *rotation; /* [tets][3][3] */
-    sfem_real *work;     /* of sfem_model_forces */
+    sfem_real *work;     /* of sfem_model_forces, */
+    sfem_real *spin;     /* [copies][12] and of the sums that follow */
+    sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
+    sfem_real *over;     /* [nodes] 1 / sum V_e */
+    sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
+    sfem_real *trace;    /* [nodes] and this */
     sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *sum;      /* [nodes][3][3], [nodes] scratch of the frames */
+    sfem_real *still;    /* [nodes][3] zeros where no law turns, else NULL */
 } sfemi_turn;
 
 /* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
@@ -10672,20 +13323,28 @@ enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
 /* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
 enum { SFEMI_MEMORY = 6 };
 
+typedef struct sfemi_guard_energies {
+    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+} sfemi_guard_energies;
+
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
     sfem_real *external;   /* the loads as the corrections weigh them */
+    sfem_real *added;      /* what the caller added to the right side */
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
     sfem_real *unit;       /* frames that do not turn */
     sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
     sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
+    sfemi_guard_energies energies; /* of the step, if measured */
+    int measured;
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
     sfem_int corrections;  /* made in the last step */
 } sfemi_guard;
+
 /* What >>implicit works with. */
 typedef struct sfemi_stage {
     sfem_real m1, m0, w1, w0, c1, c2; /* see there */
@@ -10717,6 +13376,31 @@ typedef struct sfemi_implicit {
 
 enum { SFEMI_IMPLICIT_VECTORS = 15 };
 
+/* >>renew: two factors beside that of the rest pose, one in use, one in the making. */
+typedef struct sfemi_renewal {
+    sfem_ldl *ldl[2];
+    sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
+    sfem_matrix k[2];     /* their K, turned back; on K's pattern */
+    sfem_matrix a;        /* what is factorised, free rows */
+    sfem_int *source;     /* [blocks of a] their places in K's pattern */
+    sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
+    int live;             /* 1 + the one in use, or 0 */
+    int stage;            /* SFEMI_RENEW_IDLE ... */
+    sfem_int next;        /* chunk of tets, or row of blocks */
+    sfemi_slice at;
+    double credit, flops, done;
+    sfem_real wrong, all; /* of the drift */
+    int64_t made, failed;
+} sfemi_renewal;
+
+enum {
+    SFEMI_RENEW_IDLE,
+    SFEMI_RENEW_TANGENT,
+    SFEMI_RENEW_TURN,
+    SFEMI_RENEW_MATRIX,
+    SFEMI_RENEW_FACTOR
+};
+
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
 struct sfem_body {
     sfem_allocator allocator;
@@ -10727,11 +13411,14 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    int turns;             /* a nonlinear law: >>turn and >>guard apply */
+    int turns;             /* a nonlinear law or damage: >>turn and >>guard apply */
+    int sleeps;            /* it may */
     sfemi_state state;
     sfemi_grip grip;
     sfemi_turn turn;
     sfemi_guard guard;
+    sfemi_bonds *bonds;    /* these two only where the body may break */
+    sfemi_damage *damage;
     /* prepared */
     sfem_factor *factor;
     sfem_real h, p;      /* what the factor is for */
@@ -10744,8 +13431,16 @@ struct sfem_body {
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+    sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
     sfemi_implicit implicit;
+    sfemi_renewal renewal;
 };
+
+/* The factor that steps solve with. */
+static const sfem_factor *sfemi_body_active(const sfem_body *b)
+{
+    return b->renewal.live ? &b->renewal.factor : b->factor;
+}
 
 enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 
@@ -10761,6 +13456,7 @@ static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real 
     k.q = b->def.integrator == SFEM_PQR ? b->def.q : 1;
     k.r = b->def.integrator == SFEM_PQR ? b->def.r : 1;
     if (b->def.integrator == SFEM_NEWMARK) k.q = 2 * b->def.gamma;
+    if (b->def.integrator == SFEM_KR_ALPHA) k.q = (3 - b->def.rho_inf) / ((1 + b->def.rho_inf) * (2 - b->def.rho_inf));
     return k;
 }
 
@@ -11034,7 +13730,8 @@ static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "load_steps is %d, must be 1 to 1000000", (int)n->load_steps);
     if (d->damping_force.tangent && !d->damping_force.force)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping force has a tangent, but no force");
-    if (d->damping_force.force && (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL))
+    if (d->damping_force.force &&
+        (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL || d->integrator >= SFEM_KR_ALPHA))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a damping force needs an implicit integrator");
     return SFEM_OK;
 }
@@ -11956,6 +14653,51 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
 }
 
 /* ============================================================================================
+ * >>alpha   dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
+ *
+ * CR and Gui-lambda are A b = F - D w - f(u), w' = w + h b, u' = u + h w' with A = M + h/2 D + h^2 K/lambda,
+ * lambda = 4 for CR: (1/lambda, 1, 1). Chang's u' = u + h S^-1 (M + h/2 D) v + h^2/2 S^-1 M a, S being that
+ * A with lambda = 4, and v' = v + h/2 (a + a'), M a' = F' - D v' - f(u'), is (1/4, 1, 1), too: the
+ * difference of two steps of u is S (w' - w) = h (F - f(u) - D (v + v-)/2) without v of its own. They differ
+ * from (p,q,r) by the load, F at the start of the step alone.
+ *   KR-alpha, with am = (2 rho - 1)/(1 + rho), af = rho/(1 + rho), gamma = 1/2 - am + af, beta = 1/(1 + rho)^2:
+ *   B b = F_a - D v_a - f_a - (am M + af gamma h D + af beta h^2 K) b-,   x_a = (1 - af) x + af x-,
+ *   v' = v + h b,  u' = u + h v + (1/2 + gamma) h^2 b,   B = (1 - am) M + (1 - af)(gamma h D + beta h^2 K).
+ * f_a is the mean of forces, not the force at a mean of places, which would crush what turns. v lags behind the
+ * velocity by gamma h b. With w = (u' - u)/h, the mean over the step, in its place, it is
+ *   w' = w - (gamma - 1/2) h b- + (gamma + 1/2) h b,
+ * the velocity is w + h/2 b as for (p,q,r), and so is the rest; A = B/(1 - am) is of that family, with p =
+ * 1/((1+rho)^2 (2-rho)), q = (3-rho)/((1+rho)(2-rho)), r = 1. b is the acceleration at another time than u,
+ * later by s = (am - af) h <= 0, and the weights of b and b- extrapolate to the time of u. With steps of h1, then
+ * h2, that is
+ *   s = ((am - af) h1 - am s-)/(1 - am),  w' = w - (d - (h1+h2)/2) b- + d b,
+ *   d = (h1+h2)/2 (h1 - s-)/(h1 - s- + s).
+ * A start of second order is
+ *   w' = y + (h2/2) b,  A b = F - D v0 - f,  A y = A v0 - p h2^2 K v0,
+ * which is Newmark's own for rho = 1. y in place of v0 lets modes that are not resolved move no farther than they
+ * would. In the displacements, undamped, that first step is generalized-alpha's.
+ * ============================================================================================ */
+
+/* Puts a definition of the methods that are (p,q,r) as one of it. */
+static void sfemi_alpha_translate(sfem_body_def *d)
+{
+    const int cr = d->integrator == SFEM_KR_ALPHA && d->rho_inf == 1;
+    if (d->integrator == SFEM_KR_ALPHA && !cr) d->corrections = 0;
+    if (!cr && d->integrator != SFEM_GUI && d->integrator != SFEM_CHANG) return;
+    d->p = d->integrator == SFEM_GUI ? 1 / d->gui_lambda : 0.25;
+    d->q = d->r = 1;
+    d->start = SFEM_START_NEWMARK;
+    d->plain_load = 1;
+    d->integrator = SFEM_PQR;
+}
+
+static sfem_real sfemi_alpha_p(const sfem_body *b)
+{
+    const sfem_real rho = b->def.rho_inf;
+    return 1 / ((1 + rho) * (1 + rho) * (2 - rho));
+}
+
+/* ============================================================================================
  * >>pqr   the (p,q,r) family, central difference
  *         [Yuan et al. 2017, "A novel unconditionally stable explicit integration method ..."]
  *
@@ -11978,7 +14720,36 @@ typedef struct sfemi_pqr_terms {
     sfem_real d;       /* s, see above */
     sfem_real ck, cd, ca;
     sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
+    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
+    sfem_real am, af;  /* these; zero at a start */
+    sfem_real cka;     /* K a- */
+    sfem_real lag;     /* s */
 } sfemi_pqr_terms;
+
+/* The terms of KR-alpha for steps of h1, then h2. */
+static sfemi_pqr_terms sfemi_alpha_weigh(const sfem_body *b, sfem_real h1, sfem_real h2)
+{
+    const sfem_real rho = b->def.rho_inf, gamma = (3 - rho) / (2 * (1 + rho)), beta = 1 / ((1 + rho) * (1 + rho));
+    sfem_real last;
+    sfemi_pqr_terms t;
+    memset(&t, 0, sizeof t);
+    t.cd = t.load[1] = 1;
+    t.d = h2 / 2;
+    t.lag = (0.5 - gamma) * h2; /* after a start as if all had gone on at h2: (p,q,r)'s form from then on */
+    if (!(h1 > 0)) return t;
+    t.am = (2 * rho - 1) / (1 + rho);
+    t.af = rho / (1 + rho);
+    last = fmin(b->state.head->lag, (1 - t.af) * h1 / 2); /* keeps the denominator above 0 */
+    t.lag = ((t.am - t.af) * h1 - t.am * last) / (1 - t.am);
+    t.d = (h1 + h2) / 2 * (h1 - last) / (h1 - last + t.lag);
+    t.back = t.d - (h1 + h2) / 2;
+    t.ck = t.af * h1; /* u - h1 w is where the last step started */
+    t.cka = t.af * (beta * h1 * h1);
+    t.ca = t.af * h1 / 2 - (1 - t.af) * (h1 / 2 - gamma * h2); /* the velocities are w -+ h1/2 a- */
+    t.load[1] = 1 - t.af;
+    t.load[2] = t.af;
+    return t;
+}
 
 static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
 {
@@ -11992,6 +14763,8 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
     const int running = b->state.head->started == SFEMI_RUNNING;
     const sfem_real h1 = running ? b->state.head->h : 0;
     sfemi_pqr_terms t;
+    if (b->def.integrator == SFEM_KR_ALPHA) return sfemi_alpha_weigh(b, h1, h2);
+    t.back = t.am = t.af = t.cka = t.lag = 0;
     t.d = (h1 + h2) / 2;
     t.ck = 2 * k.p * (h1 - h2);
     t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
@@ -12007,23 +14780,50 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
     return t;
 }
 
+/* What a step adds its acceleration to: b->base where there is one, else w. */
+static const sfem_real *sfemi_pqr_base(const sfem_body *b) { return b->base ? b->base : b->state.w; }
+
+/* b->base of a step that goes on; at a start, y comes from a solve. */
+static void sfemi_alpha_predict(sfem_body *b, sfem_real h, sfem_real back)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *w = b->state.w, *a = b->state.a;
+    size_t i;
+    if (b->state.head->started == SFEMI_RUNNING) {
+        for (i = 0; i < n; ++i) b->base[i] = w[i] - back * a[i];
+        return;
+    }
+    sfem_model_multiply_stiffness(b->model, w, b->rhs, &b->exec);
+    for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * h * h;
+    memset(b->base, 0, n * sizeof *b->base);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->work, &b->exec);
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->base);
+    }
+    for (i = 0; i < n; ++i) b->base[i] += w[i];
+}
+
 static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
-    int with_mass = b->alpha != 0, c;
+    const sfem_real *base = sfemi_pqr_base(b);
+    int with_mass, c;
     sfemi_pqr_terms t;
     sfem_int j;
     size_t i;
-    if (s->head->started != SFEMI_RUNNING && damped && b->p != 0.25)
+    if (s->head->started != SFEMI_RUNNING && damped && b->p != 0.25 && !b->base)
         sfemi_body_initial_acceleration(b, k.r);
     t = sfemi_pqr_weigh(b, h);
+    if (b->base) sfemi_alpha_predict(b, h, t.back);
+    with_mass = b->alpha != 0 || t.am != 0;
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
-        b->zk[i] = s->u[i] - t.ck * s->w[i] + b->beta * dv;
-        b->zm[i] = b->alpha * dv;
+        b->zk[i] = s->u[i] - t.ck * s->w[i] + t.cka * s->a[i] + b->beta * dv;
+        b->zm[i] = b->alpha * dv + t.am * s->a[i];
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
     }
@@ -12032,7 +14832,7 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
             sfem_real a;
             i = 3 * (size_t)b->pin[j] + (size_t)c;
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            a = ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
+            a = (1 - t.am) * ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
             b->acc[i] = a;
             b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * a;
             b->zm[i] += (k.r + k.q / 2 * h * b->alpha) * a;
@@ -12046,18 +14846,22 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
 static void sfemi_pqr_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
     size_t i;
-    if (!b->grip.count) return;
-    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
-    sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+    if (b->grip.count) {
+        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+        sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
+        sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+    }
+    for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
 }
 
 static void sfemi_pqr_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, d = sfemi_pqr_weigh(b, h).d;
+    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, h);
     sfemi_state *s = &b->state;
     sfem_int k;
     size_t i;
@@ -12071,10 +14875,11 @@ static void sfemi_pqr_finish(sfem_body *b)
         sfemi_hold_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
-        s->w[i] += d * b->acc[i];
+        s->w[i] = base[i] + t.d * b->acc[i];
         s->u[i] += h * s->w[i];
         s->a[i] = b->acc[i];
     }
+    s->head->lag = t.lag;
 }
 
 /* Largest eigenvalue of the symmetric tridiagonal matrix (d [k], e [k-1]) by bisection on Sturm counts. */
@@ -12241,7 +15046,7 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
  * ============================================================================================ */
 
 /* Inverse of an inertia, kept finite where it is singular; that of a piece crushed to a point, so far below
- * its inertia at rest that only rounding tells its rotation, becomes zero. */
+ * its inertia at rest that only rounding tells its rotation, becomes zero, as does that of a lone node. */
 static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real inverse[9])
 {
     sfem_real a[9], c[9], det;
@@ -12250,7 +15055,14 @@ static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real in
     for (i = 0; i < 9; i += 4) a[i] += 1e-12 * (m[0] + m[4] + m[8]);
     sfemi_cofactor3(a, c);
     det = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]);
-    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
+    for (i = 0; i < 9; ++i) inverse[i] = det > 0 && rest > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
+}
+
+/* Where rigid motions are taken: at X + u, or at X where all laws are linear. What costs no energy there,
+ * and what K does not see, are the infinitesimal rotations of the rest pose. */
+static const sfem_real *sfemi_turn_pose(const sfem_body *b, const sfem_real *u)
+{
+    return b->turn.still ? b->turn.still : u;
 }
 
 /* Mass, centre and inertia of every piece at X + u. */
@@ -12260,7 +15072,10 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
     const sfem_int nodes = model->mesh.nodes;
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
-    int c;
+    int c, held = !b->damage;
+    for (k = 0; k < t->pieces; ++k) held &= t->piece[k].held;
+    if (held) return; /* nobody asks */
+    u = sfemi_turn_pose(b, u);
     for (k = 0; k < t->pieces; ++k) {
         t->piece[k].mass = 0;
         memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
@@ -12294,21 +15109,43 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         }
 }
 
-/* The pieces' sum m |X - centre|^2. */
+/* The pieces' sum m |X - centre|^2, and 1 / sum V_e of the nodes. */
 static void sfemi_turn_weigh(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
     int c;
-    memset(b->guard.u, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->guard.u);
-    sfemi_turn_locate(b, b->guard.u);
+    memset(b->turn.over, 0, (size_t)model->mesh.nodes * sizeof *b->turn.over);
+    for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += model->volume[i / 4];
+    for (i = 0; i < model->mesh.nodes; ++i)
+        if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
+    memset(b->turn.v, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->turn.v);
+    sfemi_turn_locate(b, b->turn.v);
+    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
             const sfem_real r = model->mesh.x[3 * (size_t)i + (size_t)c] - p->centre[c];
             p->rest += model->node_mass[i] * r * r;
         }
+        if (b->turn.piece_of[i] >= 0) p->sum[0][0] += 1;
     }
+    for (i = 0; i < b->turn.pieces; ++i)
+        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+}
+
+/* Which pieces are held by pins or handles. */
+static void sfemi_turn_find_held(sfem_body *b)
+{
+    sfem_int i, k;
+    int l;
+    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
+    for (i = 0; i < b->pin_count; ++i)
+        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i)
+        for (l = 0; b->state.handle[i].used && l < 4; ++l)
+            if (b->state.handle[i].weight[l] != 0)
+                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
 }
 
 /* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
@@ -12318,6 +15155,7 @@ static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_rea
     sfemi_turn *t = &b->turn;
     sfem_int i, k;
     int c;
+    u = sfemi_turn_pose(b, u);
     for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = t->piece + t->piece_of[i];
@@ -12366,6 +15204,7 @@ static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real sc
     const sfem_model *model = b->model;
     sfem_int i;
     int c;
+    u = sfemi_turn_pose(b, u);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
         const size_t at = 3 * (size_t)i;
@@ -12406,24 +15245,53 @@ static int sfemi_turn_projects(const sfem_body *b)
     return 0;
 }
 
+/* x = Q A0^-1 Q^T x, held axes becoming 0. */
+static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real *frame, sfem_real *x)
+{
+    sfem_real *at = b->work;
+    const sfem_real *diagonal = f->inverse;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < f->free_nodes; ++k, at += 3) {
+        const sfem_real *q = frame + 9 * (size_t)f->node[k], *from = x + 3 * (size_t)f->node[k];
+        const int mask = f->mask[f->node[k]];
+        const sfem_real v0 = mask & 1 ? 0 : from[0], v1 = mask & 2 ? 0 : from[1], v2 = mask & 4 ? 0 : from[2];
+        at[0] = q[0] * v0 + q[3] * v1 + q[6] * v2;
+        at[1] = q[1] * v0 + q[4] * v1 + q[7] * v2;
+        at[2] = q[2] * v0 + q[5] * v1 + q[8] * v2;
+    }
+    if (f->ldl) sfem_ldl_solve(f->ldl, 1, b->work, at, &b->exec);
+    for (i = 0, k = 0, at = b->work; i < b->model->mesh.nodes; ++i) {
+        const sfem_real *q = frame + 9 * (size_t)i;
+        sfem_real *to = x + 3 * (size_t)i;
+        if (f->mask[i] == SFEM_AXIS_ALL) {
+            to[0] = to[1] = to[2] = 0;
+            continue;
+        }
+        for (c = 0; c < 3; ++c) {
+            if (diagonal) at[c] *= diagonal[3 * (size_t)k + (size_t)c];
+            if (f->mask[i] >> c & 1) at[c] = 0;
+        }
+        to[0] = q[0] * at[0] + q[1] * at[1] + q[2] * at[2];
+        to[1] = q[3] * at[0] + q[4] * at[1] + q[5] * at[2];
+        to[2] = q[6] * at[0] + q[7] * at[1] + q[8] * at[2];
+        at += 3;
+        ++k;
+    }
+}
+
 /* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
 static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
-    const sfem_int nodes = b->model->mesh.nodes;
     const int projects = u && sfemi_turn_projects(b);
-    sfem_int i, k;
+    sfem_int k;
     int c;
     if (projects) {
         sfemi_turn_motion(b, u, x, 0);
         sfemi_turn_add_motion(b, u, -1, 1, x);
     }
-    for (i = 0; i < nodes; ++i)
-        for (c = 0; c < 3; ++c)
-            if (b->mask[i] >> c & 1) x[3 * (size_t)i + (size_t)c] = 0;
-    sfemi_turn_rotate(frame, nodes, 1, x, x);
-    sfemi_factor_solve(f, nodes, 1, x, x, b->work, &b->exec);
-    sfemi_turn_rotate(frame, nodes, 0, x, x);
+    sfemi_turn_apply(b, f, frame, x);
     if (!projects) return;
     for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
         memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
@@ -12450,7 +15318,8 @@ static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_re
         sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
     }
     if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
-    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    else sfem_matrix_multiply(b->renewal.live ? b->renewal.k + b->renewal.live - 1 : &b->model->stiffness,
+                              z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_turn_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -12472,33 +15341,115 @@ static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[
     return 1;
 }
 
-/* Q from the tets' rotations; where it is not determined, and at nodes that are held on some axes only,
- * it stays as it was. sum [nodes][9] is scratch. */
-static void sfemi_turn_frames(sfem_body *b, const sfem_real *rotation, sfem_real *frame)
+typedef struct sfemi_frames {
+    sfem_body *body;
+    sfem_real *frame;
+    sfemi_polars_kernel kernel;
+} sfemi_frames;
+
+static void sfemi_turn_some_frames(void *data, sfem_int index)
+{
+    const sfemi_frames *job = (const sfemi_frames *)data;
+    const sfem_body *b = job->body;
+    const sfemi_turn *t = &b->turn;
+    const sfem_int nodes = b->model->mesh.nodes, first = index * SFEMI_NODE_TASK;
+    const sfem_int count = nodes - first < SFEMI_NODE_TASK ? nodes - first : SFEMI_NODE_TASK;
+    const size_t at = 9 * (size_t)first;
+    sfem_int i;
+    job->kernel(count, t->sum + at, t->over + first, t->fresh + at, t->trace + first);
+    for (i = first; i < first + count; ++i) {
+        const size_t k = 9 * (size_t)i;
+        if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
+        else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
+    }
+}
+
+/* The same with one rotation for each piece. */
+static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
+{
+    const sfemi_turn *t = &b->turn;
+    const sfem_int nodes = b->model->mesh.nodes;
+    sfem_real *sum = t->fresh, *volume = t->trace; /* there are no more pieces than nodes */
+    sfem_int i;
+    int c;
+    memset(sum, 0, 9 * (size_t)t->pieces * sizeof *sum);
+    memset(volume, 0, (size_t)t->pieces * sizeof *volume);
+    for (i = 0; i < nodes; ++i) {
+        if (t->piece_of[i] < 0) continue;
+        for (c = 0; c < 9; ++c) sum[9 * (size_t)t->piece_of[i] + (size_t)c] += t->sum[9 * (size_t)i + (size_t)c];
+        volume[t->piece_of[i]] += 1 / t->over[i];
+    }
+    for (i = 0; i < t->pieces; ++i) /* -1 in place of a volume: leave all its frames */
+        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
+    for (i = 0; i < nodes; ++i) {
+        if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
+        if (volume[t->piece_of[i]] > 0)
+            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)t->piece_of[i], 9 * sizeof *frame);
+    }
+}
+
+/* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
+ * only, it stays as it was. */
+static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
+{
+    sfemi_frames job;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT || !b->model->turns) return;
+    if (b->def.frame == SFEM_FRAME_PIECE) {
+        sfemi_turn_piece_frames(b, frame);
+        return;
+    }
+    job.body = b;
+    job.frame = frame;
+    job.kernel = sfemi_polars_pick();
+    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
+}
+
+/* y += (K_frac - K) z, small strain about rest. */
+static void sfemi_fracture_multiply(const sfem_body *b, const sfem_real *z, sfem_real *y)
 {
     const sfem_model *model = b->model;
-    const int whole = b->def.frame == SFEM_FRAME_PIECE;
-    sfem_real *sum = b->turn.sum, *volume = b->turn.sum + 9 * (size_t)model->mesh.nodes;
-    sfem_int e, i;
+    sfem_int k;
     int a, c;
-    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT) return;
-    memset(sum, 0, 10 * (size_t)model->mesh.nodes * sizeof *sum);
-    for (e = 0; e < model->mesh.tets; ++e)
+    for (k = 0; k < b->damage->tets; ++k) {
+        const sfem_int e = b->damage->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real x[12], u[12], f[12];
+        sfem_damage_tet tet;
         for (a = 0; a < 4; ++a) {
-            const sfem_int node = model->mesh.tet[4 * (size_t)e + (size_t)a];
-            const size_t to = (size_t)(whole ? b->turn.piece_of[node] : node);
-            for (c = 0; c < 9; ++c)
-                sum[9 * to + (size_t)c] += model->volume[e] * rotation[9 * (size_t)e + (size_t)c];
-            volume[to] += model->volume[e];
+            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
+            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
         }
-    for (i = 0; whole && i < b->turn.pieces; ++i) /* -1 in place of a volume: leave all its frames */
-        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        if (b->turn.piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
-        if (!whole) sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], frame + 9 * (size_t)i);
-        else if (volume[b->turn.piece_of[i]] > 0)
-            memcpy(frame + 9 * (size_t)i, sum + 9 * (size_t)b->turn.piece_of[i], 9 * sizeof *frame);
+        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
+        for (a = 0; a < 36; ++a) tet.s[a] = b->damage->s[36 * (size_t)e + (size_t)a] - tet.s[a];
+        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
+        for (a = 0; a < 4; ++a)
+            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
     }
+}
+
+/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
+ * overwritten. */
+static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const sfem_real *u = b->state.u, *frame = b->state.frame;
+    const int projects = sfemi_turn_projects(b);
+    sfem_real *sum = b->turn.v;
+    size_t i;
+    if (!b->damage || !b->damage->tets) return;
+    if (projects) {
+        sfemi_turn_motion(b, u, z, 1);
+        sfemi_turn_add_motion(b, u, -1, 0, z);
+    }
+    sfemi_turn_rotate(frame, nodes, 1, z, z);
+    memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
+    sfemi_fracture_multiply(b, z, sum);
+    sfemi_turn_rotate(frame, nodes, 0, sum, sum);
+    if (projects) {
+        sfemi_turn_motion(b, u, sum, 0);
+        sfemi_turn_add_motion(b, u, -1, 1, sum);
+    }
+    for (i = 0; i < 3 * (size_t)nodes; ++i) y[i] += sum[i];
 }
 
 /* Room for the solves with f, `rhs` at a time. */
@@ -12546,7 +15497,7 @@ done:
  *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
  * Eb is conserved exactly where the body is linear and undamped, but blind to fast modes; Ec is not, and
  * is tested loosely. They may not pass a ledger B (the least energy so far, forgotten over half a
- * second, plus the work of handles, moved pins and changing loads) by more than .01 and .3 of a scale S,
+ * second, plus the work of handles, moved pins and changing loads) by more than .02 and .3 of a scale S,
  * the energy in motion over the last second. A step that does is taken back and done again as a
  * minimisation of
  *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
@@ -12561,10 +15512,6 @@ done:
  * back in shape after a few steps at nu = .3; at nu = .49 many scattered ones stay locked in a knot.
  * ============================================================================================ */
 
-typedef struct sfemi_guard_energies {
-    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
-} sfemi_guard_energies;
-
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
 static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
                                                 const sfem_real *f1, sfem_real psi1, sfem_real h)
@@ -12573,25 +15520,28 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
     sfemi_guard_energies e;
-    sfem_real mid = 0, end = 0, stretch = 0;
+    sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
+    sfem_real stretch[3] = {0, 0, 0};
     sfem_int i, k;
-    int c;
-    memset(&e, 0, sizeof e);
+    int c, held;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfem_real m = model->node_mass[i];
-        sfem_real(*sum)[3];
+        sfem_real(*sum)[3], over;
         if (b->turn.piece_of[i] < 0) continue;
+        over = 1 / m;
         sum = b->turn.piece[b->turn.piece_of[i]].sum;
+        held = b->turn.piece[b->turn.piece_of[i]].held;
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real load = m * g[c] + s->force[1][at];
             if (b->mask[i] >> c & 1) continue;
-            e.kinetic += m / 2 * w1[at] * w1[at];
-            e.floor += h * h / 2 * load * load / m;
-            mid -= load * (s->u[at] + u1[at]) / 2;
-            end -= load * u1[at];
-            stretch += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            kinetic[c] += m * w1[at] * w1[at];
+            floor2[c] += over * load * load;
+            mid[c] -= load * (s->u[at] + u1[at]);
+            end[c] -= load * u1[at];
+            stretch[c] += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            if (held) continue;
             sum[0][c] += m * w1[at];
             sum[1][c] += load;
             sum[2][c] += m * (s->u[at] + u1[at]) / 2;
@@ -12601,21 +15551,33 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     for (k = 0; k < b->turn.pieces; ++k) {
         const sfemi_piece *p = b->turn.piece + k;
         for (c = 0; !p->held && c < 3; ++c) {
-            e.kinetic -= p->sum[0][c] * p->sum[0][c] / (2 * p->mass);
-            e.floor -= h * h / 2 * p->sum[1][c] * p->sum[1][c] / p->mass;
-            mid += p->sum[1][c] * p->sum[2][c] / p->mass;
-            end += p->sum[1][c] * p->sum[3][c] / p->mass;
+            kinetic[c] -= p->sum[0][c] * p->sum[0][c] / p->mass;
+            floor2[c] -= p->sum[1][c] * p->sum[1][c] / p->mass;
+            mid[c] += 2 * p->sum[1][c] * p->sum[2][c] / p->mass;
+            end[c] += p->sum[1][c] * p->sum[3][c] / p->mass;
         }
     }
-    e.kinetic *= r;
-    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (b->p - 0.5) / 2 * stretch + mid;
-    e.ec = e.kinetic + psi1 + end;
+    e.kinetic = r / 2 * (kinetic[0] + kinetic[1] + kinetic[2]);
+    e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
+    e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
+           (b->p - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
+    e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
     return e;
 }
 
 static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
-    return sfem_model_forces(b->model, u, b->def.precision, f, b->turn.rotation, NULL, b->turn.work, &b->exec);
+    const int turns = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
+    sfem_real *spin = turns ? b->turn.spin : NULL, *sum = turns ? b->turn.sum : NULL;
+    sfem_real psi;
+    if (b->damage && b->model->turns)
+        return sfemi_damage_total_forces(b->damage, u, b->def.precision, f, NULL, NULL, spin, sum, b->turn.work,
+                                         &b->exec);
+    if (!b->damage || !b->damage->tets)
+        return sfemi_fem_forces(b->model, b->model->chunks.block, u, b->def.precision, f, NULL, NULL, spin, sum,
+                                b->turn.work, &b->exec);
+    psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->turn.work, &b->exec);
+    return psi + sfemi_damage_forces(b->damage, u, f, NULL, NULL, &b->exec);
 }
 
 /* Forces and frames where the state was set from outside; the pieces' places. */
@@ -12626,7 +15588,7 @@ static void sfemi_guard_look(sfem_body *b)
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
-        sfemi_turn_frames(b, b->turn.rotation, b->state.frame);
+        sfemi_turn_frames(b, b->state.frame);
         head->current = 1;
         head->rebase = SFEMI_NEW_LEDGER;
     }
@@ -12646,55 +15608,6 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
     head->rebase = SFEMI_LEDGER;
-}
-
-static void sfemi_guard_predict(sfem_body *b, sfem_real h)
-{
-    const sfemi_state *s = &b->state;
-    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
-    const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
-    int stiff, c;
-    sfemi_pqr_terms t;
-    sfem_int j;
-    size_t i;
-    b->step = h;
-    sfemi_guard_refresh(b, h);
-    t = sfemi_pqr_weigh(b, h);
-    t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
-    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0;
-    for (i = 0; i < n; ++i) {
-        const sfem_real dv = damped ? t.cd * s->w[i] : 0;
-        b->zk[i] = b->beta * dv - t.ck * s->w[i];
-        b->zm[i] = b->alpha * dv;
-        if (b->zd) b->zd[i] = dv;
-        b->acc[i] = 0;
-    }
-    for (j = 0; j < b->pin_count; ++j) {
-        for (c = 0; c < 3; ++c) {
-            i = 3 * (size_t)b->pin[j] + (size_t)c;
-            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
-            b->acc[i] = ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - s->w[i]) / t.d;
-            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * b->acc[i];
-            if (b->zd) b->zd[i] += k.q / 2 * h * b->acc[i];
-            stiff |= b->acc[i] != 0;
-        }
-    }
-    if (stiff) sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
-    else memset(b->rhs, 0, n * sizeof *b->rhs);
-    for (i = 0; i < n; ++i) b->rhs[i] += s->f[i] + model->node_mass[i / 3] * b->zm[i];
-    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
-        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
-        sfem_real weight[3];
-        weight[0] = after - t.load[0];
-        weight[1] = t.load[0] + t.load[2] - after - before;
-        weight[2] = before - t.load[2];
-        memset(b->guard.external, 0, n * sizeof *b->guard.external);
-        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
-        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
-    }
-    sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
 }
 
 /* In a turned body every node has a frame of its own, so a handle has three columns for each of its nodes,
@@ -12766,21 +15679,129 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
         if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
 }
 
+/* b->base as in sfemi_alpha_predict, in the turned frames. */
+static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    size_t i;
+    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - back * s->a[i];
+    if (s->head->started == SFEMI_RUNNING) return;
+    for (i = 0; i < n; ++i) b->zk[i] = b->p * h * h * s->w[i];
+    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
+    sfemi_turn_solve(b, b->factor, s->u, s->frame, b->zm);
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_guard_hold(b, &b->grip, s->frame, b->zm);
+    }
+    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->zm[i];
+}
+
+/* KR-alpha blends forces and accelerations of two places, which have no common momentum. The rigid part of
+ * the step of a free piece is therefore made (p,q,r)'s own, N^T M (w' - w) = (h1+h2)/2 N^T (L - alpha M w')
+ * in its form of one solve. */
+static void sfemi_guard_settle_momentum(sfem_body *b)
+{
+    const sfem_real load[3] = {0, 1, 0};
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfem_int k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    for (i = 0; i < n; ++i) b->zm[i] = b->alpha * b->model->node_mass[i / 3] * b->state.w[i];
+    sfemi_body_take_from_load(b, load, b->zm, b->zm);
+    for (i = 0; i < n; ++i) b->zm[i] += b->guard.added[i];
+    sfemi_turn_motion(b, b->state.u, b->zm, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    for (i = 0; i < n; ++i) b->zm[i] = b->state.w[i] - b->base[i] - t.d * b->acc[i];
+    sfemi_turn_motion(b, b->state.u, b->zm, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] += b->turn.piece[k].kept[c] * (t.d - t.back) / b->factor->key.cm;
+    sfemi_turn_add_motion(b, b->state.u, 1 / t.d, 0, b->acc);
+}
+
+static void sfemi_guard_predict(sfem_body *b, sfem_real h)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_real *base = sfemi_pqr_base(b);
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    int stiff, c;
+    sfemi_pqr_terms t;
+    sfem_int j;
+    size_t i;
+    b->step = h;
+    sfemi_guard_refresh(b, h);
+    t = sfemi_pqr_weigh(b, h);
+    if (b->base) {
+        sfemi_guard_predict_alpha(b, h, t.back);
+        t.ck = 0; /* forces at the end of the last step are at hand */
+    } else {
+        t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+    }
+    stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
+    memset(b->acc, 0, n * sizeof *b->acc);
+    for (j = 0; j < b->pin_count; ++j)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[j] + (size_t)c;
+            if (!(b->mask[b->pin[j]] >> c & 1)) continue;
+            b->acc[i] = (1 - t.am) * ((s->pin[j].target[c] - model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
+            stiff |= b->acc[i] != 0;
+        }
+    if (stiff) {
+        const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
+        for (i = 0; i < n; ++i)
+            b->zk[i] = (b->beta * t.cd - t.ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
+        for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
+        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
+        for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
+        if (b->beta != 0) sfemi_fracture_soften(b, b->zk, b->rhs);
+    } else {
+        memcpy(b->rhs, s->f, n * sizeof *b->rhs);
+    }
+    for (i = 0; (b->alpha != 0 || t.am != 0) && i < n; ++i)
+        b->rhs[i] += model->node_mass[i / 3] *
+                     (b->alpha * t.cd * s->w[i] - (b->alpha * t.ca - t.am) * s->a[i]);
+    for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
+    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
+        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
+        sfem_real weight[3];
+        weight[0] = after - t.load[0];
+        weight[1] = t.load[0] + t.load[2] - after - before;
+        weight[2] = before - t.load[2];
+        memset(b->guard.external, 0, n * sizeof *b->guard.external);
+        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
+        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
+    }
+    sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
+    for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
+}
+
 static void sfemi_guard_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
     sfem_real *x = b->zm;
     size_t i;
     memcpy(x, b->rhs, n * sizeof *x);
+    for (i = 0; i < n; ++i) b->guard.added[i] += b->rhs[i];
     for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
-    sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, x);
+    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->state.frame, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
-    if (!b->grip.count) return;
-    for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * b->state.w[i];
-    sfemi_body_handle_gap(b, &b->grip, b->zk, h * sfemi_pqr_weigh(b, h).d);
-    sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+    if (b->grip.count) {
+        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+        sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
+        sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+    }
+    for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
+    if (b->base) sfemi_guard_settle_momentum(b);
 }
 
 /* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
@@ -12788,10 +15809,10 @@ static sfem_real sfemi_guard_advance(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d, *base = sfemi_pqr_base(b);
     size_t i;
     for (i = 0; i < n; ++i) {
-        g->w[i] = b->state.w[i] + d * b->acc[i];
+        g->w[i] = base[i] + d * b->acc[i];
         g->u[i] = b->state.u[i] + b->step * g->w[i];
     }
     return sfemi_guard_forces(b, g->u, g->f);
@@ -12837,10 +15858,14 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
         if (damped && (b->beta != 0 || b->zd))
             sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, g->grad);
         else memset(g->grad, 0, n * sizeof *g->grad);
+        if (b->damage && b->beta != 0) {
+            for (i = 0; i < n; ++i) b->zk[i] = b->beta * (running ? (s->w[i] + g->w[i]) / 2 : g->w[i]);
+            sfemi_fracture_soften(b, b->zk, g->grad);
+        }
         for (i = 0; i < n; ++i)
             g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
                           (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
-        sfemi_turn_solve(b, b->factor, s->u, s->frame, g->grad);
+        sfemi_turn_solve(b, sfemi_body_active(b), s->u, s->frame, g->grad);
         sfemi_guard_hold_correction(b, g->grad);
         for (i = 0; i < n; ++i) {
             if (b->mask[i / 3] >> (i % 3) & 1) continue;
@@ -12955,7 +15980,7 @@ static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
     sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
     int k;
-    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, b->turn.rotation, g->frame);
+    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, g->frame);
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
     for (k = 0; k < count; ++k) { /* from the last on */
         const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
@@ -13086,13 +16111,15 @@ static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
     for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
 }
 
-/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
+/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there, and
+ * that of the caller's forces. */
 static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
     const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
+    size_t i;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->pin_count; ++k)
@@ -13109,6 +16136,7 @@ static sfem_real sfemi_guard_work(sfem_body *b)
                 work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) work += g->added[i] * (g->u[i] - b->state.u[i]);
     return work;
 }
 
@@ -13199,7 +16227,7 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     status = sfemi_guard_prepare_redo(b, SFEMI_TURNED, err);
     if (status != SFEM_OK) return status;
     for (i = 0; i < n; ++i) {
-        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i];
+        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i] + g->added[i];
         g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
     }
     memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
@@ -13279,6 +16307,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
         for (i = 0; i < n; ++i)
             work += (t.load[0] * (s->force[0][i] - s->force[1][i]) + t.load[2] * (s->force[2][i] - s->force[1][i])) *
                     (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+    for (i = 0; i < n; ++i) work += g->added[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
     return work;
 }
 
@@ -13317,11 +16346,12 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     g->corrections = 0;
     g->psi = sfemi_guard_advance(b);
     if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
-    g->redone = 0;
-    if (!b->def.no_guard && b->def.integrator == SFEM_PQR) {
+    g->redone = g->measured = 0;
+    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && b->model->turns) {
         head->budget += sfemi_guard_step_work(b);
-        e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
-        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .01 * head->scale &&
+        e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        g->measured = 1;
+        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .02 * head->scale &&
                     e.ec <= head->budget + .3 * head->scale);
     }
     if (g->redone) {
@@ -13354,8 +16384,8 @@ static void sfemi_guard_finish(sfem_body *b)
     else
         for (k = 0; k < b->grip.count; ++k)
             memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
-    sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies; the redo may have moved them */
-    e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
+    if (redone) sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies */
+    e = g->measured && !redone ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
     energy = head->energy = redone ? e.ec : e.eb;
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
     moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
@@ -13368,6 +16398,7 @@ static void sfemi_guard_finish(sfem_body *b)
     if (e.floor > head->scale) head->scale = e.floor;
     head->last = e.ec;
     head->psi = psi;
+    head->lag = sfemi_pqr_weigh(b, b->step).lag;
     head->redone += redone;
     for (k = 0; k < b->pin_count; ++k) {
         sfem_real x[3];
@@ -13380,8 +16411,576 @@ static void sfemi_guard_finish(sfem_body *b)
     memcpy(s->f, g->f, n * sizeof *s->f);
     memcpy(s->u, g->u, n * sizeof *s->u);
     memcpy(s->w, g->w, n * sizeof *s->w);
-    sfemi_turn_frames(b, b->turn.rotation, s->frame);
+    sfemi_turn_frames(b, s->frame);
     head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
+}
+
+/* ---- breaking ----
+ *
+ * Edges are judged in the middle of a step from u to u', and break only where the exact local energy
+ *   (Psi + Psi')/2 - (u'-u).(f'-f)/4
+ * does not rise; after a redone step, which starts afresh from u', where Psi' does not. Then the forces at
+ * both ends are those of what is left, so that the next step goes on as if it had never been otherwise,
+ * and what the ledger counts falls by what has been released. A and its factor stay: they bound
+ * what is left of K. New pieces that nothing holds get the rigid projection of >>turn at once. */
+
+/* T + U of the step just taken, which (p,q,r) conserves where it is linear and A belongs to K:
+ * 1/2 w'.r M w' + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2, after a redo 1/2 w'.r M w' + Psi'. */
+static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real stretch = 0, sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        stretch += (g->u[i] - s->u[i]) * (g->f[i] - s->f[i]);
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
+    }
+    *kinetic = sum * sfemi_body_coefficients(b, b->p).r;
+    return *kinetic + (g->redone ? g->psi : (s->head->psi + g->psi) / 2 + (b->p - 0.5) / 2 * stretch);
+}
+
+/* The way from where the last step's energy was taken to where this one's is. */
+static sfem_real sfemi_fracture_way(const sfem_body *b, size_t i)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
+    return h1 / 2 * s->w[i] + (g->redone ? g->u[i] - s->u[i] : b->step / 2 * g->w[i]);
+}
+
+/* The work of loads, handles and moved pins in the step. */
+static sfem_real sfemi_fracture_work(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const sfem_real *gravity = s->head->gravity, *mass = b->model->node_mass;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int loaded = s->head->loaded;
+    sfem_real work = g->redone ? sfemi_guard_work(b) : 0;
+    sfem_int k;
+    size_t i;
+    int l, c;
+    for (i = 0; i < n; ++i) {
+        sfem_real load = mass[i / 3] * gravity[i % 3];
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        if (loaded && !g->redone)
+            load += t.load[0] * s->force[0][i] + t.load[1] * s->force[1][i] + t.load[2] * s->force[2][i];
+        else if (loaded) load += s->force[1][i];
+        work += load * sfemi_fracture_way(b, i);
+    }
+    if (g->redone) return work;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_handle *h = s->handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
+            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)h->node[l] + (size_t)c;
+                if (!(b->mask[i / 3] >> c & 1))
+                    work += b->grip.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
+            }
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += (s->f[i] + b->p * (b->step / t.d) * (g->f[i] - s->f[i]) +
+                     b->p * (2 - b->step / t.d) * (s->f_past[i] - s->f[i])) * sfemi_fracture_way(b, i);
+        }
+    return work;
+}
+
+/* What damping takes in the step: d w~.D w~, w~ = (w + w')/2, d the time between the means. */
+static sfem_real sfemi_fracture_damping(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int running = s->head->started == SFEMI_RUNNING;
+    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    sfem_real sum = 0;
+    size_t i;
+    if (g->redone || (b->alpha == 0 && b->beta == 0 && !b->zd)) return 0;
+    for (i = 0; i < n; ++i) {
+        const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+        b->zk[i] = b->beta * v;
+        b->zm[i] = b->beta * v;
+        if (b->zd) b->zd[i] = v;
+    }
+    if (b->beta != 0 || b->zd) {
+        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        sfemi_fracture_soften(b, b->zm, b->rhs);
+    } else {
+        memset(b->rhs, 0, n * sizeof *b->rhs);
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
+        if (b->mask[i / 3] >> (i % 3) & 1) continue;
+        sum += v * (b->rhs[i] + b->alpha * b->model->node_mass[i / 3] * v);
+    }
+    return d * sum;
+}
+
+/* Enters the step, before anything breaks. */
+static void sfemi_fracture_account(sfem_body *b)
+{
+    sfemi_books *k = b->state.books;
+    sfem_real kinetic, size;
+    const sfem_real energy = sfemi_fracture_energy(b, &kinetic);
+    if (k->open) {
+        const sfem_real work = sfemi_fracture_work(b);
+        k->work += work;
+        if (b->guard.redone) k->guarded += k->now + work - energy;
+        else k->damped += sfemi_fracture_damping(b);
+    } else {
+        k->start = energy;
+        k->open = 1;
+    }
+    k->now = energy;
+    size = fmax(fmax(fabs(energy), fabs(k->work)), fmax(k->damped, k->released + k->guarded));
+    k->scale = fmax(k->scale, size);
+}
+
+/* The pieces as >>damage has them, which of them are held, and what they weigh. */
+static void sfemi_fracture_regroup(sfem_body *b)
+{
+    b->turn.pieces = b->damage->pieces;
+    memcpy(b->turn.piece_of, b->damage->piece_of, (size_t)b->model->mesh.nodes * sizeof *b->turn.piece_of);
+    sfemi_turn_find_held(b);
+    sfemi_turn_weigh(b);
+}
+
+/* What p must be at least: damaged tets are up to `stiffening` times as stiff as intact ones, and a crack
+ * that closes is stiffer than the open one that the step started with. */
+static sfem_real sfemi_fracture_least_p(const sfem_body *b)
+{
+    sfem_real least = 0;
+    if (b->bonds && b->bonds->stiffening > 1) least = b->bonds->stiffening / 4;
+    if (b->bonds && b->bonds->def.closure) least = fmax(least, 0.5);
+    return least;
+}
+
+/* The round of breaks of a step that is taken but not yet entered in the state. */
+static void sfemi_fracture_round(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    sfemi_damage_step step;
+    sfemi_damage_change change;
+    sfem_real fallen;
+    sfemi_fracture_account(b);
+    step.u0 = g->redone ? g->u : b->state.u;
+    step.u1 = g->u;
+    step.a0 = g->redone ? 0 : 0.5;
+    step.a1 = g->redone ? 1 : 0.5;
+    step.ac = g->redone ? 0 : 0.25;
+    step.f0 = g->redone ? NULL : b->state.f;
+    step.f1 = g->f;
+    step.exec = &b->exec;
+    sfemi_damage_round(b->damage, &step, &change);
+    if (!change.broken && !change.softened) return;
+    fallen = g->redone ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
+    if (!g->redone) head->psi += change.psi0;
+    g->psi += change.psi1;
+    head->budget += fallen;
+    b->state.books->now += fallen;
+    b->state.books->released -= fallen;
+    if (change.pieces) { /* what the energies leave out, the centres' motion, is other motion now */
+        sfemi_guard_energies before, after;
+        sfemi_turn_locate(b, b->state.u);
+        before = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        sfemi_fracture_regroup(b);
+        sfemi_turn_locate(b, b->state.u);
+        after = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        head->budget += g->redone ? after.ec - before.ec : after.eb - before.eb;
+    }
+}
+
+/* ============================================================================================
+ * >>sleep   bodies at rest, whose steps cost nothing
+ *
+ * Calm is judged over a window of sleep_time: no |w| above the tolerance in any step, and |w - w before| at
+ * most a quarter of it at the end. In a swing of amplitude V and period P the latter is 2 V |cos phi|
+ * sin(pi T/P) in a window of length T about phase phi, where speeds reach V |sin phi|: where that is below
+ * the tolerance, V twice the tolerance and P < 40 T, the change is above it.
+ * ============================================================================================ */
+
+static void sfemi_sleep_rouse(sfem_body *b)
+{
+    b->state.head->sleep = SFEMI_AWAKE;
+}
+
+/* Is every |x - y| within the limit? y may be NULL: 0. */
+static int sfemi_sleep_within(const sfem_real *x, const sfem_real *y, sfem_int nodes, sfem_real limit)
+{
+    sfem_int i;
+    for (i = 0; i < nodes; ++i, x += 3) {
+        const sfem_real *o = y ? y + 3 * (size_t)i : NULL;
+        const sfem_real d[3] = {o ? x[0] - o[0] : x[0], o ? x[1] - o[1] : x[1], o ? x[2] - o[2] : x[2]};
+        if (!(sfemi_dot3(d, d) <= limit * limit)) return 0;
+    }
+    return 1;
+}
+
+/* Pins and handles rest where they are; the integrator is to start afresh, the loads having been these. */
+static void sfemi_sleep_begin(sfem_body *b)
+{
+    sfemi_state *s = &b->state;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_int k;
+    memset(s->w, 0, bytes);
+    memset(s->a, 0, bytes);
+    for (k = 0; k < b->pin_count; ++k) memcpy(s->pin[k].past, s->pin[k].target, sizeof s->pin[k].past);
+    for (k = 0; k < b->def.max_handles; ++k)
+        memcpy(s->handle[k].hold.past, s->handle[k].hold.target, sizeof s->handle[k].hold.past);
+    s->head->sleep = SFEMI_ASLEEP;
+    s->head->started = SFEMI_RESTARTED;
+    if (!b->turns) return;
+    memcpy(s->f_past, s->f, bytes);
+    s->head->energy = sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
+    s->head->rebase = SFEMI_NEW_LEDGER;
+}
+
+/* After a step: is it the last one? */
+static void sfemi_sleep_watch(sfem_body *b)
+{
+    sfemi_state *s = &b->state;
+    sfemi_state_head *head = s->head;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const sfem_real tolerance = b->def.sleep_tolerance;
+    if (!b->sleeps) return;
+    if (!sfemi_sleep_within(s->w, NULL, nodes, tolerance)) {
+        head->sleep = SFEMI_AWAKE;
+        return;
+    }
+    head->calm += b->step;
+    if (head->sleep == SFEMI_CALM && head->calm < b->def.sleep_time) return;
+    if (head->sleep == SFEMI_CALM && !(head->loaded && head->load_age < 2) &&
+        sfemi_sleep_within(s->w, s->before, nodes, tolerance / 4)) {
+        sfemi_sleep_begin(b);
+        return;
+    }
+    memcpy(s->before, s->w, 3 * (size_t)nodes * sizeof *s->w);
+    head->sleep = SFEMI_CALM;
+    head->calm = 0;
+}
+
+/* Before a step: a load that was set is compared with what it was, and where it is the same it was not set. */
+static void sfemi_sleep_compare_load(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    if (!b->sleeps || !s->head->loaded || s->head->load_age > 0) return;
+    if (memcmp(s->force[0], s->force[1], bytes) != 0) sfemi_sleep_rouse(b);
+    else s->head->load_age = memcmp(s->force[1], s->force[2], bytes) == 0 ? 2 : 1;
+}
+
+/* A step of a body that sleeps, if it goes on sleeping. */
+static int sfemi_sleep_step(sfem_body *b, sfem_real h)
+{
+    sfemi_state_head *head = b->state.head;
+    if (head->sleep != SFEMI_ASLEEP || !(sfemi_finite(h) && h > 0)) return 0;
+    sfemi_sleep_compare_load(b);
+    if (head->sleep != SFEMI_ASLEEP) return 0;
+    head->time += h;
+    head->h = h;
+    ++head->steps;
+    return 1;
+}
+
+SFEM_DEF int sfem_body_is_asleep(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->state.head->sleep == SFEMI_ASLEEP;
+}
+
+SFEM_DEF void sfem_body_wake(sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    sfemi_sleep_rouse(b);
+}
+
+/* ============================================================================================
+ * >>renew   a factor of the present tangent, made in slices
+ *
+ * In stages, each cut into pieces whose operations are known: the tangent by chunks of tets, in one order;
+ * its blocks turned back, Q_i^T K_ij Q_j; the matrix; its factor, front by front. Each step pays in
+ * renew_flops, and pieces are done until nothing is left of them; what the last one took too much, the
+ * next step pays. A finished factor is used from the next step on. A keeps w: A' (w' - w) = h (F - f - D w), which
+ * A (w' - w) = .. passes into; the other form that suggests itself, A' w' = A w + .., would put the
+ * difference of two stiffnesses into the momentum.
+ * ============================================================================================ */
+
+/* What a tet of the tangent, a block turned and a block of the matrix count as. */
+#define SFEMI_RENEW_TET   3000.0
+#define SFEMI_RENEW_BLOCK 110.0
+#define SFEMI_RENEW_ENTRY 30.0
+
+static void sfemi_renew_forget_columns(sfem_body *b)
+{
+    sfem_int i;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    b->grip.dirty = 1;
+}
+
+static void sfemi_renew_drop(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    if (r->live) sfemi_renew_forget_columns(b);
+    r->live = 0;
+    r->stage = SFEMI_RENEW_IDLE;
+    r->wrong = r->all = 0;
+}
+
+static void sfemi_renew_destroy(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    const int64_t made = r->made, failed = r->failed;
+    int k;
+    sfemi_renew_drop(b);
+    for (k = 0; k < 2; ++k) {
+        sfem_ldl_free(r->ldl[k]);
+        sfemi_delete(&b->allocator, r->k[k].val);
+    }
+    sfem_matrix_free(&r->a, &b->model->allocator);
+    sfemi_delete(&b->allocator, r->source);
+    sfemi_delete(&b->allocator, r->u);
+    memset(r, 0, sizeof *r);
+    r->made = made;
+    r->failed = failed;
+}
+
+static int sfemi_renew_serves(const sfem_body *b)
+{
+    return b->turns && b->def.renew_flops > 0 && b->def.integrator == SFEM_PQR &&
+           b->def.frame != SFEM_FRAME_MAJORANT;
+}
+
+/* Room for renewals of f. */
+static sfem_status sfemi_renew_reserve(sfem_body *b, const sfem_factor *f, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    sfemi_renewal *r = &b->renewal;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    if (!sfemi_renew_serves(b) || !f->ldl || r->source) return SFEM_OK;
+    SFEMI_TRY(sfemi_factor_matrix(model, f, &r->a, err));
+    SFEMI_NEW(sfem_real, r->u, &b->allocator, 4 * n);
+    r->frame = r->u + n;
+    for (k = 0; k < 2; ++k) {
+        r->k[k] = model->stiffness;
+        r->k[k].val = NULL;
+        SFEMI_NEW(sfem_real, r->k[k].val, &b->allocator, values);
+        (void)SFEMI_ATOMIC_ADD(&f->ldl->symbolic->references, 1);
+        SFEMI_TRY(sfemi_ldl_make(f->ldl, f->ldl->symbolic, NULL, &r->ldl[k], err));
+    }
+    SFEMI_NEW(sfem_int, r->source, &b->allocator, (size_t)r->a.row[r->a.n] + 1);
+    for (k = 0; k < f->free_nodes; ++k)
+        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
+            if (f->mask[model->col[at]] != SFEM_AXIS_ALL) r->source[count++] = at;
+done:
+    if (status != SFEM_OK) sfemi_renew_destroy(b);
+    return status;
+}
+
+static size_t sfemi_renew_bytes(const sfem_body *b)
+{
+    const sfemi_renewal *r = &b->renewal;
+    const size_t blocks = (size_t)b->model->row[b->model->mesh.nodes];
+    sfem_ldl_info info;
+    if (!r->source) return 0;
+    info = sfem_ldl_get_info(r->ldl[0]);
+    return 2 * (info.factor_bytes + info.work_bytes) + 76 * (size_t)r->a.row[r->a.n] +
+           (18 * blocks + 12 * (size_t)b->model->mesh.nodes) * sizeof(sfem_real);
+}
+
+static void sfemi_renew_begin(sfem_body *b, const sfem_matrix *k)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, blocks = (size_t)model->row[model->mesh.nodes];
+    sfemi_renewal *r = &b->renewal;
+    const int to = r->live == 1;
+    memcpy(r->u, b->state.u, n * sizeof *r->u);
+    memcpy(r->frame, b->state.frame, 3 * n * sizeof *r->frame);
+    if (k) memcpy(r->k[to].val, k->val, 9 * blocks * sizeof *k->val);
+    else memset(r->k[to].val, 0, 9 * blocks * sizeof *r->k[to].val);
+    r->stage = k ? SFEMI_RENEW_TURN : SFEMI_RENEW_TANGENT;
+    r->next = 0;
+    r->credit = r->done = 0;
+    r->flops = (k ? 0 : SFEMI_RENEW_TET * (double)model->mesh.tets) + SFEMI_RENEW_BLOCK * (double)blocks +
+               SFEMI_RENEW_ENTRY * (double)r->a.row[r->a.n] + sfemi_slice_total(r->ldl[to]);
+    r->wrong = 0; /* the weight of the past stays, lest a single step decides */
+}
+
+/* The next chunk of tets. */
+static double sfemi_renew_tangent(sfem_body *b)
+{
+    const sfemi_chunks *c = &b->model->chunks;
+    sfemi_renewal *r = &b->renewal;
+    sfemi_tangents job;
+    sfem_int chunk;
+    job.model = b->model;
+    job.u = r->u;
+    job.kind = SFEM_TANGENT_PSD;
+    job.val = r->k[r->live == 1].val;
+    job.chunk = c->color_chunk;
+    job.kernel = sfemi_pairs_pick();
+    chunk = job.chunk[r->next];
+    sfemi_tangents_chunk(&job, r->next);
+    if (++r->next == c->count) {
+        r->stage = SFEMI_RENEW_TURN;
+        r->next = 0;
+    }
+    return SFEMI_RENEW_TET * (chunk + 1 < c->count ? SFEMI_CHUNK_TETS
+                                                   : b->model->mesh.tets - (c->count - 1) * SFEMI_CHUNK_TETS);
+}
+
+/* Q_i^T K_ij Q_j for the next row of blocks. */
+static double sfemi_renew_turn(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfemi_renewal *r = &b->renewal;
+    const sfem_int i = r->next;
+    sfem_int at;
+    for (at = model->row[i]; at < model->row[i + 1]; ++at) {
+        sfem_real *k = r->k[r->live == 1].val + 9 * (size_t)at, half[9];
+        sfemi_mul3_tn(r->frame + 9 * (size_t)i, k, half);
+        sfemi_mul3(half, r->frame + 9 * (size_t)model->col[at], k);
+    }
+    if (++r->next == model->mesh.nodes) {
+        r->stage = SFEMI_RENEW_MATRIX;
+        r->next = 0;
+    }
+    return SFEMI_RENEW_BLOCK * (double)(model->row[i + 1] - model->row[i]);
+}
+
+/* The next row of the matrix, as sfemi_factor_matrix makes it. */
+static double sfemi_renew_matrix(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfem_factor *f = b->factor;
+    sfemi_renewal *r = &b->renewal;
+    const int to = r->live == 1;
+    const sfem_int row = r->next, i = f->node[row];
+    sfem_int at;
+    int p, q;
+    for (at = r->a.row[row]; at < r->a.row[row + 1]; ++at) {
+        const sfem_int from = r->source[at], j = model->col[from];
+        const sfem_real *k = r->k[to].val + 9 * (size_t)from;
+        sfem_real *a = r->a.val + 9 * (size_t)at;
+        sfemi_fem_block(model, from, i, 0, f->key.cm, f->key.cd, a);
+        for (p = 0; p < 9; ++p) a[p] += f->key.ck * k[p];
+        for (p = 0; p < 3; ++p)
+            for (q = 0; q < 3; ++q)
+                if (((f->mask[i] >> p & 1) || (f->mask[j] >> q & 1)) && !(i == j && p == q)) a[3 * p + q] = 0;
+    }
+    if (++r->next == r->a.n) {
+        r->stage = SFEMI_RENEW_FACTOR;
+        sfemi_slice_start(r->ldl[to], &r->a, &r->at);
+    }
+    return SFEMI_RENEW_ENTRY * (double)(r->a.row[row + 1] - r->a.row[row]);
+}
+
+static void sfemi_renew_swap(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    const int to = r->live == 1;
+    r->factor = *b->factor;
+    r->factor.ldl = r->ldl[to];
+    r->live = to + 1;
+    r->stage = SFEMI_RENEW_IDLE;
+    ++r->made;
+    sfemi_renew_forget_columns(b);
+}
+
+/* By what part the inertia that the factor puts in the way of the last step is wrong. */
+static void sfemi_renew_watch(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step, fade = exp(-h / .25), m = sfemi_body_coefficients(b, b->p).r;
+    const sfemi_state *s = &b->state;
+    sfemi_renewal *r = &b->renewal;
+    sfem_real wmw = 0, wkw = 0, truth = 0;
+    size_t i;
+    sfemi_turn_locate(b, s->u);
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : s->w[i];
+        truth += b->zk[i] * (s->f[i] - s->f_past[i]);
+    }
+    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
+    for (i = 0; i < n; ++i) {
+        wmw += m * b->model->node_mass[i / 3] * b->zk[i] * b->zk[i]; /* turned and free of rigid motion now */
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) wkw += s->w[i] * b->zm[i];
+    }
+    r->wrong = fade * r->wrong + (b->guard.redone ? wmw + b->p * h * h * wkw
+                                                  : fabs(b->p * h * h * wkw - b->p * h * truth));
+    r->all = fade * r->all + wmw + b->p * h * h * wkw;
+}
+
+/* A step's worth of work. */
+static void sfemi_renew_advance(sfem_body *b)
+{
+    sfemi_renewal *r = &b->renewal;
+    if (!r->source) return;
+    if (b->def.renew_drift > 0) {
+        sfemi_renew_watch(b);
+        if (r->stage == SFEMI_RENEW_IDLE && r->wrong > b->def.renew_drift * r->all) sfemi_renew_begin(b, NULL);
+    }
+    if (r->stage == SFEMI_RENEW_IDLE) return;
+    r->credit += b->def.renew_flops;
+    while (r->credit > 0) {
+        const double cost = r->stage == SFEMI_RENEW_TANGENT  ? sfemi_renew_tangent(b)
+                            : r->stage == SFEMI_RENEW_TURN   ? sfemi_renew_turn(b)
+                            : r->stage == SFEMI_RENEW_MATRIX ? sfemi_renew_matrix(b)
+                                                             : sfemi_slice_next(r->ldl[r->live == 1], &r->a, &r->at);
+        if (cost < 0) {
+            ++r->failed;
+            r->stage = SFEMI_RENEW_IDLE;
+            return;
+        }
+        r->credit -= cost;
+        r->done += cost;
+        if (r->stage != SFEMI_RENEW_FACTOR || !r->ldl[r->live == 1]->valid) continue;
+        sfemi_renew_swap(b);
+        return;
+    }
+}
+
+SFEM_DEF sfem_status sfem_body_renew(sfem_body *b, const sfem_matrix *k, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    if (!sfemi_renew_serves(b))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "only a nonlinear (p,q,r) body with renew_flops > 0 renews its factor");
+    if (!b->renewal.source)
+        return sfemi_fail(err, SFEM_NOT_PREPARED, "prepare the body before its factor is renewed");
+    if (k && (k->n != model->mesh.nodes || k->row[k->n] != model->row[k->n]))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the matrix is not on the model's pattern");
+    for (i = 0; k && i < k->n; ++i)
+        if (!sfemi_all_finite(k->val + 9 * (size_t)k->row[i], 9 * (size_t)(k->row[i + 1] - k->row[i])))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the matrix is not finite at node %d", (int)i);
+    sfemi_guard_look(b);
+    sfemi_renew_begin(b, k);
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_body_drop_renewal(sfem_body *b) { sfemi_renew_drop(b); }
+
+SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *b)
+{
+    const sfemi_renewal *r = &b->renewal;
+    sfem_renewal info;
+    info.renewed = r->live > 0;
+    info.running = r->stage != SFEMI_RENEW_IDLE;
+    info.flops = r->flops;
+    info.done = r->done;
+    info.drift = r->all > 0 ? r->wrong / r->all : 0;
+    info.made = r->made;
+    info.failed = r->failed;
+    return info;
 }
 
 /* ============================================================================================
@@ -13399,22 +16998,30 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.correction_tolerance = 1e-3;
     d.gamma = 0.5;
     d.rho_inf = 0.8;
+    d.gui_lambda = 4;
     d.hht_alpha = 0.1;
     d.newton.iterations = 20;
     d.newton.tolerance = 1e-8;
     d.newton.load_steps = 1;
     d.max_handles = 16;
+    d.sleep_time = 0.5;
     return d;
 }
 
 static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
-    if ((unsigned)d->integrator > SFEM_BATHE)
+    if ((unsigned)d->integrator > SFEM_CHANG)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
+    if (!(sfemi_finite(d->gui_lambda) && d->gui_lambda > 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Gui's lambda is %g, must be > 0", d->gui_lambda);
     if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
+    if (!(sfemi_finite(d->renew_flops) && d->renew_flops >= 0 && sfemi_finite(d->renew_drift) &&
+          d->renew_drift >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "renew_flops and renew_drift (%g, %g) must be >= 0",
+                          d->renew_flops, d->renew_drift);
     if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
                           d->correction_tolerance);
@@ -13433,6 +17040,10 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha,
                           d->beta_k);
     if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    if (!(sfemi_finite(d->sleep_tolerance) && d->sleep_tolerance >= 0 && sfemi_finite(d->sleep_time) &&
+          d->sleep_time >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "sleep (below %g m/s for %g s) must be >= 0",
+                          d->sleep_tolerance, d->sleep_time);
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
@@ -13442,7 +17053,8 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 /* Is w the mean velocity over a step, not the velocity? */
 static int sfemi_body_keeps_mean(const sfem_body *b)
 {
-    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL;
+    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL ||
+           b->def.integrator == SFEM_KR_ALPHA;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
@@ -13458,7 +17070,7 @@ static void sfemi_body_reset_head(sfem_body *b, size_t bytes)
 {
     sfemi_state_head *head = b->state.head;
     memcpy(head->magic, "sfemstat", 8);
-    head->version = 1;
+    head->version = 2;
     head->size = bytes;
     head->key = sfemi_body_key(b);
 }
@@ -13542,20 +17154,25 @@ done:
 static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes, tets = (size_t)b->model->mesh.tets;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_guard *g = &b->guard;
-    sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->y, &g->grad, &g->dir,
+    sfem_real **const vector[] = {&b->turn.v, &g->u, &g->w, &g->f, &g->external, &g->added, &g->y, &g->grad, &g->dir,
                                   &g->trial_u, &g->trial_f};
     sfem_status status = SFEM_OK;
     size_t i;
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
-    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->turn.pieces);
-    SFEMI_NEW(sfem_real, b->turn.rotation, al,
-              9 * tets + sfem_model_work_size(b->model) + n / 3 + (3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
-    b->turn.work = b->turn.rotation + 9 * tets;
-    b->turn.sum = b->turn.work + sfem_model_work_size(b->model);
-    g->frame = b->turn.sum + 3 * n + n / 3;
+    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
+    if (!b->model->turns) SFEMI_NEW(sfem_real, b->turn.still, al, n);
+    SFEMI_NEW(sfem_real, b->turn.work, al,
+              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + 2 * (n / 3) +
+                  (3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
+    b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
+    b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
+    b->turn.fresh = b->turn.sum + 3 * n;
+    b->turn.over = b->turn.fresh + 3 * n;
+    b->turn.trace = b->turn.over + n / 3;
+    g->frame = b->turn.trace + n / 3;
     g->unit = g->frame + 3 * n;
     for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
     for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
@@ -13569,6 +17186,7 @@ static void sfemi_body_destroy(sfem_body *b)
     const sfem_allocator al = b->allocator;
     int k;
     sfemi_implicit_destroy(b);
+    sfemi_renew_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
     sfemi_body_free_grip(b, &b->grip);
@@ -13579,28 +17197,18 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
-    sfemi_delete(&al, b->turn.rotation);
+    sfemi_delete(&al, b->turn.work);
+    sfemi_delete(&al, b->turn.still);
+    sfemi_damage_free(b->damage);
+    sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
     sfemi_delete(&al, b->rhs);
+    sfemi_delete(&al, b->base);
     sfemi_delete(&al, b->work);
     sfem_model_free(b->model);
     sfemi_delete(&al, b);
-}
-
-/* Which pieces are held by pins or handles. */
-static void sfemi_body_find_held(sfem_body *b)
-{
-    sfem_int i, k;
-    int l;
-    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
-    for (i = 0; i < b->pin_count; ++i)
-        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
-    for (i = 0; i < b->def.max_handles; ++i)
-        for (l = 0; b->state.handle[i].used && l < 4; ++l)
-            if (b->state.handle[i].weight[l] != 0)
-                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
 }
 
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
@@ -13610,15 +17218,17 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
     const size_t vectors = b->model->damping ? 5 : 4;
     sfem_status status = SFEM_OK;
-    size_t bytes;
+    size_t bytes, damage;
     void *block = NULL;
     SFEMI_NEW(unsigned char, b->mask, al, nodes);
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, b->pin_count, def->max_handles);
+    if (def->damage) SFEMI_TRY(sfemi_bonds_create(b->model, def->damage, al, &b->bonds, err));
+    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
+    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, b->pin_count, def->max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->pin_count);
+    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->sleeps, b->pin_count, def->max_handles, damage);
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
@@ -13626,11 +17236,18 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
+    if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    if (b->bonds) {
+        SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
+        sfemi_damage_attach(b->damage, b->state.damage);
+        sfemi_damage_reset(b->damage);
+        sfemi_fracture_regroup(b);
+    }
     if (b->turns) sfemi_turn_weigh(b);
-    if (b->turns) sfemi_body_find_held(b);
+    if (b->turns) sfemi_turn_find_held(b);
 done:
     return status;
 }
@@ -13648,13 +17265,25 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->def = *def;
     b->def.pins = NULL;
     b->def.pin_axes = NULL;
+    sfemi_alpha_translate(&b->def);
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = model->turns && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL);
+    b->turns = (model->turns && sfemi_body_keeps_mean(b)) ||
+               (def->damage && (def->integrator == SFEM_PQR || def->integrator == SFEM_CENTRAL));
+    b->sleeps = def->sleep_tolerance > 0;
+    b->def.damage = NULL;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
+    if (def->damage && !b->turns) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
+        goto done;
+    }
+    if (def->damage && model->block_mass) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
+        goto done;
+    }
     if (b->turns && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
                             "a nonlinear body steps with lumped mass only: a consistent one does not turn");
@@ -13681,7 +17310,7 @@ static void sfemi_body_held_changed(sfem_body *b)
     int changed = 0;
     if (!b->turns) return;
     for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
-    sfemi_body_find_held(b);
+    sfemi_turn_find_held(b);
     for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
@@ -13702,13 +17331,13 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_grip_columns(b->factor, b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
+            sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->turns, g->y[i],
                                b->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    for (i = 0; b->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
+    for (i = 0; b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
         SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
@@ -13743,14 +17372,20 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     if (sfemi_pqr_needs_omega(b) && b->omega_max == 0) status = sfemi_pqr_find_omega(b, err);
     if (status != SFEM_OK) return status;
     if (b->def.integrator > SFEM_CENTRAL) {
-        *p = 0;
+        *p = b->base ? sfemi_alpha_p(b) : 0;
         return SFEM_OK;
     }
     *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
          : b->def.integrator == SFEM_CENTRAL ? 0
                                              : b->def.p;
     if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
-    if (*p < 0) *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
+    if (*p < 0) {
+        *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
+        *p = fmax(*p, sfemi_fracture_least_p(b));
+    }
+    if (*p < sfemi_fracture_least_p(b))
+        return sfemi_fail(err, SFEM_UNSTABLE, "p is %g, but what this body's damage can stiffen asks for %g", *p,
+                          sfemi_fracture_least_p(b));
     limit = sfemi_pqr_stable_step(b, *p);
     if (limit > 0 && h > limit)
         return sfemi_fail(err, SFEM_UNSTABLE, "a step of %g s is beyond the stable one, %g s", h, limit);
@@ -13809,10 +17444,12 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
         if (status != SFEM_OK) return status;
         status = sfemi_body_reserve_work(b, f, 1, err);
+        if (status == SFEM_OK) status = sfemi_renew_reserve(b, f, err);
         if (status != SFEM_OK) {
             sfemi_factor_release(b->model, f);
             return status;
         }
+        sfemi_renew_drop(b);
         sfemi_body_adopt(b, f);
         b->h = h;
         b->p = p;
@@ -13831,6 +17468,8 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
         if (status != SFEM_OK) return status;
     }
     b->step = h;
+    if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
+    sfemi_sleep_compare_load(b);
     if (b->turns) sfemi_guard_predict(b, h);
     else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
@@ -13896,6 +17535,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
         if (status != SFEM_OK) return status;
     }
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    if (b->damage) sfemi_fracture_round(b);
     if (b->turns) sfemi_guard_finish(b);
     else sfemi_body_finish_linear(b);
     for (i = 0; i < g->count; ++i)
@@ -13904,12 +17544,17 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->state.head->h = b->step;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
+    sfemi_sleep_watch(b);
+    sfemi_renew_advance(b);
     return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
-    sfem_status status = sfem_body_predict(b, h, err);
+    sfem_status status;
+    SFEM_ASSERT(b);
+    if (sfemi_sleep_step(b, h)) return SFEM_OK;
+    status = sfem_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
     return status;
@@ -13984,6 +17629,8 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], sfem_error *err)
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
+    if (memcmp(b->state.head->gravity, g, 3 * sizeof *g) == 0) return SFEM_OK;
+    sfemi_sleep_rouse(b);
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
     if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
@@ -14029,6 +17676,8 @@ static void sfemi_body_restart(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     sfem_int i;
+    sfemi_sleep_rouse(b);
+    sfemi_renew_drop(b);
     memset(b->state.a, 0, bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     memcpy(b->state.force[2], b->state.force[0], bytes);
@@ -14036,6 +17685,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
     b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
+    if (b->damage) memset(b->state.books, 0, sizeof *b->state.books);
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -14078,8 +17728,8 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     memcpy(&head, memory, sizeof head);
     if (memcmp(head.magic, "sfemstat", 8) != 0)
         return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
-    if (head.version != 1)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 1",
+    if (head.version != 2)
+        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 2",
                           (unsigned)head.version);
     if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
@@ -14087,7 +17737,12 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
-    if (b->turns) sfemi_body_find_held(b);
+    if (b->damage) {
+        sfemi_damage_refresh(b->damage);
+        sfemi_fracture_regroup(b);
+    }
+    if (b->turns) sfemi_turn_find_held(b);
+    sfemi_renew_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     return SFEM_OK;
@@ -14104,17 +17759,24 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     unsigned char *mask = NULL;
     sfem_int *list = NULL, listed;
     void *block = NULL;
-    size_t bytes;
+    size_t bytes, damage;
     int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    bytes = sfemi_state_bytes(nodes, b->turns, listed, b->def.max_handles);
+    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
+    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, b->turns, listed);
-    memcpy(fresh.head, old.head, sizeof *old.head + sfemi_state_reals(nodes, b->turns) * sizeof(sfem_real));
+    sfemi_state_lay_out(&fresh, block, nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
+    memcpy(fresh.head, old.head,
+           sizeof *old.head + sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
+    if (damage) {
+        memcpy(fresh.books, old.books, sizeof *old.books + damage);
+        sfemi_damage_attach(b->damage, fresh.damage);
+        sfemi_damage_refresh(b->damage);
+    }
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
     sfemi_delete(al, b->pin);
@@ -14125,6 +17787,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->omega_max = 0;
     sfemi_body_reset_head(b, bytes);
     b->phase = SFEMI_IDLE;
+    sfemi_renew_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
     for (k = 0; k < SFEMI_REDOS; ++k) {
@@ -14132,6 +17795,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
         b->guard.redo[k].factor = NULL;
     }
     sfemi_body_forget_columns(b);
+    sfemi_sleep_rouse(b);
     sfemi_body_place_pins(b);
     sfemi_body_held_changed(b);
     return SFEM_OK;
@@ -14150,6 +17814,7 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_
     for (k = 0; k < b->pin_count && b->pin[k] != node; ++k) continue;
     if (k == b->pin_count)
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "node %d is not pinned", (int)node);
+    if (memcmp(b->state.pin[k].target, position, 3 * sizeof *position) != 0) sfemi_sleep_rouse(b);
     memcpy(b->state.pin[k].target, position, 3 * sizeof *position);
     return SFEM_OK;
 }
@@ -14177,6 +17842,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
     b->grip.dirty = 1;
+    sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
     *handle = k;
     return SFEM_OK;
@@ -14211,6 +17877,7 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
+    if (memcmp(b->state.handle[handle].hold.target, target, 3 * sizeof *target) != 0) sfemi_sleep_rouse(b);
     memcpy(b->state.handle[handle].hold.target, target, 3 * sizeof *target);
     return SFEM_OK;
 }
@@ -14222,6 +17889,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
     b->grip.dirty = 1;
+    sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
 }
 
@@ -14266,6 +17934,8 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
         sfemi_guard_look(b);
         sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+        for (i = 0; i < n; ++i) b->zk[i] = b->beta * v[i];
+        sfemi_fracture_soften(b, b->zk, b->rhs);
         for (i = 0; i < n; ++i)
             b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
         sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
@@ -14273,6 +17943,393 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
     }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+}
+
+/* ---- fracture ---- */
+
+SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
+{
+    const sfemi_books *k = b->state.books;
+    sfem_fracture f;
+    sfem_int i;
+    memset(&f, 0, sizeof f);
+    f.pieces = 1;
+    if (!b->damage) return f;
+    f.pieces = b->damage->pieces;
+    for (i = 0; i < b->turn.pieces; ++i) f.free_pieces += !b->turn.piece[i].held;
+    f.broken = (sfem_int)b->damage->account[SFEMI_BROKEN];
+    f.breaks = b->damage->events;
+    for (i = 0; i < b->bonds->edges; ++i) f.marked += b->damage->mark[i] && b->damage->zeta[i] > 0;
+    f.kinetic_elastic = k->now;
+    f.start = k->start;
+    f.work = k->work;
+    f.damped = k->damped;
+    f.released = k->released;
+    f.guarded = k->guarded;
+    f.error = k->now - k->start - k->work + k->damped + k->released + k->guarded;
+    f.scale = k->scale;
+    f.surface = b->damage->account[SFEMI_PRICE];
+    f.least_p = sfemi_fracture_least_p(b);
+    return f;
+}
+
+SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
+{
+    SFEM_ASSERT(b && b->damage && count);
+    *count = b->damage->events;
+    return b->damage->event;
+}
+
+SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
+{
+    SFEM_ASSERT(b && b->damage && out);
+    sfem_body_velocities(b, b->zk); /* scratch between steps */
+    sfemi_damage_pieces(b->damage, b->state.u, b->zk, out);
+}
+
+SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
+{
+    SFEM_ASSERT(b && b->damage);
+    return b->damage->piece_of;
+}
+
+/* The edge between two nodes, or -1. */
+static sfem_int sfemi_body_find_edge(const sfem_body *b, sfem_int i, sfem_int j)
+{
+    const sfemi_bonds *g = b->bonds;
+    sfem_int k;
+    if (i < 0 || j < 0 || i >= b->model->mesh.nodes || j >= b->model->mesh.nodes) return -1;
+    for (k = g->node_start[i]; k < g->node_start[i + 1]; ++k) {
+        const sfem_int *end = g->end + 2 * (size_t)g->node_edge[k];
+        if (i != j && (end[0] == j || end[1] == j)) return g->node_edge[k];
+    }
+    return -1;
+}
+
+SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *b, sfem_int i, sfem_int j)
+{
+    sfem_int edge;
+    SFEM_ASSERT(b && b->damage);
+    edge = sfemi_body_find_edge(b, i, j);
+    return edge < 0 ? 0 : b->damage->zeta[edge];
+}
+
+SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *b, sfem_int i, sfem_int j, sfem_error *err)
+{
+    sfem_int edge;
+    SFEM_ASSERT(b && b->damage);
+    edge = sfemi_body_find_edge(b, i, j);
+    if (edge < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the mesh has no edge between nodes %d and %d", (int)i, (int)j);
+    if (b->bonds->never[edge] == SFEMI_NEVER)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the edge between nodes %d and %d is unbreakable", (int)i, (int)j);
+    b->damage->mark[edge] = 1;
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const sfem_real to[9],
+                                   sfem_int *marked, sfem_error *err)
+{
+    sfem_int count;
+    SFEM_ASSERT(b && b->damage && from && to);
+    if (!sfemi_all_finite(from, 9) || !sfemi_all_finite(to, 9))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the blade's place is not finite");
+    count = sfemi_damage_cut(b->damage, b->state.u, from, to);
+    if (marked) *marked = count;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_body_heal(sfem_body *b)
+{
+    SFEM_ASSERT(b && b->damage);
+    sfemi_damage_reset(b->damage);
+    sfemi_fracture_regroup(b);
+    memset(b->state.books, 0, sizeof *b->state.books);
+    b->state.head->current = 0;
+    b->phase = SFEMI_IDLE;
+}
+
+/* ---- fragments ---- */
+
+/* Slots of the copies: nodes, then two for each edge, three for each face, four for each tet; number is
+ * the vertex made of a slot, or -1. */
+typedef struct sfemi_shards {
+    const sfem_body *b;
+    sfem_fragments out;
+    sfem_int faces, *face_of;      /* [tets][4] */
+    unsigned char *alone;          /* [tets][4] the face is on the outer surface */
+    sfem_int *number;              /* [slots]; NULL: only count */
+    size_t edge_slot, face_slot, tet_slot;
+} sfemi_shards;
+
+/* Are the ends of an edge together? */
+static int sfemi_shards_joined(const sfemi_shards *s, sfem_int tet, int edge)
+{
+    return s->b->damage->zeta[s->b->bonds->tet_edge[6 * tet + edge]] > 0;
+}
+
+/* The edge between local nodes a and b of a tet. */
+static int sfemi_shards_edge(int a, int b)
+{
+    const int low = a < b ? a : b, high = a < b ? b : a;
+    return low == 0 ? high - 1 : low + high;
+}
+
+/* Those of the nodes in `among` (bits) that intact edges among them connect with node a. */
+static int sfemi_shards_group(const sfemi_shards *s, sfem_int tet, int a, int among)
+{
+    int group = 1 << a, before = 0, i, j;
+    while (group != before) {
+        before = group;
+        for (i = 0; i < 4; ++i)
+            for (j = 0; j < 4; ++j)
+                if ((group >> i & 1) && (among >> j & 1) && i != j &&
+                    sfemi_shards_joined(s, tet, sfemi_shards_edge(i, j)))
+                    group |= 1 << j;
+    }
+    return group;
+}
+
+/* The vertex of the simplex of local nodes `among` on the side of node a. */
+static sfem_int sfemi_shards_vertex(sfemi_shards *s, sfem_int tet, int a, int among)
+{
+    const sfem_int *t = s->b->model->mesh.tet + 4 * (size_t)tet;
+    const int group = sfemi_shards_group(s, tet, a, among);
+    sfem_int nodes[4], low = -1, v;
+    int size = 0, rank = 0, i, mask = 0, other = 0;
+    size_t slot;
+    for (i = 0; i < 4; ++i) {
+        if (!(among >> i & 1)) {
+            other = i;
+            continue;
+        }
+        if (group >> i & 1) {
+            mask |= 1 << size;
+            if (low < 0 || t[i] < low) low = t[i];
+        }
+        nodes[size++] = t[i];
+    }
+    for (i = 0; i < size; ++i) rank += nodes[i] < low; /* of the group's lowest node in its simplex */
+    if (size == 1) slot = (size_t)t[a];
+    else if (size == 4) slot = s->tet_slot + 4 * (size_t)tet + (size_t)rank;
+    else if (size == 3) slot = s->face_slot + 3 * (size_t)s->face_of[4 * (size_t)tet + (size_t)other] + (size_t)rank;
+    else {
+        const int b = among & ~(1 << a);
+        const int edge = sfemi_shards_edge(a, b >> 1 == 4 ? 3 : b >> 1);
+        slot = s->edge_slot + 2 * (size_t)s->b->bonds->tet_edge[6 * tet + edge] + (size_t)rank;
+    }
+    v = s->number[slot];
+    if (v >= 0) return v;
+    v = s->number[slot] = s->out.vertices++;
+    if (!s->out.simplex) return v;
+    for (i = 0; i < 4; ++i) s->out.simplex[4 * (size_t)v + (size_t)i] = i < size ? nodes[i] : -1;
+    s->out.group[v] = (unsigned char)mask;
+    return v;
+}
+
+static void sfemi_shards_quad(sfemi_shards *s, sfem_int node, int made, sfem_int a, sfem_int b, sfem_int c,
+                              sfem_int d)
+{
+    const size_t n = (size_t)s->out.triangles;
+    s->out.triangles += 2;
+    if (!s->out.tri) return;
+    s->out.tri[3 * n] = s->out.tri[3 * n + 3] = a;
+    s->out.tri[3 * n + 1] = b;
+    s->out.tri[3 * n + 2] = s->out.tri[3 * n + 4] = c;
+    s->out.tri[3 * n + 5] = d;
+    s->out.node[n] = s->out.node[n + 1] = node;
+    s->out.made[n] = s->out.made[n + 1] = (unsigned char)made;
+}
+
+/* Numbers the faces, and finds those that only one tet has. */
+static sfem_status sfemi_shards_faces(sfemi_shards *s, const sfem_allocator *al, sfem_error *err)
+{
+    const sfem_mesh *m = &s->b->model->mesh;
+    const sfem_int all = 4 * m->tets;
+    sfem_int *key = NULL, *order = NULL, *other = NULL, *bucket = NULL, i;
+    sfem_status status = SFEM_OK;
+    SFEMI_NEW(sfem_int, key, al, 3 * (size_t)all);
+    SFEMI_NEW(sfem_int, order, al, all);
+    SFEMI_NEW(sfem_int, other, al, all);
+    SFEMI_NEW(sfem_int, bucket, al, (size_t)m->nodes + 1);
+    for (i = 0; i < all; ++i) (void)sfemi_mesh_face_key(m->tet + (size_t)(i & ~3), i & 3, key + 3 * (size_t)i);
+    sfemi_mesh_sort(key + 2, 3, all, m->nodes, NULL, order, bucket);
+    sfemi_mesh_sort(key + 1, 3, all, m->nodes, order, other, bucket);
+    sfemi_mesh_sort(key, 3, all, m->nodes, other, order, bucket);
+    for (i = 0; i < all; ++i) {
+        const int same = i > 0 && memcmp(key + 3 * (size_t)order[i], key + 3 * (size_t)order[i - 1],
+                                         3 * sizeof *key) == 0;
+        if (!same) ++s->faces;
+        s->face_of[order[i]] = s->faces - 1;
+        s->alone[order[i]] = (unsigned char)!same;
+        if (same) s->alone[order[i - 1]] = 0;
+    }
+done:
+    sfemi_delete(al, bucket);
+    sfemi_delete(al, other);
+    sfemi_delete(al, order);
+    sfemi_delete(al, key);
+    return status;
+}
+
+/* All quads: counts them, and writes them where there is room. */
+static void sfemi_shards_emit(sfemi_shards *s)
+{
+    /* the ends of an edge, then the other two nodes, so that all four are an even permutation */
+    static const unsigned char even[6][4] = {{0, 1, 2, 3}, {0, 2, 3, 1}, {0, 3, 1, 2}, {1, 2, 0, 3}, {1, 3, 2, 0}, {2, 3, 0, 1}};
+    const sfem_mesh *m = &s->b->model->mesh;
+    sfem_int e;
+    int k, side, i;
+    s->out.vertices = s->out.triangles = 0;
+    for (e = 0; e < m->tets; ++e) {
+        const sfem_int *t = m->tet + 4 * (size_t)e;
+        for (k = 0; s->b->damage->kind[e] != SFEMI_INTACT && k < 6; ++k) {
+            const unsigned char *p = even[k];
+            if (sfemi_shards_joined(s, e, k)) continue;
+            for (side = 0; side < 2; ++side) {
+                const int a = p[side], both = 1 << p[0] | 1 << p[1];
+                const sfem_int mid = sfemi_shards_vertex(s, e, a, both);
+                const sfem_int left = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 3 : 2]);
+                const sfem_int cell = sfemi_shards_vertex(s, e, a, 15);
+                const sfem_int right = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 2 : 3]);
+                sfemi_shards_quad(s, t[a], 1, mid, left, cell, right);
+            }
+        }
+        for (k = 0; k < 4; ++k)
+            for (i = 0; s->alone[4 * (size_t)e + (size_t)k] && i < 3; ++i) {
+                const unsigned char *f = sfemi_mesh_face[k];
+                const int a = f[i], next = f[(i + 1) % 3], last = f[(i + 2) % 3];
+                const sfem_int node = sfemi_shards_vertex(s, e, a, 1 << a);
+                const sfem_int to = sfemi_shards_vertex(s, e, a, 1 << a | 1 << next);
+                const sfem_int middle = sfemi_shards_vertex(s, e, a, 15 & ~(1 << k));
+                const sfem_int from = sfemi_shards_vertex(s, e, a, 1 << a | 1 << last);
+                sfemi_shards_quad(s, t[a], 0, node, to, middle, from);
+            }
+    }
+}
+
+SFEM_DEF void sfem_fragments_free(sfem_fragments *f)
+{
+    if (!f) return;
+    sfemi_delete(&f->allocator, f->tri);
+    sfemi_delete(&f->allocator, f->node);
+    sfemi_delete(&f->allocator, f->made);
+    sfemi_delete(&f->allocator, f->simplex);
+    sfemi_delete(&f->allocator, f->group);
+    memset(f, 0, sizeof *f);
+}
+
+SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *b, const sfem_allocator *allocator,
+                                         sfem_fragments *out, sfem_error *err)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_allocator al;
+    sfemi_shards s;
+    sfem_status status = SFEM_OK;
+    size_t slots, i;
+    SFEM_ASSERT(b && b->damage && out);
+    memset(&s, 0, sizeof s);
+    if (allocator) s.out.allocator = *allocator;
+    al = s.out.allocator;
+    s.b = b;
+    if (m->tets > INT32_MAX / 24) {
+        status = sfemi_fail(err, SFEM_TOO_LARGE, "the fragments of %ld tets cannot be numbered", (long)m->tets);
+        goto done;
+    }
+    SFEMI_NEW(sfem_int, s.face_of, &al, 4 * (size_t)m->tets);
+    SFEMI_NEW(unsigned char, s.alone, &al, 4 * (size_t)m->tets);
+    SFEMI_TRY(sfemi_shards_faces(&s, &al, err));
+    s.edge_slot = (size_t)m->nodes;
+    s.face_slot = s.edge_slot + 2 * (size_t)b->bonds->edges;
+    s.tet_slot = s.face_slot + 3 * (size_t)s.faces;
+    slots = s.tet_slot + 4 * (size_t)m->tets;
+    SFEMI_NEW(sfem_int, s.number, &al, slots);
+    memset(s.number, -1, slots * sizeof *s.number);
+    sfemi_shards_emit(&s);
+    SFEMI_NEW(sfem_int, s.out.tri, &al, 3 * (size_t)s.out.triangles);
+    SFEMI_NEW(sfem_int, s.out.node, &al, s.out.triangles);
+    SFEMI_NEW(unsigned char, s.out.made, &al, s.out.triangles);
+    SFEMI_NEW(sfem_int, s.out.simplex, &al, 4 * (size_t)s.out.vertices);
+    SFEMI_NEW(unsigned char, s.out.group, &al, s.out.vertices);
+    for (i = 0; i < slots; ++i) s.number[i] = -1;
+    sfemi_shards_emit(&s);
+    *out = s.out;
+done:
+    if (status != SFEM_OK) sfem_fragments_free(&s.out);
+    sfemi_delete(&al, s.number);
+    sfemi_delete(&al, s.alone);
+    sfemi_delete(&al, s.face_of);
+    return status;
+}
+
+/* The rotation of every node's intact edges, the other edges of its piece counting a little, in turn.sum. */
+static void sfemi_shards_turn(sfem_body *b)
+{
+    const sfemi_bonds *g = b->bonds;
+    const sfem_real *rest = b->model->mesh.x, *u = b->state.u;
+    sfem_real *sum = b->turn.sum, *whole = b->guard.frame;
+    sfem_int i, k;
+    int c, q;
+    memset(sum, 0, 9 * (size_t)b->model->mesh.nodes * sizeof *sum);
+    memset(whole, 0, 9 * (size_t)b->damage->pieces * sizeof *whole);
+    for (k = 0; k < g->edges; ++k) {
+        const size_t p = (size_t)g->end[2 * k], r = (size_t)g->end[2 * k + 1];
+        const size_t piece = (size_t)b->damage->piece_of[p];
+        const sfem_real weight = 1 / (g->length[k] * g->length[k]);
+        if (!(b->damage->zeta[k] > 0)) continue;
+        for (c = 0; c < 9; ++c) {
+            const sfem_real big = rest[3 * p + (size_t)(c % 3)] - rest[3 * r + (size_t)(c % 3)];
+            const size_t at = (size_t)(c / 3);
+            const sfem_real d = weight * big * (rest[3 * p + at] + u[3 * p + at] - rest[3 * r + at] - u[3 * r + at]);
+            sum[9 * p + (size_t)c] += d;
+            sum[9 * r + (size_t)c] += d;
+            whole[9 * piece + (size_t)c] += d;
+        }
+    }
+    for (k = 0; k < b->damage->pieces; ++k) {
+        sfem_real size = 1e-300;
+        for (c = 0; c < 9; ++c) size += fabs(whole[9 * (size_t)k + (size_t)c]);
+        for (c = 0; c < 9; ++c) whole[9 * (size_t)k + (size_t)c] /= size;
+        for (q = 0; q < 9; q += 4) whole[9 * (size_t)k + (size_t)q] += 1e-3; /* lone edges and nodes: as at rest */
+    }
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfem_real f[9];
+        if (b->damage->piece_of[i] < 0) continue;
+        for (c = 0; c < 9; ++c)
+            f[c] = sum[9 * (size_t)i + (size_t)c] + 0.1 * whole[9 * (size_t)b->damage->piece_of[i] + (size_t)c];
+        sfem_polar(f, sum + 9 * (size_t)i, NULL);
+    }
+}
+
+SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f, sfem_real *x)
+{
+    const sfem_real *rest = b->model->mesh.x, *u = b->state.u;
+    sfem_int v;
+    int k, c, size, members;
+    SFEM_ASSERT(b && b->damage && f && x);
+    sfemi_shards_turn(b);
+    for (v = 0; v < f->vertices; ++v) {
+        const sfem_int *node = f->simplex + 4 * (size_t)v;
+        sfem_real middle[3] = {0, 0, 0}, r[3], *to = x + 3 * (size_t)v;
+        for (size = 0; size < 4 && node[size] >= 0; ++size)
+            for (c = 0; c < 3; ++c) middle[c] += rest[3 * (size_t)node[size] + (size_t)c];
+        for (c = 0; c < 3; ++c) {
+            middle[c] /= size;
+            to[c] = 0;
+        }
+        for (k = members = 0; k < size; ++k) {
+            const size_t at = 3 * (size_t)node[k];
+            if (!(f->group[v] >> k & 1)) continue;
+            ++members;
+            sfemi_sub3(middle, rest + at, r);
+            for (c = 0; c < 3; ++c) {
+                to[c] += rest[at + (size_t)c] + u[at + (size_t)c];
+                if (f->group[v] != (1 << size) - 1) /* else these parts all but cancel */
+                    to[c] += sfemi_dot3(b->turn.sum + 3 * at + 3 * c, r);
+            }
+        }
+        for (c = 0; c < 3; ++c) to[c] /= members;
+    }
 }
 
 /* ---- statics ---- */
@@ -14406,6 +18463,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     size_t i;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
+    if (b->damage && b->damage->tets)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body with broken edges has no static solution: let it step");
     b->phase = SFEMI_IDLE;
     SFEMI_NEW(unsigned char, mask, &b->allocator, b->model->mesh.nodes);
     sfemi_body_static_mask(b, mask);
@@ -14483,7 +18542,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
         e.conserved = s->head->steps ? s->head->energy
                                      : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
     }
-    if (!running || b->turns) return e;
+    if (!running || b->turns || b->base) return e;
     if (!sfemi_body_keeps_mean(b)) {
         if (b->def.integrator != SFEM_NEWMARK) return e;
         sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
@@ -14520,16 +18579,16 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.redone = b->state.head->redone;
     info.descents = b->state.head->descents;
     info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5 : 4) * n + b->work_size) * sizeof(sfem_real);
+    info.body_bytes = (size_t)b->state.head->size + ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + b->work_size) * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i) {
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
         for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
             info.body_bytes += 3 * n * (size_t)b->guard.redo[k].grip.parts[i] * sizeof(sfem_real);
     }
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
-        info.body_bytes += (9 * (size_t)info.tets + sfem_model_work_size(b->model) + n / 3 + 19 * n +
-                            (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b);
+        info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
+                            2 * (n / 3) + 22 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
@@ -14669,7 +18728,7 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
     for (k = 0; k < s->n; ++k)
         for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
             blocks += number[m->col[at]] > 0;
-    SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, s->al, &row, &col, &s->k, err));
+    SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, 9, s->al, &row, &col, &s->k, err));
     SFEMI_NEW(sfem_real, s->mass, s->al, 3 * (size_t)s->n);
     if (m->block_mass)
         SFEMI_NEW(sfem_real, s->scalar, s->al, blocks);
@@ -16144,7 +20203,7 @@ static void sfemi_turn_coefficients(int kind, const sfem_real w[3], sfem_real *a
 }
 
 /* out = u + a w x u + b w x (w x u); with -a the transpose. out may be u. */
-static void sfemi_turn_apply(sfem_real a, sfem_real b, const sfem_real w[3], const sfem_real u[3],
+static void sfemi_warp_apply(sfem_real a, sfem_real b, const sfem_real w[3], const sfem_real u[3],
                              sfem_real out[3])
 {
     sfem_real wu[3], wwu[3];
@@ -16941,7 +21000,7 @@ static void sfemi_modal_displace(const sfem_modal *b, sfem_int node, const sfem_
     if (b->def.warp == SFEM_WARP_NONE) return;
     sfemi_modal_rotation(b, node, q, w);
     sfemi_turn_coefficients(sfemi_modal_path_kind(b), w, &k1, &k2);
-    sfemi_turn_apply(k1, k2, w, u, u);
+    sfemi_warp_apply(k1, k2, w, u, u);
 }
 
 /* What is drawn: the modes that are not 0. */
@@ -17200,7 +21259,7 @@ static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_rea
         sfem_real w[3], turned[3], k1, k2;
         b->kernels->dot3(b->stride, r->group_psi + at, q, w);
         sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
-        sfemi_turn_apply(-k1, k2, w, g, turned);
+        sfemi_warp_apply(-k1, k2, w, g, turned);
         b->kernels->add3(b->stride, r->group_phi + at, turned, f);
     }
 }
@@ -17231,7 +21290,7 @@ static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
         if (b->def.warp != SFEM_WARP_NONE) {
             sfemi_modal_rotation(b, node, q, w);
             sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
-            sfemi_turn_apply(-k1, k2, w, local, local);
+            sfemi_warp_apply(-k1, k2, w, local, local);
         }
         b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
     }
@@ -18255,7 +22314,7 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
             sfemi_modal_linear(b, node, b->q, u);
             sfemi_modal_rotation(b, node, b->v, wdot);
             sfemi_turn_coefficients(sfemi_modal_path_kind(b), rotation, &k1, &k2);
-            sfemi_turn_apply(k1, k2, rotation, v, v);
+            sfemi_warp_apply(k1, k2, rotation, v, v);
             sfemi_turn_derivative(sfemi_modal_path_kind(b), rotation, u, change);
             sfemi_turn_vector(change, wdot, wdot);
             for (c = 0; c < 3; ++c) v[c] += wdot[c];
@@ -18385,6 +22444,693 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
 /* ============================================================================================
  * >>link   packets of accelerations, key frames
  * ============================================================================================ */
+
+enum {
+    SFEMI_LINK_HEAD = 32,
+    SFEMI_LINK_VERSION = 1,
+    SFEMI_LINK_ACCELERATIONS = 1,
+    SFEMI_LINK_KEY = 2
+};
+
+/* CRC-32 by four bytes at a time: table[k][b] is what the byte b does k bytes later [Sarwate 1988;
+ * Kounavis, Berry 2005]. In the object, because constants of 4 KB are for machines to write. */
+typedef struct sfemi_link_crc {
+    uint32_t table[4][256];
+} sfemi_link_crc;
+
+static void sfemi_link_crc_make(sfemi_link_crc *crc)
+{
+    uint32_t b, c;
+    int k;
+    for (b = 0; b < 256; ++b) {
+        for (c = b, k = 0; k < 8; ++k) c = c & 1 ? c >> 1 ^ 0xedb88320u : c >> 1;
+        crc->table[0][b] = c;
+    }
+    for (b = 0; b < 256; ++b)
+        for (k = 1; k < 4; ++k) {
+            c = crc->table[k - 1][b];
+            crc->table[k][b] = c >> 8 ^ crc->table[0][c & 255];
+        }
+}
+
+/* Little-endian on any machine; compilers make one move of each. */
+static void sfemi_link_put(unsigned char *p, uint32_t x)
+{
+    p[0] = (unsigned char)(x & 255);
+    p[1] = (unsigned char)(x >> 8 & 255);
+    p[2] = (unsigned char)(x >> 16 & 255);
+    p[3] = (unsigned char)(x >> 24);
+}
+
+static uint32_t sfemi_link_get(const unsigned char *p)
+{
+    return (uint32_t)p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
+}
+
+static uint32_t sfemi_link_checksum(const sfemi_link_crc *crc, const unsigned char *p, size_t bytes)
+{
+    uint32_t c = 0xffffffffu;
+    for (; bytes >= 4; bytes -= 4, p += 4) {
+        c ^= sfemi_link_get(p);
+        c = crc->table[3][c & 255] ^ crc->table[2][c >> 8 & 255] ^ crc->table[1][c >> 16 & 255] ^
+            crc->table[0][c >> 24];
+    }
+    for (; bytes; --bytes, ++p) c = c >> 8 ^ crc->table[0][(c ^ *p) & 255];
+    return ~c;
+}
+
+static void sfemi_link_put_real(unsigned char *p, sfem_real x, int bytes)
+{
+    uint64_t wide;
+    uint32_t narrow;
+    const float single = bytes == 4 ? (float)x : 0.0f;
+    memcpy(&wide, &x, sizeof wide);
+    memcpy(&narrow, &single, sizeof narrow);
+    sfemi_link_put(p, bytes == 4 ? narrow : (uint32_t)(wide & 0xffffffffu));
+    if (bytes == 8) sfemi_link_put(p + 4, (uint32_t)(wide >> 32));
+}
+
+static sfem_real sfemi_link_get_real(const unsigned char *p, int bytes)
+{
+    const uint32_t narrow = sfemi_link_get(p);
+    const uint64_t wide = bytes == 8 ? narrow | (uint64_t)sfemi_link_get(p + 4) << 32 : 0;
+    sfem_real x;
+    float single;
+    memcpy(&x, &wide, sizeof x);
+    memcpy(&single, &narrow, sizeof single);
+    return bytes == 4 ? (sfem_real)single : x;
+}
+
+SFEM_DEF sfem_link_def sfem_default_link_def(void)
+{
+    sfem_link_def d;
+    memset(&d, 0, sizeof d);
+    d.h = 1 / 60.0;
+    d.beta = 0.25;
+    d.gamma = 0.5;
+    d.held_beta = 0.3025;
+    d.held_gamma = 0.6;
+    d.key_every = 30;
+    d.window = 32;
+    return d;
+}
+
+static sfem_status sfemi_link_check(const sfem_link_def *d, sfem_error *err)
+{
+    const size_t slot = 3 * sizeof(sfem_real), most = (size_t)-1 / 4;
+    if (d->modes < 1)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a link needs 1 mode at least, not %d",
+                          (int)d->modes);
+    if (!sfemi_finite(d->h) || !sfemi_finite(d->beta) || !sfemi_finite(d->gamma) ||
+        !sfemi_finite(d->held_beta) || !sfemi_finite(d->held_gamma))
+        return sfemi_fail(err, SFEM_NOT_FINITE, "h, beta or gamma of the link is not finite");
+    if (!(d->h > 0) || !(d->beta >= 0) || !(d->gamma >= 0) || !(d->held_beta >= 0) ||
+        !(d->held_gamma >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the link needs h > 0, beta >= 0, gamma >= 0, not %g, %g, %g (%g, %g)",
+                          d->h, d->beta, d->gamma, d->held_beta, d->held_gamma);
+    if (d->key_every < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a key frame every %d packets",
+                          (int)d->key_every);
+    if (d->window < 4 || d->window > 32768)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the window of the link is %d, not 4 to 32768 steps", (int)d->window);
+    if ((unsigned)d->lost > (unsigned)SFEM_LOST_PREDICTED)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no sfem_lost %d", (int)d->lost);
+    if (d->lost == SFEM_LOST_PREDICTED && !d->stiffness)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "SFEM_LOST_PREDICTED needs the modes' stiffness");
+    if ((size_t)d->modes > most / slot / (2 * (size_t)d->window))
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d modes and a window of %d steps are too many",
+                          (int)d->modes, (int)d->window);
+    return SFEM_OK;
+}
+
+static size_t sfemi_link_size(sfem_int modes, int key, int number)
+{
+    return SFEMI_LINK_HEAD + (key ? 3 : 1) * (size_t)modes * (size_t)number;
+}
+
+/* ---- sender ---- */
+
+struct sfem_sender {
+    sfem_link_def def;
+    sfemi_link_crc crc;
+    uint32_t sequence;  /* of the next packet */
+    sfem_int until_key; /* packets before the next key frame; < 0: none comes by itself */
+    int held;
+};
+
+SFEM_DEF sfem_status sfem_sender_create(const sfem_link_def *def, sfem_sender **out,
+                                        sfem_error *err)
+{
+    sfem_sender *s = NULL;
+    sfem_status status;
+    SFEM_ASSERT(def && out);
+    SFEMI_TRY(sfemi_link_check(def, err));
+    SFEMI_NEW(sfem_sender, s, &def->allocator, 1);
+    s->def = *def;
+    s->def.stiffness = s->def.damping = NULL;
+    s->sequence = def->first;
+    sfemi_link_crc_make(&s->crc);
+    *out = s;
+done:
+    return status;
+}
+
+SFEM_DEF void sfem_sender_free(sfem_sender *sender)
+{
+    sfem_allocator a;
+    if (!sender) return;
+    a = sender->def.allocator;
+    sfemi_delete(&a, sender);
+}
+
+SFEM_DEF size_t sfem_sender_packet_size(const sfem_sender *sender)
+{
+    SFEM_ASSERT(sender);
+    return sfemi_link_size(sender->def.modes, 1, sender->def.single ? 4 : 8);
+}
+
+SFEM_DEF void sfem_sender_request_key(sfem_sender *sender)
+{
+    SFEM_ASSERT(sender);
+    sender->until_key = 0;
+}
+
+SFEM_DEF int sfem_sender_key_due(const sfem_sender *sender)
+{
+    SFEM_ASSERT(sender);
+    return sender->until_key == 0;
+}
+
+SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held)
+{
+    SFEM_ASSERT(sender);
+    if (sender->held != (held != 0)) sender->until_key = 0;
+    sender->held = held != 0;
+}
+
+static sfem_status sfemi_link_write(const sfem_sender *s, const char *name, const sfem_real *x,
+                                    unsigned char *p, sfem_error *err)
+{
+    const int number = s->def.single ? 4 : 8;
+    sfem_int i;
+    for (i = 0; i < s->def.modes; ++i) {
+        if (!sfemi_finite(x[i]) || (s->def.single && fabs(x[i]) > 3.4028234663852886e38))
+            return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d: %s = %g cannot be sent%s", (int)i,
+                              name, x[i], s->def.single ? " as a float" : "");
+        sfemi_link_put_real(p + (size_t)i * (size_t)number, x[i], number);
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, const sfem_real *v,
+                                       const sfem_real *a, void *packet, size_t capacity,
+                                       size_t *bytes, sfem_error *err)
+{
+    const sfem_link_def *d;
+    unsigned char *p = (unsigned char *)packet, *at = p + SFEMI_LINK_HEAD;
+    sfem_status status;
+    size_t size, block;
+    int key, number;
+    SFEM_ASSERT(sender && a && packet && bytes);
+    d = &sender->def;
+    key = sender->until_key == 0;
+    number = d->single ? 4 : 8;
+    size = sfemi_link_size(d->modes, key, number);
+    block = (size_t)d->modes * (size_t)number;
+    if (key && (!q || !v)) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "packet %lu is a key frame: it needs q and v",
+                            (unsigned long)sender->sequence);
+        goto done;
+    }
+    if (capacity < size) {
+        status = sfemi_fail(err, SFEM_FULL, "packet %lu takes %lu bytes, not %lu",
+                            (unsigned long)sender->sequence, (unsigned long)size,
+                            (unsigned long)capacity);
+        goto done;
+    }
+    if (key) {
+        SFEMI_TRY(sfemi_link_write(sender, "q", q, at, err));
+        SFEMI_TRY(sfemi_link_write(sender, "q'", v, at + block, err));
+        at += 2 * block;
+    }
+    SFEMI_TRY(sfemi_link_write(sender, "q''", a, at, err));
+    memcpy(p, "SFLK", 4);
+    p[8] = SFEMI_LINK_VERSION;
+    p[9] = key ? SFEMI_LINK_KEY : SFEMI_LINK_ACCELERATIONS;
+    p[10] = (unsigned char)number;
+    p[11] = (unsigned char)sender->held;
+    sfemi_link_put(p + 12, d->stream);
+    sfemi_link_put(p + 16, sender->sequence);
+    sfemi_link_put(p + 20, (uint32_t)d->modes);
+    sfemi_link_put_real(p + 24, d->h, 8);
+    sfemi_link_put(p + 4, sfemi_link_checksum(&sender->crc, p + 8, size - 8));
+    ++sender->sequence;
+    if (key) sender->until_key = d->key_every ? d->key_every : -1;
+    if (sender->until_key > 0) --sender->until_key;
+    *bytes = size;
+done:
+    return status;
+}
+
+/* ---- receiver ---- */
+
+/* What is known of a step. MISSED: over, and a substitute was taken. DONE: its packet has come,
+ * too late to matter. */
+enum { SFEMI_STEP_UNKNOWN, SFEMI_STEP_ARRIVED, SFEMI_STEP_KEY, SFEMI_STEP_MISSED, SFEMI_STEP_DONE };
+
+/* Steps are counted without wrapping; the low 32 bits are the sequence number. The ring holds the
+ * steps from step - window + 1 to step + window, those past with the accelerations used. */
+struct sfem_receiver {
+    sfem_link_def def;
+    sfemi_link_crc crc;
+    sfem_real *q, *v, *a; /* [m] in the present step */
+    sfem_real *last;      /* [m] q'' one step before, as sfemi_link_remember leaves it */
+    sfem_real *ring;      /* [2 window][3][m] q'', q, q'; the last two of key frames to come */
+    sfem_real *incoming;  /* [3][m] the packet that is being read, in the same order */
+    sfem_real *k, *c;     /* [m] or NULL */
+    unsigned char *known, *held; /* [2 window] each */
+    sfem_real beta, gamma;       /* of the step that is being made */
+    int64_t step, newest, key;   /* the present; of the newest packet; of the key frame in q */
+    int run;                     /* steps missed in a row, up to 2 */
+    sfem_receiver_info info;
+};
+
+static sfem_status sfemi_link_coefficients(sfem_receiver *r, const char *name,
+                                           const sfem_real *from, sfem_real **to, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    if (!from) goto done;
+    for (i = 0; i < r->def.modes; ++i)
+        if (!sfemi_finite(from[i]) || from[i] < 0) {
+            status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode %d: %s %g is not 0 or more", (int)i,
+                                name, from[i]);
+            goto done;
+        }
+    SFEMI_NEW(sfem_real, *to, &r->def.allocator, r->def.modes);
+    memcpy(*to, from, (size_t)r->def.modes * sizeof(sfem_real));
+done:
+    return status;
+}
+
+SFEM_DEF void sfem_receiver_free(sfem_receiver *receiver)
+{
+    sfem_allocator a;
+    if (!receiver) return;
+    a = receiver->def.allocator;
+    sfemi_delete(&a, receiver->q);
+    sfemi_delete(&a, receiver->ring);
+    sfemi_delete(&a, receiver->known);
+    sfemi_delete(&a, receiver->k);
+    sfemi_delete(&a, receiver->c);
+    sfemi_delete(&a, receiver);
+}
+
+SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receiver **out,
+                                          sfem_error *err)
+{
+    sfem_receiver *r = NULL;
+    sfem_status status;
+    size_t m;
+    SFEM_ASSERT(def && out);
+    SFEMI_TRY(sfemi_link_check(def, err));
+    m = (size_t)def->modes;
+    SFEMI_NEW(sfem_receiver, r, &def->allocator, 1);
+    r->def = *def;
+    r->def.stiffness = r->def.damping = NULL;
+    SFEMI_NEW(sfem_real, r->q, &def->allocator, 7 * m);
+    r->v = r->q + m;
+    r->a = r->v + m;
+    r->last = r->a + m;
+    r->incoming = r->last + m;
+    SFEMI_NEW(sfem_real, r->ring, &def->allocator, 2 * (size_t)def->window * 3 * m);
+    SFEMI_NEW(unsigned char, r->known, &def->allocator, 4 * (size_t)def->window);
+    r->held = r->known + 2 * def->window;
+    SFEMI_TRY(sfemi_link_coefficients(r, "stiffness", def->stiffness, &r->k, err));
+    SFEMI_TRY(sfemi_link_coefficients(r, "damping", def->damping, &r->c, err));
+    sfemi_link_crc_make(&r->crc);
+    *out = r;
+done:
+    if (status != SFEM_OK) sfem_receiver_free(r);
+    return status;
+}
+
+static size_t sfemi_link_slot(const sfem_receiver *r, int64_t step)
+{
+    return (size_t)(step % (2 * r->def.window));
+}
+
+static sfem_real *sfemi_link_at(const sfem_receiver *r, int64_t step)
+{
+    return r->ring + sfemi_link_slot(r, step) * 3 * (size_t)r->def.modes;
+}
+
+static void sfemi_link_take_key(sfem_receiver *r, const sfem_real *frame, int64_t step)
+{
+    const size_t m = (size_t)r->def.modes;
+    memcpy(r->a, frame, m * sizeof(sfem_real));
+    memcpy(r->q, frame + m, m * sizeof(sfem_real));
+    memcpy(r->v, frame + 2 * m, m * sizeof(sfem_real));
+    r->key = step;
+}
+
+static void sfemi_link_method(sfem_receiver *r, int64_t step)
+{
+    const int held = r->held[sfemi_link_slot(r, step)];
+    r->beta = held ? r->def.held_beta : r->def.beta;
+    r->gamma = held ? r->def.held_gamma : r->def.gamma;
+}
+
+/* One step of (q, v, a) to the acceleration next, [A.8-A.11]. */
+static void sfemi_link_integrate(sfem_receiver *r, const sfem_real *next)
+{
+    const sfem_real h = r->def.h, h2 = h * h, old_q = h2 * (0.5 - r->beta), new_q = h2 * r->beta;
+    const sfem_real old_v = h * (1 - r->gamma), new_v = h * r->gamma;
+    sfem_int i;
+    for (i = 0; i < r->def.modes; ++i) {
+        const sfem_real a = next[i];
+        const sfem_real q = r->q[i] + h * r->v[i] + old_q * r->a[i] + new_q * a;
+        const sfem_real v = r->v[i] + old_v * r->a[i] + new_v * a;
+        const int fits = sfemi_finite(q) && sfemi_finite(v);
+        if (fits)
+            r->q[i] = q;
+        else
+            ++r->info.overflows;
+        r->v[i] = fits ? v : 0;
+        r->a[i] = fits ? a : 0;
+    }
+}
+
+/* What predicts, of one mode: half the trace, and the determinant, of Newmark's amplification
+ * matrix of (q, q'). Without k it is the straight line through the last two. */
+typedef struct sfemi_link_swing {
+    sfem_real h, k, c, d, cosine, det; /* k h^2, c h, the 1 + gamma c h + beta k h^2 of [A.7] */
+} sfemi_link_swing;
+
+static sfemi_link_swing sfemi_link_swing_of(const sfem_receiver *r, sfem_int i)
+{
+    const sfem_real h = r->def.h, gamma = r->gamma;
+    const int modal = r->def.lost == SFEM_LOST_PREDICTED;
+    sfemi_link_swing s;
+    s.h = h;
+    s.k = modal ? r->k[i] * h * h : 0;
+    s.c = modal && r->c ? r->c[i] * h : 0;
+    s.d = 1 + gamma * s.c + r->beta * s.k;
+    s.cosine = 1 - 0.5 * (s.c + s.k * (gamma + 0.5)) / s.d;
+    s.det = 1 - (s.c + s.k * (gamma - 0.5)) / s.d;
+    return s;
+}
+
+/* The acceleration of the next step under a constant load: by Cayley and Hamilton
+ * tr q'' - det q''-. Straight after a key frame there is no q''-, but q' is to be trusted. (To solve for the
+ * load that the present q and q' imply is the same as long as nothing was lost, but feeds what q'
+ * has drifted by back into q'': beyond omega h = 2 that grows from loss to loss.) */
+static sfem_real sfemi_link_predict(const sfem_receiver *r, const sfemi_link_swing *s, sfem_int i)
+{
+    const sfem_real a = r->a[i];
+    if (r->step - 1 > r->key) return 2 * s->cosine * a - s->det * r->last[i];
+    return (a * (1 - s->c * (1 - r->gamma) - s->k * (0.5 - r->beta)) - s->k * r->v[i] / s->h) /
+           s->d;
+}
+
+/* What is taken for the acceleration of a step that has none, before it is integrated. */
+static void sfemi_link_substitute(const sfem_receiver *r, sfem_real *next)
+{
+    sfem_int i;
+    for (i = 0; i < r->def.modes; ++i) {
+        sfem_real x = r->def.lost == SFEM_LOST_ZERO ? 0 : r->a[i];
+        if (r->def.lost == SFEM_LOST_PREDICTED ||
+            (r->def.lost == SFEM_LOST_EXTRAPOLATED && r->run == 1)) {
+            const sfemi_link_swing s = sfemi_link_swing_of(r, i);
+            x = sfemi_link_predict(r, &s, i);
+        }
+        next[i] = sfemi_finite(x) ? x : 0;
+    }
+}
+
+/* After the step to next, which has come, or was substituted: q''-, as the predictor is to see it.
+ * A true value behind a predicted one is off by some e: the load has changed. Were q''- left as it
+ * was, e would look like a jump in speed and swing by e/sin(omega h); with e cos(omega h) added it
+ * swings by e, and an error of the predictor can only shrink. */
+static void sfemi_link_remember(sfem_receiver *r, const sfem_real *next, int behind_loss)
+{
+    sfem_int i;
+    if (r->def.lost < SFEM_LOST_EXTRAPOLATED) return;
+    for (i = 0; i < r->def.modes; ++i) {
+        sfem_real last = r->a[i];
+        if (behind_loss) {
+            const sfemi_link_swing s = sfemi_link_swing_of(r, i);
+            last += s.cosine * (next[i] - sfemi_link_predict(r, &s, i));
+        }
+        r->last[i] = sfemi_finite(last) ? last : 0;
+    }
+}
+
+SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver)
+{
+    sfem_receiver *r = receiver;
+    unsigned char *known;
+    sfem_real *next;
+    int missed;
+    SFEM_ASSERT(r);
+    if (!r->info.started) return 0;
+    ++r->step;
+    ++r->info.steps;
+    r->known[sfemi_link_slot(r, r->step + r->def.window)] = SFEMI_STEP_UNKNOWN;
+    known = r->known + sfemi_link_slot(r, r->step);
+    next = sfemi_link_at(r, r->step);
+    missed = *known == SFEMI_STEP_UNKNOWN;
+    if (missed) r->held[sfemi_link_slot(r, r->step)] = r->held[sfemi_link_slot(r, r->step - 1)];
+    sfemi_link_method(r, r->step);
+    if (*known == SFEMI_STEP_KEY) {
+        sfemi_link_take_key(r, next, r->step);
+        ++r->info.keys;
+    } else {
+        if (missed) {
+            if (r->run < 2) ++r->run;
+            sfemi_link_substitute(r, next);
+            *known = SFEMI_STEP_MISSED;
+            ++r->info.lost;
+        } else {
+            ++r->info.received;
+        }
+        sfemi_link_remember(r, next, !missed && r->run > 0);
+        sfemi_link_integrate(r, next);
+    }
+    if (!missed) r->run = 0;
+    return !missed;
+}
+
+/* Decodes a packet into r->incoming. Nothing is looked at before the length and the checksum vouch
+ * for it. */
+static sfem_arrival sfemi_link_parse(sfem_receiver *r, const unsigned char *p, size_t bytes,
+                                     int *key, int *held, uint32_t *sequence)
+{
+    const size_t m = (size_t)r->def.modes;
+    unsigned char h[8];
+    size_t i, count, number;
+    if (bytes < SFEMI_LINK_HEAD || memcmp(p, "SFLK", 4)) return SFEM_ARRIVAL_CORRUPTED;
+    if (sfemi_link_get(p + 4) != sfemi_link_checksum(&r->crc, p + 8, bytes - 8))
+        return SFEM_ARRIVAL_CORRUPTED;
+    sfemi_link_put_real(h, r->def.h, 8);
+    if (p[8] != SFEMI_LINK_VERSION || sfemi_link_get(p + 12) != r->def.stream ||
+        sfemi_link_get(p + 20) != m || memcmp(p + 24, h, sizeof h))
+        return SFEM_ARRIVAL_FOREIGN;
+    *key = p[9] == SFEMI_LINK_KEY;
+    *held = p[11];
+    *sequence = sfemi_link_get(p + 16);
+    number = p[10];
+    if ((!*key && p[9] != SFEMI_LINK_ACCELERATIONS) || (number != 4 && number != 8) || p[11] > 1 ||
+        bytes != sfemi_link_size(r->def.modes, *key, (int)number))
+        return SFEM_ARRIVAL_CORRUPTED;
+    count = (*key ? 3 : 1) * m;
+    for (i = 0; i < count; ++i) { /* q, q', q'' become q'', q, q' */
+        const sfem_real x = sfemi_link_get_real(p + SFEMI_LINK_HEAD + i * number, (int)number);
+        if (!sfemi_finite(x)) return SFEM_ARRIVAL_CORRUPTED;
+        r->incoming[(i + m) % count] = x;
+    }
+    return SFEM_ARRIVAL_TAKEN;
+}
+
+/* Begins, or goes on, at the key frame in r->incoming. */
+static void sfemi_link_begin(sfem_receiver *r, int64_t step, int held)
+{
+    memset(r->known, SFEMI_STEP_UNKNOWN, 2 * (size_t)r->def.window);
+    memcpy(sfemi_link_at(r, step), r->incoming, 3 * (size_t)r->def.modes * sizeof(sfem_real));
+    r->known[sfemi_link_slot(r, step)] = SFEMI_STEP_KEY;
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+    r->step = r->newest = step;
+    r->run = 0;
+    r->info.started = 1;
+    ++r->info.keys;
+    sfemi_link_take_key(r, r->incoming, step);
+}
+
+/* The theorem: what an acceleration that differs from the one used, so many steps ago, means now;
+ * with the step's method, should that differ, too. */
+static void sfemi_link_correct(sfem_receiver *r, int64_t step, int held)
+{
+    const sfem_real h = r->def.h, ago = (sfem_real)(r->step - step);
+    sfem_real *used = sfemi_link_at(r, step);
+    const sfem_real *before = sfemi_link_at(r, step - 1);
+    sfem_real old_beta, old_gamma, beta, gamma, of_q = 0, of_v = 0;
+    sfem_int i;
+    sfemi_link_method(r, step);
+    old_beta = r->beta;
+    old_gamma = r->gamma;
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+    sfemi_link_method(r, step);
+    beta = r->beta;
+    gamma = r->gamma;
+    if (step < r->step) {
+        sfemi_link_method(r, step + 1);
+        of_v = h * (1 - r->gamma);
+        of_q = h * h * (0.5 - r->beta) + (ago - 1) * h * of_v;
+    }
+    for (i = 0; i < r->def.modes; ++i) {
+        const sfem_real a = r->incoming[i], d = a - used[i];
+        const sfem_real other_v =
+            gamma != old_gamma ? (old_gamma - gamma) * (before[i] - used[i]) : 0;
+        const sfem_real other_q = beta != old_beta ? (old_beta - beta) * (before[i] - used[i]) : 0;
+        const sfem_real dv = h * (gamma * d + other_v), dq = h * h * (beta * d + other_q);
+        const sfem_real q = r->q[i] + dq + ago * h * dv + of_q * d, v = r->v[i] + dv + of_v * d;
+        if (!sfemi_finite(q) || !sfemi_finite(v)) {
+            ++r->info.overflows;
+            continue;
+        }
+        r->q[i] = q;
+        r->v[i] = v;
+        used[i] = a;
+        if (step == r->step) {
+            r->a[i] = a;
+            r->last[i] += sfemi_link_swing_of(r, i).cosine * d;
+        } else if (step == r->step - 1) {
+            r->last[i] = a;
+        }
+    }
+}
+
+/* A late key frame: from there to the present again, over the accelerations that were used. */
+static void sfemi_link_replay(sfem_receiver *r, int64_t step, int held)
+{
+    int64_t t;
+    memcpy(sfemi_link_at(r, step), r->incoming, (size_t)r->def.modes * sizeof(sfem_real));
+    r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+    sfemi_link_take_key(r, r->incoming, step);
+    for (t = step + 1; t <= r->step; ++t) {
+        const size_t slot = sfemi_link_slot(r, t);
+        if (r->known[slot] == SFEMI_STEP_MISSED) r->held[slot] = r->held[sfemi_link_slot(r, t - 1)];
+        memcpy(r->last, r->a, (size_t)r->def.modes * sizeof(sfem_real));
+        sfemi_link_method(r, t);
+        sfemi_link_integrate(r, sfemi_link_at(r, t));
+    }
+    ++r->info.late_keys;
+}
+
+/* A sound packet finds its step. */
+static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32_t sequence)
+{
+    const size_t count = (key ? 3 : 1) * (size_t)r->def.modes;
+    /* the step nearest to the present one with that sequence number; 2^32 keeps all positive */
+    const uint32_t distance = sequence - (uint32_t)(r->step & 0xffffffff);
+    const int64_t step =
+        r->step + (int64_t)distance - ((distance >> 31) ? INT64_C(0x100000000) : 0);
+    unsigned char *known;
+    if (!r->info.started) {
+        if (!key) return SFEM_ARRIVAL_EARLY;
+        sfemi_link_begin(r, INT64_C(0x100000000) + (int64_t)sequence, held);
+        return SFEM_ARRIVAL_TAKEN;
+    }
+    if (step > r->newest) r->newest = step;
+    if (step > r->step + r->def.window) {
+        if (!key) return SFEM_ARRIVAL_EARLY;
+        ++r->info.jumps;
+        r->info.skipped += step - r->step;
+        sfemi_link_begin(r, step, held);
+        return SFEM_ARRIVAL_TAKEN;
+    }
+    if (step <= r->step - r->def.window) return SFEM_ARRIVAL_DROPPED;
+    known = r->known + sfemi_link_slot(r, step);
+    if (*known != SFEMI_STEP_UNKNOWN && *known != SFEMI_STEP_MISSED) return SFEM_ARRIVAL_REPEATED;
+    if (step > r->step) {
+        memcpy(sfemi_link_at(r, step), r->incoming, count * sizeof(sfem_real));
+        *known = key ? SFEMI_STEP_KEY : SFEMI_STEP_ARRIVED;
+        r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
+        return SFEM_ARRIVAL_TAKEN;
+    }
+    if (step <= r->key ||
+        r->def.drop_late || /* or the step before it, of another method, is gone */
+        (!key && held != r->held[sfemi_link_slot(r, step)] &&
+         step - 1 <= r->step - r->def.window)) {
+        *known = SFEMI_STEP_DONE;
+        return SFEM_ARRIVAL_DROPPED;
+    }
+    *known = key ? SFEMI_STEP_KEY : SFEMI_STEP_ARRIVED;
+    if (key)
+        sfemi_link_replay(r, step, held);
+    else
+        sfemi_link_correct(r, step, held);
+    return SFEM_ARRIVAL_LATE;
+}
+
+SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *packet, size_t bytes)
+{
+    sfem_arrival arrival;
+    uint32_t sequence = 0;
+    int key = 0, held = 0;
+    SFEM_ASSERT(receiver && (packet || !bytes));
+    arrival =
+        sfemi_link_parse(receiver, (const unsigned char *)packet, bytes, &key, &held, &sequence);
+    if (arrival == SFEM_ARRIVAL_TAKEN) arrival = sfemi_link_place(receiver, key, held, sequence);
+    ++receiver->info.arrivals[arrival];
+    return arrival;
+}
+
+SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver)
+{
+    int64_t lead;
+    SFEM_ASSERT(receiver);
+    lead = receiver->newest - receiver->step;
+    return (sfem_int)(lead > -INT32_MAX ? lead : -INT32_MAX); /* below 2^31: see sfemi_link_place */
+}
+
+SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver)
+{
+    SFEM_ASSERT(receiver);
+    return receiver->q;
+}
+
+SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver)
+{
+    SFEM_ASSERT(receiver);
+    return receiver->v;
+}
+
+SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver)
+{
+    SFEM_ASSERT(receiver);
+    return receiver->a;
+}
+
+SFEM_DEF void sfem_receiver_restart(sfem_receiver *receiver, uint32_t stream)
+{
+    SFEM_ASSERT(receiver);
+    receiver->def.stream = stream;
+    memset(receiver->q, 0, 3 * (size_t)receiver->def.modes * sizeof(sfem_real)); /* and v, a */
+    receiver->step = receiver->newest = receiver->key = 0;
+    receiver->info.started = 0;
+}
+
+SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver)
+{
+    sfem_receiver_info info;
+    SFEM_ASSERT(receiver);
+    info = receiver->info;
+    info.sequence = (uint32_t)(receiver->step & 0xffffffff);
+    return info;
+}
 
 #ifdef __cplusplus
 }
@@ -18721,16 +23467,16 @@ static SFEMI_TARGET int SFEMI_KERNEL(sfemi_ldl_pivots)(size_t h, size_t i, doubl
 }
 
 /* Adds an update matrix to its parent: len rows of count block columns, column b of src to column
- * place[b] of dst. */
+ * place[b] of dst; per columns to a block. */
 static SFEMI_INLINE SFEMI_TARGET void
-SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count, const sfem_int *place, const size_t len,
-                                 const double *src, size_t hs, double *dst, size_t hd)
+SFEMI_KERNEL(sfemi_ldl_add_rows)(const size_t per, sfem_int count, const sfem_int *place,
+                                 const size_t len, const double *src, size_t hs, double *dst, size_t hd)
 {
     sfem_int b;
     for (b = 0; b < count; ++b) {
-        double *d = dst + 3 * (size_t)place[b] * hd;
-        int c;
-        for (c = 0; c < 3; ++c, d += hd, src += hs) {
+        double *d = dst + per * (size_t)place[b] * hd;
+        size_t c;
+        for (c = 0; c < per; ++c, d += hd, src += hs) {
             size_t i = 0;
             for (; i + SFEMI_W <= len; i += SFEMI_W)
                 SFEMI_ST(d + i, SFEMI_ADD(SFEMI_LD(d + i), SFEMI_LD(src + i)));
@@ -18739,20 +23485,22 @@ SFEMI_KERNEL(sfemi_ldl_add_rows)(sfem_int count, const sfem_int *place, const si
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(sfem_int count, const sfem_int *place,
-                                                     size_t len, const double *src, size_t hs,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_add)(size_t per, sfem_int count,
+                                                     const sfem_int *place, size_t len, const double *src, size_t hs,
                                                      double *dst, size_t hd)
 {
-    if (len == 3)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 3, src, hs, dst, hd);
+    if (per == 1)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(1, count, place, len, src, hs, dst, hd);
+    else if (len == 3)
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 3, src, hs, dst, hd);
     else if (len == 6)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 6, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 6, src, hs, dst, hd);
     else if (len == 9)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 9, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 9, src, hs, dst, hd);
     else if (len == 12)
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, 12, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, 12, src, hs, dst, hd);
     else
-        SFEMI_KERNEL(sfemi_ldl_add_rows)(count, place, len, src, hs, dst, hd);
+        SFEMI_KERNEL(sfemi_ldl_add_rows)(3, count, place, len, src, hs, dst, hd);
 }
 /* c(n) -= eight columns of a, m apart, times w. */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_dense_minus)(size_t n, const double *a, size_t m,
@@ -19031,9 +23779,10 @@ SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI
 }
 #undef SFEMI_ACCUMULATE
 
-/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, -L y is added.
- */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, const SFEMI_R *l,
+/* L y = b for the columns x of one front; to its rows below, target[] in nodes of w, each of per
+ * rows, -L y is added. */
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t per, size_t k, size_t f,
+                                                         const SFEMI_R *l,
                                                          SFEMI_R *x, const sfem_int *target,
                                                          SFEMI_R *w)
 {
@@ -19057,7 +23806,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward)(size_t k, size_t f, con
             SFEMI_KERNEL(sfemi_ldl_forward_tile)(1, depth, j, l, x, out);
         l += h * (depth + j);
         if (j) memcpy(x + begin, out, j * sizeof *x);
-        for (i = j; i < rows; i += 3) {
+        for (i = j; per == 1 && i < rows; ++i) w[*target++] += out[i];
+        for (; i < rows; i += 3) {
             SFEMI_R *y = w + 3 * (size_t)*target++;
             y[0] += out[i];
             y[1] += out[i + 1];
@@ -19120,7 +23870,7 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_sums)(size_t n, con
 
 /* L^T x = y for the columns x, the rows below being known. v is scratch of f + W k and a tile more.
  */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, size_t size,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t per, size_t k, size_t f, size_t size,
                                                           const SFEMI_R *l, SFEMI_R *x,
                                                           const sfem_int *target, const SFEMI_R *w,
                                                           SFEMI_R *v)
@@ -19129,7 +23879,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward)(size_t k, size_t f, si
     SFEMI_R sum[3 * SFEMI_W], part[3 * SFEMI_W * SFEMI_W], *z = v + tiles * t;
     size_t begin = (tiles - 1) * t, i, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
     int first = 1;
-    for (i = k; i < f; i += 3) {
+    for (i = k; per == 1 && i < f; ++i) v[i] = w[*target++];
+    for (; i < f; i += 3) {
         const SFEMI_R *y = w + 3 * (size_t)*target++;
         v[i] = y[0];
         v[i + 1] = y[1];
@@ -19218,7 +23969,8 @@ static SFEMI_INLINE SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_rows)(size_t n, con
 }
 
 /* The sums may run past a tile's rows or a panel's columns; what they find there is not used. */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, const SFEMI_R *l,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t per, size_t k, size_t f,
+                                                          const SFEMI_R *l,
                                                           SFEMI_R *x, const sfem_int *target,
                                                           SFEMI_R *w)
 {
@@ -19248,7 +24000,12 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, co
             l += h * j;
             SFEMI_KERNEL(sfemi_ldl_rows)(j, out, NULL, x + 8 * begin);
         }
-        for (i = j; i < rows; i += 3) {
+        for (i = j; per == 1 && i < rows; ++i) {
+            SFEMI_R *to = w + 8 * (size_t)*target++;
+            for (r = 0; r < 8; r += SFEMI_W)
+                SFEMI_ST(to + r, SFEMI_ADD(SFEMI_LD(to + r), SFEMI_LD(out + 8 * i + r)));
+        }
+        for (; i < rows; i += 3) {
             SFEMI_R *to = w + 24 * (size_t)*target++;
             for (r = 0; r < 24; r += SFEMI_W)
                 SFEMI_ST(to + r, SFEMI_ADD(SFEMI_LD(to + r), SFEMI_LD(out + 8 * i + r)));
@@ -19256,7 +24013,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_forward8)(size_t k, size_t f, co
     }
 }
 
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, size_t size,
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t per, size_t k, size_t f, size_t size,
                                                            const SFEMI_R *l, SFEMI_R *x,
                                                            const sfem_int *target, const SFEMI_R *w,
                                                            SFEMI_R *v)
@@ -19265,7 +24022,9 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t k, size_t f, s
     SFEMI_R part[(3 * SFEMI_W + 3 * SFEMI_W / 2) * 8], *z = v + tiles * t * 8;
     size_t begin = (tiles - 1) * t, i, p, h = (f - begin + SFEMI_W - 1) / SFEMI_W * SFEMI_W;
     int load = 0;
-    for (i = k; i < f; i += 3)
+    for (i = k; per == 1 && i < f; ++i)
+        SFEMI_KERNEL(sfemi_ldl_rows)(1, w + 8 * (size_t)*target++, NULL, v + 8 * i);
+    for (; i < f; i += 3)
         SFEMI_KERNEL(sfemi_ldl_rows)(3, w + 24 * (size_t)*target++, NULL, v + 8 * i);
     memset(v + 8 * i, 0, 8 * (begin + h - i) * sizeof *v);
     for (l += size;; begin -= t, h = t, load = 1) {

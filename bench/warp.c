@@ -70,6 +70,7 @@ static sfem_reduced *reduce(const bar *b, sfem_int count, sfem_reduced_view **vi
     sfem_modes modes;
     sfem_error err;
     modes_def.modes = count;
+    modes_def.tolerance = 1e-11; /* the highest of 60 take many restarts to 1e-13 */
     modes_def.pins = b->pins;
     modes_def.pin_count = CLAMPED;
     def.beta = 0.002;

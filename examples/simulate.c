@@ -23,16 +23,18 @@ static const ex_option table[] = {
     {"--density", "RHO", "1000", "kg/m^3"},
     {"--mass", "lumped|consistent", "lumped", "the mass matrix"},
     {"--rayleigh", "A0,A1", "0,0.002", "damping A0 M + A1 K: 1/s, s"},
-    {"--integrator", "pqr|newmark|central|be|hht|genalpha|bathe", "pqr", "how to step through time"},
+    {"--integrator", "pqr|newmark|central|kr|gui|chang|be|hht|genalpha|bathe", "pqr",
+     "how to step through time"},
     {"--p", "P", "-2", "of pqr; -2 lets the library choose, -1 smaller where it may; beta of newmark"},
     {"--q", "Q", "1", "of pqr"},
     {"--r", "R", "1", "of pqr"},
-    {"--frame", "node|piece|rest|majorant", "node", "of pqr: how its factor turns with the body"},
-    {"--guard", "on|off", "on", "of pqr: do steps again that make energy"},
+    {"--frame", "node|piece|rest|majorant", "node", "of pqr, kr, gui, chang: how their factor turns"},
+    {"--guard", "on|off", "on", "of the same: do steps again that make energy"},
     {"--corrections", "N", "0", "of pqr: at most so many solves more a step, toward newmark"},
     {"--newton", "N", "20", "implicit methods: at most so many iterations a step; 1: semi-implicit"},
     {"--tol", "T", NULL, "corrections stop at this relative change (1e-3), Newton at this residual (1e-8)"},
-    {"--rho-inf", "R", "0.8", "of genalpha: what is left of the fastest modes a step"},
+    {"--rho-inf", "R", "0.8", "of genalpha and kr: what is left of the fastest modes a step; kr of 1 is CR"},
+    {"--gui-lambda", "L", "4", "of gui: 4 is CR; beyond, steps are limited"},
     {"--precision", "double|mixed", "double", "mixed keeps the factor in float"},
     {"--dt", "H", "0.016666666666666666", "time step, s"},
     {"--steps", "N", "120", "time steps"},
@@ -123,7 +125,8 @@ static sfem_int select_nodes(const run *r, const ex_selection *where, sfem_int *
 static void make_body(run *r)
 {
     static const sfem_integrator integrator[] = {
-        SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL, SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE};
+        SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL, SFEM_KR_ALPHA, SFEM_GUI, SFEM_CHANG,
+        SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE};
     sfem_body_def def = sfem_default_body_def();
     sfem_int *pins = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *pins);
     const int given = ex_given(&r->o, "--fix");
@@ -150,6 +153,7 @@ static void make_body(run *r)
     def.newton.accept_best = def.newton.iterations == 1; /* one iteration is never told to converge */
     if (ex_text(&r->o, "--tol")) def.correction_tolerance = def.newton.tolerance = ex_real(&r->o, "--tol");
     def.rho_inf = ex_real(&r->o, "--rho-inf");
+    def.gui_lambda = ex_real(&r->o, "--gui-lambda");
     def.q = ex_real(&r->o, "--q");
     def.r = ex_real(&r->o, "--r");
     def.precision = ex_choice(&r->o, "--precision") ? SFEM_MIXED : SFEM_DOUBLE;

@@ -861,15 +861,17 @@ static void model_forces_are_the_sum_over_tets(void **state)
             for (path = 0; path < 2; ++path) { /* 5 x 4 x 3 cells: chunks and blocks with a rest */
                 body b = make_body_of(5, 4, 3, law, kind, 33);
                 double *sum = (double *)calloc(3 * (size_t)b.mesh->nodes, sizeof *sum);
+                double *spin = (double *)calloc(12 * (size_t)b.model->chunks.copies, sizeof *spin);
+                double *spins = (double *)calloc(18 * (size_t)b.mesh->nodes, sizeof *spins);
                 double energy = 0, got, r[9], f[9], x[12], u[12], force[12];
                 sfem_int t, inverted = 0, counted = -1;
                 int a, i;
                 if (path == 0) {
-                    got = sfem_model_forces(b.model, b.u, SFEM_DOUBLE, b.force, b.rotation,
-                                            &counted, b.work, NULL);
+                    got = sfemi_fem_forces(b.model, b.u, SFEM_DOUBLE, b.force, b.rotation,
+                                           &counted, spin, spins, b.work, NULL);
                 } else { /* the path of processors without vectors */
-                    sfemi_forces job = {b.model, b.u,  b.force, b.rotation,
-                                        b.work,  NULL, NULL,    sfemi_blocks_portable_d};
+                    sfemi_forces job = {b.model, b.u,  b.force, b.rotation, b.work,
+                                        NULL,    NULL, spin,    spins,      sfemi_blocks_portable_d};
                     const sfemi_chunks *c = &b.model->chunks;
                     job.energy = b.work + 4 * c->copies;
                     job.inverted = job.energy + c->count;
@@ -893,7 +895,14 @@ static void model_forces_are_the_sum_over_tets(void **state)
                     sfem_polar(f, r, NULL);
                     for (i = 0; i < 9; ++i)
                         assert_near(b.rotation[9 * t + i], tet_law ? r[i] : i % 4 == 0, 0, 1e-11);
+                    for (a = 0; a < 4; ++a) /* the second half is the sum of V R by nodes */
+                        for (i = 0; i < 9; ++i)
+                            spins[9 * (b.mesh->nodes + b.mesh->tet[4 * t + a]) + i] +=
+                                b.model->volume[t] * b.rotation[9 * t + i];
                 }
+                assert_all_near(spins, spins + 9 * b.mesh->nodes, 9 * b.mesh->nodes, 1e-12, 0);
+                free(spin);
+                free(spins);
                 assert_near(got, energy, 1e-12, 0);
                 assert_all_near(b.force, sum, 3 * b.mesh->nodes, 1e-11, 0);
                 assert_int_equal(counted, inverted);
