@@ -1447,7 +1447,7 @@ typedef struct sfem_reduced_def {
     sfem_allocator allocator;
 } sfem_reduced_def;
 
-SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 64 groups */
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 16 groups */
 
 /* Takes over all the modes (rigid ones as the definition says). Psi_i = sum V_e curl_e/2 / sum V_e over the
  * tets of node i.
@@ -20512,16 +20512,32 @@ static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
 
 /* --- rotations ------------------------------------------------------------------------------- */
 
-/* (-1)^k / (2k + 1 + first)!, the series in th^2 of sin th/th, (1 - cos th)/th^2, (1 - sin th/th)/th^2 */
-static void sfemi_turn_series(int first, int terms, sfem_real *out)
+/* (-1)^k / (2k + 1 + row)!: the series in th^2 of sin th/th, (1 - cos th)/th^2, (1 - sin th/th)/th^2. A quotient
+ * for each term, as one factorial is a multiple of the last: 14 terms are good to rounding up to th^2 = 10. */
+#define SFEMI_SERIES(a, b, c, d, e, f, g, h, i, j, k, l, m, n)                                       \
+    {1.0 / (a), -1.0 / (a) / (b), 1.0 / (a) / (b) / (c), -1.0 / (a) / (b) / (c) / (d),               \
+     1.0 / (a) / (b) / (c) / (d) / (e), -1.0 / (a) / (b) / (c) / (d) / (e) / (f),                    \
+     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g),                                                  \
+     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h),                                           \
+     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i),                                      \
+     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j),                               \
+     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k),                          \
+     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l),                   \
+     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l) / (m),              \
+     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l) / (m) / (n)}
+static const sfem_real sfemi_turn_series[3][SFEMI_TURN_TERMS] = {
+    SFEMI_SERIES(1, 2.0 * 3, 4.0 * 5, 6.0 * 7, 8.0 * 9, 10.0 * 11, 12.0 * 13, 14.0 * 15, 16.0 * 17,
+                 18.0 * 19, 20.0 * 21, 22.0 * 23, 24.0 * 25, 26.0 * 27),
+    SFEMI_SERIES(2, 3.0 * 4, 5.0 * 6, 7.0 * 8, 9.0 * 10, 11.0 * 12, 13.0 * 14, 15.0 * 16, 17.0 * 18,
+                 19.0 * 20, 21.0 * 22, 23.0 * 24, 25.0 * 26, 27.0 * 28),
+    SFEMI_SERIES(6, 4.0 * 5, 6.0 * 7, 8.0 * 9, 10.0 * 11, 12.0 * 13, 14.0 * 15, 16.0 * 17, 18.0 * 19,
+                 20.0 * 21, 22.0 * 23, 24.0 * 25, 26.0 * 27, 28.0 * 29)};
+#undef SFEMI_SERIES
+
+/* How many terms th^2 = t needs. */
+static int sfemi_turn_terms(sfem_real t)
 {
-    sfem_real term = 1;
-    int k;
-    for (k = 2; k <= 1 + first; ++k) term /= k;
-    for (k = 0; k < terms; ++k) {
-        out[k] = term;
-        term /= -(sfem_real)((2 * k + 2 + first) * (2 * k + 3 + first));
-    }
+    return t < 0.01 ? 6 : t < 1 ? 10 : SFEMI_TURN_TERMS;
 }
 
 /* The two coefficients of I + a [w]x + b [w]x^2: of the rotation exp [w]x, or of its mean over the path. */
@@ -20529,14 +20545,11 @@ static void sfemi_turn_coefficients(int kind, const sfem_real w[3], sfem_real *a
 {
     const sfem_real t = sfemi_dot3(w, w);
     if (t < 10) {
-        sfem_real c[2][SFEMI_TURN_TERMS];
-        const int terms = t < 0.01 ? 6 : SFEMI_TURN_TERMS;
-        int k;
-        sfemi_turn_series(kind, terms, c[0]);
-        sfemi_turn_series(kind + 1, terms, c[1]);
-        *a = c[0][terms - 1];
-        *b = c[1][terms - 1];
-        for (k = terms - 2; k >= 0; --k) *a = *a * t + c[0][k], *b = *b * t + c[1][k];
+        const sfem_real *c = sfemi_turn_series[kind], *d = sfemi_turn_series[kind + 1];
+        int k = sfemi_turn_terms(t) - 1;
+        *a = c[k];
+        *b = d[k];
+        for (--k; k >= 0; --k) *a = *a * t + c[k], *b = *b * t + d[k];
     } else {
         const sfem_real th = sqrt(t), half = sin(th / 2);
         *a = kind == SFEMI_TURN_PATH ? 2 * half * half / t : sin(th) / th;
@@ -20588,12 +20601,9 @@ static void sfemi_turn_slopes(int kind, sfem_real t, sfem_real *da, sfem_real *d
 {
     *da = *db = 0;
     if (t < 10) {
-        sfem_real c[2][SFEMI_TURN_TERMS];
-        const int terms = t < 0.01 ? 6 : SFEMI_TURN_TERMS;
+        const sfem_real *c = sfemi_turn_series[kind], *d = sfemi_turn_series[kind + 1];
         int k;
-        sfemi_turn_series(kind, terms, c[0]);
-        sfemi_turn_series(kind + 1, terms, c[1]);
-        for (k = terms - 1; k > 0; --k) *da = *da * t + k * c[0][k], *db = *db * t + k * c[1][k];
+        for (k = sfemi_turn_terms(t) - 1; k > 0; --k) *da = *da * t + k * c[k], *db = *db * t + k * d[k];
     } else {
         const sfem_real th = sqrt(t), sinc = sin(th) / th, dsinc = (cos(th) - sinc) / (2 * t);
         const sfem_real half = sin(th / 2), k = 2 * half * half / t, dk = (sinc / 2 - k) / t;
@@ -20697,7 +20707,7 @@ SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
     sfem_reduced_def def;
     memset(&def, 0, sizeof def);
     def.free = -1;
-    def.gravity_groups = 64;
+    def.gravity_groups = 16;
     return def;
 }
 
@@ -21448,12 +21458,11 @@ static uint64_t sfemi_modal_key(const sfem_modal *b)
 static void sfemi_modal_series(sfem_modal *b)
 {
     const int kind = sfemi_modal_path_kind(b);
-    sfem_real c[2][SFEMI_TURN_TERMS];
     int k, j;
     for (j = 0; j < 2; ++j) {
-        sfemi_turn_series(kind + j, SFEMI_TURN_TERMS, c[j]);
-        for (k = 0; k < SFEMI_TURN_TERMS; ++k) b->turn[SFEMI_TURN_TERMS * j + k] = c[j][k];
-        for (k = 0; k < SFEMI_TURN_TERMS32; ++k) b->turn32[SFEMI_TURN_TERMS32 * j + k] = (float)c[j][k];
+        const sfem_real *c = sfemi_turn_series[kind + j];
+        for (k = 0; k < SFEMI_TURN_TERMS; ++k) b->turn[SFEMI_TURN_TERMS * j + k] = c[k];
+        for (k = 0; k < SFEMI_TURN_TERMS32; ++k) b->turn32[SFEMI_TURN_TERMS32 * j + k] = (float)c[k];
     }
     b->turn[2 * SFEMI_TURN_TERMS] = kind;
     b->turn32[2 * SFEMI_TURN_TERMS32] = (float)kind;
@@ -22551,17 +22560,27 @@ static void sfemi_view_run(const sfemi_view_job *j, size_t tile, size_t tiles, v
 
 /* tiles [tile][3][8] to triples; for float output the shift is added in float */
 #define SFEMI_VIEW_COPY(name, From, To)                                                              \
+    static SFEMI_INLINE void name##_tile(const From *from, size_t count, To s0, To s1, To s2,        \
+                                         char *to, size_t stride)                                    \
+    {                                                                                                \
+        size_t lane;                                                                                 \
+        for (lane = 0; lane < count; ++lane) {                                                       \
+            To *x = (To *)(void *)(to + lane * stride);                                              \
+            x[0] = (To)from[lane] + s0;                                                              \
+            x[1] = (To)from[SFEMI_TILE + lane] + s1;                                                 \
+            x[2] = (To)from[2 * SFEMI_TILE + lane] + s2;                                             \
+        }                                                                                            \
+    }                                                                                                \
     static void name(const From *from, size_t count, const sfem_real *shift, char *to, size_t stride) \
     {                                                                                                \
         const To s0 = (To)shift[0], s1 = (To)shift[1], s2 = (To)shift[2];                            \
-        size_t i, lane;                                                                              \
-        for (i = 0; i < count; i += SFEMI_TILE, from += 3 * SFEMI_TILE)                              \
-            for (lane = 0; lane < SFEMI_TILE && i + lane < count; ++lane, to += stride) {            \
-                To *x = (To *)(void *)to;                                                            \
-                x[0] = (To)from[lane] + s0;                                                          \
-                x[1] = (To)from[SFEMI_TILE + lane] + s1;                                             \
-                x[2] = (To)from[2 * SFEMI_TILE + lane] + s2;                                         \
-            }                                                                                        \
+        for (; count >= SFEMI_TILE; count -= SFEMI_TILE) {                                           \
+            if (stride == 3 * sizeof(To)) name##_tile(from, SFEMI_TILE, s0, s1, s2, to, 3 * sizeof(To)); \
+            else name##_tile(from, SFEMI_TILE, s0, s1, s2, to, stride);                              \
+            from += 3 * SFEMI_TILE;                                                                  \
+            to += SFEMI_TILE * stride;                                                               \
+        }                                                                                            \
+        name##_tile(from, count, s0, s1, s2, to, stride);                                            \
     }
 SFEMI_VIEW_COPY(sfemi_view_copy_dd, double, double)
 SFEMI_VIEW_COPY(sfemi_view_copy_df, double, float)
