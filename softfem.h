@@ -1042,7 +1042,7 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
  * ============================================================================================ */
 
 /* K phi = lambda M phi: the lowest modes of a model at rest, phi_i.M phi_j = delta_ij, omega =
- * sqrt(lambda). Block Lanczos on (K - sigma M)^-1 M, eight right sides a pass [Lanczos 1950; Golub,
+ * sqrt(lambda). Block Lanczos on (K - sigma M)^-1 M, four right sides a pass [Lanczos 1950; Golub,
  * Underwood 1977; Ericsson, Ruhe 1980], all vectors kept M-orthogonal, restarted from what it has
  * [Wu, Simon 2000]; and a count: of K - tau M = L S L^T as many signs are negative as eigenvalues lie
  * below tau [Sylvester 1852]. With tau in the gap above the last mode asked for, a mode that Lanczos
@@ -1058,7 +1058,7 @@ typedef struct sfem_modes_def {
     int dense;                /* by sfem_dense_eigen: O(n^3), 72 n^2 bytes, n free nodes. Bodies of so few
                                * axes that Lanczos has no room for its basis are solved so anyway */
     int no_proof;             /* spare the count, and the factorisation that it needs */
-    sfem_int max_basis;       /* Lanczos vectors at most; 0: three for every two modes, and 72 */
+    sfem_int max_basis;       /* Lanczos vectors at most; 0: 3 modes + 100 or 1.5 modes + 250, the less */
     sfem_int max_restarts;    /* 0: 40 */
     uint32_t seed;            /* of the random start */
     sfem_ordering ordering;   /* of the factorisation */
@@ -1071,7 +1071,7 @@ typedef struct sfem_modes_info {
     int proved;               /* no mode below the last is missing: counted */
     sfem_int converged;       /* elastic modes within the tolerance: all, or it is an error */
     sfem_int solves;          /* right sides solved for */
-    sfem_int steps;           /* passes of eight of them */
+    sfem_int steps;           /* passes of four of them, but for those of polishing */
     sfem_int restarts;        /* thick ones, and those for what was missing */
     sfem_int recovered;       /* modes that only the count brought to light */
     sfem_int factorisations;
@@ -1112,8 +1112,11 @@ SFEM_DEF sfem_modes_def sfem_default_modes_def(void);
  *           SFEM_SINGULAR       no bound in the gap above the last mode could be counted at, or the
  *                               count keeps exceeding what is found
  *           SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
- *   cost    two factorisations and one pass of eight solves for about 5 modes; memory for the factor
- *           and max_basis + 40 vectors. Same bits for any number of threads. */
+ *   cost    two factorisations and about 5 right sides for each mode, four of them together for the
+ *           price of two alone; memory for the factor and max_basis + 30 vectors. Where rounding leaves
+ *           an error above the tolerance (slender bodies, many modes), a third factorisation and a
+ *           pass over the modes; what is then still above it is to be read in `error`, and no failure.
+ *           Same bits for any number of threads. */
 SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *def, sfem_modes *out,
                                        sfem_error *err);
 SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL allowed */
@@ -15777,8 +15780,8 @@ static void sfemi_lanczos_product(const sfemi_lanczos *z, sfem_int k, sfem_real 
     sfemi_modes_stiffness(z->s, x, y);
 }
 
-/* A step of inverse iteration, phi -= A^-1 (K - lambda M) phi, for each vector of V, with the factor at
- * hand; then orthonormal again. */
+/* A step of inverse iteration, phi -= (K - sigma M)^-1 (K - lambda M) phi, for each vector of V; then
+ * orthonormal again. (With tau's factor the modes above would grow.) */
 static void sfemi_lanczos_polish(sfemi_lanczos *z)
 {
     const sfemi_modes_system *s = z->s;
@@ -15874,6 +15877,7 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
     for (turn = 0; turn < 3; ++turn) {
         for (worst = 0, i = 0; i < out->count; ++i) worst = fmax(worst, out->error[i]);
         if (worst <= 0.7 * s->def->tolerance) break;
+        if (turn == 0 && z->info->below >= 0) SFEMI_TRY(sfemi_lanczos_factor(z, z->sigma, 1, err));
         SFEMI_TRY(sfemi_lanczos_rayleigh(z, out, err));
     }
 done:
