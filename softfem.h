@@ -1335,7 +1335,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  * ============================================================================================ */
 
 /* K phi = lambda M phi: the lowest modes of a model at rest, phi_i.M phi_j = delta_ij, omega =
- * sqrt(lambda). Block Lanczos on (K - sigma M)^-1 M, eight right sides a pass [Lanczos 1950; Golub,
+ * sqrt(lambda). Block Lanczos on (K - sigma M)^-1 M, four right sides a pass [Lanczos 1950; Golub,
  * Underwood 1977; Ericsson, Ruhe 1980], all vectors kept M-orthogonal, restarted from what it has
  * [Wu, Simon 2000]; and a count: of K - tau M = L S L^T as many signs are negative as eigenvalues lie
  * below tau [Sylvester 1852]. With tau in the gap above the last mode asked for, a mode that Lanczos
@@ -1351,7 +1351,7 @@ typedef struct sfem_modes_def {
     int dense;                /* by sfem_dense_eigen: O(n^3), 72 n^2 bytes, n free nodes. Bodies of so few
                                * axes that Lanczos has no room for its basis are solved so anyway */
     int no_proof;             /* spare the count, and the factorisation that it needs */
-    sfem_int max_basis;       /* Lanczos vectors at most; 0: three for every two modes, and 72 */
+    sfem_int max_basis;       /* Lanczos vectors at most; 0: 3 modes + 100 or 1.5 modes + 250, the less */
     sfem_int max_restarts;    /* 0: 40 */
     uint32_t seed;            /* of the random start */
     sfem_ordering ordering;   /* of the factorisation */
@@ -1364,7 +1364,7 @@ typedef struct sfem_modes_info {
     int proved;               /* no mode below the last is missing: counted */
     sfem_int converged;       /* elastic modes within the tolerance: all, or it is an error */
     sfem_int solves;          /* right sides solved for */
-    sfem_int steps;           /* passes of eight of them */
+    sfem_int steps;           /* passes of four of them, but for those of polishing */
     sfem_int restarts;        /* thick ones, and those for what was missing */
     sfem_int recovered;       /* modes that only the count brought to light */
     sfem_int factorisations;
@@ -1405,8 +1405,11 @@ SFEM_DEF sfem_modes_def sfem_default_modes_def(void);
  *           SFEM_SINGULAR       no bound in the gap above the last mode could be counted at, or the
  *                               count keeps exceeding what is found
  *           SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
- *   cost    two factorisations and one pass of eight solves for about 5 modes; memory for the factor
- *           and max_basis + 40 vectors. Same bits for any number of threads. */
+ *   cost    two factorisations and about 5 right sides for each mode, four of them together for the
+ *           price of two alone; memory for the factor and max_basis + 30 vectors. Where rounding leaves
+ *           an error above the tolerance (slender bodies, many modes), a third factorisation and a
+ *           pass over the modes; what is then still above it is to be read in `error`, and no failure.
+ *           Same bits for any number of threads. */
 SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *def, sfem_modes *out,
                                        sfem_error *err);
 SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL allowed */
@@ -19337,26 +19340,34 @@ static void sfemi_modes_fill(const sfemi_modes_system *s, const sfem_int *axis, 
         }
 }
 
-/* Rayleigh's quotient from the tets' own strains: better than the eigenvalue of a matrix whose largest
- * eigenvalue is far away; then ascending again. */
-static void sfemi_modes_refine(const sfemi_modes_system *s, sfem_modes *out)
+/* Elastic modes ascending: improved eigenvalues may have changed places with their equals. */
+static void sfemi_modes_sort(sfem_modes *out)
 {
     const size_t nodes3 = 3 * (size_t)out->nodes;
     sfem_int i, k;
     size_t r;
-    for (k = out->rigid; k < out->count; ++k) {
-        const sfem_real lambda = 2 * sfem_model_elastic_energy(s->model, out->phi + (size_t)k * nodes3);
-        for (i = k; i > out->rigid && lambda < out->lambda[i - 1]; --i) {
-            sfem_real *p = out->phi + (size_t)i * nodes3, *o = p - nodes3;
+    for (k = out->rigid; k < out->count; ++k)
+        for (i = k; i > out->rigid && out->lambda[i] < out->lambda[i - 1]; --i) {
+            sfem_real *p = out->phi + (size_t)i * nodes3, *o = p - nodes3, t = out->lambda[i];
             out->lambda[i] = out->lambda[i - 1];
+            out->lambda[i - 1] = t;
             for (r = 0; r < nodes3; ++r) {
-                const sfem_real t = p[r];
+                t = p[r];
                 p[r] = o[r];
                 o[r] = t;
             }
         }
-        out->lambda[i] = lambda;
-    }
+}
+
+/* Rayleigh's quotient from the tets' own strains: better than the eigenvalue of a matrix whose largest
+ * eigenvalue is far away. */
+static void sfemi_modes_refine(const sfemi_modes_system *s, sfem_modes *out)
+{
+    sfem_int k;
+    for (k = out->rigid; k < out->count; ++k)
+        out->lambda[k] =
+            2 * sfem_model_elastic_energy(s->model, out->phi + (size_t)k * 3 * (size_t)out->nodes);
+    sfemi_modes_sort(out);
 }
 
 static sfem_status sfemi_modes_dense(const sfemi_modes_system *s, sfem_modes *out, sfem_error *err)
@@ -19435,7 +19446,7 @@ typedef struct sfemi_lanczos {
     sfem_real *ritz;     /* [capacity][capacity] eigenvectors of T */
     sfem_real *theta, *rho; /* [capacity] Ritz values, falling, and residuals */
     sfem_real *small;    /* scratch of eigenvalues */
-    sfem_real *ax;       /* [2][padded][4] scratch of sfemi_lanczos_gain */
+    sfem_real *ax;       /* [3][padded][4] scratch */
     sfem_real gain;      /* backward error of a mode over rho / theta, from above */
     int vectors;         /* ritz holds eigenvectors of T as it is */
     sfem_real r[16];     /* R, row-major */
@@ -19503,12 +19514,24 @@ static void sfemi_lanczos_mass(sfemi_lanczos *z)
     if (z->mw != z->w) sfemi_modes_mass(z->s, z->w, z->mw);
 }
 
+/* c = V^T MW for the job's panels. */
+static void sfemi_lanczos_dots(sfemi_lanczos *z, sfemi_lanczos_job *job)
+{
+    const size_t size = 96 * (size_t)job->panels;
+    sfem_int k;
+    size_t i;
+    sfemi_run(z->exec, z->chunks, sfemi_lanczos_dots_chunk, job);
+    memset(z->c, 0, size * sizeof *z->c);
+    for (k = 0; k < z->chunks; ++k)
+        for (i = 0; i < size; ++i) z->c[i] += z->part[(size_t)k * 96 * (size_t)z->panels + i];
+    for (i = 4 * (size_t)(z->m - 24 * job->first); i < size; ++i) z->c[i] = 0; /* no vectors there */
+}
+
 /* W -= V V^T M W with the panels that hold the columns from `first` on; T's newest columns, at `column`,
  * get what is taken out. */
 static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_int column)
 {
     sfemi_lanczos_job job;
-    size_t i, size;
     sfem_int k;
     int q;
     if (z->m == 0) return;
@@ -19519,13 +19542,8 @@ static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_i
     job.c = z->c;
     job.w = z->w;
     job.kept = 0;
-    size = 96 * (size_t)job.panels;
     sfemi_lanczos_mass(z);
-    sfemi_run(z->exec, z->chunks, sfemi_lanczos_dots_chunk, &job);
-    memset(z->c, 0, size * sizeof *z->c);
-    for (k = 0; k < z->chunks; ++k)
-        for (i = 0; i < size; ++i) z->c[i] += z->part[(size_t)k * 96 * (size_t)z->panels + i];
-    for (i = 4 * (size_t)(z->m - 24 * job.first); i < size; ++i) z->c[i] = 0; /* no vectors there */
+    sfemi_lanczos_dots(z, &job);
     sfemi_run(z->exec, z->chunks, sfemi_lanczos_combine_chunk, &job);
     for (k = 24 * job.first; column >= 0 && k < z->m; ++k)
         for (q = 0; q < 4; ++q)
@@ -20085,7 +20103,7 @@ static sfem_status sfemi_lanczos_reserve(sfemi_lanczos *z, sfem_int wanted, sfem
     SFEMI_NEW(sfem_real, z->theta, al, h);
     SFEMI_NEW(sfem_real, z->rho, al, h);
     SFEMI_NEW(sfem_real, z->small, al, 14 * h);
-    SFEMI_NEW(sfem_real, z->ax, al, 8 * z->padded);
+    SFEMI_NEW(sfem_real, z->ax, al, 12 * z->padded);
     if (z->s->root && z->s->rigid) {
         SFEMI_NEW(sfem_real, z->s->half, al, 6 * z->rows);
         for (i = 0; i < 6 * z->rows; ++i) z->s->half[i] = z->s->root[i % z->rows] * z->s->z[i];
@@ -20222,7 +20240,7 @@ static sfem_status sfemi_lanczos_iterate(sfemi_lanczos *z, sfem_error *err)
                       "larger max_basis", (int)restarts, (int)z->wanted, worst);
 }
 
-/* W to modes k ... k + 3 of the result, as displacements; and back. */
+/* W to modes k ... k + 3 of the result, as displacements. */
 static void sfemi_lanczos_write(const sfemi_lanczos *z, sfem_int k, sfem_modes *out)
 {
     const sfemi_modes_system *s = z->s;
@@ -20240,101 +20258,11 @@ static void sfemi_lanczos_write(const sfemi_lanczos *z, sfem_int k, sfem_modes *
     }
 }
 
-static void sfemi_lanczos_read(const sfemi_lanczos *z, sfem_int k, const sfem_modes *out)
+/* The first of the eigenvectors in ritz as modes. */
+static void sfemi_lanczos_output(sfemi_lanczos *z, sfem_modes *out)
 {
-    const sfemi_modes_system *s = z->s;
-    sfem_int i, q;
-    size_t c;
-    memset(z->w, 0, 4 * z->padded * sizeof *z->w);
-    for (q = 0; q < 4 && k + q < z->wanted; ++q) {
-        const sfem_real *phi = out->phi + (size_t)(out->rigid + k + q) * 3 * (size_t)out->nodes;
-        for (i = 0; i < s->n; ++i)
-            for (c = 0; c < 3; ++c) {
-                const size_t at = 3 * (size_t)i + c;
-                z->w[4 * at + (size_t)q] = phi[3 * (size_t)s->node[i] + c] * (s->root ? s->root[at] : 1);
-            }
-    }
-}
-
-/* Rounding in the first steps, of the size of the largest theta, leaves residuals of about lambda_k /
- * lambda_1 rounding errors: a step of inverse iteration, phi -= A^-1 (K - lambda M) phi with the factor at
- * hand, for modes k ... k + 3, which stay orthogonal to all others. */
-static void sfemi_lanczos_polish(sfemi_lanczos *z, sfem_int k, sfem_modes *out)
-{
-    const sfemi_modes_system *s = z->s;
-    const sfem_int some = z->wanted - k < 4 ? z->wanted - k : 4;
-    const size_t size = 4 * z->padded;
-    sfem_real *x = z->ax, *y = x + size;
-    size_t r;
-    int q, turn;
-    sfemi_lanczos_read(z, k, out);
-    for (r = 0; r < z->rows; ++r)
-        for (q = 0; q < 4; ++q)
-            x[4 * r + (size_t)q] =
-                s->root && s->root[r] > 0 ? z->w[4 * r + (size_t)q] / s->root[r] : z->w[4 * r + (size_t)q];
-    sfemi_modes_stiffness(s, x, y);
-    sfemi_modes_mass(s, x, z->mw == z->w ? z->work : z->mw);
-    for (r = 0; r < z->rows; ++r)
-        for (q = 0; q < 4; ++q)
-            y[4 * r + (size_t)q] = q < some ? y[4 * r + (size_t)q] -
-                                                  out->lambda[out->rigid + k + q] *
-                                                      (z->mw == z->w ? z->work : z->mw)[4 * r + (size_t)q]
-                                            : 0;
-    sfemi_lanczos_solve(z, NULL, y, x);
-    for (r = 0; r < z->rows; ++r)
-        for (q = 0; q < 4; ++q)
-            z->w[4 * r + (size_t)q] -= x[4 * r + (size_t)q] * (s->root ? s->root[r] : s->mass[r] > 0);
-    sfemi_lanczos_put(z, k, some, NULL);
-    for (turn = 0; turn < 2; ++turn) {
-        sfemi_modes_deflate(s, z->w);
-        sfemi_lanczos_orthogonalise(z, 0, -1);
-    }
-    sfemi_lanczos_normalise(z, 0);
-    sfemi_lanczos_put(z, k, some, z->w);
-    sfemi_lanczos_write(z, k, out);
-}
-
-/* All modes whose backward error is above a half of the tolerance, once more, and what that gives. */
-static sfem_status sfemi_lanczos_refine(sfemi_lanczos *z, sfem_modes *out, sfem_error *err)
-{
-    sfem_status status;
-    sfem_int k, q, turn, worse = 1;
-    for (turn = 0; turn < 3; ++turn) {
-        status = sfemi_modes_errors(z->s, out, err);
-        if (status != SFEM_OK || turn == 2) return status;
-        for (worse = 0, q = out->rigid; q < out->count; ++q)
-            worse += out->error[q] > 0.5 * z->s->def->tolerance;
-        if (worse == 0) return SFEM_OK;
-        memset(z->v, 0, (size_t)z->panels * 24 * z->padded * sizeof *z->v);
-        for (k = 0; k < z->wanted; k += 4) {
-            sfemi_lanczos_read(z, k, out);
-            sfemi_lanczos_put(z, k, z->wanted - k < 4 ? z->wanted - k : 4, z->w);
-        }
-        z->m = z->wanted;
-        for (k = 0; k < z->wanted; k += 4) {
-            for (worse = 0, q = k; q < k + 4 && q < z->wanted; ++q)
-                worse += out->error[out->rigid + q] > 0.5 * z->s->def->tolerance;
-            if (worse) sfemi_lanczos_polish(z, k, out);
-        }
-    }
-    return SFEM_OK;
-}
-
-/* The wanted Ritz vectors, as displacements. */
-static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_error *err)
-{
-    const sfemi_modes_system *s = z->s;
-    sfem_status status = sfemi_modes_result(s, z->wanted, out, err);
-    sfem_real *lambda = NULL;
     sfemi_lanczos_job job;
-    sfem_int k, i;
-    if (status != SFEM_OK) return status;
-    if (!sfemi_lanczos_vectors(z))
-        return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
-    SFEMI_NEW(sfem_real, lambda, s->al, z->m);
-    for (i = 0; i < z->m; ++i) lambda[i] = sfemi_lanczos_lambda(z, z->theta[i]);
-    memcpy(out->lambda + out->rigid, lambda, (size_t)z->wanted * sizeof *lambda);
-    out->info.cut = sfemi_modes_cut(lambda, z->wanted, z->m);
+    sfem_int k;
     job.z = z;
     job.first = 0;
     job.panels = (z->m + 23) / 24;
@@ -20348,9 +20276,123 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
         sfemi_run(z->exec, z->chunks, sfemi_lanczos_combine_chunk, &job);
         sfemi_lanczos_write(z, k, out);
     }
+}
+
+/* y = K x, x the four columns of V from k on, as displacements. */
+static void sfemi_lanczos_product(const sfemi_lanczos *z, sfem_int k, sfem_real *x, sfem_real *y)
+{
+    const sfem_real *root = z->s->root;
+    sfem_int q;
+    size_t r;
+    memset(x, 0, 4 * z->padded * sizeof *x);
+    for (q = 0; q < 4 && k + q < z->m; ++q) {
+        const sfem_real *from = z->v + (size_t)((k + q) / 24) * 24 * z->padded + (size_t)((k + q) % 24);
+        for (r = 0; r < z->rows; ++r)
+            x[4 * r + (size_t)q] = from[24 * r] / (root && root[r] > 0 ? root[r] : 1);
+    }
+    sfemi_modes_stiffness(z->s, x, y);
+}
+
+/* A step of inverse iteration, phi -= (K - sigma M)^-1 (K - lambda M) phi, for each vector of V; then
+ * orthonormal again. (With tau's factor the modes above would grow.) */
+static void sfemi_lanczos_polish(sfemi_lanczos *z)
+{
+    const sfemi_modes_system *s = z->s;
+    const sfem_int m = z->m;
+    sfem_real *x = z->ax, *y = x + 4 * z->padded, *mx = y + 4 * z->padded;
+    sfem_int k, q;
+    size_t r;
+    for (k = 0; k < m; k += 4) {
+        const sfem_int some = m - k < 4 ? m - k : 4;
+        z->m = m;
+        sfemi_lanczos_product(z, k, x, y);
+        sfemi_modes_mass(s, x, mx);
+        for (r = 0; r < z->rows; ++r)
+            for (q = 0; q < some; ++q)
+                y[4 * r + (size_t)q] -=
+                    sfemi_lanczos_lambda(z, z->theta[k + q]) * mx[4 * r + (size_t)q];
+        memcpy(mx, x, 4 * z->rows * sizeof *x);
+        sfemi_lanczos_solve(z, NULL, y, x);
+        memset(z->w, 0, 4 * z->padded * sizeof *z->w);
+        for (r = 0; r < z->rows; ++r)
+            for (q = 0; q < some && s->mass[r] > 0; ++q)
+                z->w[4 * r + (size_t)q] =
+                    (mx[4 * r + (size_t)q] - x[4 * r + (size_t)q]) * (s->root ? s->root[r] : 1);
+        z->m = k;
+        for (q = 0; q < 2; ++q) {
+            sfemi_modes_deflate(s, z->w);
+            sfemi_lanczos_orthogonalise(z, 0, -1);
+        }
+        sfemi_lanczos_normalise(z, 0);
+        sfemi_lanczos_put(z, k, some, z->w);
+    }
+    z->m = m;
+}
+
+/* T is the inverse's: its rounding errors are of the size of the largest theta, and turn modes far above
+ * the first among themselves, and the first steps leave noise, with residuals of up to lambda_k / lambda_1
+ * rounding errors. Where that shows, the first Ritz vectors are polished, and Rayleigh and Ritz work once
+ * more, with K itself. */
+static sfem_status sfemi_lanczos_rayleigh(sfemi_lanczos *z, sfem_modes *out, sfem_error *err)
+{
+    const sfemi_modes_system *s = z->s;
+    const sfem_real *root = s->root;
+    const sfem_int most = (z->wanted + z->wanted / 4 + 16) / 4 * 4, restarts = z->info->restarts;
+    sfem_real *x = z->ax, *y = x + 4 * z->padded;
+    sfem_status status = sfemi_lanczos_restart(z, most < z->m ? most : z->m / 4 * 4, err);
+    sfemi_lanczos_job job;
+    sfem_int k, i, q;
+    size_t r;
+    if (status != SFEM_OK) return status;
+    z->info->restarts = restarts;
+    sfemi_lanczos_polish(z);
+    job.z = z;
+    job.first = 0;
+    job.panels = (z->m + 23) / 24;
+    for (k = 0; k < z->m; k += 4) {
+        sfemi_lanczos_product(z, k, x, y);
+        memset(z->mw, 0, 4 * z->padded * sizeof *z->mw);
+        for (r = 0; r < z->rows; ++r)
+            for (q = 0; q < 4; ++q)
+                z->mw[4 * r + (size_t)q] = s->mass[r] > 0 ? y[4 * r + (size_t)q] / (root ? root[r] : 1) : 0;
+        sfemi_lanczos_dots(z, &job);
+        for (q = 0; q < 4 && k + q < z->m; ++q)
+            for (i = 0; i < z->m; ++i)
+                z->t[(size_t)i + (size_t)(k + q) * (size_t)z->capacity] = -z->c[4 * i + q];
+    }
+    if (!sfemi_lanczos_vectors(z))
+        return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
+    for (k = 0; k < z->wanted; ++k) out->lambda[out->rigid + k] = -z->theta[k];
+    for (k = 0; k < z->m; ++k) z->theta[k] = 1 / (-z->theta[k] - z->sigma);
+    sfemi_lanczos_output(z, out);
+    return sfemi_modes_errors(s, out, err);
+}
+
+/* The wanted Ritz vectors, as displacements. */
+static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_error *err)
+{
+    const sfemi_modes_system *s = z->s;
+    sfem_status status = sfemi_modes_result(s, z->wanted, out, err);
+    sfem_real *lambda = NULL, worst;
+    sfem_int i;
+    int turn;
+    if (status != SFEM_OK) return status;
+    if (!sfemi_lanczos_vectors(z))
+        return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
+    SFEMI_NEW(sfem_real, lambda, s->al, z->m);
+    for (i = 0; i < z->m; ++i) lambda[i] = sfemi_lanczos_lambda(z, z->theta[i]);
+    memcpy(out->lambda + out->rigid, lambda, (size_t)z->wanted * sizeof *lambda);
+    out->info.cut = sfemi_modes_cut(lambda, z->wanted, z->m);
     out->info.converged = z->wanted;
     out->info.sigma = z->sigma;
-    status = sfemi_lanczos_refine(z, out, err);
+    sfemi_lanczos_output(z, out);
+    SFEMI_TRY(sfemi_modes_errors(s, out, err));
+    for (turn = 0; turn < 3; ++turn) {
+        for (worst = 0, i = 0; i < out->count; ++i) worst = fmax(worst, out->error[i]);
+        if (worst <= 0.7 * s->def->tolerance) break;
+        if (turn == 0 && z->info->below >= 0) SFEMI_TRY(sfemi_lanczos_factor(z, z->sigma, 1, err));
+        SFEMI_TRY(sfemi_lanczos_rayleigh(z, out, err));
+    }
 done:
     sfemi_delete(s->al, lambda);
     return status;
