@@ -1544,7 +1544,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
 SFEM_DEF void sfem_modal_free(sfem_modal *modal); /* NULL allowed */
 
 /* One step of h > 0 seconds; h may change from step to step (coefficients are renewed: about 0.1 us a mode).
- * Loads are turned by the rotations at the start of the step. A free body's frame follows Newmark's formulas
+ * Loads are turned by the rotations that the last step leads on to, which keeps the second order. A free body's frame follows Newmark's formulas
  * with the angular momentum for a velocity; its rotation, exp of the mean angular velocity, by the implicit
  * midpoint rule, is always proper, and both momenta are kept to rounding where no force acts.
  * Approximations: mass and inertia are those of the rest shape, and the frame's accelerations do not act on
@@ -21345,6 +21345,9 @@ struct sfem_modal {
     sfemi_modal_head *head;
     sfem_real *q, *v, *a, *f;      /* [stride] */
     sfem_real *rest;               /* [stride] the load with which a mode fell asleep */
+    sfem_real *mean;               /* [stride] velocity over the last step: carries the rotations on to where
+                                    * the load of the next one acts. (q' would not do: that of modes faster
+                                    * than the step alternates.) */
     sfem_int *asleep;              /* [stride] */
     sfemi_modal_handle *handle;    /* [max_handles] */
     sfem_real *weight;             /* [max_handle_nodes] */
@@ -21371,7 +21374,7 @@ struct sfem_modal {
     float turn32[2 * SFEMI_TURN_TERMS32 + 1];
 };
 
-enum { SFEMI_MODAL_ARRAYS = 13, SFEMI_MODAL_VERSION = 1 };
+enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 1 };
 
 static int sfemi_modal_path_kind(const sfem_modal *b)
 {
@@ -21461,7 +21464,7 @@ static void sfemi_modal_lay_out(sfem_modal *b, void *block)
 {
     const size_t real = b->stride * sizeof(sfem_real), handles = (size_t)b->def.max_handles;
     const size_t held = (size_t)b->def.max_handle_nodes, n = (size_t)b->reduced->head->nodes;
-    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head), real, real, real, real, real,
+    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head), real, real, real, real, real, real,
                                               b->stride * sizeof(sfem_int),
                                               handles * sizeof(sfemi_modal_handle),
                                               held * sizeof(sfem_real), held * sizeof(sfem_int),
@@ -21474,7 +21477,7 @@ static void sfemi_modal_lay_out(sfem_modal *b, void *block)
     for (k = 0; k < SFEMI_MODAL_ARRAYS; ++k)
         at[k + 1] = (at[k] + bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
     b->state_bytes = at[SFEMI_MODAL_ARRAYS];
-    b->small_bytes = at[8];
+    b->small_bytes = at[9];
     if (!p) return;
     b->head = (sfemi_modal_head *)(void *)p;
     b->q = (sfem_real *)(void *)(p + at[1]);
@@ -21482,13 +21485,14 @@ static void sfemi_modal_lay_out(sfem_modal *b, void *block)
     b->a = (sfem_real *)(void *)(p + at[3]);
     b->f = (sfem_real *)(void *)(p + at[4]);
     b->rest = (sfem_real *)(void *)(p + at[5]);
-    b->asleep = (sfem_int *)(void *)(p + at[6]);
-    b->handle = (sfemi_modal_handle *)(void *)(p + at[7]);
-    b->weight = (sfem_real *)(void *)(p + at[8]);
-    b->handle_node = (sfem_int *)(void *)(p + at[9]);
-    b->rows = (sfem_real *)(void *)(p + at[10]);
-    b->force = (sfem_real *)(void *)(p + at[11]);
-    b->force_node = (sfem_int *)(void *)(p + at[12]);
+    b->mean = (sfem_real *)(void *)(p + at[6]);
+    b->asleep = (sfem_int *)(void *)(p + at[7]);
+    b->handle = (sfemi_modal_handle *)(void *)(p + at[8]);
+    b->weight = (sfem_real *)(void *)(p + at[9]);
+    b->handle_node = (sfem_int *)(void *)(p + at[10]);
+    b->rows = (sfem_real *)(void *)(p + at[11]);
+    b->force = (sfem_real *)(void *)(p + at[12]);
+    b->force_node = (sfem_int *)(void *)(p + at[13]);
 }
 
 static uint64_t sfemi_modal_key(const sfem_modal *b)
@@ -22054,6 +22058,7 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
     sfemi_modal_wake(b);
     sfemi_handle_locate(b);
     sfemi_handle_project(b, slot, 0);
+    memcpy(b->mean, b->v, b->stride * sizeof *b->mean);
     if (b->head->started) {
         sfem_int hi, i = 0;
         int c;
@@ -22357,7 +22362,7 @@ static void sfemi_modal_settle(sfem_modal *b)
             continue;
         b->asleep[k] = 1;
         b->q[k] = fabs(rest) * r->amplitude[k] <= share / 4 ? 0 : rest;
-        b->v[k] = b->a[k] = 0;
+        b->v[k] = b->a[k] = b->mean[k] = 0;
         b->rest[k] = b->next[k];
     }
 }
@@ -22381,16 +22386,20 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     const sfem_real beta = held ? b->def.handle_beta : b->def.beta;
     const sfem_real gamma = held ? b->def.handle_gamma : b->def.gamma;
     sfemi_modal_head to;
+    const sfem_real *before;
     sfem_int bad;
+    size_t k;
     if (!(h > 0 && sfemi_finite(h)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s, must be above 0", h);
     memcpy(b->backup, b->head, b->small_bytes);
-    sfemi_modal_load_at(b, b->q, b->next);
+    before = (const sfem_real *)(const void *)((char *)b->backup + ((char *)b->q - (char *)b->head));
     if (!b->head->started) {
-        memcpy(b->f, b->next, b->stride * sizeof *b->f);
+        sfemi_modal_load_at(b, b->q, b->f);
         sfemi_modal_accelerate(b);
         b->head->started = 1;
     }
+    for (k = 0; k < b->m; ++k) b->qp[k] = b->q[k] + h * b->mean[k];
+    sfemi_modal_load_at(b, b->qp, b->next);
     if (held) sfemi_modal_wake(b);
     else sfemi_modal_rouse(b);
     to = *b->head;
@@ -22410,6 +22419,7 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     if (!held) to.residual = 0, to.iterations = to.rows_left = 0;
     *b->head = to;
     memcpy(b->f, b->next, b->stride * sizeof *b->f);
+    for (k = 0; k < b->m; ++k) b->mean[k] = (b->q[k] - before[k]) / h;
     if (!held) sfemi_modal_settle(b);
     sfemi_modal_pack(b);
     return SFEM_OK;
@@ -22428,6 +22438,7 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *accele
     sfemi_modal_wake(b);
     for (k = 0; k < b->m; ++k) {
         const sfem_real a = b->a[k], next = acceleration[k];
+        b->mean[k] = b->v[k] + h * ((0.5 - beta) * a + beta * next);
         b->q[k] += h * b->v[k] + h * h * ((0.5 - beta) * a + beta * next);
         b->v[k] += h * ((1 - gamma) * a + gamma * next);
         b->a[k] = next;
@@ -22460,6 +22471,7 @@ SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *
         return sfemi_fail(err, SFEM_NOT_FINITE, "a coordinate is not finite");
     if (q) memcpy(b->q, q, bytes);
     if (v) memcpy(b->v, v, bytes);
+    memcpy(b->mean, b->v, bytes);
     if (a) memcpy(b->a, a, bytes);
     b->head->started = a != NULL;
     sfemi_modal_wake(b);
@@ -22560,6 +22572,7 @@ SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_in
     memcpy(b->f, b->b, b->stride * sizeof *b->f);
     memset(b->v, 0, b->stride * sizeof *b->v);
     memset(b->a, 0, b->stride * sizeof *b->a);
+    memset(b->mean, 0, b->stride * sizeof *b->mean);
     b->head->started = 1;
     sfemi_modal_pack(b);
     return SFEM_OK;

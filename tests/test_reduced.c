@@ -869,7 +869,8 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
         double x0[2][3], load[BEAM_MODES], got[2][BEAM_MODES], want[2][BEAM_MODES], f[2][3];
         sfem_int handle[2];
         sfem_error err;
-        assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+        /* turned loads would have to be known at the end of the step */
+        if (!warp) assert_ok(sfem_modal_set_gravity(b, g, &err), err);
         for (i = 0; i < 20; ++i) step(b, 0.01);
         handle[0] = grab(b, s.nodes - 1);
         assert_ok(sfem_modal_grab_region(b, 3, region, weight, &handle[1], &err), err);
@@ -913,6 +914,36 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
         /* pulled up, the hand pulls up */
         assert_true(f[0][2] + f[1][2] > 0);
         sfem_modal_free(b);
+    }
+    free_scene(&s);
+}
+
+/* Under turned loads, too, the error of Newmark and of the exact oscillators falls with the square of the step. */
+static void warped_motion_is_of_second_order(void **state)
+{
+    scene s = make_beam(1);
+    const double g[3] = {0, 0.3, -1};
+    int kind, level, i, k;
+    (void)state;
+    for (kind = 0; kind < 2; ++kind) {
+        double end[3][BEAM_MODES], coarse = 0, fine = 0;
+        for (level = 0; level < 3; ++level) {
+            const int count = level == 2 ? 6400 : 200 << level;
+            sfem_modal_def def = sfem_default_modal_def();
+            sfem_modal *b;
+            sfem_error err;
+            def.integrator = (sfem_modal_integrator)kind;
+            b = make_modal(&s, &def);
+            assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+            for (i = 0; i < count; ++i) step(b, 4.0 / count);
+            memcpy(end[level], sfem_modal_coordinates(b), sizeof end[level]);
+            sfem_modal_free(b);
+        }
+        for (k = 0; k < 3; ++k) { /* those that the step resolves */
+            coarse += pow(end[0][k] - end[2][k], 2);
+            fine += pow(end[1][k] - end[2][k], 2);
+        }
+        assert_near(sqrt(coarse / fine), 4, 0.15, 0);
     }
     free_scene(&s);
 }
@@ -1439,6 +1470,7 @@ int main(void)
         cmocka_unit_test(a_handle_holds_its_node_at_its_target),
         cmocka_unit_test(the_force_of_a_handle_is_work_conjugate),
         cmocka_unit_test(the_work_of_a_hand_goes_into_the_body),
+        cmocka_unit_test(warped_motion_is_of_second_order),
         cmocka_unit_test(noisy_handles_are_eased_by_compliance),
         cmocka_unit_test(handles_in_any_number_stay_finite),
         cmocka_unit_test(redundant_handles_without_compliance_are_finite),
