@@ -623,7 +623,8 @@ static double total_forces(scene *s, const double *u, double *f)
     double *work = reals((sfem_int)sfem_model_work_size(s->model)), energy;
     sfem_int i;
     if (s->damage->block) {
-        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL, work, NULL);
+        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL,
+                                           work, NULL);
     } else {
         sfem_model_multiply_stiffness(s->model, u, f, NULL);
         for (i = 0, energy = 0; i < s->n; ++i) energy += u[i] * f[i] / 2;
@@ -778,6 +779,37 @@ static void forces_keep_their_digits_far_across_an_open_crack(void **state)
         free(u), free(f[0]), free(f[1]);
         free_scene(&s);
     }
+}
+
+/* what most damaged tets are computed by agrees with what all can be */
+static void the_short_way_through_upright_tets_is_the_long_one(void **state)
+{
+    sfem_damage_def def = sfem_default_damage_def();
+    test_random r = {41};
+    sfem_mesh mesh;
+    scene s;
+    sfem_int i, hurt = 0, shorter = 0;
+    double *u;
+    (void)state;
+    make_mesh(3, 3, 3, 1, SFEM_CELL_6_TETS, .1, 2, &mesh);
+    make_scene(&mesh, SFEM_NEOHOOKEAN, 1, &def, &s);
+    break_some(&s, &r, .1);
+    u = reals(s.n);
+    random_fill(&r, u, (size_t)s.n, -.35, .35);
+    for (i = 0; i < s.damage->tets; ++i) {
+        const sfem_int e = s.damage->tet[i];
+        double local[12], f[2][12], psi[2];
+        sfemi_damage_gather(u, mesh.tet + 4 * e, local);
+        hurt += s.damage->kind[e] == SFEMI_HURT;
+        if (!sfemi_damage_upright(s.damage, e, local, &psi[0], f[0])) continue;
+        psi[1] = sfemi_damage_other(s.damage, e, local, f[1]);
+        ++shorter;
+        assert_near(psi[0], psi[1], 1e-12, 1e-14);
+        assert_all_near(f[0], f[1], 12, 1e-12, 1e-13);
+    }
+    assert_true(shorter > hurt / 4 && shorter < hurt); /* some are not upright */
+    free(u);
+    free_scene(&s);
 }
 
 static void the_tangent_of_a_damaged_body_is_the_slope_of_its_forces(void **state)
@@ -1557,8 +1589,8 @@ static void threads_do_not_change_a_bit_of_damage(void **state)
             step_at(&step, u0, u1, NULL, NULL);
             step.exec = &exec;
             sfemi_damage_round(s.damage, &step, &change);
-            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL, NULL, work,
-                                            &exec);
+            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL,
+                                            NULL, work, &exec);
             hash[t] = 31 * hash[t] + hash_reals(f, (size_t)s.n) + hash_reals(&psi, 1) +
                       hash_reals(rotation, 9 * (size_t)mesh.tets);
         }
@@ -2076,6 +2108,7 @@ int main(void)
         cmocka_unit_test(the_graph_knows_edges_tets_and_areas),
         cmocka_unit_test(forces_of_a_damaged_body_are_the_gradient_of_its_energy),
         cmocka_unit_test(forces_keep_their_digits_far_across_an_open_crack),
+        cmocka_unit_test(the_short_way_through_upright_tets_is_the_long_one),
         cmocka_unit_test(the_tangent_of_a_damaged_body_is_the_slope_of_its_forces),
         cmocka_unit_test(pieces_agree_with_a_search_from_scratch_after_every_break),
         cmocka_unit_test(pieces_add_up_to_the_body),
