@@ -68,6 +68,9 @@ bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distort
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
+bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a step and of warping
+	$(BUILD)/bench/warp
+
 bench-step: $(BUILD)/bench/step ## the default step beside semi-implicit Newmark, also on CHOLMOD
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/step
 
