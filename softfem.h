@@ -12130,7 +12130,8 @@ SFEMI_UNUSED static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_
 /* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
  *     a0 dPsi(u0) + a1 dPsi(u1) - ac (u1-u0).d(f(u1)-f(u0)),   d: after less before:
  * (1/2, 1/2, 1/4) for (p,1,1) with any constant A, and for Newmark(p,1/2); (1/2, 1/2, (1/2-p)/2) is
- * what the guard's ledger sees; (0, 1, 0) judges Psi at the end alone. */
+ * what the guard's ledger sees; (0, 1, 0) judges Psi at the end alone. In a body
+ * that turns the decision is by the last term in each tet's own turning frame. */
 typedef struct sfemi_damage_step {
     const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
     sfem_real a0, a1, ac;
@@ -12367,47 +12368,81 @@ static int sfemi_damage_is_peak(const sfemi_damage *d, sfem_int k)
     return 1;
 }
 
-/* What one tet contributes to the invariant, and its forces at both ends. */
+/* The rotations of a tet at both ends of a step; I where its law is linear. */
+static void sfemi_damage_turns(const sfem_damage_tet *tet, sfem_law law, const sfem_real u0[12],
+                               const sfem_real u1[12], sfem_real r[2][9])
+{
+    sfem_real f[9], g[4][3];
+    int t, k;
+    memcpy(g, tet->gradient, sizeof g);
+    for (t = 0; t < 2; ++t) {
+        const sfem_real *u = t ? u1 : u0;
+        for (k = 0; k < 9; ++k) r[t][k] = k % 4 == 0;
+        if (law == SFEM_LINEAR) continue;
+        sfemi_element_deform(u, u + 3, u + 6, u + 9, g, f);
+        for (k = 0; k < 9; k += 4) f[k] += 1;
+        sfemi_element_rotation(f, SFEMI_TINY_F, r[t]);
+    }
+}
+
+/* What one tet contributes to the invariant, and its forces at both ends. out: Psi(u0), Psi(u1),
+ * (u1-u0).(f1-f0), and the last in the tet's own turning frame, (R1^T x1 - R0^T x0).(R1^T f1 - R0^T
+ * f0): a tet under stress that turns by theta in a step has theta^2/strain times its energy in the
+ * first. */
 static void sfemi_damage_local(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
                                int kind, const sfem_real zeta[6], const sfem_real s_d[36],
-                               const sfem_real u0[12], const sfem_real u1[12], sfem_real f[24],
-                               sfem_real out[3])
+                               const sfem_real u0[12], const sfem_real u1[12],
+                               sfem_real r[2][9], sfem_real f[24], sfem_real out[4])
 {
-    int i;
+    int a, i, c;
     out[0] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u0, f);
     out[1] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u1, f + 12);
     for (i = 0, out[2] = 0; i < 12; ++i) out[2] += (u1[i] - u0[i]) * (f[12 + i] - f[i]);
+    out[3] = out[2];
+    if (law == SFEM_LINEAR) return;
+    for (a = 3, out[3] = 0; a < 12; a += 3) /* from node 0: the forces sum to zero */
+        for (i = 0; i < 3; ++i) {
+            sfem_real dx = 0, df = 0;
+            for (c = 0; c < 3; ++c) {
+                const sfem_real rest = tet->x[a + c] - tet->x[c];
+                dx += r[1][3 * c + i] * (rest + u1[a + c] - u1[c]) -
+                      r[0][3 * c + i] * (rest + u0[a + c] - u0[c]);
+                df += r[1][3 * c + i] * f[12 + a + c] - r[0][3 * c + i] * f[a + c];
+            }
+            out[3] += dx * df;
+        }
 }
 
 /* What lowering zeta of edge k to `to` does: the sums over its tets of the changes of Psi(u0),
  * Psi(u1), (u1-u0).(f1-f0); S_d and the changes of the forces go to d->local. */
 static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to,
-                                  const sfemi_damage_step *step, sfem_real sum[3])
+                                  const sfemi_damage_step *step, sfem_real sum[4])
 {
     const sfemi_bonds *g = d->bonds;
     const sfem_model *model = g->model;
     sfem_real *local = d->local;
     sfem_int at;
     int i;
-    sum[0] = sum[1] = sum[2] = 0;
+    sum[0] = sum[1] = sum[2] = sum[3] = 0;
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at, local += 60) {
         const sfem_int e = g->edge_tet[at] / 6, *t = model->mesh.tet + 4 * (size_t)e;
         const sfem_law law = (sfem_law)model->law[e];
-        sfem_real zeta[6], u0[12], u1[12], f[24], before[3], after[3];
+        sfem_real zeta[6], u0[12], u1[12], f[24], before[4], after[4], r[2][9];
         sfem_damage_tet tet;
         unsigned mask = sfemi_damage_zetas(d, e, zeta);
         int kind;
         sfemi_damage_tet(d->bonds, e, &tet);
         sfemi_damage_gather(step->u0, t, u0);
         sfemi_damage_gather(step->u1, t, u1);
-        sfemi_damage_local(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u0, u1, f,
-                           before);
+        sfemi_damage_turns(&tet, law, u0, u1, r);
+        sfemi_damage_local(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u0, u1, r,
+                           f, before);
         zeta[g->edge_tet[at] % 6] = to;
         if (!(to > 0)) mask &= ~(1u << g->edge_tet[at] % 6);
         kind = sfemi_damage_assess(d, &tet, zeta, mask, local);
-        sfemi_damage_local(d, &tet, law, kind, zeta, local, u0, u1, local + 36, after);
+        sfemi_damage_local(d, &tet, law, kind, zeta, local, u0, u1, r, local + 36, after);
         for (i = 0; i < 24; ++i) local[36 + i] -= f[i];
-        for (i = 0; i < 3; ++i) sum[i] += after[i] - before[i];
+        for (i = 0; i < 4; ++i) sum[i] += after[i] - before[i];
     }
 }
 
@@ -12464,9 +12499,9 @@ enum { SFEMI_PATIENCE = 16 };
 static int sfemi_damage_try(sfemi_damage *d, sfem_int k, sfem_real to, sfem_break_reason reason,
                             const sfemi_damage_step *step, sfemi_damage_change *change)
 {
-    sfem_real sum[3], rise;
+    sfem_real sum[4], rise;
     sfemi_damage_consider(d, k, to, step, sum);
-    rise = step->a0 * sum[0] + step->a1 * sum[1] - step->ac * sum[2];
+    rise = step->a0 * sum[0] + step->a1 * sum[1] - step->ac * sum[3];
     if (!(rise <= 0)) {
         ++change->delayed;
         if (reason != SFEM_BROKE_BLADE || ++d->mark[k] <= SFEMI_PATIENCE) return 0;
