@@ -1422,41 +1422,43 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(l
 
 /* THE REDUCED MODEL. A body moves in m of its modes, u = Phi q, each an oscillator of its own:
  *     q'' + c q' + lambda q = Phi^T F,   c = alpha + beta lambda or 2 ratio sqrt(lambda)
- * A reduced model holds what that takes, m numbers an axis and node, and nothing of the mesh but rest
- * positions and the surface. It never changes, is shared by any number of bodies and threads, and is
- * reference-counted: each view and each body holds one. It needs the model only while it is created, and can
- * be saved to one block and loaded without it.
+ * A reduced model holds what that takes, m numbers an axis and node, and nothing of the mesh but
+ * rest positions and the surface. It never changes, is shared by any number of bodies and threads,
+ * and is reference-counted: each view and each body holds one. It needs the model only while it is
+ * created, and can be saved to one block and loaded without it.
  *
- * WARPING [Choi and Ko 2005]. Modes turn nodes along straight lines: bent far, a bar grows. With w = Psi q,
- * half the curl of Phi q, the rotation vector of each node, th = |w|,
- *     R  = I + sin th/th [w]x + (1 - cos th)/th^2 [w]x^2            the node's rotation
- *     Rt = I + (1 - cos th)/th^2 [w]x + (1 - sin th/th)/th^2 [w]x^2   its mean over the path, int R(s w) ds
- * displacements become R Phi q (SFEM_WARP_ROTATION, as the source prints it) or Rt Phi q (SFEM_WARP_PATH, the
- * default: five times closer to the nonlinear body); handles see the same displacement; loads become
- * Phi^T (R^T F) with either. Valid while |w| < pi; what lies beyond is drawn, but means nothing. */
+ * WARPING [Choi and Ko 2005]. Modes turn nodes along straight lines: bent far, a bar grows. With w
+ * = Psi q, half the curl of Phi q, the rotation vector of each node, th = |w|,
+ *     R  = I + sin th/th [w]x + (1 - cos th)/th^2 [w]x^2              the node's rotation
+ *     Rt = I + (1 - cos th)/th^2 [w]x + (1 - sin th/th)/th^2 [w]x^2   int R(s w) ds, its path mean
+ * displacements become R Phi q (SFEM_WARP_ROTATION, as the source prints it) or Rt Phi q
+ * (SFEM_WARP_PATH, the default: five times closer to the nonlinear body); handles see the same
+ * displacement; loads become Phi^T (R^T F) with either. Valid while |w| < pi; what lies beyond is
+ * drawn, but means nothing. */
 typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sfem_warp;
 
 typedef struct sfem_reduced sfem_reduced;
 
 typedef struct sfem_reduced_def {
     sfem_real alpha, beta;   /* Rayleigh damping, >= 0: c = alpha + beta lambda, 1/s, s */
-    const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or NULL. A mode
-                              * of lambda = 0 has no ratio: its c is alpha */
-    int free;                /* 1: the body is free. Modes of lambda = 0 are left out, a rigid frame takes
-                              * their place; 0: it is held; -1: free if six of the modes are rigid. Say 1
+    const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or
+                              * NULL. A mode of lambda = 0 has no ratio: its c is alpha */
+    int free;                /* 1: the body is free: a rigid frame takes the place of its rigid
+                              * modes; 0: it is held; -1: free if six of the modes are rigid. Say 1
                               * where they were left out of the modes */
-    sfem_int gravity_groups; /* gravity on a warped body: the nodes turn in so many groups, each as the mean
-                              * of its nodes; as many as nodes, or more: each node for itself. >= 1 */
+    sfem_int gravity_groups; /* >= 1. Gravity on a warped body: its nodes turn in so many groups,
+                              * each as the mean of its nodes; as many as nodes, or more: each node
+                              * for itself */
     sfem_allocator allocator;
 } sfem_reduced_def;
 
 SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 16 groups */
 
-/* Takes over all the modes (rigid ones as the definition says). Psi_i = sum V_e curl_e/2 / sum V_e over the
- * tets of node i.
+/* Takes over all the modes (rigid ones as the definition says). Psi_i = sum V_e curl_e/2 / sum V_e
+ * over the tets of node i.
  *   errors  SFEM_MISMATCH (modes of another number of nodes), SFEM_NOT_FINITE (mode),
- *           SFEM_BAD_ARGUMENT (damping; free, but the modes move the body as a whole, or it is in more
- *           pieces than one: the mode is named), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
+ *           SFEM_BAD_ARGUMENT (damping; free, but the modes move the body as a whole, or it is in
+ *           more pieces than one: the mode is named), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
  *   cost    O(m (nodes + tets)); 48 m bytes a node */
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
                                          const sfem_reduced_def *def, sfem_reduced **out,
@@ -1481,18 +1483,20 @@ SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *reduced);
 SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *reduced, sfem_int node, sfem_real *phi,
                                       sfem_real *psi);
 
-/* One block of bytes: version, sizes, checksum, and all the rest. For machines of the same byte order.
- *   errors  SFEM_FORMAT (not a reduced model, of another version or byte order, damaged, cut short),
- *           SFEM_OUT_OF_MEMORY */
+/* One block of bytes: version, sizes, checksum, and all the rest. For machines of the same byte
+ * order.
+ *   errors  SFEM_FORMAT (not a reduced model, of another version or byte order, damaged, cut
+ *           short), SFEM_OUT_OF_MEMORY */
 SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *reduced);
 SFEM_DEF void sfem_reduced_save(const sfem_reduced *reduced, void *memory);
-SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const sfem_allocator *allocator,
-                                       sfem_reduced **out, sfem_error *err);
+SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
+                                       const sfem_allocator *allocator, sfem_reduced **out,
+                                       sfem_error *err);
 
-/* VIEWS. The rows of those nodes that are to be drawn, packed for the vector units: what is reconstructed
- * through a view costs what the view holds, and reads nothing else. Immutable and shared, as the model.
- * SFEM_MIXED keeps the rows in float and sums in float: half the memory traffic, errors of 1e-6 of the
- * displacement and 1e-7 of the size of the body.
+/* VIEWS. The rows of those nodes that are to be drawn, packed for the vector units: what is
+ * reconstructed through a view costs what the view holds, and reads nothing else. Immutable and
+ * shared, as the model. SFEM_MIXED keeps the rows in float and sums in float: half the memory
+ * traffic, errors of 1e-6 of the displacement and 1e-7 of the size of the body.
  *   node  [count], in the order of the output, or NULL: all
  *   errors  SFEM_BAD_ARGUMENT (node), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE */
 typedef struct sfem_reduced_view sfem_reduced_view;
@@ -1507,9 +1511,9 @@ SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
 
 /* A MODAL BODY. Two integrators:
  *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [000 A.7-A.13]
- *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: no period error
- *                       and no instability at any h and any damping, the start of a load excepted, exact
- *                       at the steps. With handles it steps as the other does. */
+ *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: exact
+ *                       at any h and any damping. With handles it steps as the other does, by
+ *                       handle_beta and handle_gamma. */
 typedef enum sfem_modal_integrator { SFEM_MODAL_NEWMARK, SFEM_MODAL_EXACT } sfem_modal_integrator;
 
 typedef struct sfem_modal sfem_modal;
@@ -1517,80 +1521,88 @@ typedef struct sfem_modal sfem_modal;
 typedef struct sfem_modal_def {
     sfem_modal_integrator integrator;
     sfem_warp warp;
-    sfem_real beta, gamma;               /* > 0, >= 1/2 */
-    sfem_real handle_beta, handle_gamma; /* while a handle is held: constraints on positions ring under
-                                          * (1/4, 1/2), with growing amplitude */
-    sfem_real compliance;                /* eps >= 0 of handles, times the mean of the diagonal of
-                                          * J A^-1 J^T: what noisy targets and dependent handles need */
-    sfem_int handle_iterations;          /* at most so many corrections a step bring warped handles to their
-                                          * targets, >= 1 */
-    sfem_int max_handles, max_handle_nodes; /* handles at a time, and nodes in all their regions */
-    sfem_real tolerance;                 /* m, >= 0: modes that can be left out of a step without moving any
-                                          * node by more than this, all together, are; see
-                                          * sfem_modal_info */
-    sfem_real gravity[3];                /* m/s^2 */
+    sfem_real beta, gamma;  /* > 0, >= 1/2 */
+    sfem_real handle_beta;  /* while a handle is held: constraints on positions ring under */
+    sfem_real handle_gamma; /* (1/4, 1/2), with growing amplitude */
+    sfem_real compliance;   /* eps >= 0 of handles, times the mean of the diagonal of J A^-1 J^T:
+                             * what noisy targets and dependent handles need */
+    sfem_int handle_iterations; /* at most so many corrections a step bring warped handles to their
+                                 * targets, >= 1 */
+    sfem_int max_handles;       /* at a time, and nodes in all their regions */
+    sfem_int max_handle_nodes;
+    sfem_real tolerance;  /* m, >= 0: modes that can be left out of a step without moving any node
+                           * by more than this, all together, are; see sfem_modal_info */
+    sfem_real gravity[3]; /* m/s^2 */
     sfem_allocator allocator;
-    sfem_exec exec;                      /* threads for reconstruction */
+    sfem_exec exec; /* threads for reconstruction */
 } sfem_modal_def;
 
-/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16 handles of
- * 64 nodes in all; tolerance 0; no gravity. */
+/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
+ * handles of 64 nodes in all; tolerance 0; no gravity. */
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
 
-/* A body at rest. Everything that it will ever need is allocated here: about 44 bytes a node and 200 a mode.
+/* A body at rest. Everything that it will ever need is allocated here: about 32 bytes a node and
+ * 200 a mode, 72 a mode more for each handle.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
-SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def, sfem_modal **out,
-                                       sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def,
+                                       sfem_modal **out, sfem_error *err);
 SFEM_DEF void sfem_modal_free(sfem_modal *modal); /* NULL allowed */
 
-/* One step of h > 0 seconds; h may change from step to step (coefficients are renewed: about 0.1 us a mode).
- * Loads are turned by the rotations that the last step leads on to, which keeps the second order. A free body's frame follows Newmark's formulas
- * with the angular momentum for a velocity; its rotation, exp of the mean angular velocity, by the implicit
- * midpoint rule, is always proper, and both momenta are kept to rounding where no force acts.
- * Approximations: mass and inertia are those of the rest shape, and the frame's accelerations do not act on
- * the modes.
+/* One step of h > 0 seconds; h may change from step to step (coefficients are renewed: about 0.1
+ * us a mode). Loads are turned by the rotations that the last step leads on to, which keeps the
+ * second order. A free body's frame follows Newmark's formulas with the angular momentum for a
+ * velocity; its rotation, exp of the mean angular velocity, by the implicit midpoint rule, is
+ * always proper, and both momenta are kept to rounding where no force acts. Approximations: mass
+ * and inertia are those of the rest shape, and the frame's accelerations do not act on the modes.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_NOT_FINITE (mode): the state is then as it was
- *   cost    O(m) and the nodes that are loaded, 6 m multiply-adds each; a handle O(m) a node, all together
- *           (3 handles)^3; allocates nothing */
+ *   cost    O(m) and the nodes that are loaded, 6 m multiply-adds each; a handle O(m) a node, all
+ *           together (3 handles)^3; allocates nothing */
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *modal, sfem_real h, sfem_error *err);
 
-/* The step of a receiver: takes accelerations [modes] as given and integrates, by Newmark's formulas alone:
- * q += h q' + h^2 ((1/2 - beta) a + beta a+),  q' += h ((1 - gamma) a + gamma a+). Loads and handles are
- * not asked; a frame moves on with the momenta that it has. What sender and receiver start from must agree,
- * q'' as well (see sfem_modal_set_coordinates). Same errors. */
-SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *modal, const sfem_real *acceleration, sfem_real h,
-                                          sfem_real beta, sfem_real gamma, sfem_error *err);
+/* The step of a receiver: takes accelerations [modes] as given and integrates, by Newmark's
+ * formulas alone: q += h q' + h^2 ((1/2 - beta) a + beta a+),  q' += h ((1 - gamma) a + gamma a+).
+ * Loads and handles are not asked; a frame moves on with the momenta that it has. What sender and
+ * receiver start from must agree, q'' as well (see sfem_modal_set_coordinates). Same errors. */
+SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *modal, const sfem_real *acceleration,
+                                          sfem_real h, sfem_real beta, sfem_real gamma,
+                                          sfem_error *err);
 
-/* Coordinates [modes]: q, q', q'' at the end of the last step. Pointers into the body, valid while it
- * lives; they stay in place. Before the first step q'' is that of the loads, once sfem_modal_start
- * has been called. */
+/* Coordinates [modes]: q, q', q'' at the end of the last step. Pointers into the body, valid while
+ * it lives; they stay in place. Before the first step q'' is that of the loads, once
+ * sfem_modal_start has been called. */
 SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *modal);
 SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *modal);
 SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *modal);
 SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *modal); /* s */
-/* New ones; NULL leaves as it is. Where q'' is given, it is taken, and the body counts as started; else it
- * follows from the loads when the next step begins. Errors: SFEM_NOT_FINITE. */
-SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_real *q, const sfem_real *v,
-                                                const sfem_real *a, sfem_error *err);
-/* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for that. */
+/* New ones; NULL leaves as it is. Where q'' is given, it is taken, and the body counts as started;
+ * else it follows from the loads when the next step begins. Errors: SFEM_NOT_FINITE. */
+SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_real *q,
+                                                const sfem_real *v, const sfem_real *a,
+                                                sfem_error *err);
+/* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for
+ * that. */
 SFEM_DEF void sfem_modal_start(sfem_modal *modal);
 
-/* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs the
- * nodes whose force is not zero.
+/* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs
+ * the nodes whose force is not zero.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
-SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *modal, const sfem_real *force, sfem_error *err);
-SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *modal, sfem_int node, const sfem_real f[3],
-                                               sfem_error *err);
-SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3], sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *modal, const sfem_real *force,
+                                          sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *modal, sfem_int node,
+                                               const sfem_real f[3], sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3],
+                                            sfem_error *err);
 /* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
 SFEM_DEF void sfem_modal_load(sfem_modal *modal, sfem_real *load);
 
-/* Rest under the present loads and handles: q = lambda^-1 (Phi^T R(q)^T F - J^T l), iterated from the present q
- * (once where nothing warps). Velocities become zero; a frame stays where it is, as if held at it.
+/* Rest under the present loads and handles: q = lambda^-1 (Phi^T R(q)^T F - J^T l), iterated from
+ * the present q (once where nothing warps). Velocities become zero; a frame stays where it is, as
+ * if held at it.
  *   info    NULL allowed; also written where it does not converge
- *   errors  SFEM_NOT_CONVERGED (200 iterations, or a node turned by pi: a bar bent by more than some 80 % of its
- *           length has no answer here), SFEM_SINGULAR (a loaded mode of lambda 0), SFEM_NOT_FINITE: the state is
- *           as it was */
+ *   errors  SFEM_NOT_CONVERGED (200 iterations, or a node turned by pi: a bar that its
+ *           load bends by 80 % of its length and more may have no answer here), SFEM_SINGULAR (a loaded mode of lambda
+ *           0), SFEM_BAD_ARGUMENT (a free body with handles), SFEM_NOT_FINITE: the state is as it
+ *           was */
 typedef struct sfem_modal_static_info {
     sfem_int iterations;
     sfem_real change;   /* of the last one, of any node at most, over the largest displacement */
@@ -1599,68 +1611,82 @@ typedef struct sfem_modal_static_info {
 SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *modal, sfem_modal_static_info *info,
                                              sfem_error *err);
 
-/* Reconstruction, through a view of the same reduced model: [count][3] in the view's order. Allocates nothing,
- * reads nothing but the state; the same bits for any number of threads. to_floats writes three floats for
- * entry i at i stride bytes from the first.
- *   cost    by what is in the view: a node in 20 modes some 4 ns, warped 7, in doubles twice that */
-SFEM_DEF void sfem_modal_positions(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *x);
-SFEM_DEF void sfem_modal_displacements(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *u);
+/* Reconstruction, through a view of the same reduced model: [count][3] in the view's order.
+ * Allocates nothing, reads nothing but the state; the same bits for any number of threads.
+ * to_floats writes three floats for entry i at i stride bytes from the first.
+ *   cost    by what is in the view: a node in 20 modes some 4 ns, warped 8, in doubles twice
+ *           that */
+SFEM_DEF void sfem_modal_positions(const sfem_modal *modal, const sfem_reduced_view *view,
+                                   sfem_real *x);
+SFEM_DEF void sfem_modal_displacements(const sfem_modal *modal, const sfem_reduced_view *view,
+                                       sfem_real *u);
 SFEM_DEF void sfem_modal_to_floats(const sfem_modal *modal, const sfem_reduced_view *view, float *x,
                                    size_t stride);
-/* One node, from the full rows: its position and velocity (of the warped displacement, too); the velocity
- * and the rotation vector w may be NULL. */
-SFEM_DEF void sfem_modal_node(const sfem_modal *modal, sfem_int node, sfem_real x[3], sfem_real v[3],
-                              sfem_real w[3]);
+/* One node, from the full rows: its position and velocity (of the warped displacement, too); the
+ * velocity and the rotation vector w may be NULL. */
+SFEM_DEF void sfem_modal_node(const sfem_modal *modal, sfem_int node, sfem_real x[3],
+                              sfem_real v[3], sfem_real w[3]);
 
-/* The frame of a free body: a node is at x + R (X - centre + u). A new one keeps the modes; the rotation is
- * made proper. SFEM_BAD_ARGUMENT for a body that is held, or an R with det R <= 0; SFEM_NOT_FINITE. */
+/* The frame of a free body: a node is at x + R (X - centre + u). A new one keeps the modes; the
+ * rotation is made proper. SFEM_BAD_ARGUMENT for a body that is held, or an R with det R <= 0;
+ * SFEM_NOT_FINITE. */
 typedef struct sfem_rigid {
     sfem_real x[3], r[9]; /* centre of mass, m; rotation, row-major */
     sfem_real v[3], w[3]; /* its velocity, m/s; angular velocity, 1/s, in the world */
 } sfem_rigid;
 SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *modal);
-SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *modal, const sfem_rigid *rigid, sfem_error *err);
-SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3], sfem_real angular[3]);
+SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *modal, const sfem_rigid *rigid,
+                                          sfem_error *err);
+SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
+                                  sfem_real angular[3]);
 
 /* HANDLES hold a node, or the mean of a region's displacement, at a target by Lagrange multipliers:
- *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)  [000 A.14-A.17]
- * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it. Nodes that
- * do not move in any mode carry no force. Handles that contradict or repeat one another, or that are more
- * than the modes can follow, share what is left by least squares, weighted by the compliance.
+ *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)
+ * [000 A.14-A.17].
+ * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it.
+ * Nodes that do not move in any mode carry no force. Handles that contradict or repeat one
+ * another, or that are more than the modes can follow, share what is left by least squares,
+ * weighted by the compliance.
  *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
  *   target  a position, m (of a region: the weighted mean of its nodes')
- *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes), SFEM_NOT_FINITE */
+ *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes),
+ *           SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *modal, sfem_int node, sfem_int *handle,
                                           sfem_error *err);
 SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *modal, sfem_int count, const sfem_int *node,
-                                            const sfem_real *weight, sfem_int *handle, sfem_error *err);
-SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *modal, sfem_int handle, const sfem_real target[3],
+                                            const sfem_real *weight, sfem_int *handle,
                                             sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *modal, sfem_int handle,
+                                            const sfem_real target[3], sfem_error *err);
 SFEM_DEF void sfem_modal_release_handle(sfem_modal *modal, sfem_int handle);
 SFEM_DEF void sfem_modal_handle_position(const sfem_modal *modal, sfem_int handle, sfem_real x[3]);
-/* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The hand, and so
- * a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in modes it is
- * J^T (-l) = Phi^T Rt^T f, [modes], with the rotations that it was computed with. */
+/* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The
+ * hand, and so a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in
+ * modes it is J^T (-l) = Phi^T Rt^T f, [modes], with the rotations that it was computed with. */
 SFEM_DEF void sfem_modal_handle_force(const sfem_modal *modal, sfem_int handle, sfem_real force[3]);
-SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *modal, sfem_int handle, sfem_real *force);
+SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *modal, sfem_int handle,
+                                            sfem_real *force);
 
-/* Its whole state as one block, for any body of the same reduced model and definition on the same machine.
+/* Its whole state as one block, for any body of the same reduced model and definition on the same
+ * machine.
  *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
 SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *modal);
 SFEM_DEF void sfem_modal_save_state(const sfem_modal *modal, void *memory);
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *modal, const void *memory, size_t bytes,
                                            sfem_error *err);
 
-/* A mode sleeps, and is neither stepped nor drawn (unless its rest is not 0), while |load - load when it fell
- * asleep| G/lambda, with G = coth(pi xi/(2 sqrt(1 - xi^2))) the most that any load of that size can make of it,
- * moves no node by more than half its share of the tolerance, and fell asleep when its own swing could not.
- * Undamped modes sleep only as long as their load is what it was. */
+/* A mode sleeps, and is neither stepped nor drawn (unless its rest is not 0), while |load - load
+ * when it fell asleep| G/lambda, with G = coth(pi xi/(2 sqrt(1 - xi^2))) the most that any load of
+ * that size can make of it, moves no node by more than half its share of the tolerance, and fell
+ * asleep when its own swing could not. Undamped modes sleep only as long as their load is what it
+ * was. */
 typedef struct sfem_modal_info {
     sfem_int modes, awake, drawn;
     sfem_int handles;
     sfem_int handle_iterations;  /* of the last step, */
     sfem_real handle_residual;   /* and the largest distance of a handle from its target, m */
-    sfem_int handle_rows_left;   /* rows (of 3 a handle) that no mode can move, or that others determine */
+    sfem_int handle_rows_left;   /* rows (of 3 a handle) that no mode can move, or that others
+                                  * determine */
     sfem_real beta, gamma;       /* of the last step: what a receiver has to integrate with */
     sfem_real kinetic, elastic;  /* J, of the modes and the frame */
     int64_t steps;
@@ -20611,35 +20637,44 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k)
 /* ============================================================================================
  * >>reduced   modal bodies: oscillators, warping, handles
  *
- * Everything a modal body needs of its mesh stands in one block, which is also the file format. Rows of Phi
- * and Psi are padded to whole vectors of modes, with zeros. What is drawn comes from views: tiles of 8 nodes,
- * [tile][mode][xyz][8], so that a mode is three (with warping six) multiply-adds of whole vectors.
+ * Everything a modal body needs of its mesh stands in one block, which is also the file format.
+ * Rows of Phi and Psi are padded to whole vectors of modes, with zeros. What is drawn comes from
+ * views: tiles of 8 nodes, [tile][mode][xyz][8], so that a mode is three (with warping six)
+ * multiply-adds of whole vectors.
  *
- * Warping needs two functions of th^2 a node; both are entire, and a polynomial of degree 13 gives them in
- * double for th up to pi, without a square root, a sine or a case for small angles.
+ * Warping needs two functions of th^2 a node; both are entire, and a polynomial of degree 13 gives
+ * them in double for th up to pi, without a square root, a sine or a case for small angles.
  *
- * Literature: Choi and Ko 2005, "Modal warping: real-time simulation of large rotational deformation and
- * manipulation"; Newmark 1959; for the frame's rotation the implicit midpoint rule on the group.
+ * Literature: Choi and Ko 2005, "Modal warping: real-time simulation of large rotational
+ * deformation and manipulation"; Newmark 1959; for the frame's rotation the implicit midpoint rule
+ * on the group.
  * ============================================================================================ */
 
 #define SFEMI_TILE 8 /* nodes */
 /* of the polynomials, as in >>kernels */
-enum { SFEMI_TURN_TERMS = 14, SFEMI_TURN_TERMS32 = 10, SFEMI_TURN_ROTATION = 0, SFEMI_TURN_PATH = 1 };
+enum {
+    SFEMI_TURN_TERMS = 14,
+    SFEMI_TURN_TERMS32 = 10,
+    SFEMI_TURN_ROTATION = 0,
+    SFEMI_TURN_PATH = 1
+};
 
 typedef struct sfemi_modal_kernels {
     void (*dot3)(size_t, const double *, const double *, double *);
     void (*add3)(size_t, const double *, const double *, double *);
-    void (*tiles)(size_t, size_t, const double *, const double *, const double *, size_t, const sfem_int *,
-                  const double *, const double *, const double *, double *);
-    void (*tiles32)(size_t, size_t, const float *, const float *, const float *, size_t, const sfem_int *,
-                    const float *, const float *, const float *, float *);
+    void (*tiles)(size_t, size_t, const double *, const double *, const double *, size_t,
+                  const sfem_int *, const double *, const double *, const double *, double *);
+    void (*tiles32)(size_t, size_t, const float *, const float *, const float *, size_t,
+                    const sfem_int *, const float *, const float *, const float *, float *);
 } sfemi_modal_kernels;
 
 static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
 {
-#define SFEMI_TABLE(p)                                                                               \
-    {sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p,                     \
-     sfemi_modal_tiles_32_##p}
+#define SFEMI_TABLE(p)                                                                             \
+    {                                                                                              \
+        sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p,                \
+            sfemi_modal_tiles_32_##p                                                               \
+    }
     static const sfemi_modal_kernels table[] = {
         SFEMI_TABLE(0),
 #if SFEMI_X86
@@ -20653,35 +20688,37 @@ static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
 
 /* --- rotations ------------------------------------------------------------------------------- */
 
-/* (-1)^k / (2k + 1 + row)!: the series in th^2 of sin th/th, (1 - cos th)/th^2, (1 - sin th/th)/th^2. A quotient
- * for each term, as one factorial is a multiple of the last: 14 terms are good to rounding up to th^2 = 10. */
-#define SFEMI_SERIES(a, b, c, d, e, f, g, h, i, j, k, l, m, n)                                       \
-    {1.0 / (a), -1.0 / (a) / (b), 1.0 / (a) / (b) / (c), -1.0 / (a) / (b) / (c) / (d),               \
-     1.0 / (a) / (b) / (c) / (d) / (e), -1.0 / (a) / (b) / (c) / (d) / (e) / (f),                    \
-     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g),                                                  \
-     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h),                                           \
-     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i),                                      \
-     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j),                               \
-     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k),                          \
-     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l),                   \
-     1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l) / (m),              \
-     -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l) / (m) / (n)}
+/* (-1)^k / (2k + 1 + row)!: the series in th^2 of sin th/th, (1 - cos th)/th^2, (1 - sin
+ * th/th)/th^2. A quotient for each term, as one factorial is a multiple of the last: 14 terms are
+ * good to rounding up to th^2 = 10. */
+#define SFEMI_SERIES(a, b, c, d, e, f, g, h, i, j, k, l, m, n)                                     \
+    {                                                                                              \
+        1.0 / (a), -1.0 / (a) / (b), 1.0 / (a) / (b) / (c), -1.0 / (a) / (b) / (c) / (d),          \
+            1.0 / (a) / (b) / (c) / (d) / (e), -1.0 / (a) / (b) / (c) / (d) / (e) / (f),           \
+            1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g),                                         \
+            -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h),                                  \
+            1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i),                             \
+            -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j),                      \
+            1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k),                 \
+            -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l),          \
+            1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l) / (m),     \
+            -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l) / (m) /   \
+                (n)                                                                                \
+    }
 static const sfem_real sfemi_turn_series[3][SFEMI_TURN_TERMS] = {
     SFEMI_SERIES(1, 2.0 * 3, 4.0 * 5, 6.0 * 7, 8.0 * 9, 10.0 * 11, 12.0 * 13, 14.0 * 15, 16.0 * 17,
                  18.0 * 19, 20.0 * 21, 22.0 * 23, 24.0 * 25, 26.0 * 27),
     SFEMI_SERIES(2, 3.0 * 4, 5.0 * 6, 7.0 * 8, 9.0 * 10, 11.0 * 12, 13.0 * 14, 15.0 * 16, 17.0 * 18,
                  19.0 * 20, 21.0 * 22, 23.0 * 24, 25.0 * 26, 27.0 * 28),
-    SFEMI_SERIES(6, 4.0 * 5, 6.0 * 7, 8.0 * 9, 10.0 * 11, 12.0 * 13, 14.0 * 15, 16.0 * 17, 18.0 * 19,
-                 20.0 * 21, 22.0 * 23, 24.0 * 25, 26.0 * 27, 28.0 * 29)};
+    SFEMI_SERIES(6, 4.0 * 5, 6.0 * 7, 8.0 * 9, 10.0 * 11, 12.0 * 13, 14.0 * 15, 16.0 * 17,
+                 18.0 * 19, 20.0 * 21, 22.0 * 23, 24.0 * 25, 26.0 * 27, 28.0 * 29)};
 #undef SFEMI_SERIES
 
 /* How many terms th^2 = t needs. */
-static int sfemi_turn_terms(sfem_real t)
-{
-    return t < 0.01 ? 6 : t < 1 ? 10 : SFEMI_TURN_TERMS;
-}
+static int sfemi_turn_terms(sfem_real t) { return t < 0.01 ? 6 : t < 1 ? 10 : SFEMI_TURN_TERMS; }
 
-/* The two coefficients of I + a [w]x + b [w]x^2: of the rotation exp [w]x, or of its mean over the path. */
+/* The two coefficients of I + a [w]x + b [w]x^2: of the rotation exp [w]x, or of its mean over the
+ * path. */
 static void sfemi_turn_coefficients(int kind, const sfem_real w[3], sfem_real *a, sfem_real *b)
 {
     const sfem_real t = sfemi_dot3(w, w);
@@ -20744,7 +20781,8 @@ static void sfemi_turn_slopes(int kind, sfem_real t, sfem_real *da, sfem_real *d
     if (t < 10) {
         const sfem_real *c = sfemi_turn_series[kind], *d = sfemi_turn_series[kind + 1];
         int k;
-        for (k = sfemi_turn_terms(t) - 1; k > 0; --k) *da = *da * t + k * c[k], *db = *db * t + k * d[k];
+        for (k = sfemi_turn_terms(t) - 1; k > 0; --k)
+            *da = *da * t + k * c[k], *db = *db * t + k * d[k];
     } else {
         const sfem_real th = sqrt(t), sinc = sin(th) / th, dsinc = (cos(th) - sinc) / (2 * t);
         const sfem_real half = sin(th / 2), k = 2 * half * half / t, dk = (sinc / 2 - k) / t;
@@ -20755,7 +20793,8 @@ static void sfemi_turn_slopes(int kind, sfem_real t, sfem_real *da, sfem_real *d
 
 /* The derivative by w of u + a w x u + b w x (w x u): -a [u]x + b (w.u + w u^T - 2 u w^T)
  * + 2 (da w x u + db w x (w x u)) w^T. */
-static void sfemi_turn_derivative(int kind, const sfem_real w[3], const sfem_real u[3], sfem_real out[9])
+static void sfemi_turn_derivative(int kind, const sfem_real w[3], const sfem_real u[3],
+                                  sfem_real out[9])
 {
     sfem_real a, b, da, db, wu[3], wwu[3];
     const sfem_real dot = sfemi_dot3(w, u);
@@ -20793,7 +20832,8 @@ struct sfem_reduced {
     sfemi_reduced_head *head;
     sfem_real *x, *mass;             /* [nodes][3], [nodes] */
     sfem_real *lambda, *damping;     /* [stride] */
-    sfem_real *amplitude, *gain;     /* [stride] largest |phi| of any node; G of sfem_modal_info, may be inf */
+    sfem_real *amplitude, *gain;     /* [stride] largest |phi| of any node; G of sfem_modal_info,
+                                      * may be inf */
     sfem_real *gravity;              /* [3][stride] Phi^T M e_c */
     sfem_real *phi, *psi;            /* [nodes][3][stride] */
     sfem_real *group_phi, *group_psi; /* [groups][3][stride]: sums of m phi, means of psi */
@@ -20802,14 +20842,25 @@ struct sfem_reduced {
 
 enum { SFEMI_REDUCED_ARRAYS = 13, SFEMI_REDUCED_VERSION = 1 };
 
-/* Where the arrays stand in the block: at[k] bytes from its start, at[last] its size; 0 on overflow. */
+/* Where the arrays stand in the block: at[k] bytes from its start, at[last] its size; 0 on
+ * overflow. */
 static int sfemi_reduced_layout(const sfemi_reduced_head *h, size_t at[SFEMI_REDUCED_ARRAYS + 1])
 {
     const double n = h->nodes, m = h->stride, g = h->groups, real = sizeof(sfem_real);
-    const double bytes[SFEMI_REDUCED_ARRAYS] = {
-        3 * n * real,     n * real,         m * real, m * real, m * real, m * real, 3 * m * real,
-        3 * n * m * real, 3 * n * m * real, 3 * g * m * real, 3 * g * m * real,
-        h->surface_nodes * (double)sizeof(sfem_int), 3.0 * h->surface_triangles * (double)sizeof(sfem_int)};
+    const double bytes[SFEMI_REDUCED_ARRAYS] = {3 * n * real,
+                                                n * real,
+                                                m * real,
+                                                m * real,
+                                                m * real,
+                                                m * real,
+                                                3 * m * real,
+                                                3 * n * m * real,
+                                                3 * n * m * real,
+                                                3 * g * m * real,
+                                                3 * g * m * real,
+                                                h->surface_nodes * (double)sizeof(sfem_int),
+                                                3.0 * h->surface_triangles *
+                                                    (double)sizeof(sfem_int)};
     double total = sizeof *h;
     int k;
     for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k) total += bytes[k] + SFEMI_ALIGN;
@@ -20948,7 +20999,8 @@ static void sfemi_reduced_rigid(sfem_reduced *r)
         sfemi_sub3(r->x + 3 * (size_t)i, h->centre, d);
         for (a = 0; a < 3; ++a)
             for (b = 0; b < 3; ++b)
-                h->inertia[3 * a + b] += r->mass[i] * ((a == b ? sfemi_dot3(d, d) : 0) - d[a] * d[b]);
+                h->inertia[3 * a + b] +=
+                    r->mass[i] * ((a == b ? sfemi_dot3(d, d) : 0) - d[a] * d[b]);
     }
     sfemi_cofactor3(h->inertia, h->inverse); /* symmetric */
     {
@@ -21016,7 +21068,8 @@ static void sfemi_reduced_constants(sfem_reduced *r, const sfem_reduced_def *def
     }
 }
 
-/* Numbers the nodes of the surface in ascending order, the others -1; returns how many there are. */
+/* Numbers the nodes of the surface in ascending order, the others -1; returns how many there
+ * are. */
 static sfem_int sfemi_reduced_surface_nodes(const sfem_surface *s, sfem_int nodes, sfem_int *number)
 {
     sfem_int i, count = 0;
@@ -21027,10 +21080,10 @@ static sfem_int sfemi_reduced_surface_nodes(const sfem_surface *s, sfem_int node
     return count;
 }
 
-/* A free body's modes must leave it where it is: nothing of them may be a rigid motion, and it must be one
- * piece. work: [2][3 nodes]. */
-static sfem_status sfemi_reduced_check_free(const sfem_reduced *r, const sfem_model *model, sfem_int *label,
-                                            sfem_real *work, sfem_error *err)
+/* A free body's modes must leave it where it is: nothing of them may be a rigid motion, and it
+ * must be one piece. work: [2][3 nodes]. */
+static sfem_status sfemi_reduced_check_free(const sfem_reduced *r, const sfem_model *model,
+                                            sfem_int *label, sfem_real *work, sfem_error *err)
 {
     const size_t m = (size_t)r->head->stride, n = (size_t)r->head->nodes;
     sfem_real *field = work, *product = work + 3 * n;
@@ -21040,16 +21093,18 @@ static sfem_status sfemi_reduced_check_free(const sfem_reduced *r, const sfem_mo
     int axis, c;
     if (status != SFEM_OK) return status;
     if (pieces != 1)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "one frame for %d free pieces: reduce them one by one",
-                          (int)pieces);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "one frame for %d free pieces: reduce them one by one", (int)pieces);
     for (axis = 0; axis < 6; ++axis) {
         sfem_real size = 0;
         for (i = 0; i < n; ++i) {
             sfem_real e[3] = {0, 0, 0}, d[3];
             e[axis % 3] = 1;
             sfemi_sub3(r->x + 3 * i, r->head->centre, d);
-            if (axis < 3) memcpy(field + 3 * i, e, sizeof e);
-            else sfemi_cross(e, d, field + 3 * i);
+            if (axis < 3)
+                memcpy(field + 3 * i, e, sizeof e);
+            else
+                sfemi_cross(e, d, field + 3 * i);
         }
         sfem_model_multiply_mass(model, field, product, NULL);
         for (i = 0; i < 3 * n; ++i) size += field[i] * product[i];
@@ -21057,11 +21112,13 @@ static sfem_status sfemi_reduced_check_free(const sfem_reduced *r, const sfem_mo
             sfem_real part = 0;
             for (i = 0; i < n; ++i)
                 for (c = 0; c < 3; ++c)
-                    part += product[3 * i + (size_t)c] * r->phi[(3 * i + (size_t)c) * m + (size_t)k];
+                    part +=
+                        product[3 * i + (size_t)c] * r->phi[(3 * i + (size_t)c) * m + (size_t)k];
             if (fabs(part) > 1e-5 * sqrt(size))
-                return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                                  "mode %d moves the body as a whole: it is not free, or the mode is rigid",
-                                  (int)k);
+                return sfemi_fail(
+                    err, SFEM_BAD_ARGUMENT,
+                    "mode %d moves the body as a whole: it is not free, or the mode is rigid",
+                    (int)k);
         }
     }
     return SFEM_OK;
@@ -21075,24 +21132,29 @@ static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes
         return sfemi_fail(err, SFEM_MISMATCH, "modes of %d nodes, a model of %d", (int)modes->nodes,
                           (int)model->mesh.nodes);
     if (def->gravity_groups < 1 || def->free < -1 || def->free > 1)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "gravity_groups %d must be above 0, free %d in -1..1",
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "gravity_groups %d must be above 0, free %d in -1..1",
                           (int)def->gravity_groups, def->free);
-    if (!(def->alpha >= 0) || !(def->beta >= 0) || !sfemi_finite(def->alpha) || !sfemi_finite(def->beta))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping %g, %g must be 0 or more", def->alpha,
-                          def->beta);
+    if (!(def->alpha >= 0) || !(def->beta >= 0) || !sfemi_finite(def->alpha) ||
+        !sfemi_finite(def->beta))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping %g, %g must be 0 or more",
+                          def->alpha, def->beta);
     for (k = 0; k < modes->count; ++k) {
         if (!sfemi_finite(modes->lambda[k]) ||
-            !sfemi_all_finite(modes->phi + 3 * (size_t)k * (size_t)modes->nodes, 3 * (size_t)modes->nodes))
+            !sfemi_all_finite(modes->phi + 3 * (size_t)k * (size_t)modes->nodes,
+                              3 * (size_t)modes->nodes))
             return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d is not finite", (int)k);
         if (def->ratio && !(def->ratio[k] >= 0 && sfemi_finite(def->ratio[k])))
-            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "damping ratio %g of mode %d must be 0 or more",
-                              def->ratio[k], (int)k);
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                              "damping ratio %g of mode %d must be 0 or more", def->ratio[k],
+                              (int)k);
     }
     return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
-                                         const sfem_reduced_def *def, sfem_reduced **out, sfem_error *err)
+                                         const sfem_reduced_def *def, sfem_reduced **out,
+                                         sfem_error *err)
 {
     const sfem_allocator *al = &def->allocator;
     const sfem_mesh *mesh = &model->mesh;
@@ -21171,9 +21233,11 @@ SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
     return info;
 }
 
-SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *r, sfem_int node, sfem_real *phi, sfem_real *psi)
+SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *r, sfem_int node, sfem_real *phi,
+                                      sfem_real *psi)
 {
-    const size_t m = (size_t)r->head->modes, stride = (size_t)r->head->stride, at = 3 * stride * (size_t)node;
+    const size_t m = (size_t)r->head->modes, stride = (size_t)r->head->stride,
+                 at = 3 * stride * (size_t)node;
     size_t c;
     SFEM_ASSERT(node >= 0 && node < r->head->nodes);
     for (c = 0; c < 3; ++c) {
@@ -21207,8 +21271,9 @@ static int sfemi_reduced_sound(const sfem_reduced *r)
            sfemi_all_finite(r->psi, 3 * m * (size_t)h->nodes);
 }
 
-SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const sfem_allocator *allocator,
-                                       sfem_reduced **out, sfem_error *err)
+SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
+                                       const sfem_allocator *allocator, sfem_reduced **out,
+                                       sfem_error *err)
 {
     const sfem_allocator plain = {NULL, NULL, NULL};
     const sfem_allocator *al = allocator ? allocator : &plain;
@@ -21217,26 +21282,31 @@ SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes, const s
     sfem_reduced *r = NULL;
     sfem_status status;
     if (bytes < sizeof h)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a reduced model", (unsigned long)bytes);
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a reduced model",
+                          (unsigned long)bytes);
     memcpy(&h, memory, sizeof h);
-    if (memcmp(h.magic, "sfemred", 8) != 0) return sfemi_fail(err, SFEM_FORMAT, "this is no reduced model");
+    if (memcmp(h.magic, "sfemred", 8) != 0)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no reduced model");
     if (h.order != 0x01020304u)
-        return sfemi_fail(err, SFEM_FORMAT, "the reduced model was saved on a machine of another byte order");
+        return sfemi_fail(err, SFEM_FORMAT,
+                          "the reduced model was saved on a machine of another byte order");
     if (h.version != SFEMI_REDUCED_VERSION)
         return sfemi_fail(err, SFEM_FORMAT, "the reduced model is of version %u, this reads %d",
                           (unsigned)h.version, SFEMI_REDUCED_VERSION);
     if (h.size != bytes)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes of a reduced model of %lu", (unsigned long)bytes,
-                          (unsigned long)h.size);
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes of a reduced model of %lu",
+                          (unsigned long)bytes, (unsigned long)h.size);
     if (h.nodes < 1 || h.modes < 0 || h.stride < h.modes || h.stride % 8 || h.groups < 0 ||
         h.surface_nodes < 0 || h.surface_triangles < 0 || h.surface_triangles > INT32_MAX / 3 ||
         !sfemi_reduced_layout(&h, at) || at[SFEMI_REDUCED_ARRAYS] != bytes ||
         sfemi_reduced_checksum(memory, bytes) != h.checksum)
-        return sfemi_fail(err, SFEM_FORMAT, "the reduced model is damaged: its checksum does not fit");
+        return sfemi_fail(err, SFEM_FORMAT,
+                          "the reduced model is damaged: its checksum does not fit");
     SFEMI_TRY(sfemi_reduced_new(&h, al, &r, err));
     memcpy(r->block, memory, bytes);
     if (!sfemi_reduced_sound(r)) {
-        status = sfemi_fail(err, SFEM_FORMAT, "the reduced model holds numbers out of their ranges");
+        status =
+            sfemi_fail(err, SFEM_FORMAT, "the reduced model holds numbers out of their ranges");
         goto done;
     }
     *out = r;
@@ -21272,8 +21342,10 @@ SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *v)
 
 static void sfemi_view_put(const sfem_reduced_view *v, void *array, size_t at, sfem_real value)
 {
-    if (v->precision == SFEM_MIXED) ((float *)array)[at] = (float)value;
-    else ((double *)array)[at] = value;
+    if (v->precision == SFEM_MIXED)
+        ((float *)array)[at] = (float)value;
+    else
+        ((double *)array)[at] = value;
 }
 
 static void sfemi_view_fill(sfem_reduced_view *v)
@@ -21301,7 +21373,8 @@ SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *r, sfem_int count, c
                                               sfem_error *err)
 {
     const sfem_allocator al = r->allocator;
-    const size_t m = (size_t)r->head->modes, real = precision == SFEM_MIXED ? sizeof(float) : sizeof(double);
+    const size_t m = (size_t)r->head->modes,
+                 real = precision == SFEM_MIXED ? sizeof(float) : sizeof(double);
     sfem_reduced_view *v = NULL;
     sfem_status status = SFEM_OK;
     sfem_int i;
@@ -21310,12 +21383,13 @@ SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *r, sfem_int count, c
     if (count < 0) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a view of %d nodes", (int)count);
     for (i = 0; node && i < count; ++i)
         if (node[i] < 0 || node[i] >= r->head->nodes)
-            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[i], -1, "there is no node %d, the body has %d",
-                                 (int)node[i], (int)r->head->nodes);
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[i], -1,
+                                 "there is no node %d, the body has %d", (int)node[i],
+                                 (int)r->head->nodes);
     tiles = ((size_t)count + SFEMI_TILE - 1) / SFEMI_TILE;
     if (m && tiles > ((size_t)-1 / 64 / SFEMI_TILE) / m)
-        return sfemi_fail(err, SFEM_TOO_LARGE, "%d nodes in %d modes do not fit into memory", (int)count,
-                          (int)r->head->modes);
+        return sfemi_fail(err, SFEM_TOO_LARGE, "%d nodes in %d modes do not fit into memory",
+                          (int)count, (int)r->head->modes);
     SFEMI_NEW(sfem_reduced_view, v, &al, 1);
     v->allocator = al;
     v->count = count;
@@ -21339,18 +21413,20 @@ done:
 SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *r, sfem_precision precision,
                                                sfem_reduced_view **out, sfem_error *err)
 {
-    return sfem_reduced_view_create(r, r->head->surface_nodes, r->surface_node, precision, out, err);
+    return sfem_reduced_view_create(r, r->head->surface_nodes, r->surface_node, precision, out,
+                                    err);
 }
 
 SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *v) { return v->count; }
 
 /* --- oscillators ------------------------------------------------------------------------------
  *
- * q'' + 2 c q' + omega^2 q = f0 + (f1 - f0) t/h.  S, the response to a unit impulse, P, that to a unit force
- * (P' = S), and T, that to a unit ramp (T' = P), give
- *     q1 = (S' + 2c S) q0 + S v0 + P f0 + T/h (f1 - f0),   v1 = -omega^2 S q0 + S' v0 + S f0 + P/h (f1 - f0)
- * with S' + 2c S = 1 - omega^2 P and S + 2c P + omega^2 T = h. Three ways to compute them, each where it loses
- * no digits. */
+ * q'' + 2 c q' + omega^2 q = f0 + (f1 - f0) t/h.  S, the response to a unit impulse, P, that to a
+ * unit force (P' = S), and T, that to a unit ramp (T' = P), give
+ *     q1 = (S' + 2c S) q0 + S v0 + P f0 + T/h (f1 - f0),   v1 = -omega^2 S q0 + S' v0 + S f0 + P/h
+ *     (f1 - f0)
+ * with S' + 2c S = 1 - omega^2 P and S + 2c P + omega^2 T = h. Three ways to compute them, each
+ * where it loses no digits. */
 typedef struct sfemi_oscillator {
     sfem_real s, s_dot, p, t; /* S, S', P, T at h */
 } sfemi_oscillator;
@@ -21376,7 +21452,7 @@ static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfe
 {
     const sfem_real ch = c * h, o2 = omega2 * h * h, d = o2 - ch * ch; /* (damped frequency h)^2 */
     sfemi_oscillator r;
-    if (2 * ch <= 1 && o2 <= 1) { /* series of T: T'' + 2c T' + omega^2 T = t */
+    if (2 * ch <= 1 && o2 <= 1) {          /* series of T: T'' + 2c T' + omega^2 T = t */
         sfem_real before = 0, b = 1.0 / 6; /* coefficients k - 1 and k of T/h^3 at t = h */
         int k;
         r.t = b, r.p = 3 * b, r.s = 6 * b, r.s_dot = 6 * b;
@@ -21393,7 +21469,8 @@ static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfe
         r.p *= h * h;
         r.s *= h;
     } else if (d < -0.1) { /* two decays, r1 the slow one: divided differences of exponentials */
-        const sfem_real s = sqrt(-d), r1 = -o2 / (ch + s), r2 = -(ch + s), e1 = exp(r1), e2 = exp(r2);
+        const sfem_real s = sqrt(-d), r1 = -o2 / (ch + s), r2 = -(ch + s), e1 = exp(r1),
+                        e2 = exp(r2);
         sfem_real a1, a2, b1, b2;
         sfemi_oscillator_phi(r1, &a1, &a2);
         sfemi_oscillator_phi(r2, &b1, &b2);
@@ -21444,9 +21521,9 @@ struct sfem_modal {
     sfemi_modal_head *head;
     sfem_real *q, *v, *a, *f;      /* [stride] */
     sfem_real *rest;               /* [stride] the load with which a mode fell asleep */
-    sfem_real *mean;               /* [stride] velocity over the last step: carries the rotations on to where
-                                    * the load of the next one acts. (q' would not do: that of modes faster
-                                    * than the step alternates.) */
+    sfem_real *mean;               /* [stride] velocity over the last step: carries the rotations
+                                    * on to where the load of the next one acts. (q' would not do:
+                                    * that of modes faster than the step alternates.) */
     sfem_int *asleep;              /* [stride] */
     sfemi_modal_handle *handle;    /* [max_handles] */
     sfem_real *weight;             /* [max_handle_nodes] */
@@ -21481,18 +21558,21 @@ static int sfemi_modal_path_kind(const sfem_modal *b)
 }
 
 /* w = Psi q and u = Phi q of one node; either may be NULL. */
-static void sfemi_modal_rotation(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real w[3])
+static void sfemi_modal_rotation(const sfem_modal *b, sfem_int node, const sfem_real *q,
+                                 sfem_real w[3])
 {
     b->kernels->dot3(b->stride, b->reduced->psi + 3 * b->stride * (size_t)node, q, w);
 }
 
-static void sfemi_modal_linear(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real u[3])
+static void sfemi_modal_linear(const sfem_modal *b, sfem_int node, const sfem_real *q,
+                               sfem_real u[3])
 {
     b->kernels->dot3(b->stride, b->reduced->phi + 3 * b->stride * (size_t)node, q, u);
 }
 
 /* The displacement of a node in the frame: Phi q, R Phi q or Rt Phi q. */
-static void sfemi_modal_displace(const sfem_modal *b, sfem_int node, const sfem_real *q, sfem_real u[3])
+static void sfemi_modal_displace(const sfem_modal *b, sfem_int node, const sfem_real *q,
+                                 sfem_real u[3])
 {
     sfem_real w[3], k1, k2;
     sfemi_modal_linear(b, node, q, u);
@@ -21516,10 +21596,7 @@ static void sfemi_modal_pack(sfem_modal *b)
     b->drawn_count = count;
 }
 
-static void sfemi_modal_wake(sfem_modal *b)
-{
-    memset(b->asleep, 0, b->stride * sizeof *b->asleep);
-}
+static void sfemi_modal_wake(sfem_modal *b) { memset(b->asleep, 0, b->stride * sizeof *b->asleep); }
 
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 {
@@ -21539,22 +21616,27 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 
 static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
 {
-    const sfem_real number[9] = {d->beta, d->gamma, d->handle_beta, d->handle_gamma, d->compliance,
-                                 d->tolerance, d->gravity[0], d->gravity[1], d->gravity[2]};
+    const sfem_real number[9] = {d->beta,         d->gamma,      d->handle_beta,
+                                 d->handle_gamma, d->compliance, d->tolerance,
+                                 d->gravity[0],   d->gravity[1], d->gravity[2]};
     if (!sfemi_all_finite(number, 9))
-        return sfemi_fail(err, SFEM_NOT_FINITE, "a number of the definition of a modal body is not finite");
+        return sfemi_fail(err, SFEM_NOT_FINITE,
+                          "a number of the definition of a modal body is not finite");
     if (!(d->beta > 0 && d->handle_beta > 0 && d->gamma >= 0.5 && d->handle_gamma >= 0.5))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Newmark %g, %g and with handles %g, %g: beta > 0, gamma >= 1/2",
-                          d->beta, d->gamma, d->handle_beta, d->handle_gamma);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "Newmark %g, %g and with handles %g, %g: beta > 0, gamma >= 1/2", d->beta,
+                          d->gamma, d->handle_beta, d->handle_gamma);
     if (!(d->compliance >= 0) || !(d->tolerance >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "compliance %g and tolerance %g must be 0 or more",
-                          d->compliance, d->tolerance);
-    if (d->max_handles < 0 || d->max_handle_nodes < 0 || d->handle_iterations < 1 || d->max_handles > 10000)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d handles of %d nodes, %d iterations", (int)d->max_handles,
-                          (int)d->max_handle_nodes, (int)d->handle_iterations);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "compliance %g and tolerance %g must be 0 or more", d->compliance,
+                          d->tolerance);
+    if (d->max_handles < 0 || d->max_handle_nodes < 0 || d->handle_iterations < 1 ||
+        d->max_handles > 10000)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d handles of %d nodes, %d iterations",
+                          (int)d->max_handles, (int)d->max_handle_nodes, (int)d->handle_iterations);
     if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_EXACT)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "warp %d or integrator %d is not one of them", (int)d->warp,
-                          (int)d->integrator);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "warp %d or integrator %d is not one of them",
+                          (int)d->warp, (int)d->integrator);
     return SFEM_OK;
 }
 
@@ -21563,11 +21645,19 @@ static void sfemi_modal_lay_out(sfem_modal *b, void *block)
 {
     const size_t real = b->stride * sizeof(sfem_real), handles = (size_t)b->def.max_handles;
     const size_t held = (size_t)b->def.max_handle_nodes, n = (size_t)b->reduced->head->nodes;
-    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head), real, real, real, real, real, real,
+    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head),
+                                              real,
+                                              real,
+                                              real,
+                                              real,
+                                              real,
+                                              real,
                                               b->stride * sizeof(sfem_int),
                                               handles * sizeof(sfemi_modal_handle),
-                                              held * sizeof(sfem_real), held * sizeof(sfem_int),
-                                              3 * handles * real, 3 * n * sizeof(sfem_real),
+                                              held * sizeof(sfem_real),
+                                              held * sizeof(sfem_int),
+                                              3 * handles * real,
+                                              3 * n * sizeof(sfem_real),
                                               n * sizeof(sfem_int)};
     size_t at[SFEMI_MODAL_ARRAYS + 1];
     char *p = (char *)block;
@@ -21607,7 +21697,8 @@ static void sfemi_modal_series(sfem_modal *b)
     for (j = 0; j < 2; ++j) {
         const sfem_real *c = sfemi_turn_series[kind + j];
         for (k = 0; k < SFEMI_TURN_TERMS; ++k) b->turn[SFEMI_TURN_TERMS * j + k] = c[k];
-        for (k = 0; k < SFEMI_TURN_TERMS32; ++k) b->turn32[SFEMI_TURN_TERMS32 * j + k] = (float)c[k];
+        for (k = 0; k < SFEMI_TURN_TERMS32; ++k)
+            b->turn32[SFEMI_TURN_TERMS32 * j + k] = (float)c[k];
     }
     b->turn[2 * SFEMI_TURN_TERMS] = kind;
     b->turn32[2 * SFEMI_TURN_TERMS32] = (float)kind;
@@ -21631,8 +21722,8 @@ SFEM_DEF void sfem_modal_free(sfem_modal *b)
     sfemi_delete(&al, b);
 }
 
-SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def, sfem_modal **out,
-                                       sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def,
+                                       sfem_modal **out, sfem_error *err)
 {
     const sfem_allocator *al = &def->allocator;
     const size_t rows = 3 * (size_t)(def->max_handles > 0 ? def->max_handles : 0);
@@ -21699,7 +21790,8 @@ SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force,
     sfem_int i;
     for (i = 0; force && i < n; ++i)
         if (!sfemi_all_finite(force + 3 * (size_t)i, 3))
-            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the force on node %d is not finite", (int)i);
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the force on node %d is not finite",
+                                 (int)i);
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
     b->head->forces = 0;
     for (i = 0; force && i < n; ++i) {
@@ -21718,10 +21810,12 @@ SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, con
     sfem_int at;
     int c;
     if (node < 0 || node >= b->reduced->head->nodes)
-        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "there is no node %d, the body has %d", (int)node,
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1,
+                             "there is no node %d, the body has %d", (int)node,
                              (int)b->reduced->head->nodes);
     if (!sfemi_all_finite(f, 3))
-        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d is not finite", (int)node);
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d is not finite",
+                             (int)node);
     if (!b->place[node]) {
         at = b->head->forces++;
         b->force_node[at] = node;
@@ -21731,7 +21825,8 @@ SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, con
     at = b->place[node] - 1;
     for (c = 0; c < 3; ++c)
         if (!sfemi_finite(b->force[3 * (size_t)at + (size_t)c] + f[c]))
-            return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d overflows", (int)node);
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d overflows",
+                                 (int)node);
     for (c = 0; c < 3; ++c) b->force[3 * (size_t)at + (size_t)c] += f[c];
     return SFEM_OK;
 }
@@ -21781,7 +21876,8 @@ static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
         if (r->head->free) {
             sfem_real arm[3], torque[3];
             sfemi_modal_displace(b, node, q, arm);
-            for (c = 0; c < 3; ++c) arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
+            for (c = 0; c < 3; ++c)
+                arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
             sfemi_turn_vector(frame->r, arm, arm);
             sfemi_cross(arm, F, torque);
             for (c = 0; c < 3; ++c) b->pose_force[c] += F[c], b->pose_torque[c] += torque[c];
@@ -21805,18 +21901,18 @@ SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
 
 /* --- the frame of a free body ---------------------------------------------------------------- */
 
-static void sfemi_frame_velocity(const sfem_modal *b, const sfem_real r[9], const sfem_real momentum[3],
-                                 sfem_real w[3])
+static void sfemi_frame_velocity(const sfem_modal *b, const sfem_real r[9],
+                                 const sfem_real momentum[3], sfem_real w[3])
 {
     sfemi_turn_back(r, momentum, w);
     sfemi_turn_vector(b->reduced->head->inverse, w, w);
     sfemi_turn_vector(r, w, w);
 }
 
-/* r1 = r0 exp [h W]x, I W = (r0 exp [h W/2]x)^T mean: the implicit midpoint rule for the mean angular momentum
- * of the step. */
-static void sfemi_frame_turn(const sfem_modal *b, const sfem_real r0[9], const sfem_real mean[3], sfem_real h,
-                             sfem_real r1[9])
+/* r1 = r0 exp [h W]x, I W = (r0 exp [h W/2]x)^T mean: the implicit midpoint rule for the mean
+ * angular momentum of the step. */
+static void sfemi_frame_turn(const sfem_modal *b, const sfem_real r0[9], const sfem_real mean[3],
+                             sfem_real h, sfem_real r1[9])
 {
     sfem_real local[3], w[3] = {0, 0, 0}, turn[9], square[9];
     int k, c;
@@ -21845,7 +21941,8 @@ static void sfemi_frame_turn(const sfem_modal *b, const sfem_real r0[9], const s
 
 /* The pose after a step of the frame under force and torque at its end. */
 static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, sfem_real gamma,
-                             const sfem_real force[3], const sfem_real torque[3], sfemi_modal_head *to)
+                             const sfem_real force[3], const sfem_real torque[3],
+                             sfemi_modal_head *to)
 {
     const sfemi_modal_head *from = b->head;
     sfem_real mean[3];
@@ -21856,7 +21953,8 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
                          h * h * ((0.5 - beta) * from->accel[c] + beta * a);
         to->rigid.v[c] = from->rigid.v[c] + h * ((1 - gamma) * from->accel[c] + gamma * a);
         mean[c] = from->momentum[c] + h * ((0.5 - beta) * from->torque[c] + beta * torque[c]);
-        to->momentum[c] = from->momentum[c] + h * ((1 - gamma) * from->torque[c] + gamma * torque[c]);
+        to->momentum[c] =
+            from->momentum[c] + h * ((1 - gamma) * from->torque[c] + gamma * torque[c]);
         to->accel[c] = a;
         to->torque[c] = torque[c];
     }
@@ -21865,27 +21963,29 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
 
 /* --- handles ---------------------------------------------------------------------------------
  *
- * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation that displaces
- * node k; of a free body's frame also the identity and -[arm]x, with mass and inertia in A. With those,
- * S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps d l, d the mean of S's diagonal, by
- * (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at once where nothing warps. Else x is not linear in
- * q, and dx = G dq with G = J + H (dRt/dw Phi q) Psi: the body feels J^T l, and Newton's iteration for l has
- * G A^-1 J^T for S. (With S it converges slowly where Rt warps, and not at all for a bar that R bends far.) */
+ * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation
+ * that displaces node k; of a free body's frame also the identity and -[arm]x, with mass and
+ * inertia in A. With those, S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps
+ * d l, d the mean of S's diagonal, by (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at
+ * once where nothing warps. Else x is not linear in q, and dx = G dq with G = J + H (dRt/dw Phi q)
+ * Psi: the body feels J^T l, and Newton's iteration for l has G A^-1 J^T for S. (With S it
+ * converges slowly where Rt warps, and not at all for a bar that R bends far.) */
 
 /* rows += t phi, t 3x3 */
-static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_real t[9], const sfem_real *phi,
-                                  sfem_real *rows)
+static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_real t[9],
+                                  const sfem_real *phi, sfem_real *rows)
 {
     size_t k;
     int i;
     for (i = 0; i < 3; ++i, rows += stride) {
         const sfem_real a = weight * t[3 * i], b = weight * t[3 * i + 1], c = weight * t[3 * i + 2];
-        for (k = 0; k < stride; ++k) rows[k] += a * phi[k] + b * phi[stride + k] + c * phi[2 * stride + k];
+        for (k = 0; k < stride; ++k)
+            rows[k] += a * phi[k] + b * phi[stride + k] + c * phi[2 * stride + k];
     }
 }
 
-/* x and, unless NULL, J and (also unless NULL) G at q in the given pose, nodes turned as at q_turn; arm is x - the
- * frame's place, in the world. */
+/* x and, unless NULL, J and (also unless NULL) G at q in the given pose, nodes turned as at
+ * q_turn; arm is x - the frame's place, in the world. */
 static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, const sfem_real *q,
                               const sfem_real *q_turn, const sfem_rigid *frame, sfem_real x[3],
                               sfem_real arm[3], sfem_real *rows, sfem_real *exact)
@@ -21900,7 +22000,8 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
     if (exact) memset(exact, 0, 3 * stride * sizeof *exact);
     for (p = h->first; p < h->first + h->count; ++p) {
         const sfem_int node = b->handle_node[p];
-        const sfem_real *phi = r->phi + 3 * stride * (size_t)node, *psi = r->psi + 3 * stride * (size_t)node;
+        const sfem_real *phi = r->phi + 3 * stride * (size_t)node,
+                        *psi = r->psi + 3 * stride * (size_t)node;
         sfem_real t[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, d[9], w[3], u[3], linear[3], turned[9];
         sfemi_modal_linear(b, node, q, linear);
         memcpy(u, linear, sizeof u);
@@ -21910,8 +22011,8 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
             sfemi_turn_vector(t, u, u);
         }
         for (c = 0; c < 3; ++c)
-            arm[c] += b->weight[p] *
-                      (r->x[3 * (size_t)node + (size_t)c] - (loose ? r->head->centre[c] : 0) + u[c]);
+            arm[c] += b->weight[p] * (r->x[3 * (size_t)node + (size_t)c] -
+                                      (loose ? r->head->centre[c] : 0) + u[c]);
         if (!rows) continue;
         if (loose) {
             sfemi_mul3(frame->r, t, turned);
@@ -21938,8 +22039,9 @@ static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
     return slot;
 }
 
-/* S over all rows in use, with the compliance added: J A^-1 J^T, or with `exact` G A^-1 J^T; inverse NULL: A = I.
- * Rows that move nothing become zero. Returns eps times the mean diagonal of J A^-1 J^T. */
+/* S over all rows in use, with the compliance added: J A^-1 J^T, or with `exact` G A^-1 J^T;
+ * inverse NULL: A = I. Rows that move nothing become zero. Returns eps times the mean diagonal of
+ * J A^-1 J^T. */
 static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
                                      const sfem_real r[9])
 {
@@ -21952,15 +22054,18 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
         sfemi_mul3(r, head->inverse, half);
         sfemi_mul3_nt(half, r, world);
     }
-    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        for (j = 0, hj = sfemi_handle_next(b, 0); j < n; hj = sfemi_handle_next(b, hj + 1), j += 3) {
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        for (j = 0, hj = sfemi_handle_next(b, 0); j < n;
+             hj = sfemi_handle_next(b, hj + 1), j += 3) {
             for (c = 0; c < 3; ++c) {
                 const sfem_real *x = left + (3 * (size_t)hi + (size_t)c) * b->stride;
                 const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
                 for (d = 0; d < 3; ++d) {
                     const sfem_real *y = b->rows + (3 * (size_t)hj + (size_t)d) * b->stride;
                     sfem_real sum = 0, own = 0, frame = 0;
-                    for (k = 0; k < b->m; ++k) sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
+                    for (k = 0; k < b->m; ++k)
+                        sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
                     if (head->free) { /* I/mass + [ai]x^T W [aj]x */
                         sfem_real e[3] = {0, 0, 0}, g[3] = {0, 0, 0}, p[3], w[3];
                         e[c] = g[d] = 1;
@@ -21971,7 +22076,8 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
                     }
                     s[(i + c) * n + j + d] = sum + frame;
                     if (i != j || c != d) continue;
-                    for (k = 0; k < b->m; ++k) own += inverse ? z[k] * inverse[k] * z[k] : z[k] * z[k];
+                    for (k = 0; k < b->m; ++k)
+                        own += inverse ? z[k] * inverse[k] * z[k] : z[k] * z[k];
                     diagonal[i + c] = own + frame;
                     most = fmax(most, diagonal[i + c]);
                 }
@@ -21982,15 +22088,16 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
         if (diagonal[i] > 1e-12 * most) mean += diagonal[i], ++rows;
     mean = rows ? b->def.compliance * mean / rows : 0;
     for (i = 0; i < n; ++i) {
-        if (diagonal[i] > 1e-12 * most) s[i * n + i] += mean;
+        if (diagonal[i] > 1e-12 * most)
+            s[i * n + i] += mean;
         else
             for (j = 0; j < n; ++j) s[i * n + j] = s[j * n + i] = 0;
     }
     return mean;
 }
 
-/* x = S^-1 x by elimination with complete pivoting; what depends on the rest is left at 0. Returns how many rows
- * that were. */
+/* x = S^-1 x by elimination with complete pivoting; what depends on the rest is left at 0. Returns
+ * how many rows that were. */
 static sfem_int sfemi_handle_eliminate(sfem_real *s, sfem_int n, sfem_real *x, sfem_int *column)
 {
     sfem_real first = 0;
@@ -22040,7 +22147,8 @@ static sfem_int sfemi_handle_eliminate(sfem_real *s, sfem_int n, sfem_real *x, s
 static void sfemi_handle_subtract(const sfem_modal *b, const sfem_real *l, sfem_real *y)
 {
     sfem_int hi, i = 0;
-    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3) {
         const sfem_real minus[3] = {-l[i], -l[i + 1], -l[i + 2]};
         b->kernels->add3(b->stride, b->rows + 3 * (size_t)hi * b->stride, minus, y);
     }
@@ -22061,13 +22169,15 @@ static void sfemi_handle_frame_force(const sfem_modal *b, const sfem_real *l, sf
     }
 }
 
-/* Takes from v (and the frame's velocity) or a (and its acceleration) what moves the handles from `from` on, the
- * others left as they are; the multipliers go to b->l. The rows belong to the present state. */
+/* Takes from v (and the frame's velocity) or a (and its acceleration) what moves the handles from
+ * `from` on, the others left as they are; the multipliers go to b->l. The rows belong to the
+ * present state. */
 static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations)
 {
     sfemi_modal_head *head = b->head;
     const int loose = b->reduced->head->free;
-    sfem_real *y = accelerations ? b->a : b->v, *linear = accelerations ? head->accel : head->rigid.v;
+    sfem_real *y = accelerations ? b->a : b->v,
+              *linear = accelerations ? head->accel : head->rigid.v;
     sfem_real *angular = accelerations ? head->torque : head->momentum, w[3];
     const sfem_int n = 3 * head->handles;
     sfem_int hi, i = 0;
@@ -22075,7 +22185,8 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     sfemi_handle_matrix(b, NULL, b->rows, head->rigid.r);
     sfemi_grip_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
-    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3) {
         sfem_real turn[3] = {0, 0, 0};
         for (c = 0; c < 3; ++c) b->l[i + c] = 0;
         if (from >= 0 && hi != from) continue;
@@ -22089,7 +22200,8 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     for (i = 0; loose && i < n; i += 3) {
         sfem_real t[3];
         sfemi_cross(b->arm + i, b->l + i, t);
-        for (c = 0; c < 3; ++c) linear[c] -= b->l[i + c] / b->reduced->head->mass, angular[c] -= t[c];
+        for (c = 0; c < 3; ++c)
+            linear[c] -= b->l[i + c] / b->reduced->head->mass, angular[c] -= t[c];
     }
 }
 
@@ -22098,7 +22210,8 @@ static void sfemi_handle_locate(sfem_modal *b)
 {
     sfem_int hi, i = 0;
     sfem_real x[3];
-    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3)
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &b->head->rigid, x, b->arm + i,
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
 }
@@ -22116,7 +22229,8 @@ static void sfemi_modal_accelerate(sfem_modal *b)
     if (b->head->handles == 0) return;
     sfemi_handle_locate(b);
     sfemi_handle_project(b, -1, 1);
-    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+    for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3)
         memcpy(b->handle[hi].l, b->l + i, 3 * sizeof *b->l);
 }
 
@@ -22135,12 +22249,15 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
     sfem_real arm[3];
     for (k = 0; k < count; ++k)
         if (node[k] < 0 || node[k] >= b->reduced->head->nodes)
-            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[k], -1, "there is no node %d, the body has %d",
-                                 (int)node[k], (int)b->reduced->head->nodes);
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[k], -1,
+                                 "there is no node %d, the body has %d", (int)node[k],
+                                 (int)b->reduced->head->nodes);
     for (slot = 0; slot < b->def.max_handles && b->handle[slot].used; ++slot) continue;
-    if (slot == b->def.max_handles) return sfemi_fail(err, SFEM_FULL, "all %d handles are in use", (int)slot);
+    if (slot == b->def.max_handles)
+        return sfemi_fail(err, SFEM_FULL, "all %d handles are in use", (int)slot);
     if (count > b->def.max_handle_nodes - b->head->handle_nodes)
-        return sfemi_fail(err, SFEM_FULL, "%d nodes more would be held, of max_handle_nodes %d are %d in use",
+        return sfemi_fail(err, SFEM_FULL,
+                          "%d nodes more would be held, of max_handle_nodes %d are %d in use",
                           (int)count, (int)b->def.max_handle_nodes, (int)b->head->handle_nodes);
     h = b->handle + slot;
     memset(h, 0, sizeof *h);
@@ -22162,36 +22279,41 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
         sfem_int hi, i = 0;
         int c;
         sfemi_handle_project(b, slot, 1);
-        for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
+             hi = sfemi_handle_next(b, hi + 1), i += 3)
             for (c = 0; c < 3; ++c) b->handle[hi].l[c] += b->l[i + c];
     }
     *handle = slot;
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *b, sfem_int node, sfem_int *handle, sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *b, sfem_int node, sfem_int *handle,
+                                          sfem_error *err)
 {
     return sfemi_handle_grab(b, 1, &node, NULL, handle, err);
 }
 
 SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *b, sfem_int count, const sfem_int *node,
-                                            const sfem_real *weight, sfem_int *handle, sfem_error *err)
+                                            const sfem_real *weight, sfem_int *handle,
+                                            sfem_error *err)
 {
     sfem_real sum = 0;
     sfem_int k;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a region of %d nodes", (int)count);
     for (k = 0; weight && k < count; ++k) sum += weight[k];
     if (weight && !(fabs(sum - 1) <= 1e-6)) /* also NaN */
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the weights of a region add up to %g, not 1", sum);
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the weights of a region add up to %g, not 1",
+                          sum);
     return sfemi_handle_grab(b, count, node, weight, handle, err);
 }
 
-SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle, const sfem_real target[3],
-                                            sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle,
+                                            const sfem_real target[3], sfem_error *err)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
     if (!sfemi_all_finite(target, 3))
-        return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite",
+                          (int)handle);
     memcpy(b->handle[handle].target, target, 3 * sizeof *target);
     return SFEM_OK;
 }
@@ -22202,15 +22324,18 @@ SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
     sfem_int k, after;
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && h->used);
     after = b->head->handle_nodes - h->first - h->count;
-    memmove(b->handle_node + h->first, b->handle_node + h->first + h->count, (size_t)after * sizeof(sfem_int));
-    memmove(b->weight + h->first, b->weight + h->first + h->count, (size_t)after * sizeof(sfem_real));
+    memmove(b->handle_node + h->first, b->handle_node + h->first + h->count,
+            (size_t)after * sizeof(sfem_int));
+    memmove(b->weight + h->first, b->weight + h->first + h->count,
+            (size_t)after * sizeof(sfem_real));
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->handle[k].used && b->handle[k].first > h->first) b->handle[k].first -= h->count;
     b->head->handle_nodes -= h->count;
     --b->head->handles;
     memset(h, 0, sizeof *h);
     if (b->head->started) {
-        sfemi_modal_load_at(b, b->q, b->next); /* the frame's forces; f stays that of the last step */
+        sfemi_modal_load_at(b, b->q,
+                            b->next); /* the frame's forces; f stays that of the last step */
         sfemi_modal_accelerate(b);
     }
 }
@@ -22252,10 +22377,10 @@ static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta,
     b->gamma = gamma;
 }
 
-/* Distance of the handles from where they are to be, less what the compliance lets them: b->residual, over scale;
- * returns the largest, m. */
-static sfem_real sfemi_handle_gaps(sfem_modal *b, sfem_real scale, sfem_real eps, const sfem_real *q_turn,
-                                   const sfemi_modal_head *to)
+/* Distance of the handles from where they are to be, less what the compliance lets them:
+ * b->residual, over scale; returns the largest, m. */
+static sfem_real sfemi_handle_gaps(sfem_modal *b, sfem_real scale, sfem_real eps,
+                                   const sfem_real *q_turn, const sfemi_modal_head *to)
 {
     const sfem_int n = 3 * b->head->handles;
     sfem_real worst = 0;
@@ -22295,8 +22420,8 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
     }
 }
 
-/* The multipliers of [000 A.14]: nodes turned as they are when the step begins, so that all is linear. Returns
- * eps d. */
+/* The multipliers of [000 A.14]: nodes turned as they are when the step begins, so that all is
+ * linear. Returns eps d. */
 static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
@@ -22338,10 +22463,10 @@ static sfem_real sfemi_handle_correct(sfem_modal *b, const sfemi_handle_step *st
     return sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
 }
 
-/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T l) of the end
- * of the step, l in the handles, and J, in rows, that of the last solve. Where Newton's corrections bring them no
- * nearer, as with targets that contradict one another, the linear answer stands: it is bounded whatever the
- * targets. */
+/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
+ * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. Where
+ * Newton's corrections bring them no nearer, as with targets that contradict one another, the
+ * linear answer stands: it is bounded whatever the targets. */
 static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_step *step)
 {
     const sfemi_reduced_head *r = b->reduced->head;
@@ -22362,7 +22487,8 @@ static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_
     }
     step->to->iterations = it;
     step->to->residual = 0;
-    for (i = 0, hi = sfemi_handle_next(b, 0); hi < b->def.max_handles; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+    for (i = 0, hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3) {
         sfem_real x[3], arm[3];
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, arm, NULL, NULL);
         for (c = 0; c < 3; ++c) {
@@ -22403,7 +22529,8 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
     step.beta = beta;
     step.gamma = gamma;
     step.to = to;
-    sfemi_handle_solve(b, b->def.warp != SFEM_WARP_NONE || r->head->free ? b->def.handle_iterations : 1, &step);
+    sfemi_handle_solve(
+        b, b->def.warp != SFEM_WARP_NONE || r->head->free ? b->def.handle_iterations : 1, &step);
     for (k = 0; k < b->m; ++k) b->v[k] = b->vp[k] + gamma * h * b->a[k];
 }
 
@@ -22436,7 +22563,8 @@ static void sfemi_modal_rouse(sfem_modal *b)
     for (k = 0; k < b->m; ++k) {
         const sfem_real change = fabs(b->next[k] - b->rest[k]);
         if (!b->asleep[k] || change == 0) continue;
-        if (r->lambda[k] > 0 && change * r->gain[k] * r->amplitude[k] <= r->lambda[k] * share / 2) continue;
+        if (r->lambda[k] > 0 && change * r->gain[k] * r->amplitude[k] <= r->lambda[k] * share / 2)
+            continue;
         b->asleep[k] = 0;
     }
 }
@@ -22456,7 +22584,8 @@ static void sfemi_modal_settle(sfem_modal *b)
             continue;
         }
         rest = b->next[k] / lambda;
-        if (!(sqrt((b->q[k] - rest) * (b->q[k] - rest) + b->v[k] * b->v[k] / lambda) * r->amplitude[k] <=
+        if (!(sqrt((b->q[k] - rest) * (b->q[k] - rest) + b->v[k] * b->v[k] / lambda) *
+                  r->amplitude[k] <=
               share / 2))
             continue;
         b->asleep[k] = 1;
@@ -22471,7 +22600,8 @@ static sfem_int sfemi_modal_not_finite(const sfem_modal *b, const sfemi_modal_he
 {
     size_t k;
     for (k = 0; k < b->m; ++k)
-        if (!sfemi_finite(b->q[k]) || !sfemi_finite(b->v[k]) || !sfemi_finite(b->a[k])) return (sfem_int)k;
+        if (!sfemi_finite(b->q[k]) || !sfemi_finite(b->v[k]) || !sfemi_finite(b->a[k]))
+            return (sfem_int)k;
     if (!sfemi_all_finite(to->rigid.x, 3) || !sfemi_all_finite(to->rigid.r, 9) ||
         !sfemi_all_finite(to->momentum, 3) || !sfemi_all_finite(to->rigid.v, 3))
         return (sfem_int)b->m;
@@ -22491,7 +22621,8 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     if (!(h > 0 && sfemi_finite(h)))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s, must be above 0", h);
     memcpy(b->backup, b->head, b->small_bytes);
-    before = (const sfem_real *)(const void *)((char *)b->backup + ((char *)b->q - (char *)b->head));
+    before =
+        (const sfem_real *)(const void *)((char *)b->backup + ((char *)b->q - (char *)b->head));
     if (!b->head->started) {
         sfemi_modal_load_at(b, b->q, b->f);
         sfemi_modal_accelerate(b);
@@ -22499,11 +22630,15 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     }
     for (k = 0; k < b->m; ++k) b->qp[k] = b->q[k] + h * b->mean[k];
     sfemi_modal_load_at(b, b->qp, b->next);
-    if (held) sfemi_modal_wake(b);
-    else sfemi_modal_rouse(b);
+    if (held)
+        sfemi_modal_wake(b);
+    else
+        sfemi_modal_rouse(b);
     to = *b->head;
-    if (exact) sfemi_modal_exact(b, h, &to);
-    else sfemi_modal_newmark(b, h, beta, gamma, &to);
+    if (exact)
+        sfemi_modal_exact(b, h, &to);
+    else
+        sfemi_modal_newmark(b, h, beta, gamma, &to);
     bad = sfemi_modal_not_finite(b, &to);
     if (bad >= 0) {
         memcpy(b->head, b->backup, b->small_bytes);
@@ -22513,7 +22648,8 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     }
     to.time += h;
     ++to.steps;
-    to.beta = exact ? 1.0 / 6 : beta; /* what accelerations that are linear over the step would have */
+    to.beta =
+        exact ? 1.0 / 6 : beta; /* what accelerations that are linear over the step would have */
     to.gamma = exact ? 0.5 : gamma;
     if (!held) to.residual = 0, to.iterations = to.rows_left = 0;
     *b->head = to;
@@ -22529,11 +22665,14 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *accele
 {
     const sfem_real none[3] = {0, 0, 0};
     size_t k;
-    if (!(h > 0 && sfemi_finite(h)) || !(beta >= 0 && gamma >= 0 && sfemi_finite(beta) && sfemi_finite(gamma)))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s by Newmark (%g, %g)", h, beta, gamma);
+    if (!(h > 0 && sfemi_finite(h)) ||
+        !(beta >= 0 && gamma >= 0 && sfemi_finite(beta) && sfemi_finite(gamma)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a step of %g s by Newmark (%g, %g)", h, beta,
+                          gamma);
     for (k = 0; k < b->m; ++k)
         if (!sfemi_finite(acceleration[k]))
-            return sfemi_fail(err, SFEM_NOT_FINITE, "the acceleration of mode %d is not finite", (int)k);
+            return sfemi_fail(err, SFEM_NOT_FINITE, "the acceleration of mode %d is not finite",
+                              (int)k);
     sfemi_modal_wake(b);
     for (k = 0; k < b->m; ++k) {
         const sfem_real a = b->a[k], next = acceleration[k];
@@ -22561,8 +22700,9 @@ SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *b) { return b-
 SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *b) { return b->a; }
 SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *b) { return b->head->time; }
 
-SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *q, const sfem_real *v,
-                                                const sfem_real *a, sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *q,
+                                                const sfem_real *v, const sfem_real *a,
+                                                sfem_error *err)
 {
     const size_t bytes = b->m * sizeof *q;
     if ((q && !sfemi_all_finite(q, b->m)) || (v && !sfemi_all_finite(v, b->m)) ||
@@ -22594,9 +22734,10 @@ static sfem_real sfemi_modal_largest_rotation(const sfem_modal *b)
     return sqrt(most);
 }
 
-/* One round of q = lambda^-1 (f(q) - J^T l), of which q takes a part that follows from how the last two
- * residuals differ [Aitken 1926; Irons, Tuck 1969]: bent far, the plain iteration swings round its goal, and
- * finally away from it. Returns how far any node is from where the round puts it, over its displacement. */
+/* One round of q = lambda^-1 (f(q) - J^T l), of which q takes a part that follows from how the
+ * last two residuals differ [Aitken 1926; Irons, Tuck 1969]: bent far, the plain iteration swings
+ * round its goal, and finally away from it. Returns how far any node is from where the round puts
+ * it, over its displacement. */
 static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_modal_head *to)
 {
     const sfem_reduced *r = b->reduced;
@@ -22613,8 +22754,7 @@ static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_
         sfemi_handle_step step = {1, 0, 0, 0, NULL};
         step.to = to;
         sfemi_handle_solve(b, 1, &step);
-    }
-    else
+    } else
         for (k = 0; k < b->m; ++k) b->q[k] = b->qp[k] + b->inverse[k] * b->b[k];
     for (k = 0; k < b->m; ++k) {
         const sfem_real residual = b->q[k] - from[k], difference = residual - last[k];
@@ -22629,7 +22769,8 @@ static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_
     return size > 0 ? change / size : 0;
 }
 
-SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_info *info, sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_info *info,
+                                             sfem_error *err)
 {
     const sfem_reduced *r = b->reduced;
     sfem_modal_static_info got;
@@ -22639,7 +22780,8 @@ SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_in
     size_t k;
     memset(&got, 0, sizeof got);
     if (b->head->handles > 0 && r->head->free)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a free body held by handles: step it to rest instead");
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "a free body held by handles: step it to rest instead");
     sfemi_modal_load_at(b, b->q, b->b);
     for (k = 0; k < b->m; ++k)
         if (r->lambda[k] == 0 && b->b[k] != 0)
@@ -22649,19 +22791,21 @@ SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_in
     memset(b->next, 0, b->stride * sizeof *b->next);
     sfemi_modal_wake(b);
     do got.change = sfemi_modal_static_round(b, &part, &to);
-    while (++got.iterations < SFEMI_STATIC_ITERATIONS && sfemi_finite(got.change) && got.change < 1e100 &&
-           got.change > 1e-12 && (b->def.warp != SFEM_WARP_NONE || got.iterations < 2));
+    while (++got.iterations < SFEMI_STATIC_ITERATIONS && sfemi_finite(got.change) &&
+           got.change < 1e100 && got.change > 1e-12 &&
+           (b->def.warp != SFEM_WARP_NONE || got.iterations < 2));
     got.rotation = sfemi_modal_largest_rotation(b);
     if (info) *info = got;
     if (sfemi_modal_not_finite(b, b->head) >= 0)
         status = sfemi_fail(err, SFEM_NOT_FINITE, "the static solution is not finite");
     else if (got.rotation >= 3.14159265358979)
-        status = sfemi_fail(err, SFEM_NOT_CONVERGED, "a node turns by %.3g, warping is valid below pi",
-                            got.rotation);
-    else if (b->def.warp != SFEM_WARP_NONE && got.change > 1e-9)
         status = sfemi_fail(err, SFEM_NOT_CONVERGED,
-                            "no rest in %d iterations: nodes still move by %.2g of the displacement",
-                            (int)got.iterations, got.change);
+                            "a node turns by %.3g, warping is valid below pi", got.rotation);
+    else if (b->def.warp != SFEM_WARP_NONE && got.change > 1e-9)
+        status =
+            sfemi_fail(err, SFEM_NOT_CONVERGED,
+                       "no rest in %d iterations: nodes still move by %.2g of the displacement",
+                       (int)got.iterations, got.change);
     if (status != SFEM_OK) {
         memcpy(b->head, b->backup, b->small_bytes);
         return status;
@@ -22701,40 +22845,44 @@ static void sfemi_view_run(const sfemi_view_job *j, size_t tile, size_t tiles, v
     if (v->precision == SFEM_MIXED) {
         float r[9];
         for (c = 0; c < 9; ++c) r[c] = (float)b->head->rigid.r[c];
-        b->kernels->tiles32(tiles, b->m, (const float *)v->phi + at, warp ? (const float *)v->psi + at : NULL,
-                            rest ? (const float *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
-                            b->drawn_q32, b->turn32, loose ? r : NULL, (float *)out);
+        b->kernels->tiles32(tiles, b->m, (const float *)v->phi + at,
+                            warp ? (const float *)v->psi + at : NULL,
+                            rest ? (const float *)v->rest + row : NULL, (size_t)b->drawn_count,
+                            b->drawn, b->drawn_q32, b->turn32, loose ? r : NULL, (float *)out);
     } else {
-        b->kernels->tiles(tiles, b->m, (const double *)v->phi + at,
-                          warp ? (const double *)v->psi + at : NULL,
-                          rest ? (const double *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
-                          b->drawn_q, b->turn, loose ? b->head->rigid.r : NULL, (double *)out);
+        b->kernels->tiles(
+            tiles, b->m, (const double *)v->phi + at, warp ? (const double *)v->psi + at : NULL,
+            rest ? (const double *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
+            b->drawn_q, b->turn, loose ? b->head->rigid.r : NULL, (double *)out);
     }
 }
 
 /* tiles [tile][3][8] to triples; for float output the shift is added in float */
-#define SFEMI_VIEW_COPY(name, From, To)                                                              \
-    static SFEMI_INLINE void name##_tile(const From *from, size_t count, To s0, To s1, To s2,        \
-                                         char *to, size_t stride)                                    \
-    {                                                                                                \
-        size_t lane;                                                                                 \
-        for (lane = 0; lane < count; ++lane) {                                                       \
-            To *x = (To *)(void *)(to + lane * stride);                                              \
-            x[0] = (To)from[lane] + s0;                                                              \
-            x[1] = (To)from[SFEMI_TILE + lane] + s1;                                                 \
-            x[2] = (To)from[2 * SFEMI_TILE + lane] + s2;                                             \
-        }                                                                                            \
-    }                                                                                                \
-    static void name(const From *from, size_t count, const sfem_real *shift, char *to, size_t stride) \
-    {                                                                                                \
-        const To s0 = (To)shift[0], s1 = (To)shift[1], s2 = (To)shift[2];                            \
-        for (; count >= SFEMI_TILE; count -= SFEMI_TILE) {                                           \
-            if (stride == 3 * sizeof(To)) name##_tile(from, SFEMI_TILE, s0, s1, s2, to, 3 * sizeof(To)); \
-            else name##_tile(from, SFEMI_TILE, s0, s1, s2, to, stride);                              \
-            from += 3 * SFEMI_TILE;                                                                  \
-            to += SFEMI_TILE * stride;                                                               \
-        }                                                                                            \
-        name##_tile(from, count, s0, s1, s2, to, stride);                                            \
+#define SFEMI_VIEW_COPY(name, From, To)                                                            \
+    static SFEMI_INLINE void name##_tile(const From *from, size_t count, To s0, To s1, To s2,      \
+                                         char *to, size_t stride)                                  \
+    {                                                                                              \
+        size_t lane;                                                                               \
+        for (lane = 0; lane < count; ++lane) {                                                     \
+            To *x = (To *)(void *)(to + lane * stride);                                            \
+            x[0] = (To)from[lane] + s0;                                                            \
+            x[1] = (To)from[SFEMI_TILE + lane] + s1;                                               \
+            x[2] = (To)from[2 * SFEMI_TILE + lane] + s2;                                           \
+        }                                                                                          \
+    }                                                                                              \
+    static void name(const From *from, size_t count, const sfem_real *shift, char *to,             \
+                     size_t stride)                                                                \
+    {                                                                                              \
+        const To s0 = (To)shift[0], s1 = (To)shift[1], s2 = (To)shift[2];                          \
+        for (; count >= SFEMI_TILE; count -= SFEMI_TILE) {                                         \
+            if (stride == 3 * sizeof(To))                                                          \
+                name##_tile(from, SFEMI_TILE, s0, s1, s2, to, 3 * sizeof(To));                     \
+            else                                                                                   \
+                name##_tile(from, SFEMI_TILE, s0, s1, s2, to, stride);                             \
+            from += 3 * SFEMI_TILE;                                                                \
+            to += SFEMI_TILE * stride;                                                             \
+        }                                                                                          \
+        name##_tile(from, count, s0, s1, s2, to, stride);                                          \
     }
 SFEMI_VIEW_COPY(sfemi_view_copy_dd, double, double)
 SFEMI_VIEW_COPY(sfemi_view_copy_df, double, float)
@@ -22749,7 +22897,8 @@ static void sfemi_view_task(void *data, sfem_int index)
     const size_t first = (size_t)index * SFEMI_VIEW_BLOCK, left = (size_t)v->tiles - first;
     const size_t tiles = left < (size_t)SFEMI_VIEW_BLOCK ? left : (size_t)SFEMI_VIEW_BLOCK;
     const size_t node = first * SFEMI_TILE;
-    const size_t rest = (size_t)v->count - node, count = rest < tiles * SFEMI_TILE ? rest : tiles * SFEMI_TILE;
+    const size_t rest = (size_t)v->count - node,
+                 count = rest < tiles * SFEMI_TILE ? rest : tiles * SFEMI_TILE;
     const sfem_real none[3] = {0, 0, 0};
     const sfem_real *shift = j->modal->reduced->head->free ? j->modal->head->rigid.x : none;
     double tile[3 * SFEMI_TILE * SFEMI_VIEW_BLOCK];
@@ -22759,21 +22908,24 @@ static void sfemi_view_task(void *data, sfem_int index)
     sfemi_view_run(j, first, tiles, tile);
     if (j->floats) {
         char *to = j->floats + node * j->stride;
-        if (v->precision == SFEM_MIXED) sfemi_view_copy_ff(tile32, count, shift, to, j->stride);
-        else sfemi_view_copy_df(tile, count, shift, to, j->stride);
+        if (v->precision == SFEM_MIXED)
+            sfemi_view_copy_ff(tile32, count, shift, to, j->stride);
+        else
+            sfemi_view_copy_df(tile, count, shift, to, j->stride);
         return;
     }
     if (v->precision == SFEM_MIXED)
         sfemi_view_copy_fd(tile32, count, shift, (char *)(j->x + 3 * node), 3 * sizeof(double));
-    else sfemi_view_copy_dd(tile, count, shift, (char *)(j->x + 3 * node), 3 * sizeof(double));
+    else
+        sfemi_view_copy_dd(tile, count, shift, (char *)(j->x + 3 * node), 3 * sizeof(double));
     if (j->displacement && j->modal->reduced->head->free)
         for (i = node; i < node + count; ++i)
             for (c = 0; c < 3; ++c)
                 j->x[3 * i + (size_t)c] -= j->modal->reduced->x[3 * (size_t)v->node[i] + (size_t)c];
 }
 
-static void sfemi_view_reconstruct(const sfem_modal *b, const sfem_reduced_view *v, int displacement, double *x,
-                                   float *floats, size_t stride)
+static void sfemi_view_reconstruct(const sfem_modal *b, const sfem_reduced_view *v,
+                                   int displacement, double *x, float *floats, size_t stride)
 {
     sfemi_view_job j;
     SFEM_ASSERT(v->reduced == b->reduced);
@@ -22783,7 +22935,8 @@ static void sfemi_view_reconstruct(const sfem_modal *b, const sfem_reduced_view 
     j.floats = (char *)floats;
     j.stride = stride;
     j.displacement = displacement;
-    sfemi_run(&b->def.exec, (v->tiles + SFEMI_VIEW_BLOCK - 1) / SFEMI_VIEW_BLOCK, sfemi_view_task, &j);
+    sfemi_run(&b->def.exec, (v->tiles + SFEMI_VIEW_BLOCK - 1) / SFEMI_VIEW_BLOCK, sfemi_view_task,
+              &j);
 }
 
 SFEM_DEF void sfem_modal_positions(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *x)
@@ -22791,12 +22944,14 @@ SFEM_DEF void sfem_modal_positions(const sfem_modal *b, const sfem_reduced_view 
     sfemi_view_reconstruct(b, view, 0, x, NULL, 0);
 }
 
-SFEM_DEF void sfem_modal_displacements(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *u)
+SFEM_DEF void sfem_modal_displacements(const sfem_modal *b, const sfem_reduced_view *view,
+                                       sfem_real *u)
 {
     sfemi_view_reconstruct(b, view, 1, u, NULL, 0);
 }
 
-SFEM_DEF void sfem_modal_to_floats(const sfem_modal *b, const sfem_reduced_view *view, float *x, size_t stride)
+SFEM_DEF void sfem_modal_to_floats(const sfem_modal *b, const sfem_reduced_view *view, float *x,
+                                   size_t stride)
 {
     sfemi_view_reconstruct(b, view, 0, NULL, x, stride);
 }
@@ -22849,12 +23004,13 @@ SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *b, const sfem_rigid *rigid
     sfem_real local[3], proper[9];
     if (!b->reduced->head->free)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the body is held: it has no frame");
-    if (!sfemi_all_finite(rigid->x, 3) || !sfemi_all_finite(rigid->r, 9) || !sfemi_all_finite(rigid->v, 3) ||
-        !sfemi_all_finite(rigid->w, 3))
+    if (!sfemi_all_finite(rigid->x, 3) || !sfemi_all_finite(rigid->r, 9) ||
+        !sfemi_all_finite(rigid->v, 3) || !sfemi_all_finite(rigid->w, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the frame is not finite");
     sfemi_cofactor3(rigid->r, proper);
     if (!(sfemi_dot3(rigid->r, proper) > 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the frame is no rotation: its determinant is not above 0");
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the frame is no rotation: its determinant is not above 0");
     sfem_polar(rigid->r, proper, NULL);
     h->rigid = *rigid;
     memcpy(h->rigid.r, proper, sizeof proper);
@@ -22898,12 +23054,14 @@ SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
     memcpy(memory, &head, sizeof head);
 }
 
-SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes, sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes,
+                                           sfem_error *err)
 {
     sfemi_modal_head head;
     sfem_int i;
     if (bytes < sizeof head)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a state", (unsigned long)bytes);
+        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a state",
+                          (unsigned long)bytes);
     memcpy(&head, memory, sizeof head);
     if (memcmp(head.magic, "sfemmod", 8) != 0 || head.version != SFEMI_MODAL_VERSION)
         return sfemi_fail(err, SFEM_FORMAT, "this is no state of a modal body of this version");
@@ -22935,7 +23093,9 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
     if (b->reduced->head->free) {
         sfemi_frame_velocity(b, h->rigid.r, h->momentum, w);
         for (c = 0; c < 3; ++c)
-            info.kinetic += (b->reduced->head->mass * h->rigid.v[c] * h->rigid.v[c] + w[c] * h->momentum[c]) / 2;
+            info.kinetic +=
+                (b->reduced->head->mass * h->rigid.v[c] * h->rigid.v[c] + w[c] * h->momentum[c]) /
+                2;
     }
     info.drawn = b->drawn_count;
     info.handles = h->handles;

@@ -178,7 +178,8 @@ static void swing(bar *b, FILE *csv, int quick)
     const double h = 1 / 60.0, seconds = quick ? 2 : 10;
     const int steps = (int)(seconds / h + 0.5), fine = 4;
     const size_t size = 3 * (size_t)b->mesh.nodes;
-    double *exact = (double *)ex_new((size_t)steps * size, sizeof *exact), amplitude = 0, start, full;
+    double *exact = (double *)ex_new((size_t)steps * size, sizeof *exact), amplitude = 0, start,
+           full;
     sfem_body *body = make_body(b);
     sfem_error err;
     int i, k, w;
@@ -187,13 +188,17 @@ static void swing(bar *b, FILE *csv, int quick)
     start = ex_seconds();
     for (i = 0; i < steps * fine; ++i) {
         must(sfem_body_step(body, h / fine, &err), &err);
-        if (i % fine == fine - 1) memcpy(exact + (size_t)(i / fine) * size, sfem_body_displacement(body), size * sizeof(double));
+        if (i % fine == fine - 1)
+            memcpy(exact + (size_t)(i / fine) * size, sfem_body_displacement(body),
+                   size * sizeof(double));
     }
     full = (ex_seconds() - start) / (steps * fine);
     sfem_body_free(body);
     memset(b->u, 0, size * sizeof(double));
-    for (i = 0; i < steps; ++i) amplitude = fmax(amplitude, rms(exact + (size_t)i * size, b->u, b->mesh.nodes));
-    printf("\nswinging %g s, h = 1/60 s: RMS error over the largest RMS displacement, %.2f m; us a step, all nodes\n"
+    for (i = 0; i < steps; ++i)
+        amplitude = fmax(amplitude, rms(exact + (size_t)i * size, b->u, b->mesh.nodes));
+    printf("\nswinging %g s, h = 1/60 s: RMS error over the largest RMS displacement, %.2f m; us a "
+           "step, all nodes\n"
            "reconstructed (StVK, Newton, h = 1/240 s: %.0f us)\n%-8s %5s %9s %8s %9s %8s\n",
            seconds, amplitude, 1e6 * full, "warp", "modes", "Newmark", "us", "exact", "us");
     for (k = 0; k < 3; ++k) {
@@ -216,8 +221,8 @@ static void swing(bar *b, FILE *csv, int quick)
                 }
                 cost = median(spent, steps);
                 printf(" %9.4f %8.2f", sqrt(sum / steps) / amplitude, 1e6 * cost);
-                fprintf(csv, "swing %s,%s,%d,%g,%g,%g\n", kind ? "exact" : "newmark", warp_name[w], (int)counts[k],
-                        amplitude, sqrt(sum / steps) / amplitude, cost);
+                fprintf(csv, "swing %s,%s,%d,%g,%g,%g\n", kind ? "exact" : "newmark", warp_name[w],
+                        (int)counts[k], amplitude, sqrt(sum / steps) / amplitude, cost);
                 sfem_modal_free(modal);
             }
             printf("\n");
@@ -275,14 +280,17 @@ static void speed(FILE *csv)
     must(sfem_modes_create(model, &modes_def, &modes, &err), &err);
     must(sfem_reduced_create(model, &modes, &reduced_def, &reduced, &err), &err);
     x = (float *)ex_new(3 * (size_t)mesh.nodes, sizeof *x);
-    printf("\n%d tets, 20 modes, %d of %d nodes on the surface: us. Reading %.0f kB takes this machine at %.0f GB/s\n"
+    printf("\n%d tets, 20 modes, %d of %d nodes on the surface: us. Reading %.0f kB takes this "
+           "machine at %.0f GB/s\n"
            "%-8s %-7s %-22s %7s %9s %7s %8s %6s\n",
-           (int)mesh.tets, (int)sfem_reduced_get_info(reduced).surface_nodes, (int)mesh.nodes, 432.0,
-           ceiling(432000) / 1e9, "warp", "rows", "load", "step", "surface", "both", "ns/node", "GB/s");
+           (int)mesh.tets, (int)sfem_reduced_get_info(reduced).surface_nodes, (int)mesh.nodes,
+           432.0, ceiling(432000) / 1e9, "warp", "rows", "load", "step", "surface", "both",
+           "ns/node", "GB/s");
     for (w = 0; w < 3; ++w)
         for (p = 0; p < 2; ++p) {
             sfem_reduced_view *view;
-            must(sfem_reduced_view_surface(reduced, p ? SFEM_MIXED : SFEM_DOUBLE, &view, &err), &err);
+            must(sfem_reduced_view_surface(reduced, p ? SFEM_MIXED : SFEM_DOUBLE, &view, &err),
+                 &err);
             for (load = 0; load < 2; ++load) {
                 sfem_modal *modal = make_modal(reduced, w, SFEM_MODAL_NEWMARK);
                 const double nodes = sfem_reduced_view_count(view);
@@ -300,10 +308,12 @@ static void speed(FILE *csv)
                 }
                 for (i = 0; i < 3; ++i) t[i][0] = median(t[i], REPEATS);
                 reads = nodes * 20 * (w ? 6 : 3) * (p ? 4 : 8);
-                printf("%-8s %-7s %-22s %7.2f %9.2f %7.2f %8.2f %6.0f\n", warp_name[w], p ? "float" : "double",
-                       load ? "a node and gravity" : "a node", 1e6 * t[0][0], 1e6 * t[1][0], 1e6 * t[2][0],
-                       1e9 * t[1][0] / nodes, reads / t[1][0] / 1e9);
-                fprintf(csv, "step,%s %s,20,%d,%g,%g\n", warp_name[w], p ? "float" : "double", load, t[0][0], t[1][0]);
+                printf("%-8s %-7s %-22s %7.2f %9.2f %7.2f %8.2f %6.0f\n", warp_name[w],
+                       p ? "float" : "double", load ? "a node and gravity" : "a node",
+                       1e6 * t[0][0], 1e6 * t[1][0], 1e6 * t[2][0], 1e9 * t[1][0] / nodes,
+                       reads / t[1][0] / 1e9);
+                fprintf(csv, "step,%s %s,20,%d,%g,%g\n", warp_name[w], p ? "float" : "double", load,
+                        t[0][0], t[1][0]);
                 sfem_modal_free(modal);
             }
             sfem_reduced_view_free(view);

@@ -88,8 +88,9 @@ static void *make_block(run *r)
     r->block_bytes = sfem_reduced_size(reduced);
     block = ex_new(1, r->block_bytes);
     sfem_reduced_save(reduced, block);
-    printf("bar: %d tets, %d modes from %.3g to %.3g Hz, a block of %.0f kB\n", (int)mesh.tets, (int)modes.count,
-           sfem_modes_hz(&modes, 0), sfem_modes_hz(&modes, modes.count - 1), (double)r->block_bytes / 1e3);
+    printf("bar: %d tets, %d modes from %.3g to %.3g Hz, a block of %.0f kB\n", (int)mesh.tets,
+           (int)modes.count, sfem_modes_hz(&modes, 0), sfem_modes_hz(&modes, modes.count - 1),
+           (double)r->block_bytes / 1e3);
     sfem_reduced_free(reduced);
     sfem_modes_free(&modes);
     sfem_model_free(model);
@@ -128,7 +129,8 @@ static double smooth(double t) /* from 0 to 1 and at rest at both ends */
 static void hand(const run *r, double t, const double *from, double *at)
 {
     const double all = r->held * r->h, up = 0.5 * all, hold = 0.75 * all;
-    const double d = ex_real(&r->o, "--pull") * (smooth(t / up) - 0.5 * smooth((t - hold) / (all - hold)));
+    const double d =
+        ex_real(&r->o, "--pull") * (smooth(t / up) - 0.5 * smooth((t - hold) / (all - hold)));
     at[0] = from[0] - 0.6 * d * d / r->length;
     at[1] = from[1];
     at[2] = from[2] + d;
@@ -155,7 +157,8 @@ static void play(run *r)
         const double t = (i + 1) * r->h;
         double start;
         if (i == r->held) sfem_modal_release_handle(r->body, r->handle);
-        if (i % ((r->steps + FRAMES - 1) / FRAMES) == 0) keep(r, i < r->held ? "held" : "let go", i * r->h);
+        if (i % ((r->steps + FRAMES - 1) / FRAMES) == 0)
+            keep(r, i < r->held ? "held" : "let go", i * r->h);
         hand(r, t, from, at);
         start = ex_seconds();
         if (i < r->held) must(sfem_modal_move_handle(r->body, r->handle, at, &err), &err);
@@ -180,10 +183,12 @@ static void draw(const run *r)
     ex_style style = ex_default_style();
     double lower[3], upper[3];
     int k;
-    for (k = 0; k < r->frames; ++k) ex_bounds(r->frame[k], info.surface_nodes, k == 0, lower, upper);
+    for (k = 0; k < r->frames; ++k)
+        ex_bounds(r->frame[k], info.surface_nodes, k == 0, lower, upper);
     for (k = 0; k < r->frames; ++k) {
         ex_view_begin(p, k, 3, 3, lower, upper, direction);
-        ex_view_surface(p, info.surface_nodes, r->frame[k], info.surface_triangles, info.surface_tri, NULL, &style);
+        ex_view_surface(p, info.surface_nodes, r->frame[k], info.surface_triangles,
+                        info.surface_tri, NULL, &style);
         ex_view_end(p, r->caption[k]);
         free(r->frame[k]);
     }
@@ -195,7 +200,8 @@ static void plot(const run *r)
 {
     const char *out = ex_text(&r->o, "--out");
     ex_plot time = ex_plot_new("The pull of the hand", "time, s", "force upward, N", 0);
-    ex_plot path = ex_plot_new("Force over displacement", "how far up the hand is, m", "force upward, N", 0);
+    ex_plot path =
+        ex_plot_new("Force over displacement", "how far up the hand is, m", "force upward, N", 0);
     FILE *f = ex_open(ex_path(out, "force.csv"));
     sfem_int i;
     ex_plot_add(&time, NULL, r->time, r->pull, r->steps, EX_LINE);
@@ -203,7 +209,8 @@ static void plot(const run *r)
     ex_plot_add(&path, NULL, r->distance, r->pull, r->held, EX_LINE);
     ex_plot_write(&path, ex_path(out, "curve.svg"));
     fprintf(f, "time,distance,force\n");
-    for (i = 0; i < r->steps; ++i) fprintf(f, "%.6g,%.9g,%.9g\n", r->time[i], r->distance[i], r->pull[i]);
+    for (i = 0; i < r->steps; ++i)
+        fprintf(f, "%.6g,%.9g,%.9g\n", r->time[i], r->distance[i], r->pull[i]);
     ex_close(f, ex_path(out, "force.csv"));
 }
 
@@ -232,9 +239,10 @@ int main(int argc, char **argv)
     plot(&r);
     for (i = 0; i < r.steps; ++i) most = fmax(most, fabs(r.pull[i]));
     printf("wrote %s/grab.png, force.svg, curve.svg, force.csv\n", ex_text(&r.o, "--out"));
-    printf("modes_ms %.3f\nblock_bytes %lu\nstep_us %.3f\nlargest_force %.6g\nforce_when_held %.6g\n",
-           1e3 * r.modes_seconds, (unsigned long)r.block_bytes, 1e6 * r.step_seconds, most,
-           r.pull[r.held * 3 / 4 - 1]);
+    printf(
+        "modes_ms %.3f\nblock_bytes %lu\nstep_us %.3f\nlargest_force %.6g\nforce_when_held %.6g\n",
+        1e3 * r.modes_seconds, (unsigned long)r.block_bytes, 1e6 * r.step_seconds, most,
+        r.pull[r.held * 3 / 4 - 1]);
     free(r.time);
     free(r.face);
     sfem_modal_free(r.body);
