@@ -894,7 +894,8 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
 /* Why an edge broke. */
 typedef enum sfem_break_reason {
     SFEM_BROKE_CRITERION,
-    SFEM_BROKE_LONE, /* the only intact link between its nodes in every tet around it: a fibre */
+    SFEM_BROKE_LONE, /* a fibre: in every tet around it the only intact link between its nodes, or the tet
+                      * does not hang together */
     SFEM_BROKE_BLADE
 } sfem_break_reason;
 
@@ -12571,7 +12572,8 @@ static void sfemi_damage_merge(sfemi_damage *d)
     d->fresh_count = 0;
 }
 
-/* Is edge k, which is not broken, the only link between its nodes in every tet around it? */
+/* Is edge k, which is not broken, in every tet around it the only link between its nodes, or the tet loose,
+ * so that it carries nothing? Faces without a tet that hangs together would stretch for ever. */
 static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
 {
     const sfemi_bonds *g = d->bonds;
@@ -12579,6 +12581,7 @@ static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
     sfem_int at;
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
         const sfem_int e = g->edge_tet[at] / 6;
+        if (d->kind[e] == SFEMI_LOOSE) continue;
         if (d->kind[e] == SFEMI_INTACT ||
             !(sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1))
             return 0;
@@ -12602,7 +12605,7 @@ static void sfemi_damage_sweep_lone(sfemi_damage *d, const sfemi_damage_step *st
             const unsigned links = sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)];
             for (k = 0; k < 6; ++k) {
                 const sfem_int edge = g->tet_edge[6 * e + k];
-                if (!(links >> k & 1) || g->never[edge] || g->edge_tet[g->tet_start[edge]] / 6 != e)
+                if (!(links >> k & 1 || d->kind[e] == SFEMI_LOOSE) || g->never[edge] || g->edge_tet[g->tet_start[edge]] / 6 != e)
                     continue; /* each edge once, at its first tet */
                 if (!(d->zeta[edge] > 0) || !sfemi_damage_is_lone(d, edge)) continue;
                 if (sfemi_damage_try(d, edge, 0, SFEM_BROKE_LONE, step, change)) did = 1;
