@@ -47,9 +47,10 @@ help: ## print this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
 	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
-run: $(BUILD)/examples/simulate $(BUILD)/examples/crush ## simulate an elastic bar, then crush one
-	$(BUILD)/examples/simulate
-	$(BUILD)/examples/crush
+RUN = simulate crush modes grab stream fracture
+
+run: $(RUN:%=$(BUILD)/examples/%) ## bars swing, are crushed, vibrate, are grabbed, streamed, broken
+	@for x in $(RUN); do echo "== $$x"; $(BUILD)/examples/$$x --out $(BUILD)/$$x || exit 1; done
 
 test: check check-examples ## build and run every test, and every example once
 

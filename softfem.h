@@ -1426,7 +1426,8 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(l
  * A reduced model holds what that takes, m numbers an axis and node, and nothing of the mesh but
  * rest positions and the surface. It never changes, is shared by any number of bodies and threads,
  * and is reference-counted: each view and each body holds one. It needs the model only while it is
- * created, and can be saved to one block and loaded without it.
+ * created, and can be saved to one block and loaded without it. Numbers [A.7] and the like, here and
+ * in >>api-link, are those of its source, the appendix "Deformation and Force Simulation".
  *
  * WARPING [Choi and Ko 2005]. Modes turn nodes along straight lines: bent far, a bar grows. With w
  * = Psi q, half the curl of Phi q, the rotation vector of each node, th = |w|,
@@ -1511,7 +1512,7 @@ SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed *
 SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
 
 /* A MODAL BODY. Two integrators:
- *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [000 A.7-A.13]
+ *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]
  *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: exact
  *                       at any h and any damping. With handles it steps as the other does, by
  *                       handle_beta and handle_gamma. */
@@ -1643,7 +1644,7 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
 
 /* HANDLES hold a node, or the mean of a region's displacement, at a target by Lagrange multipliers:
  *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)
- * [000 A.14-A.17].
+ * [A.14-A.17].
  * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it.
  * Nodes that do not move in any mode carry no force. Handles that contradict or repeat one
  * another, or that are more than the modes can follow, share what is left by least squares,
@@ -1705,7 +1706,7 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  *     q+  = q + h q' + h^2 ((1/2-beta) q'' + beta q''+)
  * An acceleration that is lost, replaced by zero, at step t leaves the received velocity wrong by
  * -gamma h q'' at t and by -h q'' ever after, the displacement by -h^2 q'' times beta at t and
- * k - 1/2 + gamma at t + k: 1/4, 1, 2, 3, ... for the average acceleration [000 Lemma, Theorem,
+ * k - 1/2 + gamma at t + k: 1/4, 1, 2, 3, ... for the average acceleration [Lemma, Theorem,
  * A.18-A.25]. So the distortion grows with time, until the next key frame: the
  * whole of q, q' and q'', which puts the receiver where the sender is.
  *
@@ -22423,7 +22424,7 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
     }
 }
 
-/* The multipliers of [000 A.14]: nodes turned as they are when the step begins, so that all is
+/* The multipliers of [A.14]: nodes turned as they are when the step begins, so that all is
  * linear. Returns eps d. */
 static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *step)
 {
