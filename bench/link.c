@@ -263,7 +263,7 @@ int main(int argc, char **argv)
     const int quick = argc > 1 && !strcmp(argv[1], "--quick");
     printf("one thread\n%s\n", SFEM_BENCH_FLAGS);
     costs();
-    table(1 / 60.0, quick ? 2000 : 100000);
-    table(1 / 240.0, quick ? 2000 : 100000);
+    table(1 / 60.0, quick ? 2000 : 40000);
+    table(1 / 240.0, quick ? 2000 : 40000);
     return 0;
 }

@@ -623,7 +623,8 @@ static double total_forces(scene *s, const double *u, double *f)
     double *work = reals((sfem_int)sfem_model_work_size(s->model)), energy;
     sfem_int i;
     if (s->damage->block) {
-        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL, work, NULL);
+        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL,
+                                           work, NULL);
     } else {
         sfem_model_multiply_stiffness(s->model, u, f, NULL);
         for (i = 0, energy = 0; i < s->n; ++i) energy += u[i] * f[i] / 2;
@@ -778,6 +779,37 @@ static void forces_keep_their_digits_far_across_an_open_crack(void **state)
         free(u), free(f[0]), free(f[1]);
         free_scene(&s);
     }
+}
+
+/* what most damaged tets are computed by agrees with what all can be */
+static void the_short_way_through_upright_tets_is_the_long_one(void **state)
+{
+    sfem_damage_def def = sfem_default_damage_def();
+    test_random r = {41};
+    sfem_mesh mesh;
+    scene s;
+    sfem_int i, hurt = 0, shorter = 0;
+    double *u;
+    (void)state;
+    make_mesh(3, 3, 3, 1, SFEM_CELL_6_TETS, .1, 2, &mesh);
+    make_scene(&mesh, SFEM_NEOHOOKEAN, 1, &def, &s);
+    break_some(&s, &r, .1);
+    u = reals(s.n);
+    random_fill(&r, u, (size_t)s.n, -.35, .35);
+    for (i = 0; i < s.damage->tets; ++i) {
+        const sfem_int e = s.damage->tet[i];
+        double local[12], f[2][12], psi[2];
+        sfemi_damage_gather(u, mesh.tet + 4 * e, local);
+        hurt += s.damage->kind[e] == SFEMI_HURT;
+        if (!sfemi_damage_upright(s.damage, e, local, &psi[0], f[0])) continue;
+        psi[1] = sfemi_damage_other(s.damage, e, local, f[1]);
+        ++shorter;
+        assert_near(psi[0], psi[1], 1e-12, 1e-14);
+        assert_all_near(f[0], f[1], 12, 1e-12, 1e-13);
+    }
+    assert_true(shorter > hurt / 4 && shorter < hurt); /* some are not upright */
+    free(u);
+    free_scene(&s);
 }
 
 static void the_tangent_of_a_damaged_body_is_the_slope_of_its_forces(void **state)
@@ -1361,8 +1393,9 @@ static void a_round_books_the_energy_that_it_changes_under_every_law(void **stat
                 psi[1] = after;
                 for (i = 0, after = 0; i < s.n; ++i) after += (u1[i] - u0[i]) * (f[3][i] - f[2][i]);
                 assert_near(after - cross, change.cross, 1e-8, 1e-11 * psi[1]);
-                assert_near(change.released, change.cross / 4 - (change.psi0 + change.psi1) / 2,
-                            1e-9, 1e-15);
+                if (laws[l] == SFEM_LINEAR)
+                    assert_near(change.released, change.cross / 4 - (change.psi0 + change.psi1) / 2,
+                                1e-9, 1e-15);
                 assert_true(change.released >= 0);
                 assert_all_near(f[0], f[2], s.n, 1e-10, 0);
                 assert_all_near(f[1], f[3], s.n, 1e-10, 0);
@@ -1374,6 +1407,54 @@ static void a_round_books_the_energy_that_it_changes_under_every_law(void **stat
             for (n = 0; n < 4; ++n) free(f[n]);
             free_scene(&s);
         }
+}
+
+/* stretched by strain along x, then turned about z */
+static void stretch_and_turn(const scene *s, double strain, double angle, double *u)
+{
+    sfem_int i;
+    for (i = 0; i < s->mesh.nodes; ++i) {
+        const double *x = s->mesh.x + 3 * i, at = x[0] * (1 + strain);
+        u[3 * i] = cos(angle) * at - sin(angle) * x[1] - x[0];
+        u[3 * i + 1] = sin(angle) * at + cos(angle) * x[1] - x[1];
+        u[3 * i + 2] = 0;
+    }
+}
+
+static void edges_are_judged_by_the_mean_strain_of_a_step(void **state)
+{
+    static const struct {
+        sfem_law law;
+        double strain0, strain1, turn;
+        int breaks;
+    } cases[] = {{SFEM_LINEAR, 0, .015, 0, 0},
+                 {SFEM_LINEAR, .006, .015, 0, 1},
+                 {SFEM_COROTATIONAL, 0, .015, 0, 0},
+                 {SFEM_COROTATIONAL, .006, .015, 0, 1},
+                 {SFEM_COROTATIONAL, .0105, .0105, .4, 1},
+                 {SFEM_COROTATIONAL, .0095, .0095, .4, 0}};
+    size_t n;
+    (void)state;
+    for (n = 0; n < TEST_COUNT(cases); ++n) {
+        sfem_damage_def def = sfem_default_damage_def();
+        sfemi_damage_change change;
+        sfemi_damage_step step;
+        double *u0, *u1;
+        sfem_mesh mesh;
+        scene s;
+        make_mesh(4, 1, 1, .1, SFEM_CELL_6_TETS, 0, 8, &mesh);
+        def.criterion = SFEM_BREAK_STRAIN;
+        def.strength = .01;
+        make_scene(&mesh, cases[n].law, 1e6, &def, &s);
+        u0 = reals(s.n), u1 = reals(s.n);
+        stretch_and_turn(&s, cases[n].strain0, 0, u0);
+        stretch_and_turn(&s, cases[n].strain1, cases[n].turn, u1);
+        step_at(&step, u0, u1, NULL, NULL);
+        sfemi_damage_round(s.damage, &step, &change);
+        assert_int_equal(change.broken > 0, cases[n].breaks);
+        free(u0), free(u1);
+        free_scene(&s);
+    }
 }
 
 static void one_round_breaks_no_two_edges_at_a_node(void **state)
@@ -1557,8 +1638,8 @@ static void threads_do_not_change_a_bit_of_damage(void **state)
             step_at(&step, u0, u1, NULL, NULL);
             step.exec = &exec;
             sfemi_damage_round(s.damage, &step, &change);
-            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL, NULL, work,
-                                            &exec);
+            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL,
+                                            NULL, work, &exec);
             hash[t] = 31 * hash[t] + hash_reals(f, (size_t)s.n) + hash_reals(&psi, 1) +
                       hash_reals(rotation, 9 * (size_t)mesh.tets);
         }
@@ -2076,6 +2157,7 @@ int main(void)
         cmocka_unit_test(the_graph_knows_edges_tets_and_areas),
         cmocka_unit_test(forces_of_a_damaged_body_are_the_gradient_of_its_energy),
         cmocka_unit_test(forces_keep_their_digits_far_across_an_open_crack),
+        cmocka_unit_test(the_short_way_through_upright_tets_is_the_long_one),
         cmocka_unit_test(the_tangent_of_a_damaged_body_is_the_slope_of_its_forces),
         cmocka_unit_test(pieces_agree_with_a_search_from_scratch_after_every_break),
         cmocka_unit_test(pieces_add_up_to_the_body),
@@ -2085,6 +2167,7 @@ int main(void)
         cmocka_unit_test(a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength),
         cmocka_unit_test(dual_areas_scatter_by_orientation),
         cmocka_unit_test(a_round_books_the_energy_that_it_changes_under_every_law),
+        cmocka_unit_test(edges_are_judged_by_the_mean_strain_of_a_step),
         cmocka_unit_test(one_round_breaks_no_two_edges_at_a_node),
         cmocka_unit_test(tets_that_are_passed_over_would_not_have_broken),
         cmocka_unit_test(a_saved_state_goes_on_with_the_same_bits),

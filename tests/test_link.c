@@ -181,8 +181,10 @@ static void without_loss_the_receiver_follows(void **state)
     (void)state;
     assert_int_equal(receive(r, &x->packet[0]), SFEM_ARRIVAL_TAKEN);
     assert_int_equal(state_hash(r), motion_hash(&x->state[0]));
+    assert_int_equal(sfem_receiver_lead(r), 0);
     for (i = 1; i <= STEPS; ++i) {
         assert_int_equal(receive(r, &x->packet[i]), SFEM_ARRIVAL_TAKEN);
+        assert_int_equal(sfem_receiver_lead(r), 1);
         assert_int_equal(sfem_receiver_step(r), 1);
         assert_follows(r, &x->state[i]);
     }
@@ -1082,6 +1084,116 @@ static void a_predicted_loss_costs_nothing_under_constant_load(void **state)
     sfem_receiver_free(r);
 }
 
+/* The load jumps with step 50, whose packet comes late by none, one or two steps; from 53 on all is
+ * lost. Two accelerations under the new load are enough to predict all others, unless the predictor
+ * keeps what it had taken for them. */
+static void a_late_packet_mends_the_prediction(void **state)
+{
+    int late, key;
+    (void)state;
+    for (late = 0; late < 3; ++late) {
+        for (key = 0; key < 2; ++key) {
+            motion s = motion_new(0.25, 0.5, 10);
+            sfem_link_def d = link_def(0);
+            sfem_sender *sender;
+            sfem_receiver *r;
+            packet kept;
+            int i, k;
+            d.lost = SFEM_LOST_PREDICTED;
+            d.stiffness = s.k;
+            d.damping = s.c;
+            s.rate = 0;
+            sender = sender_new(&d);
+            r = receiver_new(&d);
+            kept.bytes = 0;
+            for (i = 0; i < 80; ++i) {
+                packet p;
+                if (i == 50) s.loads = -25;
+                if (i) motion_step(&s);
+                if (i == 50 && key) sfem_sender_request_key(sender);
+                p = send(sender, &s);
+                if (i == 50) kept = p;
+                if (i < 50 || i == 51 || (i == 52 && late > 1)) receive(r, &p);
+                if (i) sfem_receiver_step(r);
+                if (i == 50 + late) assert_int_equal(receive(r, &kept), SFEM_ARRIVAL_LATE);
+                for (k = 0; i >= 50 + late && k < M; ++k)
+                    assert_near(sfem_receiver_displacement(r)[k], s.q[k], 0, 1e-11);
+            }
+            sfem_sender_free(sender);
+            sfem_receiver_free(r);
+        }
+    }
+}
+
+/* The key frame of the change is lost for ever. A packet of the new method that comes late means the
+ * same as in time, and one that never comes distorts by that method's gamma and beta. */
+static void the_method_of_a_late_step_is_its_own(void **state)
+{
+    sfem_link_def d = link_def(0), narrow;
+    motion s = motion_new(d.beta, d.gamma, 10);
+    sfem_sender *sender;
+    sfem_receiver *r, *punctual;
+    sfem_receiver *short_sighted;
+    packet kept;
+    int i, k;
+    (void)state;
+    d.lost = SFEM_LOST_PREDICTED;
+    d.stiffness = s.k;
+    sender = sender_new(&d);
+    r = receiver_new(&d);
+    punctual = receiver_new(&d);
+    narrow = d;
+    narrow.window = 8;
+    short_sighted = receiver_new(&narrow);
+    kept.bytes = 0;
+    for (i = 0; i < 60; ++i) {
+        const int held = i >= 30;
+        sfem_real dq[M], dv[M], a49[M];
+        packet p;
+        s.beta = held ? d.held_beta : d.beta;
+        s.gamma = held ? d.held_gamma : d.gamma;
+        if (i) motion_step(&s);
+        sfem_sender_set_held(sender, held);
+        p = send(sender, &s);
+        if (i == 31) kept = p;
+        for (k = 0; k < M; ++k) {
+            dq[k] = -sfem_receiver_displacement(punctual)[k];
+            dv[k] = -sfem_receiver_velocity(punctual)[k];
+            a49[k] = sfem_receiver_acceleration(punctual)[k];
+        }
+        if (i != 30 && i != 50) receive(punctual, &p);
+        if (i != 30 && i != 31 && i != 50) receive(r, &p), receive(short_sighted, &p);
+        if (i) {
+            sfem_receiver_step(r);
+            sfem_receiver_step(punctual);
+            sfem_receiver_step(short_sighted);
+        }
+        if (i == 36) assert_int_equal(receive(r, &kept), SFEM_ARRIVAL_LATE);
+        if (i == 38) /* the step before it is out of the window by now */
+            assert_int_equal(receive(short_sighted, &kept), SFEM_ARRIVAL_DROPPED);
+        for (k = 0; i > 36 && k < M; ++k) {
+            const sfem_real *q = sfem_receiver_displacement(punctual);
+            const sfem_real *v = sfem_receiver_velocity(punctual);
+            assert_near(sfem_receiver_displacement(r)[k], q[k], 1e-12, 1e-12);
+            assert_near(sfem_receiver_velocity(r)[k], v[k], 1e-12, 1e-12);
+        }
+        for (k = 0; i == 50 && k < M; ++k) { /* a lost step, by what was taken for it */
+            const sfem_real v49 = -dv[k], a50 = sfem_receiver_acceleration(punctual)[k];
+            dv[k] += sfem_receiver_velocity(punctual)[k];
+            dq[k] += sfem_receiver_displacement(punctual)[k];
+            assert_near(dv[k], s.h * ((1 - d.held_gamma) * a49[k] + d.held_gamma * a50), 1e-11,
+                        1e-11);
+            assert_near(dq[k] - s.h * v49,
+                        s.h * s.h * ((0.5 - d.held_beta) * a49[k] + d.held_beta * a50), 1e-11,
+                        1e-12);
+        }
+    }
+    sfem_sender_free(sender);
+    sfem_receiver_free(r);
+    sfem_receiver_free(punctual);
+    sfem_receiver_free(short_sighted);
+}
+
 /* Largest distortion of the displacement, in units of h^2 times the largest acceleration of its mode;
  * key frames are lost like others, or never. */
 static sfem_real distortion(sfem_lost lost, int percent, sfem_int key_every, int lose_keys,
@@ -1378,6 +1490,8 @@ int main(void)
         cmocka_unit_test(sequence_numbers_wrap),
         cmocka_unit_test(lost_accelerations_are_replaced_as_told),
         cmocka_unit_test(a_predicted_loss_costs_nothing_under_constant_load),
+        cmocka_unit_test(a_late_packet_mends_the_prediction),
+        cmocka_unit_test(the_method_of_a_late_step_is_its_own),
         cmocka_unit_test(with_key_frames_distortion_is_bounded),
         cmocka_unit_test(without_key_frames_distortion_grows),
         cmocka_unit_test(predictions_stay_bounded_at_any_loss),
