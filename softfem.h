@@ -43,7 +43,7 @@
  *            >>alpha        dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
- *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again
+ *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again; breaking
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>renew        a factor of the present tangent, made in slices
  *            >>body         the pipeline that a user calls: create, prepare, step, read

@@ -354,7 +354,7 @@ static void play(const ex_options *o, int scene)
 {
     static const double step[SCENES] = {0.003, 0.004, 0.0005, 0.004}, seconds[SCENES] = {1.2, 1.2, 0.16, 1.2};
     static const double shot[SCENES][FRAMES] = {
-        {0.01, 0.6, 0.8, 1}, {0.01, 0.66, 0.74, 1}, {0.02, 0.08, 0.3, 1}, {0.02, 0.12, 0.4, 1}};
+        {0.01, 0.6, 0.8, 1}, {0.01, 0.53, 0.58, 1}, {0.02, 0.08, 0.3, 1}, {0.02, 0.12, 0.4, 1}};
     sfem_fracture f;
     double start = ex_seconds();
     sfem_body_info info;
