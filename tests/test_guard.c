@@ -1043,6 +1043,37 @@ static void corrections_lead_to_newmark(void **state)
     }
 }
 
+/* Steps on the way to Newmark's, each with its own force at the end, add up to no momentum. */
+static void corrections_keep_the_momenta_of_free_bodies(void **state)
+{
+    const double v[3] = {0.3, -0.2, 0.1}, spin[3] = {2, 10, 3};
+    sfem_int corrections;
+    (void)state;
+    for (corrections = 1; corrections <= 3; ++corrections) {
+        double before[3 * MAX_NODES], p[2][3], l[2][3], d;
+        sfem_body_def def = sfem_default_body_def();
+        scene s = bar(5, 2, rubber(1e6));
+        int k;
+        def.corrections = corrections;
+        def.correction_tolerance = 0;
+        def.beta_k = 1e-3;
+        add_body(&s, def, 0);
+        set_motion(&s, v, spin);
+        for (k = 0; k < 500; ++k) {
+            memcpy(before, sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof(double));
+            step(s.body, 1.0 / 240);
+            momentum(&s, before, sfem_body_displacement(s.body), 1.0 / 240, p[k > 0], l[k > 0]);
+        }
+        assert_int_equal(sfem_body_get_info(s.body).redone, 0);
+        assert_int_equal(sfem_body_get_info(s.body).corrections, corrections);
+        distance3(p[0], p[1], &d);
+        assert_near(d / length(p[0], 3), 0, 0, 1e-10);
+        distance3(l[0], l[1], &d);
+        assert_near(d / length(l[0], 3), 0, 0, 1e-10);
+        drop(&s);
+    }
+}
+
 static void corrections_stop_at_their_tolerance(void **state)
 {
     scene s = bar(5, 2, rubber(2e5));
@@ -1314,6 +1345,7 @@ int main(void)
         cmocka_unit_test(handles_are_where_they_should_be),
         cmocka_unit_test(pins_move_and_hold_single_axes),
         cmocka_unit_test(corrections_lead_to_newmark),
+        cmocka_unit_test(corrections_keep_the_momenta_of_free_bodies),
         cmocka_unit_test(corrections_stop_at_their_tolerance),
         cmocka_unit_test(damping_takes_energy_and_no_rotation),
         cmocka_unit_test(a_saved_state_continues_bit_for_bit),
