@@ -15784,17 +15784,46 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
 
+/* The centripetal acceleration of free pieces, omega x (omega x r), omega by the momentum of w; others 0. The
+ * rest's K takes it for a stretch, and would resist it with p h^2 K; so only the difference from it is
+ * solved for. Momentum stays what it is. Returns whether there is any. */
+static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    sfem_int i;
+    int c;
+    if (b->base || b->turn.still || !b->factor || !sfemi_turn_projects(b)) return 0;
+    sfemi_turn_motion(b, s->u, s->w, 1);
+    memset(a, 0, 3 * (size_t)model->mesh.nodes * sizeof *a);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], v[3];
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c] - p->centre[c];
+        sfemi_cross(p->motion + 3, r, v);
+        sfemi_cross(p->motion + 3, v, a + at);
+    }
+    return 1;
+}
+
 static void sfemi_guard_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
     const sfem_real h = b->step, *base = sfemi_pqr_base(b);
     sfem_real *x = b->zm;
+    int centripetal;
     size_t i;
     memcpy(x, b->rhs, n * sizeof *x);
     for (i = 0; i < n; ++i) b->guard.added[i] += b->rhs[i];
     for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
+    centripetal = sfemi_guard_centripetal(b, b->guard.grad);
+    for (i = 0; centripetal && i < n; ++i)
+        x[i] -= b->factor->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
     sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->state.frame, x);
+    for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
     if (b->grip.count) {
