@@ -15978,6 +15978,33 @@ static void sfemi_guard_settle_momentum(sfem_body *b)
     sfemi_turn_add_motion(b, b->state.u, 1 / t.d, 0, b->acc);
 }
 
+/* The centripetal acceleration of free pieces, omega x (omega x r), omega by the momentum of w; of others 0.
+ * The turned K0 takes it for a stretch that p h^2 K0 resists: a stiff body at .2 rad a step then stretches until
+ * that is a fifth of its energy. So only what differs from it is solved for,
+ *   A (a - c) = L - f - D (w + q h c/2) - r M c,
+ * which leaves its damping in place (it cancels what w, the way over the last step, has of it) and the momenta
+ * as they are. Returns whether there is any. */
+static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    sfem_int i;
+    int c;
+    if (b->base || b->turn.still || !b->factor || !sfemi_turn_projects(b)) return 0;
+    sfemi_turn_motion(b, s->u, s->w, 1);
+    memset(a, 0, 3 * (size_t)model->mesh.nodes * sizeof *a);
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const size_t at = 3 * (size_t)i;
+        sfem_real r[3], v[3];
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c] - p->centre[c];
+        sfemi_cross(p->motion + 3, r, v);
+        sfemi_cross(p->motion + 3, v, a + at);
+    }
+    return 1;
+}
+
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
@@ -16012,6 +16039,11 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         for (i = 0; i < n; ++i)
             b->zk[i] = (b->beta * t.cd - t.ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
         for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
+        if ((b->beta != 0 || b->zd) && sfemi_guard_centripetal(b, b->guard.grad))
+            for (i = 0; i < n; ++i) {
+                b->zk[i] += k.q / 2 * h * b->beta * b->guard.grad[i];
+                if (b->zd) b->zd[i] += k.q / 2 * h * b->guard.grad[i];
+            }
         sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
         for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
@@ -16035,30 +16067,6 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     }
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
-}
-
-/* The centripetal acceleration of free pieces, omega x (omega x r), omega by the momentum of w; others 0. The
- * rest's K takes it for a stretch, and would resist it with p h^2 K; so only the difference from it is
- * solved for. Momentum stays what it is. Returns whether there is any. */
-static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
-{
-    const sfem_model *model = b->model;
-    const sfemi_state *s = &b->state;
-    sfem_int i;
-    int c;
-    if (b->base || b->turn.still || !b->factor || !sfemi_turn_projects(b)) return 0;
-    sfemi_turn_motion(b, s->u, s->w, 1);
-    memset(a, 0, 3 * (size_t)model->mesh.nodes * sizeof *a);
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-        const size_t at = 3 * (size_t)i;
-        sfem_real r[3], v[3];
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
-        for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c] - p->centre[c];
-        sfemi_cross(p->motion + 3, r, v);
-        sfemi_cross(p->motion + 3, v, a + at);
-    }
-    return 1;
 }
 
 static void sfemi_guard_solve(sfem_body *b)
