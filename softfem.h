@@ -1285,9 +1285,10 @@ typedef struct sfem_fracture {
     sfem_real work;      /* of loads, handles and moved pins; not of forces added to sfem_body_rhs */
     sfem_real damped;    /* taken by damping */
     sfem_real released;  /* taken by breaks */
-    sfem_real guarded;   /* taken by steps that were done again */
-    sfem_real error;     /* kinetic_elastic - start - work + damped + released + guarded: what lies in the
-                          * inertia of an old factor (< 0 as it builds up), and in turning by finite steps */
+    sfem_real error;     /* kinetic_elastic - start - work + damped + released: what lies in the inertia of an
+                          * old factor (< 0 as it builds up), turning by finite steps, and what steps that were
+                          * done again have taken, */
+    sfem_real guarded;   /* which is this */
     sfem_real scale;     /* the largest of the terms so far: error/scale is the relative error */
     sfem_real surface;   /* share Gc a of all edges broken since the body was whole */
     sfem_real least_p;   /* that the damage asks for; 0: no more than any body */
@@ -13579,6 +13580,7 @@ typedef struct sfemi_guard {
     int redone;            /* u, w, f come from the redo */
     int crumpled;          /* which needed the isotropic majorant */
     sfem_int corrections;  /* made in the last step */
+    sfem_real damped;      /* what damping took in it, of a body that may break */
 } sfemi_guard;
 
 /* What >>implicit works with. */
@@ -16744,6 +16746,8 @@ static void sfemi_guard_finish(sfem_body *b)
     if (redone) sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies */
     e = g->measured && !redone ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
     energy = head->energy = redone ? e.ec : e.eb;
+    /* what damping takes may not come back, as it would where shards spin too fast for the frames of D */
+    if (b->damage && energy < head->budget) head->budget = fmax(energy, head->budget - g->damped);
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
     moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
     head->scale *= exp(-b->step);
@@ -16885,17 +16889,18 @@ static void sfemi_fracture_account(sfem_body *b)
     sfemi_books *k = b->state.books;
     sfem_real kinetic, size;
     const sfem_real energy = sfemi_fracture_energy(b, &kinetic);
+    b->guard.damped = 0;
     if (k->open) {
         const sfem_real work = sfemi_fracture_work(b);
         k->work += work;
         if (b->guard.redone) k->guarded += k->now + work - energy;
-        else k->damped += sfemi_fracture_damping(b);
+        else k->damped += b->guard.damped = sfemi_fracture_damping(b);
     } else {
         k->start = energy;
         k->open = 1;
     }
     k->now = energy;
-    size = fmax(fmax(fabs(energy), fabs(k->work)), fmax(k->damped, k->released + k->guarded));
+    size = fmax(fmax(fabs(energy), fabs(k->work)), fmax(k->damped, k->released));
     k->scale = fmax(k->scale, size);
 }
 
@@ -18352,7 +18357,7 @@ SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
     f.damped = k->damped;
     f.released = k->released;
     f.guarded = k->guarded;
-    f.error = k->now - k->start - k->work + k->damped + k->released + k->guarded;
+    f.error = k->now - k->start - k->work + k->damped + k->released;
     f.scale = k->scale;
     f.surface = b->damage->account[SFEMI_PRICE];
     f.least_p = sfemi_fracture_least_p(b);

@@ -35,6 +35,9 @@ static const ex_option table[] = {
     {"--tol", "T", NULL, "corrections stop at this relative change (1e-3), Newton at this residual (1e-8)"},
     {"--rho-inf", "R", "0.8", "of genalpha and kr: what is left of the fastest modes a step; kr of 1 is CR"},
     {"--gui-lambda", "L", "4", "of gui: 4 is CR; beyond, steps are limited"},
+    {"--fracture", "GC", NULL, "the body breaks: toughness, J/m^2 (examples/fracture.c has more)"},
+    {"--strength", "S", NULL, "it breaks above this stress, Pa; with --fracture both must be met"},
+    {"--damage", "zsz|condensed", "condensed", "the law of damaged tets"},
     {"--precision", "double|mixed", "double", "mixed keeps the factor in float"},
     {"--dt", "H", "0.016666666666666666", "time step, s"},
     {"--steps", "N", "120", "time steps"},
@@ -69,6 +72,9 @@ typedef struct run {
     double *time, *tip, *energy[3]; /* [steps + 1] */
     double *frame[FRAMES];          /* positions to draw */
     double frame_time[FRAMES];
+    int breaks;
+    int32_t *whole[FRAMES];         /* surface triangles that were whole then */
+    sfem_int wholes[FRAMES];
     int frames;
 } run;
 
@@ -166,6 +172,7 @@ static void make_body(run *r)
         SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL, SFEM_KR_ALPHA, SFEM_GUI, SFEM_CHANG,
         SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE, SFEM_PQR};
     sfem_body_def def = sfem_default_body_def();
+    sfem_damage_def damage = sfem_default_damage_def();
     sfem_int *pins = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *pins);
     const int given = ex_given(&r->o, "--fix");
     unsigned char *held = (unsigned char *)ex_new((size_t)r->mesh.nodes, 1);
@@ -199,6 +206,14 @@ static void make_body(run *r)
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
     def.pins = pins;
     def.pin_count = count;
+    r->breaks = ex_given(&r->o, "--fracture") || ex_given(&r->o, "--strength");
+    if (r->breaks) {
+        damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
+        damage.toughness = ex_given(&r->o, "--fracture") ? ex_real(&r->o, "--fracture") : 0;
+        if (!ex_given(&r->o, "--fracture")) damage.criterion = SFEM_BREAK_STRESS;
+        if (ex_given(&r->o, "--strength")) damage.strength = damage.rankine = ex_real(&r->o, "--strength");
+        def.damage = &damage;
+    }
     must(sfem_body_create(r->model, &def, &r->body, &err), &err);
     printf("body: %d nodes held\n", (int)count);
     if (!strcmp(ex_text(&r->o, "--integrator"), "modal")) make_modal(r, &def);
@@ -377,6 +392,20 @@ static void step(run *r)
     sfem_modal_displacements(r->modal, r->view, r->u);
 }
 
+/* The surface triangles that no break has parted, for frame k. */
+static void keep_whole(run *r, int k)
+{
+    sfem_int i;
+    int c;
+    r->whole[k] = (int32_t *)ex_new(3 * (size_t)r->surface.triangles, sizeof(int32_t));
+    for (i = 0; i < r->surface.triangles; ++i) {
+        const sfem_int *t = r->surface.tri + 3 * (size_t)i;
+        int whole = 1;
+        for (c = 0; c < 3; ++c) whole &= sfem_body_edge_left(r->body, t[c], t[(c + 1) % 3]) > 0;
+        if (whole) memcpy(r->whole[k] + 3 * (size_t)r->wholes[k]++, t, 3 * sizeof *t);
+    }
+}
+
 static void record(run *r, sfem_int step)
 {
     const sfem_energy e = energy(r);
@@ -388,6 +417,7 @@ static void record(run *r, sfem_int step)
     if (r->frames < FRAMES && step >= r->steps * r->frames / (FRAMES - 1)) {
         r->frame[r->frames] = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof(double));
         r->frame_time[r->frames] = r->time[step];
+        if (r->breaks) keep_whole(r, r->frames);
         positions(r, r->frame[r->frames++]);
     }
 }
@@ -458,7 +488,7 @@ static void draw(const run *r)
     double lower[3], upper[3], low, high;
     double *value[FRAMES];
     int k;
-    p->bar = 1;
+    p->bar = !r->breaks;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
         value[k] = ex_strain_stress(&r->mesh, r->frame[k], ex_choice(&r->o, "--material") > 0, mu);
@@ -469,12 +499,15 @@ static void draw(const run *r)
     for (k = 0; k < r->frames; ++k) {
         char caption[64];
         ex_view_begin(p, k, across, down, lower, upper, direction);
-        ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri, value[k], &style);
+        if (r->breaks) /* stresses across cracks would be those of whole tets */
+            ex_view_surface(p, r->mesh.nodes, r->frame[k], r->wholes[k], r->whole[k], NULL, &style);
+        else
+            ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri, value[k], &style);
         snprintf(caption, sizeof caption, r->frames > 1 ? "t = %.3g s" : "at rest", r->frame_time[k]);
         ex_view_end(p, caption);
         free(value[k]);
     }
-    ex_colorbar(p, "stress, Pa", 0, style.high);
+    if (!r->breaks) ex_colorbar(p, "stress, Pa", 0, style.high);
     ex_picture_write(p, ex_path(ex_text(&r->o, "--out"), "body.png"));
     ex_picture_free(p);
 }
@@ -521,6 +554,11 @@ static void report(run *r)
     printf("setup_ms %.3f\n", 1e3 * r->setup);
     printf("step_us %.3f\n", r->steps > 0 ? 1e6 * r->stepping / r->steps : 0);
     printf("redone %d\n", (int)info.redone);
+    if (r->breaks) {
+        const sfem_fracture f = sfem_body_fracture(r->body);
+        printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
+               f.scale > 0 ? fabs(f.error) / f.scale : 0.0);
+    }
     printf("energy %.17g\n", energy(r).total);
     printf("max_displacement %.17g\n", largest_displacement(r));
 }
@@ -551,7 +589,7 @@ int main(int argc, char **argv)
     for (k = 0; k < 3; ++k) r.energy[k] = r.tip + (k + 1) * (r.steps + 1);
     simulate(&r);
     report(&r);
-    for (k = 0; k < r.frames; ++k) free(r.frame[k]);
+    for (k = 0; k < r.frames; ++k) free(r.frame[k]), free(r.whole[k]);
     free(r.time);
     free(r.u);
     sfem_modal_free(r.modal);
