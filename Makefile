@@ -66,6 +66,12 @@ bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S besid
 bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distortion against loss
 	$(BUILD)/bench/link
 
+bench-integrators: $(BUILD)/bench/integrators ## run time against error of every integrator
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/integrators --out $(BUILD)/bench-integrators
+
+bench-source: $(BUILD)/bench/source ## the experiments of the (p,q,r) paper, with their mistakes shown
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/source --out $(BUILD)/bench-source
+
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 

@@ -4,7 +4,9 @@
  *     ex_plot_add(&p, "p = 1/4", x, y, count, EX_LINE | EX_MARKERS);
  *     ex_plot_write(&p, "error.svg");
  *
- * What cannot be drawn (NaN, or <= 0 on a logarithmic axis) leaves a gap.
+ * What cannot be drawn (NaN, or <= 0 on a logarithmic axis) leaves a gap. Colors and markers go by the order
+ * of the series, unless ex_plot_look gives the last one its own. ex_plots_write draws several beside and
+ * below one another, with the legend of the first.
  */
 #ifndef SFEM_EXAMPLES_PLOT_H
 #define SFEM_EXAMPLES_PLOT_H
@@ -13,13 +15,16 @@
  * plots as .svg
  * -------------------------------------------------------------------------------------------- */
 
-enum { EX_SERIES = 12, EX_LINE = 1, EX_MARKERS = 2, EX_DASHED = 4, EX_LOG_X = 1, EX_LOG_Y = 2 };
+enum { EX_SERIES = 32, EX_COLORS = 12, EX_LOG_X = 1, EX_LOG_Y = 2 };
+enum { EX_LINE = 1, EX_MARKERS = 2, EX_DASHED = 4, EX_THICK = 8, EX_BAND = 16 }; /* band: wide and pale */
 
 typedef struct ex_series {
     const char *name;    /* in the legend, or NULL */
     const double *x, *y; /* the caller's, kept until the plot is written */
     long count;
-    int style; /* EX_LINE, EX_MARKERS, EX_DASHED, added */
+    int style; /* EX_LINE, EX_MARKERS, EX_DASHED, EX_THICK, EX_BAND, added */
+    int marker;        /* 0 .. 7: disc, square, triangle, diamond, the same hollow */
+    const char *color; /* "#2563a8" */
 } ex_series;
 
 typedef struct ex_axis {
@@ -51,13 +56,24 @@ EX_STATIC ex_plot ex_plot_new(const char *title, const char *x_label, const char
 EX_STATIC void ex_plot_add(ex_plot *p, const char *name, const double *x, const double *y,
                            long count, int style)
 {
+    static const char *const color[EX_COLORS] = {"#2563a8", "#d1603d", "#3f8f5b", "#8a5aa8",
+                                                 "#b8892b", "#3a9aa5", "#b04668", "#6b7683",
+                                                 "#1b3a5c", "#7a3520", "#5d9c2f", "#4d4d4d"};
     ex_series *s = &p->series[p->count];
-    if (p->count++ == EX_SERIES) ex_fail("%s: too many series", p->title);
+    if (p->count == EX_SERIES) ex_fail("%s: too many series", p->title);
+    s->color = color[p->count % EX_COLORS];
+    s->marker = p->count++ % 4;
     s->name = name;
     s->x = x;
     s->y = y;
     s->count = count;
     s->style = style;
+}
+
+EX_STATIC void ex_plot_look(ex_plot *p, const char *color, int marker) /* of the last series */
+{
+    p->series[p->count - 1].color = color;
+    p->series[p->count - 1].marker = marker;
 }
 
 EX_STATIC double ex_axis_value(const ex_axis *a, double value) /* not finite: cannot be drawn */
@@ -177,19 +193,30 @@ EX_STATIC void ex_svg_marker(FILE *f, int kind, double x, double y, const char *
         fprintf(f, "<path d='M%.1f %.1fl4.6 4.6l-4.6 4.6l-4.6 -4.6z'", x, y - 4.6);
         break;
     }
-    fprintf(f, " fill='%s' stroke='#fff' stroke-width='1.2'/>\n", color);
+    if (kind < 4)
+        fprintf(f, " fill='%s' stroke='#fff' stroke-width='1.2'/>\n", color);
+    else
+        fprintf(f, " fill='#fff' stroke='%s' stroke-width='1.6'/>\n", color);
+}
+
+EX_STATIC void ex_svg_stroke(FILE *f, const ex_series *s)
+{
+    const int width = s->style & EX_BAND ? 12 : s->style & EX_THICK ? 4 : 2;
+    fprintf(f, "stroke='%s' stroke-width='%d' stroke-linejoin='round'%s%s", s->color, width,
+            s->style & EX_BAND ? " opacity='.22'" : "",
+            s->style & EX_DASHED ? " stroke-dasharray='7 5'" : "");
 }
 
 /* A long series is thinned to its lowest and highest points in each of about 1000 stretches. */
-EX_STATIC void ex_svg_series(FILE *f, const ex_plot *p, int index, const char *color)
+EX_STATIC void ex_svg_series(FILE *f, const ex_plot *p, const ex_series *s)
 {
-    const ex_series *s = &p->series[index];
     const long chunk = s->count > 4000 ? s->count / 1000 : 1;
     long i, k, n;
     int pen = 0;
     if (s->style & EX_LINE) {
-        fprintf(f, "<path fill='none' stroke='%s' stroke-width='2' stroke-linejoin='round'%s d='",
-                color, s->style & EX_DASHED ? " stroke-dasharray='7 5'" : "");
+        fprintf(f, "<path fill='none' ");
+        ex_svg_stroke(f, s);
+        fprintf(f, " d='");
         for (i = 0; i < s->count; i += chunk) {
             long pick[2];
             pick[0] = pick[1] = i;
@@ -210,53 +237,85 @@ EX_STATIC void ex_svg_series(FILE *f, const ex_plot *p, int index, const char *c
     }
     for (i = 0; s->style & EX_MARKERS && i < s->count; ++i) {
         const double x = ex_axis_pixel(&p->x, s->x[i]), y = ex_axis_pixel(&p->y, s->y[i]);
-        if (isfinite(x) && isfinite(y)) ex_svg_marker(f, index, x, y, color);
+        if (isfinite(x) && isfinite(y)) ex_svg_marker(f, s->marker, x, y, s->color);
     }
 }
 
-EX_STATIC void ex_plot_write(ex_plot *p, const char *path)
+EX_STATIC void ex_svg_begin(FILE *f, int width, int height)
 {
-    static const char *const color[EX_SERIES] = {"#2563a8", "#d1603d", "#3f8f5b", "#8a5aa8",
-                                                 "#b8892b", "#3a9aa5", "#b04668", "#6b7683",
-                                                 "#1b3a5c", "#7a3520", "#5d9c2f", "#4d4d4d"};
-    FILE *f = ex_open(path);
-    size_t longest = 0;
-    int s, width;
-    for (s = 0; s < p->count; ++s)
-        if (p->series[s].name && strlen(p->series[s].name) > longest)
-            longest = strlen(p->series[s].name);
+    fprintf(f,
+            "<svg xmlns='http://www.w3.org/2000/svg' width='%d' height='%d' viewBox='0 0 %d %d' "
+            "font-family='Helvetica, Arial, sans-serif' font-size='13' fill='#55606b'>\n"
+            "<rect width='%d' height='%d' fill='#fff'/>\n",
+            width, height, width, height, width, height);
+}
+
+EX_STATIC void ex_svg_panel(FILE *f, ex_plot *p) /* in 712 x 480 */
+{
+    int s;
     ex_axis_fit(&p->x, p, 0);
     ex_axis_fit(&p->y, p, 1);
     p->x.from = 84;
     p->x.to = 684;
     p->y.from = 420;
     p->y.to = 56;
-    width = longest ? 740 + 8 * (int)longest : 712;
-    fprintf(f,
-            "<svg xmlns='http://www.w3.org/2000/svg' width='%d' height='480' viewBox='0 0 %d 480' "
-            "font-family='Helvetica, Arial, sans-serif' font-size='13' fill='#55606b'>\n"
-            "<rect width='%d' height='480' fill='#fff'/>\n",
-            width, width, width);
     fprintf(f, "<text x='84' y='34' font-size='17' font-weight='bold' fill='#2b333b'>");
     ex_svg_text(f, p->title);
     fprintf(f, "</text>\n");
     ex_svg_axis(f, &p->x, &p->y, 0);
     ex_svg_axis(f, &p->y, &p->x, 1);
     fprintf(f, "<path d='M84 56V420H684' fill='none' stroke='#8a949e'/>\n");
-    for (s = 0; s < p->count; ++s) ex_svg_series(f, p, s, color[s]);
+    for (s = 0; s < p->count; ++s) ex_svg_series(f, p, &p->series[s]);
+}
+
+EX_STATIC int ex_legend_width(const ex_plot *p) /* 0: none */
+{
+    size_t longest = 0;
+    int s;
+    for (s = 0; s < p->count; ++s)
+        if (p->series[s].name && strlen(p->series[s].name) > longest)
+            longest = strlen(p->series[s].name);
+    return longest ? 28 + 8 * (int)longest : 0;
+}
+
+EX_STATIC void ex_svg_legend(FILE *f, const ex_plot *p)
+{
+    double y = 66;
+    int s;
     for (s = 0; s < p->count; ++s) {
-        const double y = 66 + 22 * s;
         if (!p->series[s].name) continue;
-        if (p->series[s].style & EX_LINE)
-            fprintf(f, "<path d='M698 %.1fh24' stroke='%s' stroke-width='2'%s/>\n", y, color[s],
-                    p->series[s].style & EX_DASHED ? " stroke-dasharray='7 5'" : "");
-        if (p->series[s].style & EX_MARKERS) ex_svg_marker(f, s, 710, y, color[s]);
+        if (p->series[s].style & EX_LINE) {
+            fprintf(f, "<path d='M698 %.1fh24' ", y);
+            ex_svg_stroke(f, &p->series[s]);
+            fprintf(f, "/>\n");
+        }
+        if (p->series[s].style & EX_MARKERS)
+            ex_svg_marker(f, p->series[s].marker, 710, y, p->series[s].color);
         fprintf(f, "<text x='730' y='%.1f' fill='#2b333b'>", y + 4.5);
         ex_svg_text(f, p->series[s].name);
         fprintf(f, "</text>\n");
+        y += 22;
     }
-    fprintf(f, "</svg>\n");
+}
+
+EX_STATIC void ex_plots_write(ex_plot *p, int count, int columns, const char *path)
+{
+    FILE *f = ex_open(path);
+    const int rows = (count + columns - 1) / columns, legend = 66 + 22 * p->count;
+    const int high = 480 * rows > legend ? 480 * rows : legend;
+    int i;
+    ex_svg_begin(f, 712 * columns + ex_legend_width(p), high);
+    for (i = 0; i < count; ++i) {
+        fprintf(f, "<g transform='translate(%d %d)'>\n", 712 * (i % columns), 480 * (i / columns));
+        ex_svg_panel(f, p + i);
+        fprintf(f, "</g>\n");
+    }
+    fprintf(f, "<g transform='translate(%d 0)'>\n", 712 * (columns - 1));
+    ex_svg_legend(f, p);
+    fprintf(f, "</g>\n</svg>\n");
     ex_close(f, path);
 }
+
+EX_STATIC void ex_plot_write(ex_plot *p, const char *path) { ex_plots_write(p, 1, 1, path); }
 
 #endif
