@@ -97,6 +97,11 @@ static void work(board *b)
         job *j = &b->job[k];
         j->result = stress_run(&j->scene, j->form);
         __atomic_store_n(&j->done, 1, __ATOMIC_RELEASE);
+        if (j->result.verdict != STRESS_IS_PASSED || j->result.seconds > 10) {
+            report(&j->scene, j->form, &j->result);
+            printf("    %d of %d\n", k + 1, b->count);
+            fflush(stdout);
+        }
     }
 }
 

@@ -684,8 +684,10 @@ STRESS_STATIC sfem_status stress_damage(stress_body *s, int step, uint64_t *rand
     return SFEM_OK;
 }
 
-/* Newton's work in all is bounded: a run of the implicit methods may be shorter. */
+/* Work in all is bounded, by the forces that it takes: a run of the implicit methods, or one that does all its
+ * steps again, may be shorter. */
 #define STRESS_ITERATIONS 2500
+#define STRESS_DESCENTS 40000
 
 /* The undamped part. */
 STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, uint64_t *random,
@@ -700,7 +702,9 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
     int count[2] = {0, 0}, k;
     memset(&deed, 0, sizeof deed);
     stress_begin(s, &w, h);
-    for (k = 0; k < s->scene->steps && iterations < STRESS_ITERATIONS; ++k) {
+    for (k = 0; k < s->scene->steps && iterations < STRESS_ITERATIONS &&
+         sfem_body_get_info(s->body).descents < STRESS_DESCENTS;
+         ++k) {
         sfem_status status = SFEM_OK;
         if (k < wield) status = stress_wield(s, &deed, k, h, random, &err);
         if (wield && k == wield) sfem_body_release_handle(s->body, deed.handle);
@@ -795,7 +799,7 @@ STRESS_STATIC double stress_settle(stress_body *s, double h, int steps, stress_r
     double shape = INFINITY, last;
     sfem_error err;
     int k;
-    for (k = 0; k < steps; ++k) {
+    for (k = 0; k < steps && sfem_body_get_info(s->body).descents < STRESS_DESCENTS; ++k) {
         if (sfem_body_step(s->body, h, &err)) {
             stress_failed(r, &err);
             return INFINITY;
