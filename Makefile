@@ -47,9 +47,10 @@ help: ## print this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
 	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
-run: $(BUILD)/examples/simulate $(BUILD)/examples/crush ## simulate an elastic bar, then crush one
-	$(BUILD)/examples/simulate
-	$(BUILD)/examples/crush
+RUN = simulate crush modes grab stream fracture
+
+run: $(RUN:%=$(BUILD)/examples/%) ## bars swing, are crushed, vibrate, are grabbed, streamed, broken
+	@for x in $(RUN); do echo "== $$x"; $(BUILD)/examples/$$x --out $(BUILD)/$$x || exit 1; done
 
 test: check check-examples ## build and run every test, and every example once
 
@@ -67,6 +68,9 @@ bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distort
 
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
+
+bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a step and of warping
+	$(BUILD)/bench/warp
 
 bench-step: $(BUILD)/bench/step ## the default step beside semi-implicit Newmark, also on CHOLMOD
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/step

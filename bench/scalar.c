@@ -79,7 +79,8 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
             double t;
             for (i = 0; i < n; ++i)
                 for (c = 0; c < 3; ++c)
-                    x[which][which ? 3 * i + (size_t)c : (size_t)c * n + i] = sin((double)(3 * i + (size_t)c));
+                    x[which][which ? 3 * i + (size_t)c : (size_t)c * n + i] =
+                        sin((double)(3 * i + (size_t)c));
             t = ex_seconds();
             sfem_ldl_solve(ldl[which], which ? 1 : 3, x[which], work[which], NULL);
             solve[which][r] = ex_seconds() - t;
@@ -91,8 +92,9 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
             if (fabs(x[0][(size_t)c * n + i]) > size) size = fabs(x[0][(size_t)c * n + i]);
         }
     printf("%8d %9.2f %9.2f %6.2f  %9.2f %9.2f %6.2f  %9.1f %9.1f %6.2f  %.1e\n", (int)mesh->tets,
-           (double)info[1].bytes / 1e6, (double)info[0].bytes / 1e6, (double)info[1].bytes / (double)info[0].bytes,
-           median(make[1], MAKE) * 1e3, median(make[0], MAKE) * 1e3, median(make[1], MAKE) / median(make[0], MAKE),
+           (double)info[1].bytes / 1e6, (double)info[0].bytes / 1e6,
+           (double)info[1].bytes / (double)info[0].bytes, median(make[1], MAKE) * 1e3,
+           median(make[0], MAKE) * 1e3, median(make[1], MAKE) / median(make[0], MAKE),
            median(solve[1], SOLVE) * 1e6, median(solve[0], SOLVE) * 1e6,
            median(solve[1], SOLVE) / median(solve[0], SOLVE), far / size);
     for (which = 0; which < 2; ++which) {
@@ -110,13 +112,16 @@ int main(int argc, char **argv)
     const sfem_int cells[] = {2, 4, 7, 10, 16, 22};
     int quick = 0, mixed = 0, size;
     for (; argc > 1; --argc) {
-        if (!strcmp(argv[argc - 1], "--quick")) quick = 1;
-        else if (!strcmp(argv[argc - 1], "--mixed")) mixed = 1;
-        else ex_fail("scalar [--quick] [--mixed]");
+        if (!strcmp(argv[argc - 1], "--quick"))
+            quick = 1;
+        else if (!strcmp(argv[argc - 1], "--mixed"))
+            mixed = 1;
+        else
+            ex_fail("scalar [--quick] [--mixed]");
     }
-    printf("%8s %26s  %26s  %26s\n%8s %9s %9s %6s  %9s %9s %6s  %9s %9s %6s  %s\n", "", "bytes, MB", "create, ms",
-           "solve, us", "tets", "3x3", "n x n", "ratio", "3x3", "n x n", "ratio", "3x3", "n x n", "ratio",
-           "difference");
+    printf("%8s %26s  %26s  %26s\n%8s %9s %9s %6s  %9s %9s %6s  %9s %9s %6s  %s\n", "", "bytes, MB",
+           "create, ms", "solve, us", "tets", "3x3", "n x n", "ratio", "3x3", "n x n", "ratio",
+           "3x3", "n x n", "ratio", "difference");
     for (size = 0; size < (quick ? 2 : 6); ++size) {
         const sfem_int count[3] = {3 * cells[size], cells[size], cells[size]};
         const sfem_real length[3] = {3, 1, 1};

@@ -76,7 +76,8 @@ int main(int argc, char **argv)
     const sfem_int cells[] = {4, 10, 20};
     const int quick = argc > 1 && !strcmp(argv[1], "--quick");
     int size, law;
-    printf("%-13s %8s %14s %14s %14s %12s\n", "law", "tets", "awake", "watched moving", "watched calm", "asleep");
+    printf("%-13s %8s %14s %14s %14s %12s\n", "law", "tets", "awake", "watched moving",
+           "watched calm", "asleep");
     for (law = SFEM_LINEAR; law <= SFEM_COROTATIONAL; ++law)
         for (size = 0; size < (quick ? 1 : 3); ++size) {
             const sfem_int count[3] = {3 * cells[size], cells[size], cells[size]};
@@ -100,9 +101,9 @@ int main(int argc, char **argv)
             awake(model, def, 1e-3, moving);
             awake(model, def, 1e3, calm);
             still = asleep(model, def, 1000000);
-            printf("%-13s %8d %11.1f us %+12.2f %% %+12.2f %% %9.1f ns\n", law ? "corotational" : "linear",
-                   (int)mesh.tets, moving[0] * 1e6, (moving[1] / moving[0] - 1) * 100,
-                   (calm[1] / calm[0] - 1) * 100, still * 1e9);
+            printf("%-13s %8d %11.1f us %+12.2f %% %+12.2f %% %9.1f ns\n",
+                   law ? "corotational" : "linear", (int)mesh.tets, moving[0] * 1e6,
+                   (moving[1] / moving[0] - 1) * 100, (calm[1] / calm[0] - 1) * 100, still * 1e9);
             sfem_model_free(model);
             sfem_mesh_free(&mesh);
         }

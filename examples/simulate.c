@@ -23,7 +23,7 @@ static const ex_option table[] = {
     {"--density", "RHO", "1000", "kg/m^3"},
     {"--mass", "lumped|consistent", "lumped", "the mass matrix"},
     {"--rayleigh", "A0,A1", "0,0.002", "damping A0 M + A1 K: 1/s, s"},
-    {"--integrator", "pqr|newmark|central|kr|gui|chang|be|hht|genalpha|bathe", "pqr",
+    {"--integrator", "pqr|newmark|central|kr|gui|chang|be|hht|genalpha|bathe|modal", "pqr",
      "how to step through time"},
     {"--p", "P", "-2", "of pqr; -2 lets the library choose, -1 smaller where it may; beta of newmark"},
     {"--q", "Q", "1", "of pqr"},
@@ -35,9 +35,14 @@ static const ex_option table[] = {
     {"--tol", "T", NULL, "corrections stop at this relative change (1e-3), Newton at this residual (1e-8)"},
     {"--rho-inf", "R", "0.8", "of genalpha and kr: what is left of the fastest modes a step; kr of 1 is CR"},
     {"--gui-lambda", "L", "4", "of gui: 4 is CR; beyond, steps are limited"},
+    {"--fracture", "GC", NULL, "the body breaks: toughness, J/m^2 (examples/fracture.c has more)"},
+    {"--strength", "S", NULL, "it breaks above this stress, Pa; with --fracture both must be met"},
+    {"--damage", "zsz|condensed", "condensed", "the law of damaged tets"},
     {"--precision", "double|mixed", "double", "mixed keeps the factor in float"},
     {"--dt", "H", "0.016666666666666666", "time step, s"},
     {"--steps", "N", "120", "time steps"},
+    {"--modes", "N", "20", "of modal: so many of the lowest"},
+    {"--warp", "none|rotation|path", "path", "of modal: how they turn; none is linear"},
     {"--static", NULL, NULL, "solve for rest instead"},
     {"--gravity", "X,Y,Z", "0,0,-9.81", "m/s^2"},
     {"--velocity", "V", NULL, "at the start: 'X,Y,Z', 'spin:WX,WY,WZ' or 'random:SPEED,SEED'; repeatable"},
@@ -57,11 +62,19 @@ typedef struct run {
     sfem_surface surface;
     sfem_model *model;
     sfem_body *body;
+    sfem_modes modes;        /* --integrator modal: these step instead of the body, which keeps pins and loads */
+    sfem_reduced *reduced;
+    sfem_reduced_view *view;
+    sfem_modal *modal;
+    double *u, *load; /* [nodes][3] of modal: displacement; loads without gravity */
     sfem_int probe, steps;
     double h, setup, stepping;      /* seconds */
     double *time, *tip, *energy[3]; /* [steps + 1] */
     double *frame[FRAMES];          /* positions to draw */
     double frame_time[FRAMES];
+    int breaks;
+    int32_t *whole[FRAMES];         /* surface triangles that were whole then */
+    sfem_int wholes[FRAMES];
     int frames;
 } run;
 
@@ -121,13 +134,45 @@ static sfem_int select_nodes(const run *r, const ex_selection *where, sfem_int *
     return count;
 }
 
+/* Modes in place of the body, held at the same nodes. */
+static void make_modal(run *r, const sfem_body_def *body)
+{
+    sfem_modes_def modes = sfem_default_modes_def();
+    sfem_reduced_def reduced = sfem_default_reduced_def();
+    sfem_modal_def modal = sfem_default_modal_def();
+    double rayleigh[2];
+    sfem_error err;
+    ex_reals(&r->o, "--rayleigh", 2, rayleigh);
+    modes.modes = (sfem_int)ex_integer(&r->o, "--modes");
+    modes.pins = body->pins;
+    modes.pin_count = body->pin_count;
+    modes.exec = body->exec;
+    must(sfem_modes_create(r->model, &modes, &r->modes, &err), &err);
+    reduced.alpha = rayleigh[0];
+    reduced.beta = rayleigh[1];
+    reduced.free = body->pin_count == 0;
+    must(sfem_reduced_create(r->model, &r->modes, &reduced, &r->reduced, &err), &err);
+    must(sfem_reduced_view_create(r->reduced, 0, NULL, SFEM_DOUBLE, &r->view, &err), &err);
+    modal.warp = (sfem_warp)ex_choice(&r->o, "--warp"); /* in the order of the enumeration */
+    memcpy(modal.gravity, body->gravity, sizeof modal.gravity);
+    modal.exec = body->exec;
+    must(sfem_modal_create(r->reduced, &modal, &r->modal, &err), &err);
+    r->u = (double *)ex_new(6 * (size_t)r->mesh.nodes, sizeof *r->u);
+    r->load = r->u + 3 * (size_t)r->mesh.nodes;
+    printf("modes: %d, from %.4g to %.4g Hz\n", (int)r->modes.count, sfem_modes_hz(&r->modes, 0),
+           sfem_modes_hz(&r->modes, r->modes.count - 1));
+}
+
+static const double *displacement(const run *r) { return r->modal ? r->u : sfem_body_displacement(r->body); }
+
 /* 3. What holds the body. */
 static void make_body(run *r)
 {
     static const sfem_integrator integrator[] = {
         SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL, SFEM_KR_ALPHA, SFEM_GUI, SFEM_CHANG,
-        SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE};
+        SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE, SFEM_PQR};
     sfem_body_def def = sfem_default_body_def();
+    sfem_damage_def damage = sfem_default_damage_def();
     sfem_int *pins = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *pins);
     const int given = ex_given(&r->o, "--fix");
     unsigned char *held = (unsigned char *)ex_new((size_t)r->mesh.nodes, 1);
@@ -161,8 +206,17 @@ static void make_body(run *r)
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
     def.pins = pins;
     def.pin_count = count;
+    r->breaks = ex_given(&r->o, "--fracture") || ex_given(&r->o, "--strength");
+    if (r->breaks) {
+        damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
+        damage.toughness = ex_given(&r->o, "--fracture") ? ex_real(&r->o, "--fracture") : 0;
+        if (!ex_given(&r->o, "--fracture")) damage.criterion = SFEM_BREAK_STRESS;
+        if (ex_given(&r->o, "--strength")) damage.strength = damage.rankine = ex_real(&r->o, "--strength");
+        def.damage = &damage;
+    }
     must(sfem_body_create(r->model, &def, &r->body, &err), &err);
     printf("body: %d nodes held\n", (int)count);
+    if (!strcmp(ex_text(&r->o, "--integrator"), "modal")) make_modal(r, &def);
     free(held);
     free(pins);
 }
@@ -180,6 +234,10 @@ static void add_loads(run *r)
         if (count == 0) ex_fail("--load %s selects no node", ex_nth(&r->o, "--load", k));
         for (c = 0; c < 3; ++c) f[c] = load.force[c] / count;
         for (i = 0; i < count; ++i) must(sfem_body_add_node_force(r->body, nodes[i], f, &err), &err);
+        for (i = 0; i < count && r->modal; ++i) {
+            must(sfem_modal_add_node_force(r->modal, nodes[i], f, &err), &err);
+            for (c = 0; c < 3; ++c) r->load[3 * (size_t)nodes[i] + (size_t)c] += f[c];
+        }
     }
     free(nodes);
 }
@@ -212,6 +270,39 @@ static void add_velocity(const run *r, const char *text, double *v)
     }
 }
 
+/* q' = Phi^T M v, and of a free body the frame's velocities from its momenta. */
+static void set_modal_velocity(run *r, const double *v)
+{
+    const sfem_reduced_info info = sfem_reduced_get_info(r->reduced);
+    const sfem_int skip = r->modes.count - info.modes, n = 3 * r->mesh.nodes;
+    double *mv = (double *)ex_new((size_t)n, sizeof *mv), *q = (double *)ex_new((size_t)info.modes + 1, sizeof *q);
+    double momentum[3] = {0, 0, 0}, inertia[9], cofactor[9], determinant = 0;
+    sfem_rigid rigid = sfem_modal_rigid(r->modal);
+    sfem_error err;
+    sfem_int k, i;
+    int c;
+    sfem_model_multiply_mass(r->model, v, mv, NULL);
+    for (k = 0; k < info.modes; ++k)
+        for (i = 0; i < n; ++i) q[k] += r->modes.phi[(size_t)(k + skip) * (size_t)n + (size_t)i] * mv[i];
+    must(sfem_modal_set_coordinates(r->modal, NULL, q, NULL, &err), &err);
+    for (i = 0; i < n; ++i) {
+        const int a = (i % 3 + 1) % 3, b = (i % 3 + 2) % 3;
+        const double *x = info.x + i - i % 3, *p = mv + i - i % 3;
+        rigid.v[i % 3] += mv[i] / info.mass;
+        momentum[i % 3] += (x[a] - info.centre[a]) * p[b] - (x[b] - info.centre[b]) * p[a];
+    }
+    memcpy(inertia, info.inertia, sizeof inertia);
+    for (c = 0; c < 9; ++c) { /* the inverse by cofactors */
+        const int i1 = (c / 3 + 1) % 3, i2 = (c / 3 + 2) % 3, j1 = (c + 1) % 3, j2 = (c + 2) % 3;
+        cofactor[c] = inertia[3 * i1 + j1] * inertia[3 * i2 + j2] - inertia[3 * i1 + j2] * inertia[3 * i2 + j1];
+        if (c < 3) determinant += inertia[c] * cofactor[c];
+    }
+    for (c = 0; c < 9; ++c) rigid.w[c / 3] += cofactor[c] / determinant * momentum[c % 3];
+    if (info.free) must(sfem_modal_set_rigid(r->modal, &rigid, &err), &err);
+    free(q);
+    free(mv);
+}
+
 static void set_velocity(run *r)
 {
     double *v = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *v);
@@ -219,6 +310,7 @@ static void set_velocity(run *r)
     int k;
     for (k = 0; k < ex_given(&r->o, "--velocity"); ++k) add_velocity(r, ex_nth(&r->o, "--velocity", k), v);
     if (k > 0) must(sfem_body_set_state(r->body, NULL, v, &err), &err);
+    if (k > 0 && r->modal) set_modal_velocity(r, v);
     free(v);
 }
 
@@ -226,7 +318,7 @@ static double length3(const double *a) { return sqrt(a[0] * a[0] + a[1] * a[1] +
 
 static double largest_displacement(const run *r)
 {
-    const sfem_real *u = sfem_body_displacement(r->body);
+    const sfem_real *u = displacement(r);
     double most = 0;
     sfem_int i;
     for (i = 0; i < r->mesh.nodes; ++i) most = fmax(most, length3(u + 3 * (size_t)i));
@@ -252,18 +344,81 @@ static void choose_probe(run *r)
     }
 }
 
+static double when_is_it(const run *r) { return r->modal ? sfem_modal_time(r->modal) : sfem_body_time(r->body); }
+
+static void positions(const run *r, double *x)
+{
+    sfem_int i;
+    for (i = 0; i < 3 * r->mesh.nodes; ++i) x[i] = r->mesh.x[i] + displacement(r)[i];
+}
+
+static sfem_energy energy(const run *r)
+{
+    sfem_energy e;
+    sfem_modal_info info;
+    double g[3];
+    sfem_int i;
+    if (!r->modal) return sfem_body_energy(r->body);
+    memset(&e, 0, sizeof e);
+    info = sfem_modal_get_info(r->modal);
+    ex_reals(&r->o, "--gravity", 3, g);
+    e.kinetic = info.kinetic;
+    e.elastic = info.elastic;
+    for (i = 0; i < 3 * r->mesh.nodes; ++i)
+        e.load -= r->u[i] * (r->load[i] + g[i % 3] * sfem_model_node_mass(r->model)[i / 3]);
+    e.total = e.kinetic + e.elastic + e.load;
+    return e;
+}
+
+static void rest(run *r)
+{
+    sfem_error err;
+    if (!r->modal) {
+        must(sfem_body_solve_static(r->body, &err), &err);
+        return;
+    }
+    must(sfem_modal_solve_static(r->modal, NULL, &err), &err);
+    sfem_modal_displacements(r->modal, r->view, r->u);
+}
+
+static void step(run *r)
+{
+    sfem_error err;
+    if (!r->modal) {
+        must(sfem_body_step(r->body, r->h, &err), &err);
+        return;
+    }
+    must(sfem_modal_step(r->modal, r->h, &err), &err);
+    sfem_modal_displacements(r->modal, r->view, r->u);
+}
+
+/* The surface triangles that no break has parted, for frame k. */
+static void keep_whole(run *r, int k)
+{
+    sfem_int i;
+    int c;
+    r->whole[k] = (int32_t *)ex_new(3 * (size_t)r->surface.triangles, sizeof(int32_t));
+    for (i = 0; i < r->surface.triangles; ++i) {
+        const sfem_int *t = r->surface.tri + 3 * (size_t)i;
+        int whole = 1;
+        for (c = 0; c < 3; ++c) whole &= sfem_body_edge_left(r->body, t[c], t[(c + 1) % 3]) > 0;
+        if (whole) memcpy(r->whole[k] + 3 * (size_t)r->wholes[k]++, t, 3 * sizeof *t);
+    }
+}
+
 static void record(run *r, sfem_int step)
 {
-    const sfem_energy e = sfem_body_energy(r->body);
-    r->time[step] = sfem_body_time(r->body);
-    r->tip[step] = sfem_body_displacement(r->body)[3 * (size_t)r->probe + 2];
+    const sfem_energy e = energy(r);
+    r->time[step] = when_is_it(r);
+    r->tip[step] = displacement(r)[3 * (size_t)r->probe + 2];
     r->energy[0][step] = e.kinetic;
     r->energy[1][step] = e.elastic;
     r->energy[2][step] = e.total;
     if (r->frames < FRAMES && step >= r->steps * r->frames / (FRAMES - 1)) {
         r->frame[r->frames] = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof(double));
         r->frame_time[r->frames] = r->time[step];
-        sfem_body_positions(r->body, r->frame[r->frames++]);
+        if (r->breaks) keep_whole(r, r->frames);
+        positions(r, r->frame[r->frames++]);
     }
 }
 
@@ -275,14 +430,14 @@ static void write_step(run *r, const char *path)
     sfem_error err;
     memset(field, 0, sizeof field);
     field[0].name = "displacement";
-    field[0].values = sfem_body_displacement(r->body);
+    field[0].values = displacement(r);
     field[0].components = 3;
     field[1].name = "von_mises";
     field[1].values = stress;
     field[1].components = 1;
     field[1].per_tet = 1;
-    sfem_body_positions(r->body, x);
-    sfem_model_stress(r->model, sfem_body_displacement(r->body), NULL, stress);
+    positions(r, x);
+    sfem_model_stress(r->model, displacement(r), NULL, stress);
     must(sfem_write_vtu(path, &r->mesh, x, field, 2, &err), &err);
     free(stress);
     free(x);
@@ -298,14 +453,14 @@ static void simulate(run *r)
     sfem_int i, files = 0;
     sfem_error err;
     start = ex_seconds();
-    if (r->steps == 0) must(sfem_body_solve_static(r->body, &err), &err);
-    else must(sfem_body_prepare(r->body, r->h, &err), &err);
+    if (r->steps == 0) rest(r);
+    else if (!r->modal) must(sfem_body_prepare(r->body, r->h, &err), &err);
     r->setup += ex_seconds() - start;
     record(r, 0);
     for (i = 0; i <= r->steps; ++i) {
         if (i > 0) {
             start = ex_seconds();
-            must(sfem_body_step(r->body, r->h, &err), &err);
+            step(r);
             r->stepping += ex_seconds() - start;
             record(r, i);
         }
@@ -313,7 +468,7 @@ static void simulate(run *r)
             snprintf(name[files], sizeof *name, "step%06d.vtu", (int)i);
             write_step(r, ex_path(ex_text(&r->o, "--out"), name[files]));
             file[files] = name[files];
-            when[files++] = sfem_body_time(r->body);
+            when[files++] = when_is_it(r);
         }
         ex_progress("simulate", i, r->steps);
     }
@@ -333,7 +488,7 @@ static void draw(const run *r)
     double lower[3], upper[3], low, high;
     double *value[FRAMES];
     int k;
-    p->bar = 1;
+    p->bar = !r->breaks;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
         value[k] = ex_strain_stress(&r->mesh, r->frame[k], ex_choice(&r->o, "--material") > 0, mu);
@@ -344,12 +499,15 @@ static void draw(const run *r)
     for (k = 0; k < r->frames; ++k) {
         char caption[64];
         ex_view_begin(p, k, across, down, lower, upper, direction);
-        ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri, value[k], &style);
+        if (r->breaks) /* stresses across cracks would be those of whole tets */
+            ex_view_surface(p, r->mesh.nodes, r->frame[k], r->wholes[k], r->whole[k], NULL, &style);
+        else
+            ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri, value[k], &style);
         snprintf(caption, sizeof caption, r->frames > 1 ? "t = %.3g s" : "at rest", r->frame_time[k]);
         ex_view_end(p, caption);
         free(value[k]);
     }
-    ex_colorbar(p, "stress, Pa", 0, style.high);
+    if (!r->breaks) ex_colorbar(p, "stress, Pa", 0, style.high);
     ex_picture_write(p, ex_path(ex_text(&r->o, "--out"), "body.png"));
     ex_picture_free(p);
 }
@@ -370,7 +528,7 @@ static void plot(const run *r)
 
 static void write_csv(const run *r, const char *path)
 {
-    const sfem_real *u = sfem_body_displacement(r->body);
+    const sfem_real *u = displacement(r);
     FILE *f = ex_open(path);
     sfem_int i;
     fprintf(f, "node,ux,uy,uz\n");
@@ -388,7 +546,7 @@ static void report(run *r)
     if (ex_text(&r->o, "--csv")) write_csv(r, ex_text(&r->o, "--csv"));
     printf("wrote %s/body.png%s\n", out, r->steps > 0 ? ", motion.svg, energy.svg" : "");
     if (ex_integer(&r->o, "--probe") >= 0) {
-        const sfem_real *u = sfem_body_displacement(r->body) + 3 * (size_t)r->probe;
+        const sfem_real *u = displacement(r) + 3 * (size_t)r->probe;
         printf("probe %d %.17g %.17g %.17g\n", (int)r->probe, u[0], u[1], u[2]);
     }
     printf("nodes %d\ntets %d\ndofs %d\n", (int)info.nodes, (int)info.tets, 3 * (int)info.free_nodes);
@@ -396,7 +554,12 @@ static void report(run *r)
     printf("setup_ms %.3f\n", 1e3 * r->setup);
     printf("step_us %.3f\n", r->steps > 0 ? 1e6 * r->stepping / r->steps : 0);
     printf("redone %d\n", (int)info.redone);
-    printf("energy %.17g\n", sfem_body_energy(r->body).total);
+    if (r->breaks) {
+        const sfem_fracture f = sfem_body_fracture(r->body);
+        printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
+               f.scale > 0 ? fabs(f.error) / f.scale : 0.0);
+    }
+    printf("energy %.17g\n", energy(r).total);
     printf("max_displacement %.17g\n", largest_displacement(r));
 }
 
@@ -426,8 +589,13 @@ int main(int argc, char **argv)
     for (k = 0; k < 3; ++k) r.energy[k] = r.tip + (k + 1) * (r.steps + 1);
     simulate(&r);
     report(&r);
-    for (k = 0; k < r.frames; ++k) free(r.frame[k]);
+    for (k = 0; k < r.frames; ++k) free(r.frame[k]), free(r.whole[k]);
     free(r.time);
+    free(r.u);
+    sfem_modal_free(r.modal);
+    sfem_reduced_view_free(r.view);
+    sfem_reduced_free(r.reduced);
+    sfem_modes_free(&r.modes);
     sfem_body_free(r.body);
     sfem_model_free(r.model);
     sfem_surface_free(&r.surface);

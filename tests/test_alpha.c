@@ -188,7 +188,7 @@ static void radius_period_and_damping_are_those_of_the_table(void **state)
     for (i = 0; i < TEST_COUNT(row); ++i)
         for (j = 0; j < 4; ++j) {
             sfem_body *body = oscillator_body(&o, method(row[i].integrator, row[i].parameter));
-            double c[3], radius, angle, real;
+            double c[3] = {0, 0, 0}, radius, angle, real;
             sfem_error err;
             set_node1(body, 0.01, 0.02);
             if (row[i].radius[j] == 0) {

@@ -250,9 +250,9 @@ static void zsz_stiffens_as_its_worst_pattern_says(void **state)
                 if (mask < 63)
                     worst = fmax(worst, most);
                 else
-                    assert_true(most <= found * (1 + 1e-9));
+                    assert_true(most <= found * (1 + 1e-6));
             }
-            assert_near(found, worst, 1e-8, 0);
+            assert_near(found, worst, 1e-6, 0); /* a root may be double */
         }
 }
 
@@ -623,7 +623,8 @@ static double total_forces(scene *s, const double *u, double *f)
     double *work = reals((sfem_int)sfem_model_work_size(s->model)), energy;
     sfem_int i;
     if (s->damage->block) {
-        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL, work, NULL);
+        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL,
+                                           work, NULL);
     } else {
         sfem_model_multiply_stiffness(s->model, u, f, NULL);
         for (i = 0, energy = 0; i < s->n; ++i) energy += u[i] * f[i] / 2;
@@ -780,6 +781,37 @@ static void forces_keep_their_digits_far_across_an_open_crack(void **state)
     }
 }
 
+/* what most damaged tets are computed by agrees with what all can be */
+static void the_short_way_through_upright_tets_is_the_long_one(void **state)
+{
+    sfem_damage_def def = sfem_default_damage_def();
+    test_random r = {41};
+    sfem_mesh mesh;
+    scene s;
+    sfem_int i, hurt = 0, shorter = 0;
+    double *u;
+    (void)state;
+    make_mesh(3, 3, 3, 1, SFEM_CELL_6_TETS, .1, 2, &mesh);
+    make_scene(&mesh, SFEM_NEOHOOKEAN, 1, &def, &s);
+    break_some(&s, &r, .1);
+    u = reals(s.n);
+    random_fill(&r, u, (size_t)s.n, -.35, .35);
+    for (i = 0; i < s.damage->tets; ++i) {
+        const sfem_int e = s.damage->tet[i];
+        double local[12], f[2][12], psi[2];
+        sfemi_damage_gather(u, mesh.tet + 4 * e, local);
+        hurt += s.damage->kind[e] == SFEMI_HURT;
+        if (!sfemi_damage_upright(s.damage, e, local, &psi[0], f[0])) continue;
+        psi[1] = sfemi_damage_other(s.damage, e, local, f[1]);
+        ++shorter;
+        assert_near(psi[0], psi[1], 1e-12, 1e-14);
+        assert_all_near(f[0], f[1], 12, 1e-12, 1e-13);
+    }
+    assert_true(shorter > hurt / 4 && shorter < hurt); /* some are not upright */
+    free(u);
+    free_scene(&s);
+}
+
 static void the_tangent_of_a_damaged_body_is_the_slope_of_its_forces(void **state)
 {
     test_random r = {15};
@@ -826,31 +858,37 @@ static void the_tangent_of_a_damaged_body_is_the_slope_of_its_forces(void **stat
  * pieces
  * -------------------------------------------------------------------------------------------- */
 
+/* what is there is what a search from scratch finds */
+static void check_pieces(scene *s)
+{
+    const sfem_int pieces = s->damage->pieces, nodes = s->mesh.nodes;
+    sfem_int *label = (sfem_int *)malloc((size_t)nodes * sizeof *label), i;
+    memcpy(label, s->damage->piece_of, (size_t)nodes * sizeof *label);
+    sfemi_damage_find_pieces(s->damage);
+    assert_int_equal(pieces, s->damage->pieces);
+    for (i = 0; i < nodes; ++i) assert_int_equal(label[i], s->damage->piece_of[i]);
+    free(label);
+}
+
 static void pieces_agree_with_a_search_from_scratch_after_every_break(void **state)
 {
     sfem_damage_def def = sfem_default_damage_def();
     test_random r = {16};
-    sfem_int k, i, pieces, broken = 0, *label;
+    sfem_int k, broken = 0;
     sfem_mesh mesh;
     scene s;
     (void)state;
     make_mesh(3, 3, 2, 1, SFEM_CELL_5_TETS, 0, 2, &mesh);
     make_scene(&mesh, SFEM_LINEAR, 1, &def, &s);
-    label = (sfem_int *)malloc((size_t)mesh.nodes * sizeof *label);
     while (broken < s.bonds->edges) {
         k = random_below(&r, s.bonds->edges);
         if (!(s.damage->zeta[k] > 0)) continue;
         s.damage->zeta[k] = 0;
         ++broken;
         if (sfemi_damage_part(s.damage, k)) sfemi_damage_number_pieces(s.damage);
-        memcpy(label, s.damage->piece_of, (size_t)mesh.nodes * sizeof *label);
-        pieces = s.damage->pieces;
-        sfemi_damage_find_pieces(s.damage);
-        assert_int_equal(pieces, s.damage->pieces);
-        for (i = 0; i < mesh.nodes; ++i) assert_int_equal(label[i], s.damage->piece_of[i]);
+        check_pieces(&s);
     }
     assert_int_equal(s.damage->pieces, mesh.nodes);
-    free(label);
     free_scene(&s);
 }
 
@@ -1047,6 +1085,7 @@ static void no_break_makes_energy_at_any_step_with_the_old_factor(void **state)
                 assert_all_near(f, t.f, s.n, 1e-9, 1e-9);
                 free(f);
             }
+            if (change.broken) check_pieces(&s);
             after = invariant(&t);
             if (change.broken) worst = fmax(worst, after - before);
             assert_near(before - after, change.released, 1e-6, 1e-9 * e0);
@@ -1071,7 +1110,7 @@ static void no_break_makes_energy_at_any_step_with_the_old_factor(void **state)
 }
 
 /* growth of |w|_M over 300 steps of a body whose edges across a plane, or at random, are broken */
-static double growth(sfem_damage_law law, double p, double omega, int random)
+static double growth(sfem_damage_law law, double p, double omega, int random, int closure)
 {
     sfem_damage_def def = sfem_default_damage_def();
     test_random r = {20};
@@ -1082,6 +1121,7 @@ static double growth(sfem_damage_law law, double p, double omega, int random)
     sfem_int n, k, i;
     make_mesh(6, 2, 2, .1, SFEM_CELL_6_TETS, 0, 4, &mesh);
     def.law = law;
+    def.closure = closure;
     make_scene(&mesh, SFEM_LINEAR, 1e6, &def, &s);
     for (k = 0; k < s.bonds->edges; ++k) {
         const double a = mesh.x[3 * s.bonds->end[2 * k]], b = mesh.x[3 * s.bonds->end[2 * k + 1]];
@@ -1109,9 +1149,9 @@ static void zsz_explodes_with_the_old_factor_and_condensed_does_not(void **state
     (void)state;
     for (random = 0; random < 2; ++random) {
         const double omega = 10;
-        const double zsz = growth(SFEM_DAMAGE_ZSZ, .25, omega, random);
-        const double wide = growth(SFEM_DAMAGE_ZSZ, 0, omega, random);
-        const double condensed = growth(SFEM_DAMAGE_CONDENSED, .25, omega, random);
+        const double zsz = growth(SFEM_DAMAGE_ZSZ, .25, omega, random, 0);
+        const double wide = growth(SFEM_DAMAGE_ZSZ, 0, omega, random, 0);
+        const double condensed = growth(SFEM_DAMAGE_CONDENSED, .25, omega, random, 0);
         print_message("%s, 300 steps: ZSZ grows %.1e, with p = lambda/4 %.2f, condensed %.2f\n",
                       random ? "20 % at random" : "one plane", zsz, wide, condensed);
         if (random) assert_true(zsz > 1e6); /* tets across a plane are loose: they carry nothing */
@@ -1120,14 +1160,34 @@ static void zsz_explodes_with_the_old_factor_and_condensed_does_not(void **state
     }
 }
 
+/* a crack that opens and closes is no constant stiffness: it takes p = 1/2 */
+static void closing_cracks_need_twice_the_p(void **state)
+{
+    int random;
+    double most = 0;
+    (void)state;
+    for (random = 0; random < 2; ++random) {
+        const double quarter = growth(SFEM_DAMAGE_CONDENSED, .25, 10, random, 1);
+        const double half = growth(SFEM_DAMAGE_CONDENSED, .5, 10, random, 1);
+        print_message("closure, %s, 300 steps: p = 1/4 grows %.2e, p = 1/2 %.2f\n",
+                      random ? "20 % at random" : "one plane", quarter, half);
+        assert_true(half < 2);
+        most = fmax(most, quarter);
+    }
+    assert_true(most > 1e3);
+}
+
 /* --------------------------------------------------------------------------------------------
  * what a crack costs
  * -------------------------------------------------------------------------------------------- */
 
 /* Pulls a bar of section .2 x .2 apart at the plane x = cut, quasi-statically; only edges across the
- * plane may break. Returns the sums over the plane's area of what is booked and what is released. */
+ * plane may break, those at y < notch are broken before. out: sums over the area that breaks of what is
+ * booked, what is released at breaks, and what the body releases as it then relaxes, J/m^2. */
+enum { BOOKED, RELEASED, RELAXED, SUMS };
+
 static void pull_apart(sfem_int n, double jitter, double notch, sfem_damage_criterion criterion,
-                       double *booked, double *released)
+                       double out[SUMS])
 {
     sfem_damage_def def = sfem_default_damage_def();
     sfem_ldl_def ldl_def = sfem_default_ldl_def();
@@ -1138,7 +1198,8 @@ static void pull_apart(sfem_int n, double jitter, double notch, sfem_damage_crit
     sfem_matrix k;
     sfem_error err;
     scene s;
-    double *u, *f, *work = NULL, pull = 1e-5;
+    double *u, *f, *work = NULL, pull = 1e-5, left = 0;
+    int pulled = 1;
     sfem_ldl *ldl = NULL;
     sfem_int e, i, rounds;
     make_mesh(2 * n, n, n, size, SFEM_CELL_5_TETS, jitter, 5, &mesh);
@@ -1157,8 +1218,8 @@ static void pull_apart(sfem_int n, double jitter, double notch, sfem_damage_crit
     }
     sfemi_damage_refresh(s.damage);
     u = reals(s.n), f = reals(s.n);
-    *booked = *released = 0;
-    for (rounds = 0; rounds < 3000 && s.damage->pieces == 1; ++rounds) {
+    memset(out, 0, SUMS * sizeof *out);
+    for (rounds = 0; rounds < 3000; ++rounds) {
         /* the ends are held by stiff springs: one to the wall, one to the pull */
         const double spring = 1e8 * size;
         assert_ok(sfem_model_combine(s.model, 1, 0, 0, NULL, &k, &err), err);
@@ -1181,11 +1242,16 @@ static void pull_apart(sfem_int n, double jitter, double notch, sfem_damage_crit
         memcpy(u, f, (size_t)s.n * sizeof *u);
         sfem_ldl_solve(ldl, 1, u, work, NULL);
         sfem_matrix_free(&k, NULL);
+        /* the potential energy at rest is -f.u/2, but for a constant at the same pull */
+        if (!pulled) out[RELAXED] += (left + dot(f, u, s.n) / 2) / area;
+        if (s.damage->pieces == 2) break;
         step_at(&step, u, u, NULL, NULL);
         sfemi_damage_round(s.damage, &step, &change);
-        *booked += change.price / area;
-        *released += change.released / area;
-        if (!change.broken) { /* to where the first edge breaks */
+        left = -dot(f, u, s.n) / 2 - change.released;
+        out[BOOKED] += change.price / area;
+        out[RELEASED] += change.released / area;
+        pulled = !change.broken;
+        if (pulled) { /* to where the first edge breaks */
             double most = 0;
             for (e = 0; e < s.bonds->edges; ++e) most = fmax(most, s.damage->ratio[e]);
             if (criterion == SFEM_BREAK_ENERGY) most = sqrt(most);
@@ -1201,22 +1267,24 @@ static void pull_apart(sfem_int n, double jitter, double notch, sfem_damage_crit
 static void a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength(void **state)
 {
     static const sfem_int cells[3] = {2, 4, 6};
-    double booked[2][3], released[2][3];
+    static const char *const name[3] = {"energy", "strength", "energy, notched"};
+    double out[3][3][SUMS];
     int c, n;
     (void)state;
-    for (c = 0; c < 2; ++c)
+    for (c = 0; c < 3; ++c) {
         for (n = 0; n < 3; ++n)
-            pull_apart(cells[n], .1, 0, c ? SFEM_BREAK_STRESS : SFEM_BREAK_ENERGY, &booked[c][n],
-                       &released[c][n]);
-    for (c = 0; c < 2; ++c)
+            pull_apart(cells[n], .1, c == 2 ? .1 : 0,
+                       c == 1 ? SFEM_BREAK_STRESS : SFEM_BREAK_ENERGY, out[c][n]);
         print_message("%s: over Gc A at 2, 4, 6 cells: booked %.3f %.3f %.3f, released at breaks "
-                      "%.3f %.3f %.3f\n",
-                      c ? "strength" : "energy", booked[c][0] / 100, booked[c][1] / 100,
-                      booked[c][2] / 100, released[c][0] / 100, released[c][1] / 100,
-                      released[c][2] / 100);
+                      "%.2f %.2f %.2f, by relaxing %.2f %.2f %.2f\n",
+                      name[c], out[c][0][BOOKED] / 100, out[c][1][BOOKED] / 100,
+                      out[c][2][BOOKED] / 100, out[c][0][RELEASED] / 100, out[c][1][RELEASED] / 100,
+                      out[c][2][RELEASED] / 100, out[c][0][RELAXED] / 100, out[c][1][RELAXED] / 100,
+                      out[c][2][RELAXED] / 100);
+    }
     for (n = 1; n < 3; ++n) {
-        assert_near(booked[0][n], booked[0][0], .1, 0);
-        assert_true(released[1][n] < .85 * released[1][n - 1]);
+        assert_near(out[0][n][BOOKED], out[0][0][BOOKED], .1, 0);
+        assert_true(out[1][n][RELEASED] < .85 * out[1][n - 1][RELEASED]);
     }
 }
 
@@ -1325,8 +1393,9 @@ static void a_round_books_the_energy_that_it_changes_under_every_law(void **stat
                 psi[1] = after;
                 for (i = 0, after = 0; i < s.n; ++i) after += (u1[i] - u0[i]) * (f[3][i] - f[2][i]);
                 assert_near(after - cross, change.cross, 1e-8, 1e-11 * psi[1]);
-                assert_near(change.released, change.cross / 4 - (change.psi0 + change.psi1) / 2,
-                            1e-9, 1e-15);
+                if (laws[l] == SFEM_LINEAR)
+                    assert_near(change.released, change.cross / 4 - (change.psi0 + change.psi1) / 2,
+                                1e-9, 1e-15);
                 assert_true(change.released >= 0);
                 assert_all_near(f[0], f[2], s.n, 1e-10, 0);
                 assert_all_near(f[1], f[3], s.n, 1e-10, 0);
@@ -1338,6 +1407,54 @@ static void a_round_books_the_energy_that_it_changes_under_every_law(void **stat
             for (n = 0; n < 4; ++n) free(f[n]);
             free_scene(&s);
         }
+}
+
+/* stretched by strain along x, then turned about z */
+static void stretch_and_turn(const scene *s, double strain, double angle, double *u)
+{
+    sfem_int i;
+    for (i = 0; i < s->mesh.nodes; ++i) {
+        const double *x = s->mesh.x + 3 * i, at = x[0] * (1 + strain);
+        u[3 * i] = cos(angle) * at - sin(angle) * x[1] - x[0];
+        u[3 * i + 1] = sin(angle) * at + cos(angle) * x[1] - x[1];
+        u[3 * i + 2] = 0;
+    }
+}
+
+static void edges_are_judged_by_the_mean_strain_of_a_step(void **state)
+{
+    static const struct {
+        sfem_law law;
+        double strain0, strain1, turn;
+        int breaks;
+    } cases[] = {{SFEM_LINEAR, 0, .015, 0, 0},
+                 {SFEM_LINEAR, .006, .015, 0, 1},
+                 {SFEM_COROTATIONAL, 0, .015, 0, 0},
+                 {SFEM_COROTATIONAL, .006, .015, 0, 1},
+                 {SFEM_COROTATIONAL, .0105, .0105, .4, 1},
+                 {SFEM_COROTATIONAL, .0095, .0095, .4, 0}};
+    size_t n;
+    (void)state;
+    for (n = 0; n < TEST_COUNT(cases); ++n) {
+        sfem_damage_def def = sfem_default_damage_def();
+        sfemi_damage_change change;
+        sfemi_damage_step step;
+        double *u0, *u1;
+        sfem_mesh mesh;
+        scene s;
+        make_mesh(4, 1, 1, .1, SFEM_CELL_6_TETS, 0, 8, &mesh);
+        def.criterion = SFEM_BREAK_STRAIN;
+        def.strength = .01;
+        make_scene(&mesh, cases[n].law, 1e6, &def, &s);
+        u0 = reals(s.n), u1 = reals(s.n);
+        stretch_and_turn(&s, cases[n].strain0, 0, u0);
+        stretch_and_turn(&s, cases[n].strain1, cases[n].turn, u1);
+        step_at(&step, u0, u1, NULL, NULL);
+        sfemi_damage_round(s.damage, &step, &change);
+        assert_int_equal(change.broken > 0, cases[n].breaks);
+        free(u0), free(u1);
+        free_scene(&s);
+    }
 }
 
 static void one_round_breaks_no_two_edges_at_a_node(void **state)
@@ -1521,8 +1638,8 @@ static void threads_do_not_change_a_bit_of_damage(void **state)
             step_at(&step, u0, u1, NULL, NULL);
             step.exec = &exec;
             sfemi_damage_round(s.damage, &step, &change);
-            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL, NULL, work,
-                                            &exec);
+            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL,
+                                            NULL, work, &exec);
             hash[t] = 31 * hash[t] + hash_reals(f, (size_t)s.n) + hash_reals(&psi, 1) +
                       hash_reals(rotation, 9 * (size_t)mesh.tets);
         }
@@ -1568,6 +1685,144 @@ static void a_stray_fibre_is_broken_with_the_last_crack_round_it(void **state)
     assert_int_equal(change.pieces, 1);
     free(u);
     free_scene(&s);
+}
+
+/* --------------------------------------------------------------------------------------------
+ * inversion, and the switch to the edge form
+ * -------------------------------------------------------------------------------------------- */
+
+static sfem_int count_inverted(scene *s, const double *u)
+{
+    double *f = reals(s->n);
+    sfem_int inverted = 0;
+    sfemi_damage_forces(s->damage, u, f, NULL, &inverted, NULL);
+    free(f);
+    return inverted;
+}
+
+/* Newton with the positive semidefinite tangent and Armijo's rule: where it comes to rest */
+static void come_to_rest(scene *s, double *u)
+{
+    sfem_ldl_def def = sfem_default_ldl_def();
+    double *f = reals(s->n), *d = reals(s->n), *v = reals(s->n), *g = reals(s->n), *work = NULL,
+           psi;
+    sfem_ldl *ldl = NULL;
+    sfem_matrix k;
+    sfem_error err;
+    sfem_int i;
+    int n;
+    assert_ok(sfem_model_combine(s->model, 1, 0, 0, NULL, &k, &err), err);
+    psi = total_forces(s, u, f);
+    for (n = 0; n < 200; ++n) {
+        double t = 1, slope, next = psi;
+        sfemi_damage_total_tangent(s->damage, u, SFEM_TANGENT_PSD, &k, NULL);
+        for (i = 0; i < s->mesh.nodes; ++i) { /* nothing holds the body: a little inertia */
+            double *block = k.val + 9 * (k.row[i + 1] - 1);
+            int c;
+            for (c = 0; c < 3; ++c) block[4 * c] += 1e-4 * block[4 * c] + 1e-3;
+        }
+        if (!ldl) {
+            assert_ok(sfem_ldl_create(&def, &k, &ldl, &err), err);
+            work = reals((sfem_int)sfem_ldl_work_size(ldl, 1));
+        } else {
+            assert_ok(sfem_ldl_refactor(ldl, &k, &err), err);
+        }
+        for (i = 0; i < s->n; ++i) d[i] = -f[i];
+        sfem_ldl_solve(ldl, 1, d, work, NULL);
+        slope = dot(f, d, s->n);
+        assert_true(slope <= 0);
+        for (; t > 1e-10; t /= 2) {
+            for (i = 0; i < s->n; ++i) v[i] = u[i] + t * d[i];
+            next = total_forces(s, v, g);
+            if (next <= psi + 1e-4 * t * slope) break;
+        }
+        if (!(next < psi) || slope > -1e-12) break;
+        psi = next;
+        memcpy(u, v, (size_t)s->n * sizeof *u);
+        memcpy(f, g, (size_t)s->n * sizeof *f);
+    }
+    sfem_ldl_free(ldl);
+    sfem_matrix_free(&k, NULL);
+    free(work), free(f), free(d), free(v), free(g);
+}
+
+static void a_crushed_and_broken_block_gets_its_tets_back_upright(void **state)
+{
+    int guarded, hurt = 0;
+    (void)state;
+    for (guarded = 0; guarded < 2; ++guarded) {
+        sfem_int before = 0, after = 0;
+        uint64_t seed;
+        for (seed = 30; seed < 35; ++seed) {
+            sfem_damage_def def = sfem_default_damage_def();
+            test_random r;
+            double *u;
+            sfem_mesh mesh;
+            scene s;
+            sfem_int i, e;
+            r.state = seed;
+            make_mesh(3, 3, 3, 1, SFEM_CELL_6_TETS, .1, seed, &mesh);
+            if (!guarded) def.upright[0] = -1e9, def.upright[1] = -1e8;
+            make_scene(&mesh, SFEM_COROTATIONAL, 1, &def, &s);
+            break_some(&s, &r, .08);
+            u = reals(s.n);
+            for (i = 0; i < s.n; ++i) u[i] = -.7 * mesh.x[i] + random_uniform(&r, -.6, .6);
+            for (e = hurt = 0; e < mesh.tets; ++e) hurt += s.damage->kind[e] == SFEMI_HURT;
+            before += count_inverted(&s, u);
+            come_to_rest(&s, u);
+            after += count_inverted(&s, u);
+            free(u);
+            free_scene(&s);
+        }
+        print_message("%s: %d of about %d damaged tets inverted when crushed, %d at rest\n",
+                      guarded ? "with the corotational law below J = .25" : "edge lengths alone",
+                      (int)before, 5 * hurt, (int)after);
+        if (guarded)
+            assert_int_equal(after, 0);
+        else
+            assert_true(after > 0);
+    }
+}
+
+/* what the first break of a tet costs or gives because the edge form is not the law it had */
+static void the_switch_to_the_edge_form_is_small_at_small_strain(void **state)
+{
+    static const char *const name[] = {"", "corotational", "StVK", "neo-Hookean"};
+    static const double strain[] = {.01, .05, .1};
+    test_random r = {40};
+    size_t k;
+    int law;
+    (void)state;
+    for (law = SFEM_COROTATIONAL; law <= SFEM_NEOHOOKEAN; ++law) {
+        double median[3];
+        for (k = 0; k < 3; ++k) {
+            double jump[400];
+            int n, i, j;
+            for (n = 0; n < 400; ++n) {
+                sfem_damage_tet tet;
+                double g[9], u[12], whole, edges, f[12];
+                make_damage_tet(RANDOM, .3, &r, &tet);
+                random_fill(&r, g, 9, -strain[k], strain[k]);
+                for (i = 0; i < 12; ++i) u[i] = sfemi_dot3(g + 3 * (i % 3), tet.x + i / 3 * 3);
+                whole = sfem_law_tet((sfem_law)law, tet.lambda, tet.mu, tet.x, u, SFEM_TANGENT_PSD,
+                                     f, NULL);
+                edges = sfem_damage_energy(&tet, tet.s, 0, u, SFEM_TANGENT_PSD, f, NULL);
+                jump[n] = fabs(edges / whole - 1);
+                for (j = n; j > 0 && jump[j - 1] > jump[j]; --j) {
+                    const double t = jump[j];
+                    jump[j] = jump[j - 1], jump[j - 1] = t;
+                }
+            }
+            median[k] = jump[200];
+        }
+        print_message(
+            "from %s to the edge form: energy changes by %.2f, %.1f, %.1f %% (median) at 1, 5, "
+            "10 %% strain\n",
+            name[law], 100 * median[0], 100 * median[1], 100 * median[2]);
+        assert_true(median[0] < .01 && median[1] < .06 && median[2] < .12);
+        assert_near(median[1] / median[0], 5, .4,
+                    0); /* first order in strain, relative to the energy */
+    }
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -1902,19 +2157,24 @@ int main(void)
         cmocka_unit_test(the_graph_knows_edges_tets_and_areas),
         cmocka_unit_test(forces_of_a_damaged_body_are_the_gradient_of_its_energy),
         cmocka_unit_test(forces_keep_their_digits_far_across_an_open_crack),
+        cmocka_unit_test(the_short_way_through_upright_tets_is_the_long_one),
         cmocka_unit_test(the_tangent_of_a_damaged_body_is_the_slope_of_its_forces),
         cmocka_unit_test(pieces_agree_with_a_search_from_scratch_after_every_break),
         cmocka_unit_test(pieces_add_up_to_the_body),
         cmocka_unit_test(no_break_makes_energy_at_any_step_with_the_old_factor),
         cmocka_unit_test(zsz_explodes_with_the_old_factor_and_condensed_does_not),
+        cmocka_unit_test(closing_cracks_need_twice_the_p),
         cmocka_unit_test(a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength),
         cmocka_unit_test(dual_areas_scatter_by_orientation),
         cmocka_unit_test(a_round_books_the_energy_that_it_changes_under_every_law),
+        cmocka_unit_test(edges_are_judged_by_the_mean_strain_of_a_step),
         cmocka_unit_test(one_round_breaks_no_two_edges_at_a_node),
         cmocka_unit_test(tets_that_are_passed_over_would_not_have_broken),
         cmocka_unit_test(a_saved_state_goes_on_with_the_same_bits),
         cmocka_unit_test(threads_do_not_change_a_bit_of_damage),
         cmocka_unit_test(a_stray_fibre_is_broken_with_the_last_crack_round_it),
+        cmocka_unit_test(a_crushed_and_broken_block_gets_its_tets_back_upright),
+        cmocka_unit_test(the_switch_to_the_edge_form_is_small_at_small_strain),
         cmocka_unit_test(toughness_follows_region_direction_callback_seed_and_line),
         cmocka_unit_test(unbreakable_edges_and_the_rankine_gate_hold),
         cmocka_unit_test(a_ductile_edge_softens_and_does_not_heal),

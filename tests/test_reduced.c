@@ -12,8 +12,8 @@ typedef struct scene {
 } scene;
 
 /* A bar of six-tet cells along x, clamped at x = 0 or free. modes < 0: all of them. */
-static scene make_bar(const sfem_int cells[3], sfem_real length, int clamped, sfem_int count, sfem_law law,
-                      const sfem_reduced_def *given)
+static scene make_bar(const sfem_int cells[3], sfem_real length, int clamped, sfem_int count,
+                      sfem_law law, const sfem_reduced_def *given)
 {
     const sfem_real size[3] = {length, 1, 1};
     sfem_model_def model_def = sfem_default_model_def();
@@ -322,7 +322,8 @@ static void newmark_in_all_modes_is_newmark_in_full_space(void **state)
  * route, the exponential of the 4x4 matrix of (q, q', f, slope) in long double. */
 static void exponential(long double lambda, long double c, long double h, long double e[4][4])
 {
-    long double a[4][4] = {{0, 1, 0, 0}, {-lambda, -c, 1, 0}, {0, 0, 0, 1}, {0, 0, 0, 0}}, t[4][4], p[4][4];
+    long double a[4][4] = {{0, 1, 0, 0}, {-lambda, -c, 1, 0}, {0, 0, 0, 1}, {0, 0, 0, 0}}, t[4][4],
+                p[4][4];
     int i, j, k, n, halvings = 0;
     while ((fabsl(lambda) + c + 2) * h > 0.25L) h /= 2, ++halvings;
     memset(e, 0, sizeof t);
@@ -361,7 +362,8 @@ static sfem_reduced *one_oscillator(const scene *s, double lambda, double c)
 
 static void the_exact_oscillator_is_exact_at_any_step(void **state)
 {
-    static const double ratios[] = {0, 0.01, 0.3, 0.9, 0.999, 0.9999999, 1, 1.0000001, 1.001, 1.05, 1.2, 3, 40};
+    static const double ratios[] = {0,         0.01,  0.3,  0.9, 0.999, 0.9999999, 1,
+                                    1.0000001, 1.001, 1.05, 1.2, 3,     40};
     static const double omegas[] = {0, 1e-6, 1e-3, 0.1, 1, 7, 60};
     static const double steps[] = {1e-4, 0.03, 0.4, 1, 5};
     const sfem_int cells[3] = {1, 1, 1};
@@ -376,13 +378,14 @@ static void the_exact_oscillator_is_exact_at_any_step(void **state)
             for (k = 0; k < TEST_COUNT(steps); ++k) {
                 const double omega = omegas[i], h = steps[k];
                 const double c = omega > 0 ? 2 * ratios[j] * omega : ratios[j];
-                sfem_reduced *r = one_oscillator(&s, omega * omega, c);
+                sfem_reduced *r;
                 long double e[4][4], y[4] = {0.7L, -0.4L, 0, 0}, z[4];
                 double q = 0.7, v = -0.4, size, phi[3], force[3] = {0, 0, 0};
                 sfem_modal *b = NULL;
                 sfem_error err;
                 int n, p, o;
                 if ((omega + c) * h > 400) continue; /* the reference loses its digits */
+                r = one_oscillator(&s, omega * omega, c);
                 assert_ok(sfem_modal_create(r, &def, &b, &err), err);
                 assert_ok(sfem_modal_set_coordinates(b, &q, &v, NULL, &err), err);
                 sfem_reduced_node_modes(r, s.nodes - 1, phi, NULL);
@@ -437,7 +440,8 @@ static void a_receiver_integrates_accelerations(void **state)
     scene s = make_beam(1);
     const double g[3] = {0, 0, -9.81};
     const double h = 1 / 60.0;
-    sfem_modal *sender = plain_modal(&s, SFEM_WARP_PATH), *receiver = plain_modal(&s, SFEM_WARP_PATH);
+    sfem_modal *sender = plain_modal(&s, SFEM_WARP_PATH),
+               *receiver = plain_modal(&s, SFEM_WARP_PATH);
     sfem_modal *lossy = plain_modal(&s, SFEM_WARP_PATH);
     const double zero[BEAM_MODES] = {0};
     double lost[BEAM_MODES] = {0};
@@ -446,19 +450,26 @@ static void a_receiver_integrates_accelerations(void **state)
     (void)state;
     assert_ok(sfem_modal_set_gravity(sender, g, &err), err);
     sfem_modal_start(sender);
-    assert_ok(sfem_modal_set_coordinates(receiver, NULL, NULL, sfem_modal_accelerations(sender), &err), err);
-    assert_ok(sfem_modal_set_coordinates(lossy, NULL, NULL, sfem_modal_accelerations(sender), &err), err);
+    assert_ok(
+        sfem_modal_set_coordinates(receiver, NULL, NULL, sfem_modal_accelerations(sender), &err),
+        err);
+    assert_ok(sfem_modal_set_coordinates(lossy, NULL, NULL, sfem_modal_accelerations(sender), &err),
+              err);
     for (i = 0; i < 60; ++i) {
         const double *a = sfem_modal_accelerations(sender);
         const sfem_modal_info info = sfem_modal_get_info(sender);
         step(sender, h);
         assert_ok(sfem_modal_step_with(receiver, a, h, info.beta, info.gamma, &err), err);
-        assert_ok(sfem_modal_step_with(lossy, i == 20 ? zero : a, h, info.beta, info.gamma, &err), err);
+        assert_ok(sfem_modal_step_with(lossy, i == 20 ? zero : a, h, info.beta, info.gamma, &err),
+                  err);
         if (i == 20) memcpy(lost, a, sizeof lost);
         for (k = 0; k < BEAM_MODES; ++k) {
-            const double q = sfem_modal_coordinates(sender)[k], v = sfem_modal_velocities(sender)[k];
+            const double q = sfem_modal_coordinates(sender)[k],
+                         v = sfem_modal_velocities(sender)[k];
             const double dv = i < 20 ? 0 : i == 20 ? h / 2 * lost[k] : h * lost[k];
-            const double dq = i < 20 ? 0 : i == 20 ? h * h / 4 * lost[k] : (i - 20) * h * h * lost[k];
+            const double dq = i < 20    ? 0
+                              : i == 20 ? h * h / 4 * lost[k]
+                                        : (i - 20) * h * h * lost[k];
             assert_near(sfem_modal_coordinates(receiver)[k], q, 1e-13, 1e-13);
             assert_near(sfem_modal_velocities(receiver)[k], v, 1e-13, 1e-12);
             assert_near(q - sfem_modal_coordinates(lossy)[k], dq, 1e-12, 2e-13 * 30);
@@ -492,7 +503,8 @@ static void sleeping_modes_stay_within_the_tolerance_and_wake(void **state)
     def.tolerance = tolerance;
     some = make_modal(&s, &def);
     step(all, h), step(some, h);
-    assert_int_equal(sfem_modal_get_info(all).awake, 0); /* at rest and unloaded: even without a tolerance */
+    assert_int_equal(sfem_modal_get_info(all).awake,
+                     0); /* at rest and unloaded: even without a tolerance */
     for (i = 0; i < 6000; ++i) {
         const int loaded = i % 3000 < 30;
         assert_ok(sfem_modal_set_force(all, NULL, &err), err);
@@ -544,7 +556,8 @@ static void reference_warp(sfem_warp warp, const double w[3], const double u[3],
             const double nu = n[0] * u[0] + n[1] * u[1] + n[2] * u[2];
             const double cross[3] = {n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2],
                                      n[0] * u[1] - n[1] * u[0]};
-            for (c = 0; c < 3; ++c) out[c] += part * (o * u[c] + s * cross[c] + (1 - o) * nu * n[c]);
+            for (c = 0; c < 3; ++c)
+                out[c] += part * (o * u[c] + s * cross[c] + (1 - o) * nu * n[c]);
         }
 }
 
@@ -591,7 +604,8 @@ static void views_reconstruct_what_the_formulas_say(void **state)
                 for (c = 0; c < 3; ++c) assert_near(x[3 * i + c], want[c], 0, 2e-13 * sizes[k] * 5);
                 sfem_modal_node(b, i, u, NULL, w);
                 for (c = 0; c < 3; ++c)
-                    assert_near(u[c], info.x[3 * i + c] + want[c], 0, 1e-14 * (10 + 100 * sizes[k]));
+                    assert_near(u[c], info.x[3 * i + c] + want[c], 0,
+                                1e-14 * (10 + 100 * sizes[k]));
             }
             sfem_modal_positions(b, few, x);
             sfem_modal_node(b, 7, u, NULL, NULL);
@@ -602,7 +616,8 @@ static void views_reconstruct_what_the_formulas_say(void **state)
             for (i = 0; i < info.surface_nodes; ++i) {
                 sfem_modal_node(b, info.surface_node[i], u, NULL, NULL);
                 assert_true(distance(u, x + 3 * i) <= 1e-14 * (10 + 100 * sizes[k]));
-                for (c = 0; c < 3; ++c) assert_near(f[5 * i + c], u[c], 0, 1e-6 * (5 + 20 * sizes[k]));
+                for (c = 0; c < 3; ++c)
+                    assert_near(f[5 * i + c], u[c], 0, 1e-6 * (5 + 20 * sizes[k]));
             }
         }
         sfem_modal_free(b);
@@ -735,7 +750,8 @@ static double axis_length(const scene *s, const double *u)
 static void warping_errors_are_those_of_the_theory(void **state)
 {
     static const double weight[3] = {2000, 5000, 10000}, drop[3] = {1.91, 4.21, 6.42};
-    static const double error[3][3] = {{0.108, 0.143, 0.022}, {0.638, 0.693, 0.130}, {2.20, 1.66, 0.369}};
+    static const double error[3][3] = {
+        {0.108, 0.143, 0.022}, {0.638, 0.693, 0.130}, {2.20, 1.66, 0.369}};
     static const double digits[3] = {0.0005, 0.0005, 0.005};
     hanging g = make_hanging();
     int i, w;
@@ -814,7 +830,8 @@ static sfem_int grab(sfem_modal *b, sfem_int node)
     return handle;
 }
 
-static void move_by(sfem_modal *b, sfem_int handle, const double from[3], double dx, double dy, double dz)
+static void move_by(sfem_modal *b, sfem_int handle, const double from[3], double dx, double dy,
+                    double dz)
 {
     const double target[3] = {from[0] + dx, from[1] + dy, from[2] + dz};
     sfem_error err;
@@ -840,7 +857,8 @@ static void a_handle_holds_its_node_at_its_target(void **state)
             handle = grab(b, s[kind].nodes - 1);
             sfem_modal_handle_position(b, handle, x0);
             for (i = 0; i < 120; ++i) {
-                const double t = fmin(i / 60.0, 1), r = 1.5 * t * t * (3 - 2 * t); /* a third of its length */
+                const double t = fmin(i / 60.0, 1),
+                             r = 1.5 * t * t * (3 - 2 * t); /* a third of its length */
                 move_by(b, handle, x0, -r * r / 5, 0.2 * r, r);
                 step(b, 1 / 60.0);
                 sfem_modal_node(b, s[kind].nodes - 1, x, NULL, NULL);
@@ -869,7 +887,8 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
         double x0[2][3], load[BEAM_MODES], got[2][BEAM_MODES], want[2][BEAM_MODES], f[2][3];
         sfem_int handle[2];
         sfem_error err;
-        assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+        /* turned loads would have to be known at the end of the step */
+        if (!warp) assert_ok(sfem_modal_set_gravity(b, g, &err), err);
         for (i = 0; i < 20; ++i) step(b, 0.01);
         handle[0] = grab(b, s.nodes - 1);
         assert_ok(sfem_modal_grab_region(b, 3, region, weight, &handle[1], &err), err);
@@ -913,6 +932,36 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
         /* pulled up, the hand pulls up */
         assert_true(f[0][2] + f[1][2] > 0);
         sfem_modal_free(b);
+    }
+    free_scene(&s);
+}
+
+/* Under turned loads, too, the error of Newmark and of the exact oscillators falls with the square of the step. */
+static void warped_motion_is_of_second_order(void **state)
+{
+    scene s = make_beam(1);
+    const double g[3] = {0, 0.3, -1};
+    int kind, level, i, k;
+    (void)state;
+    for (kind = 0; kind < 2; ++kind) {
+        double end[3][BEAM_MODES], coarse = 0, fine = 0;
+        for (level = 0; level < 3; ++level) {
+            const int count = level == 2 ? 6400 : 200 << level;
+            sfem_modal_def def = sfem_default_modal_def();
+            sfem_modal *b;
+            sfem_error err;
+            def.integrator = (sfem_modal_integrator)kind;
+            b = make_modal(&s, &def);
+            assert_ok(sfem_modal_set_gravity(b, g, &err), err);
+            for (i = 0; i < count; ++i) step(b, 4.0 / count);
+            memcpy(end[level], sfem_modal_coordinates(b), sizeof end[level]);
+            sfem_modal_free(b);
+        }
+        for (k = 0; k < 3; ++k) { /* those that the step resolves */
+            coarse += pow(end[0][k] - end[2][k], 2);
+            fine += pow(end[1][k] - end[2][k], 2);
+        }
+        assert_near(sqrt(coarse / fine), 4, 0.15, 0);
     }
     free_scene(&s);
 }
@@ -989,8 +1038,10 @@ static void noisy_handles_are_eased_by_compliance(void **state)
                     0.1 + 0.001 * random_normal(&random));
         }
         assert_ok(sfem_modal_solve_static(b, NULL, &err), err);
-        if (soft) assert_near(largest_displacement(b, &s), 0.104, 0.15, 0);
-        else assert_true(largest_displacement(b, &s) > 1);
+        if (soft)
+            assert_near(largest_displacement(b, &s), 0.104, 0.15, 0);
+        else
+            assert_true(largest_displacement(b, &s) > 1);
         /* and in motion, with new noise at each step */
         for (i = 0; soft && i < 100; ++i) {
             for (k = 0; k < 7; ++k) {
@@ -1025,7 +1076,8 @@ static void handles_in_any_number_stay_finite(void **state)
     }
     assert_status(sfem_modal_grab_node(b, 50, &i, &err), SFEM_FULL);
     for (i = 0; i < 200; ++i) step(b, 0.02);
-    assert_true(largest_displacement(b, &s) < 2); /* what least squares make of it without warping, too */
+    assert_true(largest_displacement(b, &s) <
+                2); /* what least squares make of it without warping, too */
     sfem_modal_handle_force(b, handle[23], f); /* cannot follow, and pulls nobody's hand */
     assert_true(f[0] == 0 && f[1] == 0 && f[2] == 0);
     assert_int_equal(sfem_modal_get_info(b).handle_rows_left, 3);
@@ -1099,7 +1151,8 @@ static void a_moving_node_that_is_grabbed_does_not_ring(void **state)
     const double bad = ringing(&s, 0.25, 0.5, SFEM_MODAL_NEWMARK);
     (void)state;
     print_message("|J q''| late over early: (1/4, 1/2) %.3g, default %.3g, exact %.3g\n", bad,
-                  ringing(&s, 0.3025, 0.6, SFEM_MODAL_NEWMARK), ringing(&s, 0.3025, 0.6, SFEM_MODAL_EXACT));
+                  ringing(&s, 0.3025, 0.6, SFEM_MODAL_NEWMARK),
+                  ringing(&s, 0.3025, 0.6, SFEM_MODAL_EXACT));
     assert_true(ringing(&s, 0.3025, 0.6, SFEM_MODAL_NEWMARK) < 0.01);
     assert_true(ringing(&s, 0.3025, 0.6, SFEM_MODAL_EXACT) < 0.01);
     free_scene(&s);
@@ -1167,7 +1220,8 @@ static void a_tumbling_body_keeps_its_momenta(void **state)
         assert_near(rigid.x[0], info.centre[0] + 2000 / 60.0, 1e-12, 0);
         for (i = 0; i < 3; ++i)
             for (c = 0; c < 3; ++c)
-                product[3 * i + c] = rigid.r[3 * i] * rigid.r[3 * c] + rigid.r[3 * i + 1] * rigid.r[3 * c + 1] +
+                product[3 * i + c] = rigid.r[3 * i] * rigid.r[3 * c] +
+                                     rigid.r[3 * i + 1] * rigid.r[3 * c + 1] +
                                      rigid.r[3 * i + 2] * rigid.r[3 * c + 2];
         for (i = 0; i < 9; ++i) assert_near(product[i], i % 4 == 0, 0, 1e-14);
         sfem_modal_free(b);
@@ -1281,7 +1335,8 @@ static void a_loaded_state_goes_on_as_the_saved_one(void **state)
         void *block = malloc(sfem_modal_state_size(a));
         sfem_error err;
         sfem_modal_save_state(a, block);
-        assert_status(sfem_modal_load_state(b, block, sfem_modal_state_size(a), &err), SFEM_MISMATCH);
+        assert_status(sfem_modal_load_state(b, block, sfem_modal_state_size(a), &err),
+                      SFEM_MISMATCH);
         free(block);
         sfem_modal_free(a);
         sfem_modal_free(b);
@@ -1295,7 +1350,8 @@ static void a_step_that_fails_leaves_the_state(void **state)
     scene s = make_beam(1);
     sfem_modal *b = plain_modal(&s, SFEM_WARP_NONE);
     double q[BEAM_MODES], bad[BEAM_MODES] = {0};
-    const double huge[3] = {1e308, 1e308, 1e308}, not_a_number[3] = {0, NAN, 0}, small[3] = {0, 0, 1};
+    const double huge[3] = {1e308, 1e308, 1e308}, not_a_number[3] = {0, NAN, 0},
+                 small[3] = {0, 0, 1};
     sfem_error err;
     int i;
     (void)state;
@@ -1439,6 +1495,7 @@ int main(void)
         cmocka_unit_test(a_handle_holds_its_node_at_its_target),
         cmocka_unit_test(the_force_of_a_handle_is_work_conjugate),
         cmocka_unit_test(the_work_of_a_hand_goes_into_the_body),
+        cmocka_unit_test(warped_motion_is_of_second_order),
         cmocka_unit_test(noisy_handles_are_eased_by_compliance),
         cmocka_unit_test(handles_in_any_number_stay_finite),
         cmocka_unit_test(redundant_handles_without_compliance_are_finite),

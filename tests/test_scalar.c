@@ -70,7 +70,8 @@ static void drop_pair(pair *p)
     free(p->x);
 }
 
-static sfem_ldl *make(const pair *p, int scalar, sfem_ordering ordering, int mixed, int keep, sfem_int threads)
+static sfem_ldl *make(const pair *p, int scalar, sfem_ordering ordering, int mixed, int keep,
+                      sfem_int threads)
 {
     sfem_ldl_def def = sfem_default_ldl_def();
     sfem_ldl *ldl;
@@ -123,8 +124,8 @@ static double residual(const sfem_matrix *s, sfem_int rhs, const sfem_real *b, c
 
 static void it_solves_for_any_size_ordering_and_number_of_right_sides(void **state)
 {
-    const sfem_int sides[][3] = {{1, 1, 1}, {2, 1, 1}, {5, 1, 1}, {3, 3, 2}, {13, 2, 1}, {7, 6, 5}, {40, 5, 4},
-                                 {13, 14, 12}};
+    const sfem_int sides[][3] = {{1, 1, 1},  {2, 1, 1}, {5, 1, 1},  {3, 3, 2},
+                                 {13, 2, 1}, {7, 6, 5}, {40, 5, 4}, {13, 14, 12}};
     size_t s;
     int ordering, mixed;
     sfem_int rhs;
@@ -132,7 +133,8 @@ static void it_solves_for_any_size_ordering_and_number_of_right_sides(void **sta
     for (s = 0; s < TEST_COUNT(sides); ++s) {
         pair p = grid(sides[s][0], sides[s][1], sides[s][2], 7 + s);
         const size_t n = (size_t)p.scalar.n;
-        sfem_real *b = (sfem_real *)malloc(19 * n * sizeof *b), *x = (sfem_real *)malloc(19 * n * sizeof *x);
+        sfem_real *b = (sfem_real *)malloc(19 * n * sizeof *b),
+                  *x = (sfem_real *)malloc(19 * n * sizeof *x);
         test_random random = {3};
         random_fill(&random, b, 19 * n, -1, 1);
         for (ordering = SFEM_ORDER_BEST; ordering <= SFEM_ORDER_NATURAL; ++ordering)
@@ -156,9 +158,11 @@ static void it_is_a_ninth_of_the_factor_of_the_blocks(void **state)
 {
     pair p = grid(16, 15, 14, 1);
     const size_t n = (size_t)p.scalar.n;
-    sfem_ldl *scalar = make(&p, 1, SFEM_ORDER_DISSECTION, 0, 0, 1), *block = make(&p, 0, SFEM_ORDER_DISSECTION, 0, 0, 1);
+    sfem_ldl *scalar = make(&p, 1, SFEM_ORDER_DISSECTION, 0, 0, 1),
+             *block = make(&p, 0, SFEM_ORDER_DISSECTION, 0, 0, 1);
     const sfem_ldl_info si = sfem_ldl_get_info(scalar), bi = sfem_ldl_get_info(block);
-    sfem_real *x = (sfem_real *)malloc(3 * n * sizeof *x), *y = (sfem_real *)malloc(3 * n * sizeof *y);
+    sfem_real *x = (sfem_real *)malloc(3 * n * sizeof *x),
+              *y = (sfem_real *)malloc(3 * n * sizeof *y);
     test_random random = {3};
     size_t i;
     int c;
@@ -172,7 +176,8 @@ static void it_is_a_ninth_of_the_factor_of_the_blocks(void **state)
     solve(block, 1, x, 1);
     solve(scalar, 3, y, 1);
     for (i = 0; i < n; ++i)
-        for (c = 0; c < 3; ++c) assert_near(y[(size_t)c * n + i], x[3 * i + (size_t)c], 1e-11, 1e-11);
+        for (c = 0; c < 3; ++c)
+            assert_near(y[(size_t)c * n + i], x[3 * i + (size_t)c], 1e-11, 1e-11);
     sfem_ldl_free(scalar);
     sfem_ldl_free(block);
     free(x);
@@ -258,7 +263,8 @@ static void what_is_wrong_with_a_matrix_is_named(void **state)
     cg.preconditioner = ldl; /* of another kind than the matrix of a cg */
     x = (sfem_real *)calloc(6 * (size_t)p.scalar.n, sizeof *x);
     work = (sfem_real *)malloc(sfem_cg_work_size(&cg, &p.block) * sizeof *work);
-    assert_status(sfem_cg_solve(&cg, &p.block, x, x + 3 * p.scalar.n, work, NULL, &err), SFEM_MISMATCH);
+    assert_status(sfem_cg_solve(&cg, &p.block, x, x + 3 * p.scalar.n, work, NULL, &err),
+                  SFEM_MISMATCH);
     free(x);
     free(work);
     sfem_ldl_free(ldl);

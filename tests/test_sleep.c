@@ -74,7 +74,8 @@ static double largest_speed(const scene *s, const sfem_body *body)
     sfem_int i;
     sfem_body_velocities(body, v);
     for (i = 0; i < s->mesh.nodes; ++i)
-        most = fmax(most, sqrt(v[3 * i] * v[3 * i] + v[3 * i + 1] * v[3 * i + 1] + v[3 * i + 2] * v[3 * i + 2]));
+        most = fmax(most, sqrt(v[3 * i] * v[3 * i] + v[3 * i + 1] * v[3 * i + 1] +
+                               v[3 * i + 2] * v[3 * i + 2]));
     free(v);
     return most;
 }
@@ -115,7 +116,8 @@ static void sleeps_and_stays(scene *s, sfem_body_def def, double h)
     assert_ok(sfem_body_solve_static(still, &err), err);
     for (i = 0; i < n; ++i)
         far = fmax(far, fabs(sfem_body_displacement(body)[i] - sfem_body_displacement(still)[i]));
-    assert_true(far < TOLERANCE / 4); /* a speed below the tolerance at 4/s and faster, the slowest mode */
+    assert_true(far < TOLERANCE /
+                          4); /* a speed below the tolerance at 4/s and faster, the slowest mode */
     hash = hash_displacement(s, body);
     before = sfem_body_energy(body);
     time = sfem_body_time(body);
@@ -134,7 +136,8 @@ static void sleeps_and_stays(scene *s, sfem_body_def def, double h)
         step(body, h);
         assert_true(largest_speed(s, body) <= TOLERANCE);
         after = sfem_body_energy(body);
-        assert_true(after.total <= before.total + 2e-3 * allowed); /* what the reading of v makes of it */
+        assert_true(after.total <=
+                    before.total + 2e-3 * allowed); /* what the reading of v makes of it */
     }
     sfem_body_free(body);
     sfem_body_free(still);
@@ -170,7 +173,8 @@ static void it_does_not_before_it_was_calm_for_the_time_asked_for(void **state)
     plain = make(&s, def);
     while (!sfem_body_is_asleep(body)) { /* awake it moves as it would without sleep, bit by bit */
         assert_true(hash_displacement(&s, body) == hash_displacement(&s, plain));
-        calm = largest_speed(&s, body) <= 0.98 * TOLERANCE ? calm + 1.0 / 64 : 0; /* v, not w: about the same */
+        calm = largest_speed(&s, body) <= 0.98 * TOLERANCE ? calm + 1.0 / 64
+                                                           : 0; /* v, not w: about the same */
         step(body, 1.0 / 64);
         step(plain, 1.0 / 64);
         assert_true(sfem_body_time(body) < 60);
@@ -224,7 +228,8 @@ static void a_swing_does_not_fall_asleep_at_its_turning_points(void **state)
         for (r = 0; r < TEST_COUNT(ratio); ++r) {
             int calm = 0, most = 0;
             def.sleep_tolerance = fastest / ratio[r];
-            def.sleep_time = asin(1 / ratio[r]) / TEST_PI * period * 0.8; /* of the time below the tolerance */
+            def.sleep_time =
+                asin(1 / ratio[r]) / TEST_PI * period * 0.8; /* of the time below the tolerance */
             body = make(&s, def);
             assert_ok(sfem_body_set_state(body, u, NULL, &err), err);
             for (k = 0; k < 2400; ++k) {
@@ -233,7 +238,8 @@ static void a_swing_does_not_fall_asleep_at_its_turning_points(void **state)
                 calm = largest_speed(&s, body) < def.sleep_tolerance ? calm + 1 : 0;
                 if (calm > most) most = calm;
             }
-            assert_true(most * h > def.sleep_time); /* it is the change of velocity that keeps it awake */
+            assert_true(most * h >
+                        def.sleep_time); /* it is the change of velocity that keeps it awake */
             sfem_body_free(body);
         }
         free(u);
@@ -313,7 +319,21 @@ static void the_step_at_which_it_sleeps_is_the_same_for_any_number_of_threads(vo
  * waking
  * -------------------------------------------------------------------------------------------- */
 
-enum { WAKE, FORCE, NODE_FORCE, GRAVITY, PIN, HANDLE, GRAB, RELEASE, SET_STATE, SET_PINS, STATIC, PREDICT, CAUSES };
+enum {
+    WAKE,
+    FORCE,
+    NODE_FORCE,
+    GRAVITY,
+    PIN,
+    HANDLE,
+    GRAB,
+    RELEASE,
+    SET_STATE,
+    SET_PINS,
+    STATIC,
+    PREDICT,
+    CAUSES
+};
 
 /* with `same` the cause that changes nothing, where there is such a one */
 static void provoke(scene *s, sfem_body *body, int cause, int same, sfem_int handle)
@@ -325,15 +345,22 @@ static void provoke(scene *s, sfem_body *body, int cause, int same, sfem_int han
     sfem_int other;
     int c;
     switch (cause) {
-    case WAKE: sfem_body_wake(body); break;
+    case WAKE:
+        sfem_body_wake(body);
+        break;
     case FORCE:
         all[3 * s->tip] = same ? 0.5 : 0.6;
         assert_ok(sfem_body_set_force(body, all, &err), err);
         break;
-    case NODE_FORCE: assert_ok(sfem_body_add_node_force(body, s->tip, push, &err), err); break;
-    case GRAVITY: assert_ok(sfem_body_set_gravity(body, g, &err), err); break;
+    case NODE_FORCE:
+        assert_ok(sfem_body_add_node_force(body, s->tip, push, &err), err);
+        break;
+    case GRAVITY:
+        assert_ok(sfem_body_set_gravity(body, g, &err), err);
+        break;
     case PIN:
-        for (c = 0; c < 3; ++c) x[c] = s->mesh.x[3 * node + c] + sfem_body_displacement(body)[3 * node + c];
+        for (c = 0; c < 3; ++c)
+            x[c] = s->mesh.x[3 * node + c] + sfem_body_displacement(body)[3 * node + c];
         x[1] += same ? 0 : 1e-3;
         assert_ok(sfem_body_move_pin(body, node, x, &err), err);
         break;
@@ -342,13 +369,26 @@ static void provoke(scene *s, sfem_body *body, int cause, int same, sfem_int han
         x[1] += same ? 0 : 1e-3;
         assert_ok(sfem_body_move_handle(body, handle, x, &err), err);
         break;
-    case GRAB: assert_ok(sfem_body_grab_node(body, s->tip - 1, &other, &err), err); break;
-    case RELEASE: sfem_body_release_handle(body, handle); break;
-    case SET_STATE: assert_ok(sfem_body_set_state(body, NULL, NULL, &err), err); break;
-    case SET_PINS: assert_ok(sfem_body_set_pins(body, s->pin_count, s->pins, NULL, &err), err); break;
-    case STATIC: assert_ok(sfem_body_solve_static(body, &err), err); break;
-    case PREDICT: assert_ok(sfem_body_predict(body, 1.0 / 60, &err), err); break;
-    default: break;
+    case GRAB:
+        assert_ok(sfem_body_grab_node(body, s->tip - 1, &other, &err), err);
+        break;
+    case RELEASE:
+        sfem_body_release_handle(body, handle);
+        break;
+    case SET_STATE:
+        assert_ok(sfem_body_set_state(body, NULL, NULL, &err), err);
+        break;
+    case SET_PINS:
+        assert_ok(sfem_body_set_pins(body, s->pin_count, s->pins, NULL, &err), err);
+        break;
+    case STATIC:
+        assert_ok(sfem_body_solve_static(body, &err), err);
+        break;
+    case PREDICT:
+        assert_ok(sfem_body_predict(body, 1.0 / 60, &err), err);
+        break;
+    default:
+        break;
     }
     free(all);
 }
