@@ -16417,7 +16417,13 @@ static void sfemi_guard_restore_momentum(sfem_body *b, sfem_real psi)
         memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
         memset(b->turn.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
     }
-    sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
+    memset(b->zk, 0, n * sizeof *b->zk);
+    sfemi_turn_add_motion(b, g->u, 1, 0, b->zk);
+    for (i = 0; i < n; ++i) { /* nor does its place, which then is where w' takes it */
+        g->w[i] += b->zk[i];
+        g->u[i] += b->step * b->zk[i];
+    }
+    sfemi_turn_locate(b, g->u);
     for (k = 0; k < b->turn.pieces; ++k) {
         memset(b->turn.piece[k].motion, 0, 3 * sizeof(sfem_real));
         memcpy(b->turn.piece[k].motion + 3, b->turn.piece[k].kept + 3, 3 * sizeof(sfem_real));

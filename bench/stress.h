@@ -1,0 +1,1416 @@
+/* stress.h - scenes that try to break a step, and what counts as having survived them.
+ *
+ * A scene is a family, a law, Young's modulus, Poisson's ratio, a step, a number of steps and a seed; a
+ * form is an integrator with its switches. stress_run(scene, form) gives a verdict. Nothing is printed, no
+ * clock is read but for the record, and the same scene gives the same verdict.
+ *
+ * A scene with a body runs twice. First undamped:
+ *   energy     Ec = 1/2 w.Mw + Psi(u) - F.u, w the mean velocity over the step, less the motion of the centre
+ *              of mass of a free body, computed here from positions alone. It may pass its start by half
+ *              of S, the largest energy in motion so far: the guard lets Ec pass its ledger by .3 S, its S
+ *              being taken in the middle of steps. With pieces and blades, the same of the whole body.
+ *   momentum   of free bodies, linear always, angular until a step is done again and for laws and methods that
+ *              keep it at all, within 1e-8 of the largest that a body with the energy S can have.
+ *   motion     some node moves by a hundredth of the body's size, or as far as the time allows.
+ * Then damped, with a fortieth of the slowest period for a step or the scene's own where that is larger, and
+ * without gravity:
+ *   shape      back at rest within a hundredth of the body's length, wherever it is by then. What has come to
+ *              rest in another shape, and goes back to that after it was shaken, has met another minimum of
+ *              its own energy (a knot, a tet that stays inverted): LOCKED, for which no integrator is to blame.
+ * Calm scenes also say how much energy a swing loses, and how many steps were done again. */
+#ifndef SFEM_BENCH_STRESS_H
+#define SFEM_BENCH_STRESS_H
+
+#include <math.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "softfem.h"
+
+#if defined(__GNUC__)
+#define STRESS_STATIC static __attribute__((unused))
+#else
+#define STRESS_STATIC static
+#endif
+
+/* ---- the list of things to do to a body ---- */
+
+#define STRESS_FAMILIES(X)                                                                          \
+    X(CALM, "calm", "a held bar swings under its weight, steps that resolve it; 1e4 steps")         \
+    X(TUMBLE, "tumble", "a free bar turns at 3 rad/s, steps that resolve that; 1e4 steps")          \
+    X(HANG, "hang", "a held bar under 9.81 m/s^2, however soft")                                    \
+    X(SPIN, "spin", "a free bar, 20 rad/s")                                                         \
+    X(KICK, "kick", "every node its own velocity, 10 m/s a component")                              \
+    X(POINT, "point", "all nodes at one point")                                                     \
+    X(SCATTER, "scatter", "nodes at random places in the bar's box")                                \
+    X(INVERT, "invert", "turned inside out through its centre")                                     \
+    X(HANDLE, "handle", "a node taken to and fro at 100 m/s, then dropped")                         \
+    X(MASS, "mass", "densities 1e6 apart, mixed; kicked, half of them held")                        \
+    X(STIFF, "stiff", "moduli 1e6 apart, mixed; kicked, half of them held")                         \
+    X(SLIVER, "sliver", "tets of quality down to 1e-6; kicked, half of them held")                  \
+    X(SOLID, "solid", "nu = .4999; kicked, half of them held")                                      \
+    X(BREAK, "break", "a kicked bar of scattered toughness, edges broken at random besides")        \
+    X(BLADE, "blade", "a swinging bar cut by a blade at random, every 50 steps")                    \
+    X(MODAL, "modal", "modal body: noisy, redundant, contradicting handles, released at random")    \
+    X(STREAM, "stream", "modal body over a link that loses, repeats, delays, damages")              \
+    X(EIGEN, "eigen", "modes of slivers, plates, pieces, mixed moduli and masses, odd pins")
+
+typedef enum stress_family {
+#define STRESS_ENUM(name, text, about) STRESS_##name,
+    STRESS_FAMILIES(STRESS_ENUM)
+#undef STRESS_ENUM
+    STRESS_FAMILY_COUNT
+} stress_family;
+
+#define STRESS_FORMS(X)                                                                             \
+    X(DEFAULT, "default", "(p,q,r), factor turned with each node, guarded")                         \
+    X(CORRECTED, "corrected", "the same with two corrections")                                      \
+    X(UNGUARDED, "unguarded", "the default without its guard")                                      \
+    X(REST, "rest-pose", "factor of the rest pose, p = 1/4, no guard: the source's form")           \
+    X(MAJORANT, "majorant", "the isotropic majorant for a factor, guarded")                         \
+    X(ZSZ, "zsz", "the source's damage law, p as that asks, guarded")                               \
+    X(KR, "kr-alpha", "KR-alpha, rho_inf .8, guarded")                                              \
+    X(NEWMARK, "newmark", "trapezoidal rule, Newton to convergence")                                \
+    X(SEMI, "semi-impl", "the same, one iteration")                                                 \
+    X(EULER, "b-euler", "backward Euler, Newton")                                                   \
+    X(HHT, "hht", "HHT .1, Newton")                                                                 \
+    X(ALPHA, "gen-alpha", "generalized-alpha, rho_inf .8, Newton")                                  \
+    X(BATHE, "bathe", "Bathe, Newton")                                                              \
+    X(CENTRAL, "central", "central difference at half its stable step (fewer seconds)")             \
+    X(BEYOND, "central h", "central difference at the step of the scene, refused beyond its limit") \
+    X(EXACT, "modal exact", "modal bodies by exact oscillators")                                    \
+    X(NAIVE, "modal naive", "modal bodies with (1/4,1/2) and no compliance while held, as printed")
+
+typedef enum stress_form {
+#define STRESS_ENUM(name, text, about) STRESS_FORM_##name,
+    STRESS_FORMS(STRESS_ENUM)
+#undef STRESS_ENUM
+    STRESS_FORM_COUNT
+} stress_form;
+
+#define STRESS_VERDICTS(X)                                                                          \
+    X(PASSED, '+', "passed")                                                                        \
+    X(REFUSED, 'r', "refused: the step is beyond the stability limit")                              \
+    X(LOCKED, 'k', "locked: at rest in another minimum of its own energy")                          \
+    X(NOT_FINITE, 'N', "not finite")                                                                \
+    X(ENERGY, 'E', "energy above its start")                                                        \
+    X(MOMENTUM, 'M', "momentum lost")                                                               \
+    X(SHAPE, 'S', "not back at rest")                                                               \
+    X(STILL, 'V', "did not move")                                                                   \
+    X(LOSSY, 'L', "calm motion lost too much, or was done again too often")                         \
+    X(UNCONVERGED, 'C', "did not converge")                                                         \
+    X(WRONG, 'W', "wrong result")                                                                   \
+    X(ERROR, '!', "an error was returned")
+
+typedef enum stress_verdict {
+#define STRESS_ENUM(name, letter, about) STRESS_IS_##name,
+    STRESS_VERDICTS(STRESS_ENUM)
+#undef STRESS_ENUM
+    STRESS_VERDICT_COUNT
+} stress_verdict;
+
+typedef struct stress_scene {
+    stress_family family;
+    sfem_law law;
+    double young, poisson, h;
+    int steps;
+    uint64_t seed;
+    char name[72];
+} stress_scene;
+
+typedef struct stress_result {
+    stress_verdict verdict;
+    double excess;            /* most that Ec was above its start, in S */
+    double linear, angular;   /* momenta, relative, at worst */
+    double shape;             /* of its length, at last */
+    double lost, redo;        /* energy a swing, of S; share of steps done again */
+    int steps, damped_steps;
+    int inverted;             /* tets, at last */
+    double seconds;
+    char why[280];
+} stress_result;
+
+#define STRESS_ENERGY_TOLERANCE 0.5
+#define STRESS_MOMENTUM_TOLERANCE 1e-8
+#define STRESS_SHAPE_TOLERANCE 0.01
+#define STRESS_LOSS_TOLERANCE 0.01 /* of S, a swing */
+#define STRESS_REDO_TOLERANCE 0.02 /* of the steps */
+
+STRESS_STATIC const char *stress_family_name(int k)
+{
+#define STRESS_TEXT(name, text, about) text,
+    static const char *const names[] = {STRESS_FAMILIES(STRESS_TEXT)};
+    return names[k];
+}
+
+STRESS_STATIC const char *stress_family_about(int k)
+{
+#define STRESS_ABOUT(name, text, about) about,
+    static const char *const names[] = {STRESS_FAMILIES(STRESS_ABOUT)};
+    return names[k];
+}
+
+STRESS_STATIC const char *stress_form_name(int k)
+{
+    static const char *const names[] = {STRESS_FORMS(STRESS_TEXT)};
+    return names[k];
+}
+
+STRESS_STATIC const char *stress_form_about(int k)
+{
+    static const char *const names[] = {STRESS_FORMS(STRESS_ABOUT)};
+    return names[k];
+}
+
+STRESS_STATIC char stress_letter(int k)
+{
+#define STRESS_LETTER(name, letter, about) letter,
+    static const char letters[] = {STRESS_VERDICTS(STRESS_LETTER)};
+    return letters[k];
+}
+
+STRESS_STATIC const char *stress_verdict_about(int k)
+{
+    static const char *const names[] = {STRESS_VERDICTS(STRESS_ABOUT)};
+    return names[k];
+}
+
+/* ---- random numbers: splitmix64 [Steele, Lea, Flood 2014] ---- */
+
+STRESS_STATIC double stress_uniform(uint64_t *state, double low, double high)
+{
+    uint64_t z = (*state += 0x9e3779b97f4a7c15u);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return low + (high - low) * ((double)((z ^ (z >> 31)) >> 11) / 9007199254740992.0);
+}
+
+STRESS_STATIC double stress_normal(uint64_t *state)
+{
+    const double r = sqrt(-2 * log(1 - stress_uniform(state, 0, 1)));
+    return r * cos(6.283185307179586 * stress_uniform(state, 0, 1));
+}
+
+STRESS_STATIC int stress_below(uint64_t *state, int n)
+{
+    const int k = (int)stress_uniform(state, 0, n);
+    return k < n ? k : n - 1;
+}
+
+/* ---- bodies ---- */
+
+enum { STRESS_NODES = 160 };
+
+typedef struct stress_body {
+    const stress_scene *scene;
+    sfem_mesh mesh;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_int pins[32], pin_count;
+    sfem_damage_def damage;
+    int held, broken;
+    double centre[3], size, mass, period, gravity;
+    double *work;
+    double u0[3 * STRESS_NODES], v0[3 * STRESS_NODES], f[3 * STRESS_NODES];
+    double start[3 * STRESS_NODES], before[3 * STRESS_NODES];
+} stress_body;
+
+STRESS_STATIC void stress_note(stress_result *r, stress_verdict verdict, const char *why)
+{
+    if (r->verdict != STRESS_IS_PASSED) return; /* the first stands */
+    r->verdict = verdict;
+    snprintf(r->why, sizeof r->why, "%s", why);
+}
+
+/* Puts a node into a tet at distance `near` of its height from a face: one sliver, three fair tets. */
+STRESS_STATIC void stress_split(sfem_mesh *mesh, sfem_int tet, double near)
+{
+    const sfem_int node = mesh->nodes++;
+    sfem_int corner[4];
+    int c, k;
+    memcpy(corner, mesh->tet + 4 * tet, sizeof corner);
+    for (c = 0; c < 3; ++c) {
+        mesh->x[3 * node + c] = near * mesh->x[3 * corner[0] + c];
+        for (k = 1; k < 4; ++k)
+            mesh->x[3 * node + c] += (1 - near) / 3 * mesh->x[3 * corner[k] + c];
+    }
+    for (k = 0; k < 4; ++k) {
+        sfem_int *to = mesh->tet + 4 * (k ? mesh->tets++ : tet);
+        memcpy(to, corner, sizeof corner);
+        to[k] = node; /* k = 0: the face opposite corner 0 and the node near it */
+    }
+}
+
+STRESS_STATIC sfem_status stress_mesh(stress_body *s, uint64_t *random, sfem_error *err)
+{
+    static const sfem_int cells[3] = {5, 2, 2};
+    static const sfem_real size[3] = {0.5, 0.2, 0.2};
+    sfem_status status;
+    sfem_mesh block;
+    sfem_int i;
+    status = sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &block, err);
+    if (status) return status;
+    s->mesh = block;
+    s->mesh.x = (sfem_real *)malloc(3 * STRESS_NODES * sizeof(sfem_real));
+    s->mesh.tet = (sfem_int *)malloc(16 * STRESS_NODES * sizeof(sfem_int));
+    s->mesh.region = NULL;
+    memcpy(s->mesh.x, block.x, 3 * (size_t)block.nodes * sizeof(sfem_real));
+    memcpy(s->mesh.tet, block.tet, 4 * (size_t)block.tets * sizeof(sfem_int));
+    sfem_mesh_free(&block);
+    for (i = 0; i < s->mesh.nodes; ++i)
+        if (s->mesh.x[3 * i] < 1e-9) s->pins[s->pin_count++] = i;
+    for (i = 0; i < 3 * s->mesh.nodes; ++i)
+        s->mesh.x[i] += stress_uniform(random, -0.01, 0.01); /* no symmetry hides a mistake */
+    for (i = 0; i < 3; ++i) s->centre[i] = size[i] / 2;
+    s->size = size[0];
+    if (s->scene->family == STRESS_SLIVER)
+        for (i = 0; i < 6; ++i) /* quality about .6, .. down to 1e-6 */
+            stress_split(&s->mesh, 3 + 15 * i, pow(10, -1.0 - i));
+    return SFEM_OK;
+}
+
+STRESS_STATIC sfem_status stress_model(stress_body *s, uint64_t *random, sfem_error *err)
+{
+    const stress_scene *scene = s->scene;
+    sfem_model_def def = sfem_default_model_def();
+    sfem_material material[2];
+    sfem_int index[4 * STRESS_NODES], i;
+    material[0] = sfem_default_material();
+    material[0].law = scene->law;
+    material[0].young = scene->young;
+    material[0].poisson = scene->poisson;
+    material[1] = material[0];
+    if (scene->family == STRESS_MASS) material[0].density = 1, material[1].density = 1e6;
+    if (scene->family == STRESS_STIFF)
+        material[0].young = scene->young * 1e-3, material[1].young = scene->young * 1e3;
+    for (i = 0; i < s->mesh.tets; ++i) index[i] = stress_below(random, 2);
+    def.mesh = &s->mesh;
+    def.materials = material;
+    def.material_count = 2;
+    def.tet_material = index;
+    return sfem_model_create(&def, &s->model, err);
+}
+
+/* The slowest period, s; that of a rod where it cannot be computed. */
+STRESS_STATIC double stress_period(const stress_body *s)
+{
+    sfem_modes_def def = sfem_default_modes_def();
+    sfem_modes modes;
+    double period = 2 * s->size / sqrt(s->scene->young / 1000);
+    def.modes = 1;
+    def.pins = s->pins;
+    def.pin_count = s->held ? s->pin_count : 0;
+    if (sfem_modes_create(s->model, &def, &modes, NULL)) return period;
+    if (modes.lambda[0] > 0) period = 6.283185307179586 / sqrt(modes.lambda[0]);
+    sfem_modes_free(&modes);
+    return period;
+}
+
+STRESS_STATIC int stress_is_held(const stress_scene *s)
+{
+    switch (s->family) {
+    case STRESS_CALM:
+    case STRESS_HANG: return 1;
+    case STRESS_HANDLE:
+    case STRESS_MASS:
+    case STRESS_STIFF:
+    case STRESS_SLIVER:
+    case STRESS_SOLID:
+    case STRESS_BREAK:
+    case STRESS_BLADE: return (int)(s->seed % 2);
+    default: return 0;
+    }
+}
+
+STRESS_STATIC sfem_body_def stress_def(const stress_body *s, stress_form form, double h)
+{
+    sfem_body_def def = sfem_default_body_def();
+    (void)h;
+    if (s->held) def.pins = s->pins, def.pin_count = s->pin_count;
+    def.max_handles = 2;
+    if (s->broken) def.damage = &s->damage;
+    switch (form) {
+    case STRESS_FORM_CORRECTED: def.corrections = 2; break;
+    case STRESS_FORM_UNGUARDED: def.no_guard = 1; break;
+    case STRESS_FORM_REST:
+        def.no_guard = 1;
+        def.frame = SFEM_FRAME_REST;
+        def.p = 0.25;
+        break;
+    case STRESS_FORM_MAJORANT: def.frame = SFEM_FRAME_MAJORANT; break;
+    case STRESS_FORM_KR: def.integrator = SFEM_KR_ALPHA; break;
+    case STRESS_FORM_SEMI: def.newton.iterations = 1; /* fall through */
+    case STRESS_FORM_NEWMARK: def.integrator = SFEM_NEWMARK; break;
+    case STRESS_FORM_EULER: def.integrator = SFEM_BACKWARD_EULER; break;
+    case STRESS_FORM_HHT: def.integrator = SFEM_HHT; break;
+    case STRESS_FORM_ALPHA: def.integrator = SFEM_GENERALIZED_ALPHA; break;
+    case STRESS_FORM_BATHE: def.integrator = SFEM_BATHE; break;
+    case STRESS_FORM_CENTRAL:
+    case STRESS_FORM_BEYOND: def.integrator = SFEM_CENTRAL; break;
+    default: break;
+    }
+    if (form > STRESS_FORM_SEMI && form <= STRESS_FORM_BATHE) def.newton.iterations = 100;
+    if (form == STRESS_FORM_NEWMARK) def.newton.iterations = 100;
+    return def;
+}
+
+STRESS_STATIC int stress_is_newton(stress_form form)
+{
+    return form >= STRESS_FORM_NEWMARK && form <= STRESS_FORM_BATHE;
+}
+
+/* Which forms mean anything to a family. */
+STRESS_STATIC int stress_applies(stress_family family, stress_form form)
+{
+    const int breaks = family == STRESS_BREAK || family == STRESS_BLADE;
+    const int modal = family >= STRESS_MODAL;
+    if (modal)
+        return form == STRESS_FORM_DEFAULT ||
+               (family == STRESS_MODAL && form >= STRESS_FORM_EXACT);
+    if (form >= STRESS_FORM_EXACT) return 0;
+    if (breaks)
+        return form <= STRESS_FORM_REST || form == STRESS_FORM_ZSZ || form == STRESS_FORM_CENTRAL;
+    return form != STRESS_FORM_ZSZ;
+}
+
+STRESS_STATIC void stress_free(stress_body *s)
+{
+    sfem_body_free(s->body);
+    sfem_model_free(s->model);
+    free(s->mesh.x);
+    free(s->mesh.tet);
+    free(s->work);
+    memset(s, 0, sizeof *s);
+}
+
+STRESS_STATIC sfem_status stress_build(const stress_scene *scene, stress_form form,
+                                       uint64_t *random, stress_body *s, sfem_error *err)
+{
+    sfem_status status;
+    memset(s, 0, sizeof *s);
+    s->scene = scene;
+    s->held = stress_is_held(scene);
+    status = stress_mesh(s, random, err);
+    if (!status) status = stress_model(s, random, err);
+    if (status) return status;
+    s->work = (double *)malloc(sfem_model_work_size(s->model) * sizeof *s->work);
+    s->mass = sfem_model_total_mass(s->model);
+    s->period = stress_period(s);
+    s->gravity = scene->family == STRESS_HANG ? 9.81 : 0;
+    if (scene->family == STRESS_CALM) /* sags by a fiftieth of its length, g/omega^2 or so */
+        s->gravity = 0.02 * s->size * pow(6.283185307179586 / s->period, 2);
+    s->broken = scene->family == STRESS_BREAK || scene->family == STRESS_BLADE;
+    s->damage = sfem_default_damage_def();
+    s->damage.weibull = 3;
+    s->damage.seed = scene->seed;
+    if (form == STRESS_FORM_ZSZ) s->damage.law = SFEM_DAMAGE_ZSZ;
+    /* what a kick of 10 m/s could pay for a few times over: 1/2 rho v^2 a cell */
+    s->damage.toughness = scene->family == STRESS_BLADE ? 1e12 : 0.02 * 500 * 300 * 0.1;
+    return SFEM_OK;
+}
+
+STRESS_STATIC void stress_cross(const double *a, const double *b, double *out)
+{
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* u0, v0 */
+STRESS_STATIC void stress_state(stress_body *s, uint64_t *random)
+{
+    const stress_family family = s->scene->family;
+    double spin[3] = {0, 0, 20}, r[3];
+    sfem_int i;
+    int c;
+    if (family == STRESS_TUMBLE || family == STRESS_BLADE) spin[0] = 1, spin[1] = 2, spin[2] = 2;
+    if (family == STRESS_TUMBLE) /* 1e-2 of the slowest mode, so that it hardly stretches */
+        for (c = 0; c < 3; ++c) spin[c] = fmin(spin[c], 0.05 * 6.28 / s->period);
+    for (i = 0; i < s->mesh.nodes; ++i) {
+        double *u = s->u0 + 3 * i, *v = s->v0 + 3 * i;
+        for (c = 0; c < 3; ++c) r[c] = s->mesh.x[3 * i + c] - s->centre[c];
+        if (family == STRESS_SPIN || family == STRESS_TUMBLE || family == STRESS_BLADE)
+            stress_cross(spin, r, v);
+        for (c = 0; c < 3; ++c) {
+            switch (family) {
+            case STRESS_KICK:
+            case STRESS_MASS:
+            case STRESS_STIFF:
+            case STRESS_SLIVER:
+            case STRESS_SOLID:
+            case STRESS_BREAK: v[c] = 10 * stress_normal(random); break;
+            case STRESS_POINT: u[c] = -r[c]; break;
+            case STRESS_SCATTER:
+                u[c] = 2 * s->centre[c] * stress_uniform(random, -0.5, 0.5) - r[c];
+                break;
+            case STRESS_INVERT: u[c] = -2 * r[c]; break;
+            default: break;
+            }
+        }
+    }
+    for (i = 0; s->held && i < s->pin_count; ++i)
+        for (c = 0; c < 3; ++c) s->u0[3 * s->pins[i] + c] = s->v0[3 * s->pins[i] + c] = 0;
+}
+
+/* ---- what is watched ---- */
+
+typedef struct stress_watch {
+    double start, scale, largest; /* Ec at the start; kinetic + elastic: now, at most */
+    double p0[3], l0[3];          /* momenta at the start */
+    double moved, speed;          /* of any node, at most; at the start */
+    int begun;
+} stress_watch;
+
+/* Ec and both momenta of mean velocity (u - before)/h at u. */
+STRESS_STATIC double stress_measure(stress_body *s, const double *u, const double *before, double h,
+                                    stress_watch *w, double p[3], double l[3])
+{
+    const double *mass = sfem_model_node_mass(s->model);
+    double kinetic = 0, load = 0, psi, place = 0;
+    sfem_int i;
+    int c;
+    memset(p, 0, 3 * sizeof *p);
+    memset(l, 0, 3 * sizeof *l);
+    psi = s->broken && s->body && u == sfem_body_displacement(s->body)
+              ? sfem_body_energy(s->body).elastic
+              : sfem_model_forces(s->model, u, SFEM_DOUBLE, s->f, NULL, NULL, s->work, NULL);
+    for (i = 0; i < s->mesh.nodes; ++i) {
+        double x[3], m[3], t[3];
+        for (c = 0; c < 3; ++c) {
+            const double v = (u[3 * i + c] - before[3 * i + c]) / h;
+            x[c] = s->mesh.x[3 * i + c] + u[3 * i + c];
+            m[c] = mass[i] * v;
+            kinetic += m[c] * v / 2;
+            p[c] += m[c];
+        }
+        load += mass[i] * s->gravity * u[3 * i + 1];
+        place += mass[i] * u[3 * i + 1];
+        stress_cross(x, m, t);
+        for (c = 0; c < 3; ++c) l[c] += t[c];
+    }
+    if (!s->held) {
+        for (c = 0; c < 3; ++c) kinetic -= p[c] * p[c] / (2 * s->mass);
+        load -= s->gravity * place;
+    }
+    w->scale = kinetic + psi;
+    return kinetic + psi + load;
+}
+
+STRESS_STATIC double stress_norm3(const double *a, const double *b)
+{
+    double sum = 0;
+    int c;
+    for (c = 0; c < 3; ++c) sum += (a[c] - b[c]) * (a[c] - b[c]);
+    return sqrt(sum);
+}
+
+STRESS_STATIC void stress_begin(stress_body *s, stress_watch *w, double h)
+{
+    const double *mass = sfem_model_node_mass(s->model);
+    sfem_int i;
+    memset(w, 0, sizeof *w);
+    for (i = 0; i < 3 * s->mesh.nodes; ++i) {
+        s->before[i] = s->u0[i] - h * s->v0[i];
+        w->speed = fmax(w->speed, fabs(s->v0[i]));
+    }
+    memcpy(s->start, s->u0, sizeof s->start);
+    w->start = stress_measure(s, s->u0, s->before, h, w, w->p0, w->l0);
+    w->largest = w->scale;
+    for (i = 0; s->held && i < s->mesh.nodes; ++i)
+        w->largest += h * h / 2 * mass[i] * s->gravity * s->gravity;
+    w->begun = 1;
+}
+
+/* Angular momentum is kept: of laws that know rotations, by methods that take forces where they are. */
+STRESS_STATIC int stress_keeps_angular(const stress_body *s, stress_form form)
+{
+    if (s->scene->law == SFEM_LINEAR) return 0;
+    return form == STRESS_FORM_DEFAULT || form == STRESS_FORM_UNGUARDED ||
+           form == STRESS_FORM_CENTRAL || form == STRESS_FORM_BEYOND;
+}
+
+/* After a step: energy and momenta. Returns 0 if the run has to end. */
+STRESS_STATIC int stress_check(stress_body *s, stress_form form, stress_watch *w, double h,
+                               stress_result *r)
+{
+    const double *u = sfem_body_displacement(s->body);
+    double p[3], l[3], e, allowed, reach = 0, push;
+    sfem_int i;
+    e = stress_measure(s, u, s->before, h, w, p, l);
+    if (!isfinite(e)) {
+        stress_note(r, STRESS_IS_NOT_FINITE, "energy");
+        return 0;
+    }
+    /* a run that grows is compared with what it had, not with itself */
+    if (e - w->start <= w->largest) w->largest = fmax(w->largest, fmin(w->scale, 2 * w->largest));
+    if (w->largest > 0) r->excess = fmax(r->excess, (e - w->start) / w->largest);
+    if (r->excess > STRESS_ENERGY_TOLERANCE) {
+        snprintf(r->why, sizeof r->why, "%.3g S above its start after %d steps", r->excess, r->steps);
+        if (r->verdict == STRESS_IS_PASSED) r->verdict = STRESS_IS_ENERGY;
+        return r->excess < 1e3; /* how far it goes */
+    }
+    for (i = 0; i < 3 * s->mesh.nodes; ++i) {
+        w->moved = fmax(w->moved, fabs(u[i] - s->start[i]));
+        reach = fmax(reach, fabs(s->mesh.x[i] + u[i]));
+    }
+    if (s->held || s->gravity > 0) return 1;
+    push = sqrt(2 * s->mass * w->largest) + stress_norm3(w->p0, (const double[3]){0, 0, 0});
+    allowed = STRESS_MOMENTUM_TOLERANCE;
+    r->linear = fmax(r->linear, stress_norm3(p, w->p0) / push);
+    if (stress_keeps_angular(s, form) && sfem_body_get_info(s->body).redone == 0)
+        r->angular = fmax(r->angular, stress_norm3(l, w->l0) / (push * (reach + s->size)));
+    if (!(r->linear <= allowed && r->angular <= allowed)) {
+        char why[96];
+        snprintf(why, sizeof why, "off by %.2g (linear), %.2g (angular) after %d steps", r->linear,
+                 r->angular, r->steps);
+        stress_note(r, STRESS_IS_MOMENTUM, why);
+    }
+    return 1;
+}
+
+/* The largest distance from the rest shape, best turned and moved, over the body's length; of a linear body,
+ * which knows no rotations, the root mean square strain. */
+STRESS_STATIC double stress_misshape(stress_body *s)
+{
+    const double *mass = sfem_model_node_mass(s->model);
+    double x[3 * STRESS_NODES], c[3] = {0, 0, 0}, d[3] = {0, 0, 0}, a[9] = {0}, q[9], most = 0;
+    sfem_int i;
+    int j, k;
+    if (s->scene->law == SFEM_LINEAR)
+        return sqrt(2 * sfem_model_elastic_energy(s->model, sfem_body_displacement(s->body)) /
+                    (s->scene->young * 0.02));
+    sfem_body_positions(s->body, x);
+    for (i = 0; i < 3 * s->mesh.nodes; ++i) {
+        c[i % 3] += mass[i / 3] * x[i] / s->mass;
+        d[i % 3] += mass[i / 3] * s->mesh.x[i] / s->mass;
+    }
+    for (i = 0; i < s->mesh.nodes; ++i)
+        for (j = 0; j < 3; ++j)
+            for (k = 0; k < 3; ++k)
+                a[3 * j + k] +=
+                    mass[i] * (x[3 * i + j] - c[j]) * (s->mesh.x[3 * i + k] - d[k]);
+    sfem_polar(a, q, NULL);
+    for (i = 0; i < s->mesh.nodes; ++i) {
+        double away[3];
+        for (j = 0; j < 3; ++j) {
+            away[j] = x[3 * i + j] - c[j];
+            for (k = 0; k < 3; ++k) away[j] -= q[3 * j + k] * (s->mesh.x[3 * i + k] - d[k]);
+        }
+        most = fmax(most, sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2]));
+    }
+    return most / s->size;
+}
+
+STRESS_STATIC void stress_failed(stress_result *r, const sfem_error *err)
+{
+    stress_note(r,
+                err->status == SFEM_UNSTABLE        ? STRESS_IS_REFUSED
+                : err->status == SFEM_NOT_CONVERGED ? STRESS_IS_UNCONVERGED
+                : err->status == SFEM_NOT_SPD       ? STRESS_IS_UNCONVERGED
+                : err->status == SFEM_NOT_FINITE    ? STRESS_IS_NOT_FINITE
+                                                    : STRESS_IS_ERROR,
+                err->text);
+}
+
+/* ---- what is done while it runs ---- */
+
+typedef struct stress_deed {
+    sfem_int handle;
+    int holding;
+    double target[3], home[3], velocity[3];
+} stress_deed;
+
+/* The node at the far end: 100 m/s to and fro, within three lengths of the body, for a quarter of the run. */
+STRESS_STATIC sfem_status stress_wield(stress_body *s, stress_deed *d, int step, double h,
+                                       uint64_t *random, sfem_error *err)
+{
+    int c;
+    sfem_status status;
+    double away = 0;
+    if (step == 0) {
+        status = sfem_body_grab_node(s->body, s->mesh.nodes - 1, &d->handle, err);
+        if (status) return status;
+        sfem_body_handle_position(s->body, d->handle, d->home);
+        memcpy(d->target, d->home, sizeof d->target);
+        d->holding = 1;
+    }
+    if (!d->holding) return SFEM_OK;
+    for (c = 0; c < 3; ++c)
+        away += (d->target[c] - d->home[c]) * d->velocity[c];
+    if (step == 0 || away > 100 * 3 * s->size || stress_below(random, 40) == 0) {
+        double n = 0;
+        for (c = 0; c < 3; ++c) {
+            d->velocity[c] = stress_normal(random) - (away > 0 ? d->target[c] - d->home[c] : 0);
+            n += d->velocity[c] * d->velocity[c];
+        }
+        for (c = 0; c < 3; ++c) d->velocity[c] *= 100 / sqrt(n);
+    }
+    for (c = 0; c < 3; ++c) d->target[c] += h * d->velocity[c];
+    return sfem_body_move_handle(s->body, d->handle, d->target, err);
+}
+
+/* Is it where it was sent? */
+STRESS_STATIC void stress_held_where(stress_body *s, const stress_deed *d, stress_result *r)
+{
+    double x[3];
+    sfem_body_handle_position(s->body, d->handle, x);
+    if (!(stress_norm3(x, d->target) <=
+          1e-9 * (s->size + stress_norm3(d->target, d->home))))
+        stress_note(r, STRESS_IS_WRONG, "the handle is not at its target");
+}
+
+STRESS_STATIC sfem_status stress_damage(stress_body *s, int step, uint64_t *random, sfem_error *err)
+{
+    if (s->scene->family == STRESS_BREAK && step % 20 == 10) {
+        const sfem_int *tet = s->mesh.tet + 4 * stress_below(random, (int)s->mesh.tets);
+        const int a = stress_below(random, 4);
+        return sfem_body_break_edge(s->body, tet[a], tet[(a + 1) % 4], err);
+    }
+    if (s->scene->family == STRESS_BLADE && step % 50 == 10 && step < 500) {
+        double x[3 * STRESS_NODES], blade[2][9];
+        const int at = stress_below(random, (int)s->mesh.nodes);
+        int k;
+        sfem_body_positions(s->body, x);
+        for (k = 0; k < 9; ++k) {
+            blade[0][k] = x[3 * at + k % 3] + 0.3 * stress_normal(random);
+            blade[1][k] = blade[0][k];
+        }
+        for (k = 0; k < 9; ++k) blade[1][k] += 0.1 * stress_normal(random);
+        return sfem_body_cut(s->body, blade[0], blade[1], NULL, err);
+    }
+    return SFEM_OK;
+}
+
+/* Work in all is bounded, by the forces that it takes: a run of the implicit methods, or one that does all its
+ * steps again, may be shorter. */
+#define STRESS_ITERATIONS 2500
+#define STRESS_DESCENTS 40000
+
+/* The undamped part. */
+STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, uint64_t *random,
+                                   stress_result *r)
+{
+    const int wield = s->scene->family == STRESS_HANDLE ? s->scene->steps / 4 : 0;
+    stress_watch w;
+    stress_deed deed;
+    sfem_error err;
+    int64_t iterations = 0;
+    double swing[2] = {0, 0}, per_swing = s->period / h;
+    int count[2] = {0, 0}, k;
+    memset(&deed, 0, sizeof deed);
+    stress_begin(s, &w, h);
+    for (k = 0; k < s->scene->steps && iterations < STRESS_ITERATIONS &&
+         sfem_body_get_info(s->body).descents < STRESS_DESCENTS;
+         ++k) {
+        sfem_status status = SFEM_OK;
+        if (k < wield) status = stress_wield(s, &deed, k, h, random, &err);
+        if (wield && k == wield) sfem_body_release_handle(s->body, deed.handle);
+        if (s->broken && !status) status = stress_damage(s, k, random, &err);
+        memcpy(s->before, sfem_body_displacement(s->body),
+               3 * (size_t)s->mesh.nodes * sizeof(double));
+        if (status == SFEM_BAD_ARGUMENT) status = SFEM_OK; /* no such edge */
+        if (!status) status = sfem_body_step(s->body, h, &err);
+        if (status) {
+            char at[32];
+            stress_failed(r, &err);
+            snprintf(at, sizeof at, " (step %d)", k);
+            strncat(r->why, at, sizeof r->why - strlen(r->why) - 1);
+            break;
+        }
+        r->steps = k + 1;
+        if (stress_is_newton(form)) iterations += sfem_body_newton(s->body).iterations;
+        if (k < wield) {
+            stress_held_where(s, &deed, r);
+            if (k + 1 == wield) { /* from here on it is left alone */
+                w.start = stress_measure(s, sfem_body_displacement(s->body), s->before, h, &w,
+                                         w.p0, w.l0);
+                w.largest = w.scale;
+            }
+            continue;
+        }
+        if (wield && k == wield) { /* momenta from the first step that no hand touched */
+            const double e = w.start;
+            stress_measure(s, sfem_body_displacement(s->body), s->before, h, &w, w.p0, w.l0);
+            w.start = e;
+        }
+        if (!stress_check(s, form, &w, h, r)) break;
+        if (per_swing < s->scene->steps / 4) { /* mean energies in motion of the first and last swings */
+            const int which = k < 2 * per_swing ? 0 : k >= s->scene->steps - 2 * per_swing ? 1 : -1;
+            if (which >= 0) {
+                double p[3], l[3], load = 0;
+                const double e = stress_measure(s, sfem_body_displacement(s->body), s->before, h,
+                                                &w, p, l);
+                (void)load;
+                swing[which] += e;
+                ++count[which];
+            }
+        }
+    }
+    r->redo = r->steps ? (double)sfem_body_get_info(s->body).redone / r->steps : 0;
+    if (count[0] && count[1])
+        r->lost = (swing[0] / count[0] - swing[1] / count[1]) /
+                  (w.largest * (r->steps / per_swing));
+    if (s->scene->family <= STRESS_TUMBLE && count[1] &&
+        !(r->lost <= STRESS_LOSS_TOLERANCE && r->redo <= STRESS_REDO_TOLERANCE)) {
+        char why[96];
+        snprintf(why, sizeof why, "%.3g of S lost a swing, %.3g of the steps redone", r->lost,
+                 r->redo);
+        stress_note(r, STRESS_IS_LOSSY, why);
+    }
+    {
+        const double t = h * r->steps, sag = s->gravity * pow(s->period / 6.28, 2);
+        double least = 0.01 * s->size;
+        if (w.speed > 0) least = fmin(least, 0.01 * w.speed * fmin(t, s->period));
+        if (s->gravity > 0) least = fmin(least, 0.1 * fmin(sag, s->gravity * t * t / 2));
+        if (r->verdict == STRESS_IS_PASSED && !(w.moved >= least)) {
+            char why[96];
+            snprintf(why, sizeof why, "moved by %.3g m, at least %.3g wanted", w.moved, least);
+            stress_note(r, STRESS_IS_STILL, why);
+        }
+    }
+}
+
+/* Is it at rest where it is? Forces small beside Young's modulus on a tet's face, hardly any speed. */
+STRESS_STATIC int stress_at_rest(stress_body *s, double *force)
+{
+    double v[3 * STRESS_NODES], speed = 0;
+    sfem_int i, inverted;
+    (void)sfem_model_forces(s->model, sfem_body_displacement(s->body), SFEM_DOUBLE, s->f, NULL,
+                            &inverted, s->work, NULL);
+    sfem_body_velocities(s->body, v);
+    *force = 0;
+    for (i = 0; i < 3 * s->mesh.nodes; ++i) {
+        int pinned = 0;
+        sfem_int k;
+        for (k = 0; s->held && k < s->pin_count; ++k) pinned |= s->pins[k] == i / 3;
+        if (pinned) continue;
+        *force = fmax(*force, fabs(s->f[i]) / (s->scene->young * 0.01));
+        speed = fmax(speed, fabs(v[i]));
+    }
+    return *force < 1e-5 && speed * s->period < 1e-3 * s->size;
+}
+
+/* Damped, until it is back or time is up. Returns the shape. */
+STRESS_STATIC double stress_settle(stress_body *s, double h, int steps, stress_result *r)
+{
+    double shape = INFINITY, last;
+    sfem_error err;
+    int k;
+    for (k = 0; k < steps && sfem_body_get_info(s->body).descents < STRESS_DESCENTS; ++k) {
+        if (sfem_body_step(s->body, h, &err)) {
+            stress_failed(r, &err);
+            return INFINITY;
+        }
+        ++r->damped_steps;
+        if (k % 50 != 49) continue;
+        last = shape;
+        shape = stress_misshape(s);
+        if (!isfinite(shape)) stress_note(r, STRESS_IS_NOT_FINITE, "shape");
+        if (!isfinite(shape) || (shape < 0.5 * STRESS_SHAPE_TOLERANCE && shape <= last)) break;
+    }
+    return stress_misshape(s);
+}
+
+STRESS_STATIC void stress_come_back(stress_body *s, stress_form form, double h, uint64_t *random,
+                                    stress_result *r)
+{
+    const double own = stress_is_newton(form) || form >= STRESS_FORM_CENTRAL ? 0 : h;
+    double step = fmax(own, s->period / 40), u[3 * STRESS_NODES], v[3 * STRESS_NODES], force = 0;
+    sfem_body_def def;
+    sfem_error err;
+    sfem_int i;
+    int round;
+    memcpy(u, sfem_body_displacement(s->body), 3 * (size_t)s->mesh.nodes * sizeof(double));
+    sfem_body_velocities(s->body, v);
+    sfem_body_free(s->body);
+    s->body = NULL;
+    s->gravity = 0;
+    if (form >= STRESS_FORM_CENTRAL) form = STRESS_FORM_DEFAULT, step = s->period / 40;
+    def = stress_def(s, form, h);
+    def.alpha = fmin(1 / s->period, 0.5 / step);
+    def.beta_k = fmax(step, s->period / 10);
+    if (sfem_body_create(s->model, &def, &s->body, &err) ||
+        sfem_body_set_state(s->body, u, v, &err)) {
+        stress_failed(r, &err);
+        return;
+    }
+    for (round = 0; round < 2; ++round) {
+        r->shape = stress_settle(s, step, stress_is_newton(form) ? 400 : 3000, r);
+        if (r->shape < STRESS_SHAPE_TOLERANCE || r->verdict != STRESS_IS_PASSED) return;
+        if (!stress_at_rest(s, &force)) break;
+        if (round) { /* it went back to where it was */
+            sfem_int inverted = 0;
+            (void)sfem_model_forces(s->model, sfem_body_displacement(s->body), SFEM_DOUBLE, s->f,
+                                    NULL, &inverted, s->work, NULL);
+            r->inverted = (int)inverted;
+            snprintf(r->why, sizeof r->why, "off by %.3g of its length, forces %.1g, %d tets inverted",
+                     r->shape, force, (int)inverted);
+            r->verdict = STRESS_IS_LOCKED;
+            return;
+        }
+        memcpy(u, sfem_body_displacement(s->body), 3 * (size_t)s->mesh.nodes * sizeof(double));
+        for (i = 0; i < 3 * s->mesh.nodes; ++i) u[i] += 1e-3 * s->size * stress_normal(random);
+        (void)sfem_body_set_state(s->body, u, NULL, &err);
+    }
+    {
+        char why[96];
+        snprintf(why, sizeof why, "off by %.3g of its length, force %.2g, after %d damped steps",
+                 r->shape, force, r->damped_steps);
+        stress_note(r, STRESS_IS_SHAPE, why);
+    }
+}
+
+STRESS_STATIC void stress_run_body(const stress_scene *scene, stress_form form, stress_result *r)
+{
+    uint64_t random = scene->seed * 0x9e3779b97f4a7c15u + 12345;
+    double h = scene->h;
+    sfem_body_def def;
+    stress_body s;
+    sfem_error err;
+    sfem_status status = stress_build(scene, form, &random, &s, &err);
+    if (!status) {
+        def = stress_def(&s, form, h);
+        def.gravity[1] = -s.gravity;
+        status = sfem_body_create(s.model, &def, &s.body, &err);
+    }
+    if (!status && form == STRESS_FORM_CENTRAL) {
+        status = sfem_body_prepare(s.body, 1e-12, &err);
+        if (sfem_body_get_info(s.body).stable_step > 0)
+            h = fmin(h, 0.5 * sfem_body_get_info(s.body).stable_step);
+    }
+    if (!status) {
+        stress_state(&s, &random);
+        status = sfem_body_set_state(s.body, s.u0, s.v0, &err);
+    }
+    if (status)
+        stress_failed(r, &err);
+    else
+        stress_violence(&s, form, h, &random, r);
+    if (!status && r->verdict == STRESS_IS_PASSED && !s.broken)
+        stress_come_back(&s, form, h, &random, r);
+    stress_free(&s);
+}
+
+/* ---- modal bodies ---- */
+
+enum { STRESS_MODES = 16 };
+
+typedef struct stress_modal {
+    stress_body full;
+    sfem_reduced *reduced[2]; /* undamped, damped by a tenth in the lowest mode */
+    sfem_modal *body[2];
+    double lowest; /* omega */
+} stress_modal;
+
+STRESS_STATIC void stress_modal_free(stress_modal *m)
+{
+    int k;
+    for (k = 0; k < 2; ++k) {
+        sfem_modal_free(m->body[k]);
+        sfem_reduced_free(m->reduced[k]);
+    }
+    stress_free(&m->full);
+}
+
+STRESS_STATIC sfem_status stress_modal_build(const stress_scene *scene, stress_form form,
+                                             uint64_t *random, stress_modal *m, sfem_error *err)
+{
+    sfem_modes_def modes_def = sfem_default_modes_def();
+    sfem_modal_def def = sfem_default_modal_def();
+    sfem_modes modes;
+    sfem_status status;
+    int k;
+    memset(m, 0, sizeof *m);
+    status = stress_build(scene, form, random, &m->full, err);
+    if (status) return status;
+    m->full.held = 1;
+    modes_def.modes = STRESS_MODES;
+    modes_def.pins = m->full.pins;
+    modes_def.pin_count = m->full.pin_count;
+    status = sfem_modes_create(m->full.model, &modes_def, &modes, err);
+    if (status) return status;
+    m->lowest = sqrt(modes.lambda[0]);
+    if (form == STRESS_FORM_EXACT) def.integrator = SFEM_MODAL_EXACT;
+    if (form == STRESS_FORM_NAIVE) {
+        def.handle_beta = 0.25;
+        def.handle_gamma = 0.5;
+        def.compliance = 0;
+    }
+    def.max_handles = 24;
+    def.max_handle_nodes = 64;
+    for (k = 0; k < 2 && !status; ++k) {
+        sfem_reduced_def reduced = sfem_default_reduced_def();
+        if (k) reduced.alpha = 0.2 * m->lowest, reduced.beta = 0.1 / m->lowest;
+        status = sfem_reduced_create(m->full.model, &modes, &reduced, &m->reduced[k], err);
+        if (!status) status = sfem_modal_create(m->reduced[k], &def, &m->body[k], err);
+    }
+    sfem_modes_free(&modes);
+    return status;
+}
+
+STRESS_STATIC double stress_modal_farthest(const stress_modal *m)
+{
+    double most = 0, x[3];
+    sfem_int i;
+    for (i = 0; i < m->full.mesh.nodes; ++i) {
+        sfem_modal_node(m->body[0], i, x, NULL, NULL);
+        x[0] = stress_norm3(x, m->full.mesh.x + 3 * i);
+        if (!(x[0] <= most)) most = x[0]; /* NaN, too */
+    }
+    return most;
+}
+
+/* Seven neighbours at the end and some of them twice, or any nodes; targets follow a smooth path, up to a tenth of
+ * the bar's length, each off by a hundredth of that at random, anew at each step. */
+typedef struct stress_hands {
+    sfem_int handle[16], node[16];
+    int count;
+    double phase[3];
+} stress_hands;
+
+STRESS_STATIC sfem_status stress_modal_grab(stress_modal *m, stress_hands *g, uint64_t *random,
+                                            sfem_error *err)
+{
+    const sfem_int nodes = m->full.mesh.nodes;
+    const int kind = stress_below(random, 3);
+    sfem_status status = SFEM_OK;
+    int k;
+    g->count = kind == 0 ? 7 : kind == 1 ? 12 : 1 + stress_below(random, 6);
+    for (k = 0; k < g->count && !status; ++k) {
+        g->node[k] = kind == 0   ? nodes - 1 - k /* noisy neighbours */
+                     : kind == 1 ? nodes - 1 - k % 9 /* some twice */
+                                 : (sfem_int)stress_below(random, (int)nodes); /* pinned ones, too */
+        status = sfem_modal_grab_node(m->body[0], g->node[k], &g->handle[k], err);
+        if (status) g->count = k;
+    }
+    for (k = 0; k < 3; ++k) g->phase[k] = stress_uniform(random, 0, 6.28);
+    return status;
+}
+
+STRESS_STATIC sfem_status stress_modal_move(stress_modal *m, const stress_hands *g, double time,
+                                            uint64_t *random, sfem_error *err)
+{
+    const double size = 0.1 * m->full.size;
+    sfem_status status = SFEM_OK;
+    int k, c;
+    for (k = 0; k < g->count && !status; ++k) {
+        const double *x = m->full.mesh.x + 3 * g->node[k];
+        double to[3];
+        for (c = 0; c < 3; ++c)
+            to[c] = x[c] + size * (sin(0.3 * m->lowest * time + g->phase[c]) / 1.733 +
+                                   0.01 * stress_normal(random));
+        status = sfem_modal_move_handle(m->body[0], g->handle[k], to, err);
+    }
+    return status;
+}
+
+STRESS_STATIC void stress_modal_release(stress_modal *m, stress_hands *g)
+{
+    int k;
+    for (k = 0; k < g->count; ++k) sfem_modal_release_handle(m->body[0], g->handle[k]);
+    g->count = 0;
+}
+
+/* Left alone, the undamped body keeps its energy to rounding; the damped one comes to rest. */
+STRESS_STATIC void stress_modal_settle(stress_modal *m, double h, int steps, stress_result *r)
+{
+    const sfem_modal *b = m->body[0];
+    double first, now, sum = 0, whole = 0;
+    sfem_error err;
+    int k;
+    memset(&err, 0, sizeof err);
+    if (sfem_modal_set_coordinates(m->body[1], sfem_modal_coordinates(b), sfem_modal_velocities(b),
+                                   NULL, &err))
+        stress_failed(r, &err);
+    for (k = 0; k < STRESS_MODES; ++k) whole += pow(sfem_modal_coordinates(b)[k], 2);
+    sfem_modal_step(m->body[0], h, &err); /* Newmark keeps it once no hand is in its accelerations */
+    first = sfem_modal_get_info(b).kinetic + sfem_modal_get_info(b).elastic;
+    for (k = 0; k < steps; ++k) {
+        if (sfem_modal_step(m->body[0], h, &err)) {
+            stress_failed(r, &err);
+            return;
+        }
+        now = sfem_modal_get_info(b).kinetic + sfem_modal_get_info(b).elastic;
+        r->excess = fmax(r->excess, fabs(now - first) / first);
+    }
+    if (!(r->excess < 1e-8)) {
+        snprintf(r->why, sizeof r->why, "undamped and free, energy off by %.2g", r->excess);
+        if (r->verdict == STRESS_IS_PASSED) r->verdict = STRESS_IS_ENERGY;
+    }
+    for (k = 0; k < 400; ++k)
+        if (sfem_modal_step(m->body[1], fmax(h, 0.2 / m->lowest), &err)) {
+            stress_failed(r, &err);
+            return;
+        }
+    for (k = 0; k < STRESS_MODES; ++k) sum += pow(sfem_modal_coordinates(m->body[1])[k], 2);
+    r->shape = sqrt(sum / whole);
+    if (!(r->shape < STRESS_SHAPE_TOLERANCE)) stress_note(r, STRESS_IS_SHAPE, "damped modes remain");
+}
+
+/* While held, no node further from its rest than thrice the largest path and noise of a target, a tenth
+ * of the length: least squares overshoot by what the modes swing on between handles. */
+STRESS_STATIC void stress_run_modal(const stress_scene *scene, stress_form form, stress_result *r)
+{
+    uint64_t random = scene->seed * 0x9e3779b97f4a7c15u + 777;
+    const double allowed = 3 * 0.1 * 0.5 * 1.05;
+    stress_modal m;
+    stress_hands hands;
+    sfem_error err;
+    sfem_status status = stress_modal_build(scene, form, &random, &m, &err);
+    double most = 0;
+    int k, held = 0;
+    memset(&hands, 0, sizeof hands);
+    for (k = 0; k < scene->steps && !status; ++k) {
+        if (!hands.count && (k == 0 || stress_below(&random, 100) == 0)) {
+            /* a body that still swings is caught where it is: first quieted */
+            double zero[STRESS_MODES] = {0};
+            sfem_modal_set_coordinates(m.body[0], zero, zero, NULL, NULL);
+            status = stress_modal_grab(&m, &hands, &random, &err);
+            held = k;
+        }
+        if (!status && hands.count) status = stress_modal_move(&m, &hands, (k - held) * scene->h, &random, &err);
+        if (!status) status = sfem_modal_step(m.body[0], scene->h, &err);
+        if (status) break;
+        r->steps = k + 1;
+        if (hands.count && k % 5 == 0) {
+            const double far = stress_modal_farthest(&m);
+            if (!(far <= most)) most = far;
+            if (!(far <= allowed) && r->verdict == STRESS_IS_PASSED) {
+                r->verdict = isfinite(far) ? STRESS_IS_WRONG : STRESS_IS_NOT_FINITE;
+                snprintf(r->why, sizeof r->why, "%d handles: a node %.3g m away, %.2g is in order (step %d)",
+                         hands.count, far, allowed, k);
+            }
+        }
+        if (hands.count && k - held > 50 && stress_below(&random, 200) == 0)
+            stress_modal_release(&m, &hands);
+    }
+    if (status) stress_failed(r, &err);
+    if (!status && most < 0.01) stress_note(r, STRESS_IS_STILL, "");
+    if (!status) {
+        stress_modal_release(&m, &hands);
+        stress_modal_settle(&m, scene->h, scene->steps / 4, r);
+    }
+    stress_modal_free(&m);
+}
+
+/* ---- streams ---- */
+
+typedef struct stress_packet {
+    unsigned char byte[64 + 24 * STRESS_MODES];
+    size_t bytes;
+    int due; /* step at which it arrives */
+} stress_packet;
+
+enum { STRESS_UNDERWAY = 64 };
+
+/* The sender's body is pushed, caught and let go; a tenth to a half of the packets are lost, others come
+ * twice, late, or damaged. The receiver stays finite; within thrice the swing that the sender made, since
+ * key frames come once in 30 steps; and where the link has been whole for two of them, it has what the sender has.
+ * The link of the last 100 steps is whole. */
+STRESS_STATIC void stress_run_stream(const stress_scene *scene, stress_form form, stress_result *r)
+{
+    uint64_t random = scene->seed * 0x9e3779b97f4a7c15u + 99;
+    const double loss = stress_uniform(&random, 0.1, 0.5);
+    static const sfem_lost lost[3] = {SFEM_LOST_ZERO, SFEM_LOST_HELD, SFEM_LOST_EXTRAPOLATED};
+    stress_packet underway[STRESS_UNDERWAY];
+    sfem_link_def link = sfem_default_link_def();
+    sfem_sender *sender = NULL;
+    sfem_receiver *receiver = NULL;
+    stress_modal m;
+    stress_hands hands;
+    sfem_error err;
+    sfem_status status = stress_modal_build(scene, form, &random, &m, &err);
+    double swing = 0, off = 0, last = 0, *force;
+    int k, i, held = 0;
+    force = (double *)calloc(3 * STRESS_NODES, sizeof *force);
+    memset(&hands, 0, sizeof hands);
+    memset(underway, 0, sizeof underway);
+    link.modes = STRESS_MODES;
+    link.h = scene->h;
+    link.stream = 7;
+    link.first = (uint32_t)(0xffffffffu - 500); /* it wraps */
+    link.lost = lost[stress_below(&random, 3)];
+    if (!status) status = sfem_sender_create(&link, &sender, &err);
+    if (!status) status = sfem_receiver_create(&link, &receiver, &err);
+    for (k = 0; k < scene->steps && !status; ++k) {
+        const int whole = k > scene->steps - 100;
+        stress_packet p;
+        if (k % 40 == 0) { /* a push that a metre of the bar's bending stiffness would give */
+            const double push = 0.03 * scene->young * 0.01 * stress_normal(&random);
+            force[3 * (m.full.mesh.nodes - 1) + (k / 40) % 3] = push;
+            status = sfem_modal_set_force(m.body[0], force, &err);
+        }
+        if (!hands.count && stress_below(&random, 150) == 0 && !whole) {
+            status = stress_modal_grab(&m, &hands, &random, &err);
+            sfem_sender_set_held(sender, 1);
+            held = k;
+        } else if (hands.count && (whole || stress_below(&random, 60) == 0)) {
+            stress_modal_release(&m, &hands);
+            sfem_sender_set_held(sender, 0);
+        }
+        if (!status && hands.count) status = stress_modal_move(&m, &hands, (k - held) * scene->h, &random, &err);
+        if (k == 0) sfem_modal_start(m.body[0]);
+        if (!status && k > 0) status = sfem_modal_step(m.body[0], scene->h, &err);
+        if (!status)
+            status = sfem_sender_write(sender, sfem_modal_coordinates(m.body[0]),
+                                       sfem_modal_velocities(m.body[0]),
+                                       sfem_modal_accelerations(m.body[0]), p.byte, sizeof p.byte,
+                                       &p.bytes, &err);
+        if (status) break;
+        r->steps = k + 1;
+        for (i = 0; i < 2; ++i) { /* once, and perhaps again */
+            stress_packet *to = &underway[stress_below(&random, STRESS_UNDERWAY)];
+            const double what = stress_uniform(&random, 0, 1);
+            if (whole && i == 0) {
+                sfem_receiver_read(receiver, p.byte, p.bytes);
+                continue;
+            }
+            if (what < loss || to->bytes || (i && what < 0.8)) continue;
+            *to = p;
+            to->due = k + (what > 0.9 ? stress_below(&random, 20) : 0);
+            if (stress_below(&random, 10) == 0)
+                to->byte[stress_below(&random, (int)p.bytes)] ^= (unsigned char)(1 + stress_below(&random, 255));
+        }
+        for (i = 0; i < STRESS_UNDERWAY; ++i) {
+            if (!underway[i].bytes || underway[i].due > k) continue;
+            sfem_receiver_read(receiver, underway[i].byte, underway[i].bytes);
+            underway[i].bytes = 0;
+        }
+        if (k > 0) sfem_receiver_step(receiver);
+        last = 0;
+        for (i = 0; i < STRESS_MODES; ++i) {
+            const double q = sfem_modal_coordinates(m.body[0])[i];
+            const double d = fabs(sfem_receiver_displacement(receiver)[i] - q);
+            swing = fmax(swing, fabs(q));
+            if (!(d <= last)) last = d;
+        }
+        if (!(last <= off)) off = last;
+    }
+    if (status) stress_failed(r, &err);
+    if (!status && swing > 0) r->excess = off / swing, r->shape = last / swing;
+    if (!isfinite(off)) stress_note(r, STRESS_IS_NOT_FINITE, "receiver");
+    if (!status && !(r->shape < 1e-9)) {
+        snprintf(r->why, sizeof r->why, "off by %.2g of the swing, at last %.2g", r->excess, r->shape);
+        if (r->verdict == STRESS_IS_PASSED) r->verdict = STRESS_IS_WRONG;
+    }
+    if (!status && !(swing > 0)) stress_note(r, STRESS_IS_STILL, "");
+    free(force);
+    sfem_receiver_free(receiver);
+    sfem_sender_free(sender);
+    stress_modal_free(&m);
+}
+
+/* ---- eigenproblems ---- */
+
+/* One to three bars, each with its slivers or stretched to a needle or a plate, somewhere in space, in one mesh. */
+STRESS_STATIC void stress_odd_mesh(const stress_body *s, uint64_t *random, sfem_mesh *out)
+{
+    const int copies = 1 + stress_below(random, 3), shape = stress_below(random, 3);
+    int j, c;
+    sfem_int i;
+    memset(out, 0, sizeof *out);
+    out->x = (sfem_real *)malloc((size_t)(3 * copies * STRESS_NODES) * sizeof(sfem_real));
+    out->tet = (sfem_int *)malloc((size_t)(16 * copies * STRESS_NODES) * sizeof(sfem_int));
+    for (j = 0; j < copies; ++j) {
+        double scale[3] = {1, 1, 1};
+        if (shape == 1) scale[0] = pow(10, stress_uniform(random, 0, 2));
+        if (shape == 2) scale[2] = pow(10, -stress_uniform(random, 0, 3));
+        for (i = 0; i < 3 * s->mesh.nodes; ++i) {
+            c = (int)(i % 3);
+            out->x[3 * out->nodes + i] = scale[c] * s->mesh.x[i] + (c == 1 ? 2.0 * j : 0);
+        }
+        for (i = 0; i < 4 * s->mesh.tets; ++i) out->tet[4 * out->tets + i] = s->mesh.tet[i] + out->nodes;
+        out->nodes += s->mesh.nodes;
+        out->tets += s->mesh.tets;
+    }
+}
+
+/* Lanczos against the dense solver; backward errors; phi.M phi = 1; the number of rigid modes. */
+STRESS_STATIC void stress_compare_modes(sfem_model *model, const sfem_modes *a, const sfem_modes *b,
+                                        stress_result *r)
+{
+    const size_t n = 3 * (size_t)a->nodes;
+    double *y = (double *)malloc(n * sizeof *y), scale = b->lambda[b->count - 1];
+    double value = 0, norm = 0, backward = 0;
+    int i, j;
+    size_t k;
+    if (a->rigid != b->rigid || a->count != b->count) {
+        stress_note(r, STRESS_IS_WRONG, "another number of rigid modes than the dense solver");
+        free(y);
+        return;
+    }
+    for (i = 0; i < a->count; ++i) {
+        value = fmax(value, fabs(a->lambda[i] - b->lambda[i]) / (fabs(b->lambda[i]) + 1e-6 * scale));
+        backward = fmax(backward, a->error[i]);
+        sfem_model_multiply_mass(model, a->phi + n * (size_t)i, y, NULL);
+        for (j = 0; j <= i; ++j) {
+            double dot = i == j ? -1 : 0;
+            for (k = 0; k < n; ++k) dot += y[k] * a->phi[n * (size_t)j + k];
+            norm = fmax(norm, fabs(dot));
+        }
+    }
+    free(y);
+    r->excess = value;
+    r->shape = norm;
+    r->linear = backward;
+    if (!(value < 1e-6 && norm < 1e-8 && backward < 1e-10)) {
+        char why[120];
+        snprintf(why, sizeof why, "eigenvalues off by %.2g, orthonormal to %.2g, backward error %.2g",
+                 value, norm, backward);
+        stress_note(r, STRESS_IS_WRONG, why);
+    }
+}
+
+STRESS_STATIC void stress_run_eigen(const stress_scene *scene, stress_form form, stress_result *r)
+{
+    uint64_t random = scene->seed * 0x9e3779b97f4a7c15u + 5;
+    sfem_modes_def def = sfem_default_modes_def();
+    sfem_model_def odd = sfem_default_model_def();
+    sfem_material material[2];
+    stress_scene mean = *scene; /* the body of a family that has the faults */
+    static const stress_family of[3] = {STRESS_SLIVER, STRESS_SPIN, STRESS_SPIN};
+    sfem_modes modes[2];
+    sfem_model *model = NULL;
+    sfem_mesh mesh;
+    sfem_int *index, pins[4], i;
+    sfem_error err;
+    sfem_status status;
+    stress_body s;
+    int k, ratio, pinned;
+    mean.family = of[stress_below(&random, 3)];
+    memset(&s, 0, sizeof s);
+    memset(modes, 0, sizeof modes);
+    s.scene = &mean;
+    if (stress_mesh(&s, &random, &err)) return;
+    stress_odd_mesh(&s, &random, &mesh);
+    index = (sfem_int *)malloc((size_t)mesh.tets * sizeof *index);
+    ratio = stress_below(&random, 3);
+    pinned = stress_below(&random, 5); /* 0 free; a node, two, three; 4 an axis of one */
+    for (i = 0; i < mesh.tets; ++i) index[i] = stress_below(&random, 2);
+    material[0] = sfem_default_material();
+    material[0].young = scene->young;
+    material[0].poisson = scene->poisson;
+    material[1] = material[0];
+    if (ratio == 1) material[1].young *= 1e6;
+    if (ratio == 2) material[1].density *= 1e6;
+    odd.mesh = &mesh;
+    odd.materials = material;
+    odd.material_count = 2;
+    odd.tet_material = index;
+    for (i = 0; i < 4; ++i) pins[i] = (i * 7) % mesh.nodes;
+    def.pins = pins;
+    def.pin_count = pinned < 4 ? pinned : 1;
+    def.pin_axes = pinned == 4 ? (const unsigned char *)"\001" : NULL;
+    def.modes = 10;
+    def.rigid = 1;
+    def.seed = (uint32_t)scene->seed;
+    status = sfem_model_create(&odd, &model, &err);
+    for (k = 0; k < 2 && !status; ++k) {
+        def.dense = k;
+        status = sfem_modes_create(model, &def, &modes[k], &err);
+    }
+    r->steps = status ? 0 : (int)modes[0].info.solves;
+    if (status)
+        stress_failed(r, &err);
+    else
+        stress_compare_modes(model, &modes[0], &modes[1], r);
+    snprintf(r->why + strlen(r->why), sizeof r->why - strlen(r->why), " [%d nodes, %s, pins %d]",
+             (int)mesh.nodes, ratio == 0 ? "one material" : ratio == 1 ? "moduli 1e6" : "masses 1e6",
+             pinned);
+    (void)form;
+    sfem_modes_free(&modes[0]);
+    sfem_modes_free(&modes[1]);
+    sfem_model_free(model);
+    free(index);
+    free(mesh.x);
+    free(mesh.tet);
+    stress_free(&s);
+}
+
+/* ---- running one, and the list of all ---- */
+
+STRESS_STATIC stress_result stress_run(const stress_scene *scene, stress_form form)
+{
+    const clock_t began = clock();
+    stress_result r;
+    memset(&r, 0, sizeof r);
+    if (scene->family == STRESS_MODAL)
+        stress_run_modal(scene, form, &r);
+    else if (scene->family == STRESS_STREAM)
+        stress_run_stream(scene, form, &r);
+    else if (scene->family == STRESS_EIGEN)
+        stress_run_eigen(scene, form, &r);
+    else
+        stress_run_body(scene, form, &r);
+    r.seconds = (double)(clock() - began) / CLOCKS_PER_SEC;
+    return r;
+}
+
+STRESS_STATIC void stress_name(stress_scene *s, const char *kind)
+{
+    static const char *const law[4] = {"linear", "corot", "stvk", "neo"};
+    snprintf(s->name, sizeof s->name, "%s%s/%s/%.3g/%.4g/%.3g", kind, stress_family_name((int)s->family),
+             law[s->law], s->young, s->poisson, s->h);
+}
+
+/* A calm scene has a step that resolves it, a given part of the slowest period, about 3 lengths/speed of sound. */
+STRESS_STATIC void stress_calm_step(stress_scene *s, double part)
+{
+    const double bar = s->family == STRESS_CALM ? 6.283 / 1.6 : 2.0; /* sqrt(rho/Y) times this: held, free */
+    s->h = part * bar * 0.5 * sqrt(1000 / s->young) * (s->family == STRESS_CALM ? 2.5 : 1);
+}
+
+/* The k-th scene of the fixed list, or 0 past its end. */
+STRESS_STATIC int stress_fixed(int k, stress_scene *s)
+{
+    static const struct {
+        sfem_law law;
+        double young, poisson, h;
+        int steps;
+    } body[12] = {
+        {SFEM_LINEAR, 1e5, 0.3, 1.0 / 60, 2000},     {SFEM_COROTATIONAL, 1e3, 0.3, 0.01, 3000},
+        {SFEM_COROTATIONAL, 1e4, 0.45, 1.0 / 30, 2000}, {SFEM_COROTATIONAL, 1e6, 0.3, 1.0 / 60, 5000},
+        {SFEM_COROTATIONAL, 1e8, 0.3, 1e-3, 5000},   {SFEM_COROTATIONAL, 1e11, 0.3, 0.1, 2000},
+        {SFEM_COROTATIONAL, 1e6, 0.3, 1e-4, 10000},  {SFEM_STVK, 1e5, 0.3, 1.0 / 120, 2000},
+        {SFEM_STVK, 1e9, 0.3, 1.0 / 30, 2000},       {SFEM_NEOHOOKEAN, 1e4, 0.45, 1.0 / 60, 2000},
+        {SFEM_NEOHOOKEAN, 1e6, 0.3, 0.1, 2000},      {SFEM_NEOHOOKEAN, 1e11, 0.49, 1e-3, 5000},
+    };
+    const int each = 12, family = k / each, which = k % each;
+    if (family >= STRESS_FAMILY_COUNT) return 0;
+    memset(s, 0, sizeof *s);
+    s->family = (stress_family)family;
+    s->law = body[which].law;
+    s->young = body[which].young;
+    s->poisson = s->family == STRESS_SOLID ? 0.4999 : body[which].poisson;
+    s->h = body[which].h;
+    s->steps = body[which].steps;
+    s->seed = (uint64_t)(k + 1);
+    if (family >= STRESS_MODAL) s->law = SFEM_LINEAR;
+    if (s->family <= STRESS_TUMBLE) {
+        s->steps = 10000;
+        stress_calm_step(s, which % 3 == 0 ? 0.01 : which % 3 == 1 ? 0.02 : 0.04);
+    }
+    stress_name(s, "");
+    return 1;
+}
+
+/* The scene of a seed. */
+STRESS_STATIC void stress_sampled(uint64_t seed, stress_scene *s)
+{
+    uint64_t random = seed * 0x9e3779b97f4a7c15u + 31;
+    memset(s, 0, sizeof *s);
+    s->family = (stress_family)(STRESS_HANG + stress_below(&random, STRESS_FAMILY_COUNT - STRESS_HANG));
+    s->law = (sfem_law)stress_below(&random, 4);
+    s->young = pow(10, stress_uniform(&random, 3, 11));
+    s->poisson = s->family == STRESS_SOLID ? 0.4999 : stress_uniform(&random, 0, 0.49);
+    s->h = pow(10, stress_uniform(&random, -4, -1));
+    s->steps = 2000 + stress_below(&random, 3000);
+    s->seed = seed;
+    if (s->family >= STRESS_MODAL) s->law = SFEM_LINEAR;
+    stress_name(s, "sampled:");
+}
+
+#endif
