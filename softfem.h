@@ -8242,6 +8242,143 @@ static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfe
     return 1;
 }
 
+/* Plane rotations of neighbouring rows and columns turn a matrix of half bandwidth 4 into a tridiagonal one
+ * [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
+ * number that each rotation leaves outside, and the next ones chase over the edge. The columns of z [n][4]
+ * are turned, too. */
+static void sfemi_eigen_band(size_t n, sfem_real *a, sfem_real *z)
+{
+    size_t k, l, j, p, i;
+    for (k = 0; k + 2 < n; ++k)
+        for (l = 4; l >= 2; --l)
+            for (j = k, p = k + l - 1; p + 1 < n; j = p, p += 4) { /* a(p + 1, j) is to be 0 */
+                sfem_real *ap = a + 8 * p, *aq = ap + 8, *at = a + 8 * j + (p - j), c, s, r, t;
+                if (at[1] == 0) break;
+                r = sqrt(at[0] * at[0] + at[1] * at[1]);
+                c = at[0] / r;
+                s = at[1] / r;
+                at[0] = r;
+                at[1] = 0;
+                for (i = j + 1; i < p; ++i) {
+                    at = a + 8 * i + (p - i);
+                    t = at[0];
+                    at[0] = c * t + s * at[1];
+                    at[1] = c * at[1] - s * t;
+                }
+                t = 2 * c * s * ap[1];
+                r = c * s * (aq[0] - ap[0]) + (c * c - s * s) * ap[1];
+                {
+                    const sfem_real x = ap[0], y = aq[0];
+                    ap[0] = c * c * x + t + s * s * y;
+                    aq[0] = s * s * x - t + c * c * y;
+                    ap[1] = r;
+                }
+                for (i = 2; i < 6 && p + i < n; ++i) {
+                    t = ap[i];
+                    ap[i] = c * t + s * aq[i - 1];
+                    aq[i - 1] = c * aq[i - 1] - s * t;
+                }
+                for (i = 4 * p; i < 4 * p + 4; ++i) {
+                    t = z[i];
+                    z[i] = c * t + s * z[i + 4];
+                    z[i + 4] = c * z[i + 4] - s * t;
+                }
+            }
+}
+
+/* L U = P (A - theta I) for such a matrix, not turned, `size` large: u [n][9], the multipliers l [n][4],
+ * pivots that vanish made of the size of rounding. pivot [n]: which of the next rows came up. */
+static void sfemi_eigen_band_lu(size_t n, const sfem_real *a, sfem_real theta, sfem_real size,
+                                sfem_real *u, sfem_real *l, unsigned char *pivot)
+{
+    size_t i, j, k, best;
+    for (i = 0; i < n; ++i) /* row i from column i - 4 on; as rows turn up they move to the left */
+        for (j = 0; j < 9; ++j) {
+            const size_t col = i + j;
+            u[9 * i + j] = col < 4 || col - 4 >= n ? 0
+                           : j < 4                 ? a[8 * (col - 4) + 4 - j]
+                                                   : a[8 * i + j - 4] - (j == 4 ? theta : 0);
+        }
+    for (i = 0; i < n && i < 4; ++i) { /* the first rows start in column 0 */
+        for (j = 0; j + 4 - i < 9; ++j) u[9 * i + j] = u[9 * i + j + 4 - i];
+        for (; j < 9; ++j) u[9 * i + j] = 0;
+    }
+    for (k = 0; k < n; ++k) { /* rows k ... k + 4 start in column k */
+        const size_t end = n - k < 5 ? n - k : 5;
+        sfem_real *row = u + 9 * k;
+        for (best = 0, i = 1; i < end; ++i)
+            if (fabs(row[9 * i]) > fabs(row[9 * best])) best = i;
+        pivot[k] = (unsigned char)best;
+        for (j = 0; best && j < 9; ++j) {
+            const sfem_real t = row[j];
+            row[j] = row[9 * best + j];
+            row[9 * best + j] = t;
+        }
+        if (!(fabs(row[0]) > 1e-16 * size)) row[0] = 1e-16 * size;
+        for (i = 1; i < end; ++i) {
+            sfem_real *o = row + 9 * i;
+            const sfem_real f = l[4 * k + i - 1] = o[0] / row[0];
+            for (j = 1; j < 9; ++j) o[j - 1] = o[j] - f * row[j];
+            o[8] = 0;
+        }
+    }
+}
+
+static void sfemi_eigen_band_solve(size_t n, const sfem_real *u, const sfem_real *l,
+                                   const unsigned char *pivot, sfem_real *x)
+{
+    size_t i, k;
+    for (k = 0; k < n; ++k) {
+        const sfem_real t = x[k + pivot[k]];
+        x[k + pivot[k]] = x[k];
+        x[k] = t;
+        for (i = 1; i < 5 && k + i < n; ++i) x[k + i] -= l[4 * k + i - 1] * t;
+    }
+    for (k = n; k-- > 0;) {
+        sfem_real sum = x[k];
+        for (i = 1; i < 9 && k + i < n; ++i) sum -= u[9 * k + i] * x[k + i];
+        x[k] = sum / u[9 * k];
+    }
+}
+
+/* The eigenvectors that belong to `count` eigenvalues of such a matrix to x [count][n], by inverse iteration,
+ * each kept orthogonal to those before. work: 13 n numbers, and n bytes more. Returns 0 if a residual is
+ * more than rounding leaves. */
+static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count, const sfem_real *lambda,
+                                    sfem_real size, sfem_real *x, sfem_real *work)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    sfem_real *u = work, *l = work + 9 * n;
+    unsigned char *pivot = (unsigned char *)(work + 13 * n);
+    uint32_t random = 1;
+    size_t k, i, j;
+    int turn, again;
+    for (k = 0; k < count; ++k) {
+        sfem_real *y = x + k * n, large = 0, sum;
+        sfemi_eigen_band_lu(n, a, lambda[k], size, u, l, pivot);
+        for (i = 0; i < n; ++i) {
+            random = random * 1664525u + 1013904223u;
+            y[i] = (sfem_real)random / 4294967296.0 - 0.5;
+        }
+        for (turn = 0; turn < 3; ++turn) {
+            if (turn) sfemi_eigen_band_solve(n, u, l, pivot, y);
+            for (large = 0, i = 0; i < n; ++i) large = fmax(large, fabs(y[i]));
+            if (!(large > 0) || !sfemi_finite(large)) return 0;
+            for (i = 0; i < n; ++i) y[i] /= large;
+            for (again = 0; again < 2; ++again) {
+                for (j = 0; j < k; ++j) f->reflect(n, x + j * n, 1, y);
+                for (sum = 0, i = 0; i < n; ++i) sum += y[i] * y[i];
+                if (!(sum > 0)) return 0;
+                sum = 1 / sqrt(sum);
+                for (i = 0; i < n; ++i) y[i] *= sum;
+                if (turn < 2) break;
+            }
+        }
+        if (!(large * size >= 1e13 / sqrt((sfem_real)n))) return 0;
+    }
+    return 1;
+}
+
 /* Ascending, the columns of z with them. */
 static void sfemi_eigen_sort(size_t n, sfem_real *d, size_t rows, sfem_real *z, size_t h)
 {
@@ -19448,6 +19585,7 @@ typedef struct sfemi_lanczos {
     sfem_real *small;    /* scratch of eigenvalues */
     sfem_real *ax;       /* [3][padded][4] scratch */
     sfem_real gain;      /* backward error of a mode over rho / theta, from above */
+    int full;            /* T is no band matrix, since a restart */
     int vectors;         /* ritz holds eigenvectors of T as it is */
     sfem_real r[16];     /* R, row-major */
     uint64_t random;
@@ -19716,24 +19854,30 @@ static void sfemi_lanczos_copy(const sfemi_lanczos *z, sfem_real *to)
         for (i = j; i < m; ++i) to[i + j * m] = z->t[j + i * h];
 }
 
+/* T while it has not been restarted, as sfemi_eigen_band takes it: R is triangular, and what stands
+ * farther from the diagonal is rounding. */
+static void sfemi_lanczos_band(const sfemi_lanczos *z, sfem_real *to)
+{
+    const size_t m = (size_t)z->m, h = (size_t)z->capacity;
+    size_t j, k;
+    for (j = 0; j < m; ++j)
+        for (k = 0; k < 8; ++k) to[8 * j + k] = k < 5 && j + k < m ? z->t[j + (j + k) * h] : 0;
+}
+
 /* theta and rho, falling, by the eigenvalues of T and the last four numbers of its eigenvectors. */
 static int sfemi_lanczos_values(sfemi_lanczos *z)
 {
     const size_t m = (size_t)z->m;
-    sfem_real *d = z->theta, *e = z->small, *tau = e + m, *work = tau + m, *rows = work + 3 * m, *x;
-    size_t i, k;
-    int q;
+    sfem_real *d = z->theta, *e = z->small, *work = e + m, *rows = work + 2 * m, *a = rows + 4 * m;
+    size_t i;
     z->vectors = 0;
-    sfemi_lanczos_copy(z, z->ritz);
-    sfemi_eigen_reduce(m, z->ritz, d, e, tau, work);
-    for (q = 0; q < 4; ++q) { /* the last rows of Q = H_0 H_1 ...: rows [m][4] */
-        x = work;
-        memset(x, 0, m * sizeof *x);
-        x[m - 4 + (size_t)q] = 1;
-        for (k = 0; k + 1 < m; ++k)
-            sfemi_eigen_kernels_of(sfemi_path())
-                ->reflect(m - k - 1, z->ritz + k * m + k + 1, tau[k], x + k + 1);
-        for (i = 0; i < m; ++i) rows[4 * i + (size_t)q] = x[i];
+    sfemi_lanczos_band(z, a);
+    memset(rows, 0, 4 * m * sizeof *rows);
+    for (i = 0; i < 4; ++i) rows[4 * (m - 4) + 5 * i] = 1;
+    sfemi_eigen_band(m, a, rows);
+    for (i = 0; i < m; ++i) {
+        d[i] = a[8 * i];
+        e[i] = a[8 * i + 1];
     }
     if (!sfemi_eigen_ql(m, d, e, 4, rows, 4, work)) return 0;
     for (i = 0; i < m; ++i) d[i] = -d[i];
@@ -19743,6 +19887,15 @@ static int sfemi_lanczos_values(sfemi_lanczos *z)
         z->rho[i] = sfemi_lanczos_residual(z, rows + 4 * i);
     }
     return 1;
+}
+
+/* The wanted eigenvectors to z->ritz, after the above. */
+static int sfemi_lanczos_some(sfemi_lanczos *z)
+{
+    sfem_real *a = z->small + 16 * (size_t)z->capacity;
+    sfemi_lanczos_band(z, a);
+    return sfemi_eigen_band_vectors((size_t)z->m, a, (size_t)z->wanted, z->theta, z->theta[0], z->ritz,
+                                    z->small);
 }
 
 /* The same with all eigenvectors, in z->ritz, largest theta first. */
@@ -19824,6 +19977,7 @@ static sfem_status sfemi_lanczos_restart(sfemi_lanczos *z, sfem_int keep, sfem_e
     z->m = keep;
     z->fresh = 1;
     z->vectors = 0;
+    z->full = 1;
     ++z->info->restarts;
 done:
     sfemi_delete(z->s->al, c);
@@ -20102,7 +20256,7 @@ static sfem_status sfemi_lanczos_reserve(sfemi_lanczos *z, sfem_int wanted, sfem
     SFEMI_NEW(sfem_real, z->ritz, al, h * h);
     SFEMI_NEW(sfem_real, z->theta, al, h);
     SFEMI_NEW(sfem_real, z->rho, al, h);
-    SFEMI_NEW(sfem_real, z->small, al, 14 * h);
+    SFEMI_NEW(sfem_real, z->small, al, 24 * h);
     SFEMI_NEW(sfem_real, z->ax, al, 12 * z->padded);
     if (z->s->root && z->s->rigid) {
         SFEMI_NEW(sfem_real, z->s->half, al, 6 * z->rows);
@@ -20193,8 +20347,7 @@ static sfem_status sfemi_lanczos_iterate(sfemi_lanczos *z, sfem_error *err)
         sfemi_lanczos_step(z);
         full = z->m + 4 > z->capacity;
         if (full || z->m >= next) {
-            /* the first look is a cheap one; where the rate is known, this may be the last */
-            if (!(worst < HUGE_VAL || full ? sfemi_lanczos_vectors(z) : sfemi_lanczos_values(z)))
+            if (!(z->full ? sfemi_lanczos_vectors(z) : sfemi_lanczos_values(z)))
                 return sfemi_fail(err, SFEM_NOT_CONVERGED,
                                   "an eigenvalue of the Lanczos matrix does not converge");
             was = worst;
@@ -20377,7 +20530,7 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
     sfem_int i;
     int turn;
     if (status != SFEM_OK) return status;
-    if (!sfemi_lanczos_vectors(z))
+    if ((z->full || !sfemi_lanczos_some(z)) && !sfemi_lanczos_vectors(z))
         return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
     SFEMI_NEW(sfem_real, lambda, s->al, z->m);
     for (i = 0; i < z->m; ++i) lambda[i] = sfemi_lanczos_lambda(z, z->theta[i]);
@@ -24043,6 +24196,16 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_eigen_sweep)(size_t rows, size_t cou
         SFEMI_ST(p + SFEMI_W, x1);
         SFEMI_ST(p + 2 * SFEMI_W, x2);
     }
+    for (; i + SFEMI_W <= rows; i += SFEMI_W) {
+        double *p = z + count * h + i;
+        SFEMI_V x = SFEMI_LD(p);
+        for (k = count; k-- > 0; p -= h) {
+            const SFEMI_V ck = SFEMI_DUP(c[k]), sk = SFEMI_DUP(s[k]), y = SFEMI_LD(p - h);
+            SFEMI_ST(p, SFEMI_FMA(sk, y, SFEMI_MUL(ck, x)));
+            x = SFEMI_FNMA(sk, x, SFEMI_MUL(ck, y));
+        }
+        SFEMI_ST(p, x);
+    }
     for (; i < rows; ++i) {
         double *p = z + count * h + i, x = p[0];
         for (k = count; k-- > 0; p -= h) {
@@ -24801,10 +24964,20 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_combine)(int minus, size_t row
                                                            const double *c, double *w)
 {
     size_t at, p, r;
+#if SFEMI_PATH >= 1
+    size_t k;
+#endif
     for (at = 0; at < rows; at += 96) {
         const size_t end = rows - at < 96 ? rows : at + 96;
         for (p = 0; p < panels; ++p)
             for (r = at; r < end; r += 12) {
+#if SFEMI_PATH >= 1 /* twelve rows at a time run side by side, which no prefetcher foresees */
+                const double *next = r + 12 < end       ? v + p * stride + 24 * (r + 12)
+                                     : p + 1 < panels ? v + (p + 1) * stride + 24 * at
+                                     : end < rows     ? v + 24 * end
+                                                      : v;
+                for (k = 0; k < 288; k += 8) _mm_prefetch((const char *)(next + k), _MM_HINT_T0);
+#endif
                 if (minus)
                     SFEMI_KERNEL(sfemi_ldl_outer4)(1, 1, 24, v + p * stride + 24 * r, 1, 24, c + 96 * p,
                                                   w + 4 * r);
