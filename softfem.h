@@ -8242,10 +8242,10 @@ static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfe
     return 1;
 }
 
-/* Plane rotations of neighbouring rows and columns turn a matrix of half bandwidth 4 into a tridiagonal one
- * [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
- * number that each rotation leaves outside, and the next ones chase over the edge. The columns of z [n][4]
- * are turned, too. */
+/* Plane rotations of neighbouring rows and columns turn a matrix of half bandwidth 4 into a tridiagonal
+ * one [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
+ * number that each rotation leaves outside, and the next ones chase over the edge. The columns of
+ * z [n][4] are turned, too. */
 static void sfemi_eigen_band(size_t n, sfem_real *a, sfem_real *z)
 {
     size_t k, l, j, p, i;
@@ -8286,8 +8286,8 @@ static void sfemi_eigen_band(size_t n, sfem_real *a, sfem_real *z)
             }
 }
 
-/* L U = P (A - theta I) for such a matrix, not turned, `size` large: u [n][9], the multipliers l [n][4],
- * pivots that vanish made of the size of rounding. pivot [n]: which of the next rows came up. */
+/* L U = P (A - theta I) for such a matrix, not turned, `size` large: u [n][9], the multipliers l
+ * [n][4], pivots that vanish made of the size of rounding. pivot [n]: which of the next rows came up. */
 static void sfemi_eigen_band_lu(size_t n, const sfem_real *a, sfem_real theta, sfem_real size,
                                 sfem_real *u, sfem_real *l, unsigned char *pivot)
 {
@@ -8341,11 +8341,12 @@ static void sfemi_eigen_band_solve(size_t n, const sfem_real *u, const sfem_real
     }
 }
 
-/* The eigenvectors that belong to `count` eigenvalues of such a matrix to x [count][n], by inverse iteration,
- * each kept orthogonal to those before. work: 13 n numbers, and n bytes more. Returns 0 if a residual is
- * more than rounding leaves. */
-static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count, const sfem_real *lambda,
-                                    sfem_real size, sfem_real *x, sfem_real *work)
+/* The eigenvectors of `count` eigenvalues of such a matrix to x [count][n], by inverse iteration, each
+ * kept orthogonal to those before. work: 13 n numbers, and n bytes more. Returns 0 if a residual is more
+ * than rounding leaves. */
+static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
+                                    const sfem_real *lambda, sfem_real size, sfem_real *x,
+                                    sfem_real *work)
 {
     const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
     sfem_real *u = work, *l = work + 9 * n;
@@ -18966,8 +18967,10 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
  * ============================================================================================ */
 
 typedef struct sfemi_modes_kernels {
-    void (*dots)(size_t, size_t, const double *, size_t, const double *, double *);
-    void (*combine)(int, size_t, size_t, const double *, size_t, const double *, double *);
+    void (*dots)(size_t, size_t, const double *, size_t, const double *, const double *, double *,
+                 double *);
+    void (*combine)(int, size_t, size_t, const double *, size_t, const double *, const double *, double *,
+                    double *);
     void (*gram)(size_t, const double *, const double *, double *);
     void (*turn)(size_t, const double *, double *);
     void (*row)(int, int, int, const sfem_int *, const double *, const double *, const double *, double *);
@@ -19578,13 +19581,15 @@ typedef struct sfemi_lanczos {
     sfem_real *w;        /* [padded][4] the newest block */
     sfem_real *mw;       /* [padded][4] M times it; w itself where the mass is lumped */
     sfem_real *work;     /* of solves */
-    sfem_real *c, *part; /* [24 panels][4], and such for each chunk */
+    sfem_real *c, *part; /* [2][24 panels][4], and such for each chunk */
     sfem_real *t;        /* [capacity][capacity] column-major, upper half */
     sfem_real *ritz;     /* [capacity][capacity] eigenvectors of T */
     sfem_real *theta, *rho; /* [capacity] Ritz values, falling, and residuals */
     sfem_real *small;    /* scratch of eigenvalues */
     sfem_real *ax;       /* [3][padded][4] scratch */
     sfem_real gain;      /* backward error of a mode over rho / theta, from above */
+    sfem_real *before, *mbefore; /* such of the block before */
+    int owed;            /* the block in W has been through the recurrence only */
     int full;            /* T is no band matrix, since a restart */
     int vectors;         /* ritz holds eigenvectors of T as it is */
     sfem_real r[16];     /* R, row-major */
@@ -19598,7 +19603,9 @@ static void sfemi_lanczos_free(sfemi_lanczos *z)
     sfemi_delete(al, z->a.val);
     sfemi_delete(al, z->v);
     if (z->mw != z->w) sfemi_delete(al, z->mw);
+    if (z->mbefore != z->before) sfemi_delete(al, z->mbefore);
     sfemi_delete(al, z->w);
+    sfemi_delete(al, z->before);
     sfemi_delete(al, z->work);
     sfemi_delete(al, z->c);
     sfemi_delete(al, z->part);
@@ -19615,7 +19622,7 @@ typedef struct sfemi_lanczos_job {
     sfem_int first, panels; /* of the basis */
     int minus;
     const sfem_real *c;
-    sfem_real *w;
+    sfem_real *w, *before; /* a second block of vectors, or NULL */
     sfem_int kept; /* columns that sfemi_lanczos_compress makes */
 } sfemi_lanczos_job;
 
@@ -19629,11 +19636,12 @@ static void sfemi_lanczos_dots_chunk(void *data, sfem_int chunk)
 {
     const sfemi_lanczos_job *job = (const sfemi_lanczos_job *)data;
     const sfemi_lanczos *z = job->z;
-    const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK, size = 96 * (size_t)job->panels;
-    sfem_real *part = z->part + (size_t)chunk * 96 * (size_t)z->panels;
-    memset(part, 0, size * sizeof *part);
+    const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK, size = 96 * (size_t)z->panels;
+    sfem_real *part = z->part + 2 * (size_t)chunk * size;
+    memset(part, 0, (job->before ? 2 * size : 96 * (size_t)job->panels) * sizeof *part);
     z->f->dots(sfemi_lanczos_rows(z, chunk), (size_t)job->panels,
-               z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, z->mw + 4 * at, part);
+               z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, z->mw + 4 * at,
+               job->before ? z->mbefore + 4 * at : NULL, part, part + size);
 }
 
 static void sfemi_lanczos_combine_chunk(void *data, sfem_int chunk)
@@ -19643,7 +19651,8 @@ static void sfemi_lanczos_combine_chunk(void *data, sfem_int chunk)
     const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK;
     z->f->combine(job->minus, sfemi_lanczos_rows(z, chunk), (size_t)job->panels,
                   z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, job->c,
-                  job->w + 4 * at);
+                  job->c + 96 * (size_t)z->panels, job->w + 4 * at,
+                  job->before ? job->before + 4 * at : NULL);
 }
 
 /* MW = M W */
@@ -19652,17 +19661,32 @@ static void sfemi_lanczos_mass(sfemi_lanczos *z)
     if (z->mw != z->w) sfemi_modes_mass(z->s, z->w, z->mw);
 }
 
-/* c = V^T MW for the job's panels. */
+/* c = V^T MW for the job's panels, and behind it such of the block before. */
 static void sfemi_lanczos_dots(sfemi_lanczos *z, sfemi_lanczos_job *job)
 {
-    const size_t size = 96 * (size_t)job->panels;
+    const size_t size = 96 * (size_t)job->panels, all = 96 * (size_t)z->panels;
     sfem_int k;
     size_t i;
+    int b;
     sfemi_run(z->exec, z->chunks, sfemi_lanczos_dots_chunk, job);
-    memset(z->c, 0, size * sizeof *z->c);
-    for (k = 0; k < z->chunks; ++k)
-        for (i = 0; i < size; ++i) z->c[i] += z->part[(size_t)k * 96 * (size_t)z->panels + i];
-    for (i = 4 * (size_t)(z->m - 24 * job->first); i < size; ++i) z->c[i] = 0; /* no vectors there */
+    for (b = 0; b <= (job->before != NULL); ++b) {
+        sfem_real *c = z->c + (size_t)b * all;
+        memset(c, 0, size * sizeof *c);
+        for (k = 0; k < z->chunks; ++k)
+            for (i = 0; i < size; ++i) c[i] += z->part[(2 * (size_t)k + (size_t)b) * all + i];
+        for (i = 4 * (size_t)(z->m - 4 * b - 24 * job->first); i < size; ++i) c[i] = 0; /* none there */
+    }
+}
+
+/* Columns of V from `at` on, four at most, = those of W, or 0. */
+static void sfemi_lanczos_put(sfemi_lanczos *z, sfem_int at, sfem_int count, const sfem_real *w)
+{
+    size_t r;
+    sfem_int q;
+    for (q = 0; q < count; ++q) {
+        sfem_real *to = z->v + (size_t)((at + q) / 24) * 24 * z->padded + (size_t)((at + q) % 24);
+        for (r = 0; r < z->padded; ++r) to[24 * r] = w ? w[4 * r + (size_t)q] : 0;
+    }
 }
 
 /* W -= V V^T M W with the panels that hold the columns from `first` on; T's newest columns, at `column`,
@@ -19679,6 +19703,7 @@ static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_i
     job.minus = 1;
     job.c = z->c;
     job.w = z->w;
+    job.before = NULL;
     job.kept = 0;
     sfemi_lanczos_mass(z);
     sfemi_lanczos_dots(z, &job);
@@ -19687,6 +19712,31 @@ static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_i
         for (q = 0; q < 4; ++q)
             z->t[(size_t)k + (size_t)(column + q) * (size_t)z->capacity] +=
                 z->c[4 * (k - 24 * job.first) + q];
+}
+
+/* The same with all panels for W and for the block before it, the newest of V, which has been through the
+ * recurrence only. V is read once for both. What that block had in the old basis, Op brings back into it:
+ * no part of T, which but for rounding is a band matrix. */
+static void sfemi_lanczos_orthogonalise_both(sfemi_lanczos *z, sfem_int column)
+{
+    sfemi_lanczos_job job;
+    sfem_int k;
+    int q;
+    job.z = z;
+    job.first = 0;
+    job.panels = (z->m + 23) / 24;
+    job.minus = 1;
+    job.c = z->c;
+    job.w = z->w;
+    job.before = z->before;
+    job.kept = 0;
+    sfemi_lanczos_mass(z);
+    sfemi_lanczos_dots(z, &job);
+    sfemi_run(z->exec, z->chunks, sfemi_lanczos_combine_chunk, &job);
+    sfemi_lanczos_put(z, z->m - 4, 4, z->before);
+    for (k = z->m - 8; k < z->m; ++k)
+        for (q = 0; q < 4; ++q)
+            z->t[(size_t)k + (size_t)(column + q) * (size_t)z->capacity] += z->c[4 * k + q];
 }
 
 /* x = (the factorised matrix)^-1 b; with root, x = root (..)^-1 root b. */
@@ -19791,17 +19841,6 @@ static void sfemi_lanczos_normalise(sfemi_lanczos *z, sfem_real least)
     }
 }
 
-/* Columns of V from `at` on, four at most, = those of W, or 0. */
-static void sfemi_lanczos_put(sfemi_lanczos *z, sfem_int at, sfem_int count, const sfem_real *w)
-{
-    size_t r;
-    sfem_int q;
-    for (q = 0; q < count; ++q) {
-        sfem_real *to = z->v + (size_t)((at + q) / 24) * 24 * z->padded + (size_t)((at + q) % 24);
-        for (r = 0; r < z->padded; ++r) to[24 * r] = w ? w[4 * r + (size_t)q] : 0;
-    }
-}
-
 /* Puts W behind the basis. */
 static void sfemi_lanczos_append(sfemi_lanczos *z)
 {
@@ -19811,20 +19850,28 @@ static void sfemi_lanczos_append(sfemi_lanczos *z)
     if (z->m > z->info->basis) z->info->basis = z->m;
 }
 
-/* T gets the columns of the newest block, W the next one. The recurrence comes first: what is then left
- * in the rest of the basis is of the size of rounding, so that one pass over all of it does; after a
- * restart two. */
+/* T gets the columns of the newest block, W the next one. The recurrence comes first: what is then left in
+ * the rest of the basis is of the size of rounding over R, so that one pass over all of it does; as long
+ * as R is not small, one every other step for the two blocks; after a restart two each step. */
 static void sfemi_lanczos_step(sfemi_lanczos *z)
 {
     const sfem_int column = z->m - 4;
+    const int owed = z->owed, first = z->fresh || z->m < 12;
+    sfem_real least = HUGE_VAL;
     sfem_int q;
-    for (q = 0; q < 4; ++q)
+    for (q = 0; q < 4; ++q) {
         memset(z->t + (size_t)(column + q) * (size_t)z->capacity, 0, (size_t)z->capacity * sizeof *z->t);
+        least = fmin(least, z->r[5 * q]);
+    }
+    if (owed) memcpy(z->before, z->w, 4 * z->padded * sizeof *z->w);
+    if (owed && z->mw != z->w) memcpy(z->mbefore, z->mw, 4 * z->padded * sizeof *z->w);
+    z->owed = !owed && !first && !z->full && least > 1e-4 * z->top && z->m + 4 <= z->capacity;
     sfemi_lanczos_solve(z, z->s->root, z->mw, z->w);
     ++z->info->steps;
     sfemi_modes_deflate(z->s, z->w);
-    sfemi_lanczos_orthogonalise(z, z->fresh || z->m < 12 ? 0 : z->m - 8, column);
-    sfemi_lanczos_orthogonalise(z, 0, column);
+    sfemi_lanczos_orthogonalise(z, first ? 0 : z->m - 8, column);
+    if (owed) sfemi_lanczos_orthogonalise_both(z, column);
+    else sfemi_lanczos_orthogonalise(z, z->owed ? z->m - 8 : 0, column);
     sfemi_modes_deflate(z->s, z->w);
     for (q = 0; q < 4; ++q)
         z->top = fmax(z->top, fabs(z->t[(size_t)(column + q) * ((size_t)z->capacity + 1)]));
@@ -19941,7 +19988,7 @@ static void sfemi_lanczos_compress_chunk(void *data, sfem_int chunk)
         memset(to, 0, 96 * 24 * (size_t)z->panels * sizeof *to);
         for (k = 0; k < job->kept; k += 4)
             z->f->combine(0, some, (size_t)job->panels, z->v + 24 * at, 24 * z->padded,
-                          job->c + size * (size_t)(k / 4), to + 96 * (size_t)k);
+                          job->c + size * (size_t)(k / 4), NULL, to + 96 * (size_t)k, NULL);
         for (k = 0; k < 24 * job->panels; ++k) {
             sfem_real *v = z->v + (size_t)(k / 24) * 24 * z->padded + 24 * at + (size_t)(k % 24);
             const sfem_real *from = to + 96 * (size_t)(k / 4 * 4);
@@ -19970,6 +20017,7 @@ static sfem_status sfemi_lanczos_restart(sfemi_lanczos *z, sfem_int keep, sfem_e
     job.minus = 0;
     job.c = c;
     job.w = to;
+    job.before = NULL;
     job.kept = keep;
     sfemi_run(z->exec, z->chunks, sfemi_lanczos_compress_chunk, &job);
     memset(z->t, 0, (size_t)z->capacity * (size_t)z->capacity * sizeof *z->t);
@@ -19999,6 +20047,7 @@ static void sfemi_lanczos_begin(sfemi_lanczos *z)
     memset(z->r, 0, sizeof z->r);
     sfemi_lanczos_append(z);
     z->fresh = 1;
+    z->owed = 0;
 }
 
 static sfem_real sfemi_lanczos_lambda(const sfemi_lanczos *z, sfem_real theta)
@@ -20011,7 +20060,7 @@ static sfem_real sfemi_lanczos_lambda(const sfemi_lanczos *z, sfem_real theta)
 static void sfemi_lanczos_gain(sfemi_lanczos *z)
 {
     const sfemi_modes_system *s = z->s;
-    sfem_real *x = z->ax, *y = x + 4 * z->padded, sum = 0;
+    sfem_real *x = z->ax, *y = x + 4 * z->padded, g[48], most = 0;
     sfem_int i;
     size_t r;
     int q;
@@ -20022,8 +20071,11 @@ static void sfemi_lanczos_gain(sfemi_lanczos *z)
     memset(y, 0, 4 * z->rows * sizeof *y);
     for (i = 0; i < s->n; ++i)
         z->f->row(i, s->k.row[i], s->k.row[i + 1], s->k.col, z->a.val, NULL, x, y);
-    for (r = 0; r < 4 * z->rows; ++r) sum += y[r] * y[r];
-    z->gain = sqrt(sum * s->norm_m) / s->norm_k;
+    memset(g, 0, sizeof g);
+    z->f->gram(z->rows, y, y, g);
+    for (q = 0; q < 4; ++q) /* |A U|^2 is the largest eigenvalue of g */
+        most = fmax(most, fabs(g[q]) + fabs(g[4 + q]) + fabs(g[8 + q]) + fabs(g[12 + q]));
+    z->gain = sqrt(most * s->norm_m) / s->norm_k;
 }
 
 /* The largest backward error of the first `count`, or HUGE_VAL. */
@@ -20248,10 +20300,15 @@ static sfem_status sfemi_lanczos_reserve(sfemi_lanczos *z, sfem_int wanted, sfem
     SFEMI_NEW(sfem_real, z->v, al, (size_t)z->panels * 24 * z->padded);
     SFEMI_NEW(sfem_real, z->w, al, 4 * z->padded + 16);
     z->mw = z->w;
-    if (z->s->scalar) SFEMI_NEW(sfem_real, z->mw, al, 4 * z->padded + 16);
+    SFEMI_NEW(sfem_real, z->before, al, 4 * z->padded);
+    z->mbefore = z->before;
+    if (z->s->scalar) {
+        SFEMI_NEW(sfem_real, z->mw, al, 4 * z->padded + 16);
+        SFEMI_NEW(sfem_real, z->mbefore, al, 4 * z->padded);
+    }
     SFEMI_NEW(sfem_real, z->work, al, sfem_ldl_work_size(z->ldl, 8));
-    SFEMI_NEW(sfem_real, z->c, al, 96 * (size_t)z->panels);
-    SFEMI_NEW(sfem_real, z->part, al, 96 * (size_t)z->panels * (size_t)z->chunks);
+    SFEMI_NEW(sfem_real, z->c, al, 192 * (size_t)z->panels);
+    SFEMI_NEW(sfem_real, z->part, al, 192 * (size_t)z->panels * (size_t)z->chunks);
     SFEMI_NEW(sfem_real, z->t, al, h * h);
     SFEMI_NEW(sfem_real, z->ritz, al, h * h);
     SFEMI_NEW(sfem_real, z->theta, al, h);
@@ -20319,13 +20376,13 @@ static sfem_status sfemi_lanczos_search(sfemi_lanczos *z, int refactor, sfem_err
 }
 
 /* When to look at the Ritz values next, by the rate at which the worst of the wanted ones falls: a look
- * costs as much as many steps on a small body. */
+ * costs as much as a step on a small body. */
 static sfem_int sfemi_lanczos_next(const sfemi_lanczos *z, sfem_int before, sfem_real was, sfem_real worst)
 {
     const sfem_real tol = z->s->def->tolerance;
     sfem_real columns = 16;
     if (worst < 1 && was < HUGE_VAL && was > worst && z->m > before)
-        columns = 0.9 * (z->m - before) * log(worst / tol) / log(was / worst);
+        columns = 0.7 * (z->m - before) * log(worst / tol) / log(was / worst); /* it falls ever faster */
     else if (worst < 1)
         columns = 1.1 * sqrt((sfem_real)z->wanted) * log10(worst / tol);
     columns = fmin(fmax(columns, 1.0), 64.0);
@@ -20422,6 +20479,7 @@ static void sfemi_lanczos_output(sfemi_lanczos *z, sfem_modes *out)
     job.minus = 0;
     job.c = z->c;
     job.w = z->w;
+    job.before = NULL;
     job.kept = 0;
     for (k = 0; k < z->wanted; k += 4) {
         sfemi_lanczos_pick(z, k, z->wanted, z->c);
@@ -20500,6 +20558,7 @@ static sfem_status sfemi_lanczos_rayleigh(sfemi_lanczos *z, sfem_modes *out, sfe
     z->info->restarts = restarts;
     sfemi_lanczos_polish(z);
     job.z = z;
+    job.before = NULL;
     job.first = 0;
     job.panels = (z->m + 23) / 24;
     for (k = 0; k < z->m; k += 4) {
@@ -24944,46 +25003,50 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward4)(size_t per, size_t k,
  * apart, and blocks [rows][4]; rows a multiple of 24, 96 at a time so that they stay in the first-level
  * cache. */
 
-/* c [24 panels][4] += V^T W */
+/* c [24 panels][4] += V^T W, and d += V^T U if there is a U */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_dots)(size_t rows, size_t panels, const double *v,
-                                                        size_t stride, const double *w, double *c)
+                                                        size_t stride, const double *w, const double *u,
+                                                        double *c, double *d)
 {
     size_t at, p, r;
     for (at = 0; at < rows; at += 96) {
         const size_t depth = rows - at < 96 ? rows - at : 96;
         for (p = 0; p < panels; ++p)
-            for (r = 0; r < 24; r += 12)
-                SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, v + p * stride + 24 * at + r, 24, 1,
-                                              w + 4 * at, c + 4 * (24 * p + r));
+            for (r = 0; r < 24; r += 12) {
+                const double *a = v + p * stride + 24 * at + r;
+                SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, a, 24, 1, w + 4 * at, c + 4 * (24 * p + r));
+                if (u)
+                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, a, 24, 1, u + 4 * at,
+                                                  d + 4 * (24 * p + r));
+            }
     }
 }
 
-/* W -= V c, or += */
+/* W -= V c, or +=, and U -= V d if there is a U */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_combine)(int minus, size_t rows, size_t panels,
                                                            const double *v, size_t stride,
-                                                           const double *c, double *w)
+                                                           const double *c, const double *d, double *w,
+                                                           double *u)
 {
     size_t at, p, r;
-#if SFEMI_PATH >= 1
-    size_t k;
-#endif
     for (at = 0; at < rows; at += 96) {
         const size_t end = rows - at < 96 ? rows : at + 96;
         for (p = 0; p < panels; ++p)
             for (r = at; r < end; r += 12) {
-#if SFEMI_PATH >= 1 /* twelve rows at a time run side by side, which no prefetcher foresees */
-                const double *next = r + 12 < end       ? v + p * stride + 24 * (r + 12)
+                const double *a = v + p * stride + 24 * r;
+#if SFEMI_PATH >= 1 /* twelve rows run side by side, which no prefetcher foresees */
+                const double *next = r + 12 < end     ? a + 288
                                      : p + 1 < panels ? v + (p + 1) * stride + 24 * at
                                      : end < rows     ? v + 24 * end
                                                       : v;
+                size_t k;
                 for (k = 0; k < 288; k += 8) _mm_prefetch((const char *)(next + k), _MM_HINT_T0);
 #endif
                 if (minus)
-                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 1, 24, v + p * stride + 24 * r, 1, 24, c + 96 * p,
-                                                  w + 4 * r);
+                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 1, 24, a, 1, 24, c + 96 * p, w + 4 * r);
                 else
-                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, 24, v + p * stride + 24 * r, 1, 24, c + 96 * p,
-                                                  w + 4 * r);
+                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, 24, a, 1, 24, c + 96 * p, w + 4 * r);
+                if (u) SFEMI_KERNEL(sfemi_ldl_outer4)(1, 1, 24, a, 1, 24, d + 96 * p, u + 4 * r);
             }
     }
 }
