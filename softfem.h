@@ -8272,6 +8272,144 @@ static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfe
     return 1;
 }
 
+/* Plane rotations of neighbouring rows and columns turn a matrix of half bandwidth 4 into a tridiagonal
+ * one [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
+ * number that each rotation leaves outside, and the next ones chase over the edge. The columns of
+ * z [n][4] are turned, too. */
+static void sfemi_eigen_band(size_t n, sfem_real *a, sfem_real *z)
+{
+    size_t k, l, j, p, i;
+    for (k = 0; k + 2 < n; ++k)
+        for (l = 4; l >= 2; --l)
+            for (j = k, p = k + l - 1; p + 1 < n; j = p, p += 4) { /* a(p + 1, j) is to be 0 */
+                sfem_real *ap = a + 8 * p, *aq = ap + 8, *at = a + 8 * j + (p - j), c, s, r, t;
+                if (at[1] == 0) break;
+                r = sqrt(at[0] * at[0] + at[1] * at[1]);
+                c = at[0] / r;
+                s = at[1] / r;
+                at[0] = r;
+                at[1] = 0;
+                for (i = j + 1; i < p; ++i) {
+                    at = a + 8 * i + (p - i);
+                    t = at[0];
+                    at[0] = c * t + s * at[1];
+                    at[1] = c * at[1] - s * t;
+                }
+                t = 2 * c * s * ap[1];
+                r = c * s * (aq[0] - ap[0]) + (c * c - s * s) * ap[1];
+                {
+                    const sfem_real x = ap[0], y = aq[0];
+                    ap[0] = c * c * x + t + s * s * y;
+                    aq[0] = s * s * x - t + c * c * y;
+                    ap[1] = r;
+                }
+                for (i = 2; i < 6 && p + i < n; ++i) {
+                    t = ap[i];
+                    ap[i] = c * t + s * aq[i - 1];
+                    aq[i - 1] = c * aq[i - 1] - s * t;
+                }
+                for (i = 4 * p; i < 4 * p + 4; ++i) {
+                    t = z[i];
+                    z[i] = c * t + s * z[i + 4];
+                    z[i + 4] = c * z[i + 4] - s * t;
+                }
+            }
+}
+
+/* L U = P (A - theta I) for such a matrix, not turned, `size` large: u [n][9], the multipliers l
+ * [n][4], pivots that vanish made of the size of rounding. pivot [n]: which of the next rows came up. */
+static void sfemi_eigen_band_lu(size_t n, const sfem_real *a, sfem_real theta, sfem_real size,
+                                sfem_real *u, sfem_real *l, unsigned char *pivot)
+{
+    size_t i, j, k, best;
+    for (i = 0; i < n; ++i) /* row i from column i - 4 on; as rows turn up they move to the left */
+        for (j = 0; j < 9; ++j) {
+            const size_t col = i + j;
+            u[9 * i + j] = col < 4 || col - 4 >= n ? 0
+                           : j < 4                 ? a[8 * (col - 4) + 4 - j]
+                                                   : a[8 * i + j - 4] - (j == 4 ? theta : 0);
+        }
+    for (i = 0; i < n && i < 4; ++i) { /* the first rows start in column 0 */
+        for (j = 0; j + 4 - i < 9; ++j) u[9 * i + j] = u[9 * i + j + 4 - i];
+        for (; j < 9; ++j) u[9 * i + j] = 0;
+    }
+    for (k = 0; k < n; ++k) { /* rows k ... k + 4 start in column k */
+        const size_t end = n - k < 5 ? n - k : 5;
+        sfem_real *row = u + 9 * k;
+        for (best = 0, i = 1; i < end; ++i)
+            if (fabs(row[9 * i]) > fabs(row[9 * best])) best = i;
+        pivot[k] = (unsigned char)best;
+        for (j = 0; best && j < 9; ++j) {
+            const sfem_real t = row[j];
+            row[j] = row[9 * best + j];
+            row[9 * best + j] = t;
+        }
+        if (!(fabs(row[0]) > 1e-16 * size)) row[0] = 1e-16 * size;
+        for (i = 1; i < end; ++i) {
+            sfem_real *o = row + 9 * i;
+            const sfem_real f = l[4 * k + i - 1] = o[0] / row[0];
+            for (j = 1; j < 9; ++j) o[j - 1] = o[j] - f * row[j];
+            o[8] = 0;
+        }
+    }
+}
+
+static void sfemi_eigen_band_solve(size_t n, const sfem_real *u, const sfem_real *l,
+                                   const unsigned char *pivot, sfem_real *x)
+{
+    size_t i, k;
+    for (k = 0; k < n; ++k) {
+        const sfem_real t = x[k + pivot[k]];
+        x[k + pivot[k]] = x[k];
+        x[k] = t;
+        for (i = 1; i < 5 && k + i < n; ++i) x[k + i] -= l[4 * k + i - 1] * t;
+    }
+    for (k = n; k-- > 0;) {
+        sfem_real sum = x[k];
+        for (i = 1; i < 9 && k + i < n; ++i) sum -= u[9 * k + i] * x[k + i];
+        x[k] = sum / u[9 * k];
+    }
+}
+
+/* The eigenvectors of `count` eigenvalues of such a matrix to x [count][n], by inverse iteration, each
+ * kept orthogonal to those before. work: 13 n numbers, and n bytes more. Returns 0 if a residual is more
+ * than rounding leaves. */
+static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
+                                    const sfem_real *lambda, sfem_real size, sfem_real *x,
+                                    sfem_real *work)
+{
+    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    sfem_real *u = work, *l = work + 9 * n;
+    unsigned char *pivot = (unsigned char *)(work + 13 * n);
+    uint32_t random = 1;
+    size_t k, i, j;
+    int turn, again;
+    for (k = 0; k < count; ++k) {
+        sfem_real *y = x + k * n, large = 0, sum;
+        sfemi_eigen_band_lu(n, a, lambda[k], size, u, l, pivot);
+        for (i = 0; i < n; ++i) {
+            random = random * 1664525u + 1013904223u;
+            y[i] = (sfem_real)random / 4294967296.0 - 0.5;
+        }
+        for (turn = 0; turn < 3; ++turn) {
+            if (turn) sfemi_eigen_band_solve(n, u, l, pivot, y);
+            for (large = 0, i = 0; i < n; ++i) large = fmax(large, fabs(y[i]));
+            if (!(large > 0) || !sfemi_finite(large)) return 0;
+            for (i = 0; i < n; ++i) y[i] /= large;
+            for (again = 0; again < 2; ++again) {
+                for (j = 0; j < k; ++j) f->reflect(n, x + j * n, 1, y);
+                for (sum = 0, i = 0; i < n; ++i) sum += y[i] * y[i];
+                if (!(sum > 0)) return 0;
+                sum = 1 / sqrt(sum);
+                for (i = 0; i < n; ++i) y[i] *= sum;
+                if (turn < 2) break;
+            }
+        }
+        if (!(large * size >= 1e13 / sqrt((sfem_real)n))) return 0;
+    }
+    return 1;
+}
+
 /* Ascending, the columns of z with them. */
 static void sfemi_eigen_sort(size_t n, sfem_real *d, size_t rows, sfem_real *z, size_t h)
 {
@@ -19014,8 +19152,10 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
  * ============================================================================================ */
 
 typedef struct sfemi_modes_kernels {
-    void (*dots)(size_t, size_t, const double *, size_t, const double *, double *);
-    void (*combine)(int, size_t, size_t, const double *, size_t, const double *, double *);
+    void (*dots)(size_t, size_t, const double *, size_t, const double *, const double *, double *,
+                 double *);
+    void (*combine)(int, size_t, size_t, const double *, size_t, const double *, const double *, double *,
+                    double *);
     void (*gram)(size_t, const double *, const double *, double *);
     void (*turn)(size_t, const double *, double *);
     void (*row)(int, int, int, const sfem_int *, const double *, const double *, const double *, double *);
@@ -19626,13 +19766,16 @@ typedef struct sfemi_lanczos {
     sfem_real *w;        /* [padded][4] the newest block */
     sfem_real *mw;       /* [padded][4] M times it; w itself where the mass is lumped */
     sfem_real *work;     /* of solves */
-    sfem_real *c, *part; /* [24 panels][4], and such for each chunk */
+    sfem_real *c, *part; /* [2][24 panels][4], and such for each chunk */
     sfem_real *t;        /* [capacity][capacity] column-major, upper half */
     sfem_real *ritz;     /* [capacity][capacity] eigenvectors of T */
     sfem_real *theta, *rho; /* [capacity] Ritz values, falling, and residuals */
     sfem_real *small;    /* scratch of eigenvalues */
     sfem_real *ax;       /* [3][padded][4] scratch */
     sfem_real gain;      /* backward error of a mode over rho / theta, from above */
+    sfem_real *before, *mbefore; /* such of the block before */
+    int owed;            /* the block in W has been through the recurrence only */
+    int full;            /* T is no band matrix, since a restart */
     int vectors;         /* ritz holds eigenvectors of T as it is */
     sfem_real r[16];     /* R, row-major */
     uint64_t random;
@@ -19645,7 +19788,9 @@ static void sfemi_lanczos_free(sfemi_lanczos *z)
     sfemi_delete(al, z->a.val);
     sfemi_delete(al, z->v);
     if (z->mw != z->w) sfemi_delete(al, z->mw);
+    if (z->mbefore != z->before) sfemi_delete(al, z->mbefore);
     sfemi_delete(al, z->w);
+    sfemi_delete(al, z->before);
     sfemi_delete(al, z->work);
     sfemi_delete(al, z->c);
     sfemi_delete(al, z->part);
@@ -19662,7 +19807,7 @@ typedef struct sfemi_lanczos_job {
     sfem_int first, panels; /* of the basis */
     int minus;
     const sfem_real *c;
-    sfem_real *w;
+    sfem_real *w, *before; /* a second block of vectors, or NULL */
     sfem_int kept; /* columns that sfemi_lanczos_compress makes */
 } sfemi_lanczos_job;
 
@@ -19676,11 +19821,12 @@ static void sfemi_lanczos_dots_chunk(void *data, sfem_int chunk)
 {
     const sfemi_lanczos_job *job = (const sfemi_lanczos_job *)data;
     const sfemi_lanczos *z = job->z;
-    const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK, size = 96 * (size_t)job->panels;
-    sfem_real *part = z->part + (size_t)chunk * 96 * (size_t)z->panels;
-    memset(part, 0, size * sizeof *part);
+    const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK, size = 96 * (size_t)z->panels;
+    sfem_real *part = z->part + 2 * (size_t)chunk * size;
+    memset(part, 0, (job->before ? 2 * size : 96 * (size_t)job->panels) * sizeof *part);
     z->f->dots(sfemi_lanczos_rows(z, chunk), (size_t)job->panels,
-               z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, z->mw + 4 * at, part);
+               z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, z->mw + 4 * at,
+               job->before ? z->mbefore + 4 * at : NULL, part, part + size);
 }
 
 static void sfemi_lanczos_combine_chunk(void *data, sfem_int chunk)
@@ -19690,7 +19836,8 @@ static void sfemi_lanczos_combine_chunk(void *data, sfem_int chunk)
     const size_t at = (size_t)chunk * SFEMI_MODES_CHUNK;
     z->f->combine(job->minus, sfemi_lanczos_rows(z, chunk), (size_t)job->panels,
                   z->v + (size_t)job->first * 24 * z->padded + 24 * at, 24 * z->padded, job->c,
-                  job->w + 4 * at);
+                  job->c + 96 * (size_t)z->panels, job->w + 4 * at,
+                  job->before ? job->before + 4 * at : NULL);
 }
 
 /* MW = M W */
@@ -19699,17 +19846,32 @@ static void sfemi_lanczos_mass(sfemi_lanczos *z)
     if (z->mw != z->w) sfemi_modes_mass(z->s, z->w, z->mw);
 }
 
-/* c = V^T MW for the job's panels. */
+/* c = V^T MW for the job's panels, and behind it such of the block before. */
 static void sfemi_lanczos_dots(sfemi_lanczos *z, sfemi_lanczos_job *job)
 {
-    const size_t size = 96 * (size_t)job->panels;
+    const size_t size = 96 * (size_t)job->panels, all = 96 * (size_t)z->panels;
     sfem_int k;
     size_t i;
+    int b;
     sfemi_run(z->exec, z->chunks, sfemi_lanczos_dots_chunk, job);
-    memset(z->c, 0, size * sizeof *z->c);
-    for (k = 0; k < z->chunks; ++k)
-        for (i = 0; i < size; ++i) z->c[i] += z->part[(size_t)k * 96 * (size_t)z->panels + i];
-    for (i = 4 * (size_t)(z->m - 24 * job->first); i < size; ++i) z->c[i] = 0; /* no vectors there */
+    for (b = 0; b <= (job->before != NULL); ++b) {
+        sfem_real *c = z->c + (size_t)b * all;
+        memset(c, 0, size * sizeof *c);
+        for (k = 0; k < z->chunks; ++k)
+            for (i = 0; i < size; ++i) c[i] += z->part[(2 * (size_t)k + (size_t)b) * all + i];
+        for (i = 4 * (size_t)(z->m - 4 * b - 24 * job->first); i < size; ++i) c[i] = 0; /* none there */
+    }
+}
+
+/* Columns of V from `at` on, four at most, = those of W, or 0. */
+static void sfemi_lanczos_put(sfemi_lanczos *z, sfem_int at, sfem_int count, const sfem_real *w)
+{
+    size_t r;
+    sfem_int q;
+    for (q = 0; q < count; ++q) {
+        sfem_real *to = z->v + (size_t)((at + q) / 24) * 24 * z->padded + (size_t)((at + q) % 24);
+        for (r = 0; r < z->padded; ++r) to[24 * r] = w ? w[4 * r + (size_t)q] : 0;
+    }
 }
 
 /* W -= V V^T M W with the panels that hold the columns from `first` on; T's newest columns, at `column`,
@@ -19726,6 +19888,7 @@ static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_i
     job.minus = 1;
     job.c = z->c;
     job.w = z->w;
+    job.before = NULL;
     job.kept = 0;
     sfemi_lanczos_mass(z);
     sfemi_lanczos_dots(z, &job);
@@ -19734,6 +19897,31 @@ static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_i
         for (q = 0; q < 4; ++q)
             z->t[(size_t)k + (size_t)(column + q) * (size_t)z->capacity] +=
                 z->c[4 * (k - 24 * job.first) + q];
+}
+
+/* The same with all panels for W and for the block before it, the newest of V, which has been through the
+ * recurrence only. V is read once for both. What that block had in the old basis, Op brings back into it:
+ * no part of T, which but for rounding is a band matrix. */
+static void sfemi_lanczos_orthogonalise_both(sfemi_lanczos *z, sfem_int column)
+{
+    sfemi_lanczos_job job;
+    sfem_int k;
+    int q;
+    job.z = z;
+    job.first = 0;
+    job.panels = (z->m + 23) / 24;
+    job.minus = 1;
+    job.c = z->c;
+    job.w = z->w;
+    job.before = z->before;
+    job.kept = 0;
+    sfemi_lanczos_mass(z);
+    sfemi_lanczos_dots(z, &job);
+    sfemi_run(z->exec, z->chunks, sfemi_lanczos_combine_chunk, &job);
+    sfemi_lanczos_put(z, z->m - 4, 4, z->before);
+    for (k = z->m - 8; k < z->m; ++k)
+        for (q = 0; q < 4; ++q)
+            z->t[(size_t)k + (size_t)(column + q) * (size_t)z->capacity] += z->c[4 * k + q];
 }
 
 /* x = (the factorised matrix)^-1 b; with root, x = root (..)^-1 root b. */
@@ -19838,17 +20026,6 @@ static void sfemi_lanczos_normalise(sfemi_lanczos *z, sfem_real least)
     }
 }
 
-/* Columns of V from `at` on, four at most, = those of W, or 0. */
-static void sfemi_lanczos_put(sfemi_lanczos *z, sfem_int at, sfem_int count, const sfem_real *w)
-{
-    size_t r;
-    sfem_int q;
-    for (q = 0; q < count; ++q) {
-        sfem_real *to = z->v + (size_t)((at + q) / 24) * 24 * z->padded + (size_t)((at + q) % 24);
-        for (r = 0; r < z->padded; ++r) to[24 * r] = w ? w[4 * r + (size_t)q] : 0;
-    }
-}
-
 /* Puts W behind the basis. */
 static void sfemi_lanczos_append(sfemi_lanczos *z)
 {
@@ -19858,20 +20035,28 @@ static void sfemi_lanczos_append(sfemi_lanczos *z)
     if (z->m > z->info->basis) z->info->basis = z->m;
 }
 
-/* T gets the columns of the newest block, W the next one. The recurrence comes first: what is then left
- * in the rest of the basis is of the size of rounding, so that one pass over all of it does; after a
- * restart two. */
+/* T gets the columns of the newest block, W the next one. The recurrence comes first: what is then left in
+ * the rest of the basis is of the size of rounding over R, so that one pass over all of it does; as long
+ * as R is not small, one every other step for the two blocks; after a restart two each step. */
 static void sfemi_lanczos_step(sfemi_lanczos *z)
 {
     const sfem_int column = z->m - 4;
+    const int owed = z->owed, first = z->fresh || z->m < 12;
+    sfem_real least = HUGE_VAL;
     sfem_int q;
-    for (q = 0; q < 4; ++q)
+    for (q = 0; q < 4; ++q) {
         memset(z->t + (size_t)(column + q) * (size_t)z->capacity, 0, (size_t)z->capacity * sizeof *z->t);
+        least = fmin(least, z->r[5 * q]);
+    }
+    if (owed) memcpy(z->before, z->w, 4 * z->padded * sizeof *z->w);
+    if (owed && z->mw != z->w) memcpy(z->mbefore, z->mw, 4 * z->padded * sizeof *z->w);
+    z->owed = !owed && !first && !z->full && least > 1e-4 * z->top && z->m + 4 <= z->capacity;
     sfemi_lanczos_solve(z, z->s->root, z->mw, z->w);
     ++z->info->steps;
     sfemi_modes_deflate(z->s, z->w);
-    sfemi_lanczos_orthogonalise(z, z->fresh || z->m < 12 ? 0 : z->m - 8, column);
-    sfemi_lanczos_orthogonalise(z, 0, column);
+    sfemi_lanczos_orthogonalise(z, first ? 0 : z->m - 8, column);
+    if (owed) sfemi_lanczos_orthogonalise_both(z, column);
+    else sfemi_lanczos_orthogonalise(z, z->owed ? z->m - 8 : 0, column);
     sfemi_modes_deflate(z->s, z->w);
     for (q = 0; q < 4; ++q)
         z->top = fmax(z->top, fabs(z->t[(size_t)(column + q) * ((size_t)z->capacity + 1)]));
@@ -19901,24 +20086,30 @@ static void sfemi_lanczos_copy(const sfemi_lanczos *z, sfem_real *to)
         for (i = j; i < m; ++i) to[i + j * m] = z->t[j + i * h];
 }
 
+/* T while it has not been restarted, as sfemi_eigen_band takes it: R is triangular, and what stands
+ * farther from the diagonal is rounding. */
+static void sfemi_lanczos_band(const sfemi_lanczos *z, sfem_real *to)
+{
+    const size_t m = (size_t)z->m, h = (size_t)z->capacity;
+    size_t j, k;
+    for (j = 0; j < m; ++j)
+        for (k = 0; k < 8; ++k) to[8 * j + k] = k < 5 && j + k < m ? z->t[j + (j + k) * h] : 0;
+}
+
 /* theta and rho, falling, by the eigenvalues of T and the last four numbers of its eigenvectors. */
 static int sfemi_lanczos_values(sfemi_lanczos *z)
 {
     const size_t m = (size_t)z->m;
-    sfem_real *d = z->theta, *e = z->small, *tau = e + m, *work = tau + m, *rows = work + 3 * m, *x;
-    size_t i, k;
-    int q;
+    sfem_real *d = z->theta, *e = z->small, *work = e + m, *rows = work + 2 * m, *a = rows + 4 * m;
+    size_t i;
     z->vectors = 0;
-    sfemi_lanczos_copy(z, z->ritz);
-    sfemi_eigen_reduce(m, z->ritz, d, e, tau, work);
-    for (q = 0; q < 4; ++q) { /* the last rows of Q = H_0 H_1 ...: rows [m][4] */
-        x = work;
-        memset(x, 0, m * sizeof *x);
-        x[m - 4 + (size_t)q] = 1;
-        for (k = 0; k + 1 < m; ++k)
-            sfemi_eigen_kernels_of(sfemi_path())
-                ->reflect(m - k - 1, z->ritz + k * m + k + 1, tau[k], x + k + 1);
-        for (i = 0; i < m; ++i) rows[4 * i + (size_t)q] = x[i];
+    sfemi_lanczos_band(z, a);
+    memset(rows, 0, 4 * m * sizeof *rows);
+    for (i = 0; i < 4; ++i) rows[4 * (m - 4) + 5 * i] = 1;
+    sfemi_eigen_band(m, a, rows);
+    for (i = 0; i < m; ++i) {
+        d[i] = a[8 * i];
+        e[i] = a[8 * i + 1];
     }
     if (!sfemi_eigen_ql(m, d, e, 4, rows, 4, work)) return 0;
     for (i = 0; i < m; ++i) d[i] = -d[i];
@@ -19928,6 +20119,15 @@ static int sfemi_lanczos_values(sfemi_lanczos *z)
         z->rho[i] = sfemi_lanczos_residual(z, rows + 4 * i);
     }
     return 1;
+}
+
+/* The wanted eigenvectors to z->ritz, after the above. */
+static int sfemi_lanczos_some(sfemi_lanczos *z)
+{
+    sfem_real *a = z->small + 16 * (size_t)z->capacity;
+    sfemi_lanczos_band(z, a);
+    return sfemi_eigen_band_vectors((size_t)z->m, a, (size_t)z->wanted, z->theta, z->theta[0], z->ritz,
+                                    z->small);
 }
 
 /* The same with all eigenvectors, in z->ritz, largest theta first. */
@@ -19973,7 +20173,7 @@ static void sfemi_lanczos_compress_chunk(void *data, sfem_int chunk)
         memset(to, 0, 96 * 24 * (size_t)z->panels * sizeof *to);
         for (k = 0; k < job->kept; k += 4)
             z->f->combine(0, some, (size_t)job->panels, z->v + 24 * at, 24 * z->padded,
-                          job->c + size * (size_t)(k / 4), to + 96 * (size_t)k);
+                          job->c + size * (size_t)(k / 4), NULL, to + 96 * (size_t)k, NULL);
         for (k = 0; k < 24 * job->panels; ++k) {
             sfem_real *v = z->v + (size_t)(k / 24) * 24 * z->padded + 24 * at + (size_t)(k % 24);
             const sfem_real *from = to + 96 * (size_t)(k / 4 * 4);
@@ -20002,6 +20202,7 @@ static sfem_status sfemi_lanczos_restart(sfemi_lanczos *z, sfem_int keep, sfem_e
     job.minus = 0;
     job.c = c;
     job.w = to;
+    job.before = NULL;
     job.kept = keep;
     sfemi_run(z->exec, z->chunks, sfemi_lanczos_compress_chunk, &job);
     memset(z->t, 0, (size_t)z->capacity * (size_t)z->capacity * sizeof *z->t);
@@ -20009,6 +20210,7 @@ static sfem_status sfemi_lanczos_restart(sfemi_lanczos *z, sfem_int keep, sfem_e
     z->m = keep;
     z->fresh = 1;
     z->vectors = 0;
+    z->full = 1;
     ++z->info->restarts;
 done:
     sfemi_delete(z->s->al, c);
@@ -20030,6 +20232,7 @@ static void sfemi_lanczos_begin(sfemi_lanczos *z)
     memset(z->r, 0, sizeof z->r);
     sfemi_lanczos_append(z);
     z->fresh = 1;
+    z->owed = 0;
 }
 
 static sfem_real sfemi_lanczos_lambda(const sfemi_lanczos *z, sfem_real theta)
@@ -20042,7 +20245,7 @@ static sfem_real sfemi_lanczos_lambda(const sfemi_lanczos *z, sfem_real theta)
 static void sfemi_lanczos_gain(sfemi_lanczos *z)
 {
     const sfemi_modes_system *s = z->s;
-    sfem_real *x = z->ax, *y = x + 4 * z->padded, sum = 0;
+    sfem_real *x = z->ax, *y = x + 4 * z->padded, g[48], most = 0;
     sfem_int i;
     size_t r;
     int q;
@@ -20053,8 +20256,11 @@ static void sfemi_lanczos_gain(sfemi_lanczos *z)
     memset(y, 0, 4 * z->rows * sizeof *y);
     for (i = 0; i < s->n; ++i)
         z->f->row(i, s->k.row[i], s->k.row[i + 1], s->k.col, z->a.val, NULL, x, y);
-    for (r = 0; r < 4 * z->rows; ++r) sum += y[r] * y[r];
-    z->gain = sqrt(sum * s->norm_m) / s->norm_k;
+    memset(g, 0, sizeof g);
+    z->f->gram(z->rows, y, y, g);
+    for (q = 0; q < 4; ++q) /* |A U|^2 is the largest eigenvalue of g */
+        most = fmax(most, fabs(g[q]) + fabs(g[4 + q]) + fabs(g[8 + q]) + fabs(g[12 + q]));
+    z->gain = sqrt(most * s->norm_m) / s->norm_k;
 }
 
 /* The largest backward error of the first `count`, or HUGE_VAL. */
@@ -20279,15 +20485,20 @@ static sfem_status sfemi_lanczos_reserve(sfemi_lanczos *z, sfem_int wanted, sfem
     SFEMI_NEW(sfem_real, z->v, al, (size_t)z->panels * 24 * z->padded);
     SFEMI_NEW(sfem_real, z->w, al, 4 * z->padded + 16);
     z->mw = z->w;
-    if (z->s->scalar) SFEMI_NEW(sfem_real, z->mw, al, 4 * z->padded + 16);
+    SFEMI_NEW(sfem_real, z->before, al, 4 * z->padded);
+    z->mbefore = z->before;
+    if (z->s->scalar) {
+        SFEMI_NEW(sfem_real, z->mw, al, 4 * z->padded + 16);
+        SFEMI_NEW(sfem_real, z->mbefore, al, 4 * z->padded);
+    }
     SFEMI_NEW(sfem_real, z->work, al, sfem_ldl_work_size(z->ldl, 8));
-    SFEMI_NEW(sfem_real, z->c, al, 96 * (size_t)z->panels);
-    SFEMI_NEW(sfem_real, z->part, al, 96 * (size_t)z->panels * (size_t)z->chunks);
+    SFEMI_NEW(sfem_real, z->c, al, 192 * (size_t)z->panels);
+    SFEMI_NEW(sfem_real, z->part, al, 192 * (size_t)z->panels * (size_t)z->chunks);
     SFEMI_NEW(sfem_real, z->t, al, h * h);
     SFEMI_NEW(sfem_real, z->ritz, al, h * h);
     SFEMI_NEW(sfem_real, z->theta, al, h);
     SFEMI_NEW(sfem_real, z->rho, al, h);
-    SFEMI_NEW(sfem_real, z->small, al, 14 * h);
+    SFEMI_NEW(sfem_real, z->small, al, 24 * h);
     SFEMI_NEW(sfem_real, z->ax, al, 12 * z->padded);
     if (z->s->root && z->s->rigid) {
         SFEMI_NEW(sfem_real, z->s->half, al, 6 * z->rows);
@@ -20350,13 +20561,13 @@ static sfem_status sfemi_lanczos_search(sfemi_lanczos *z, int refactor, sfem_err
 }
 
 /* When to look at the Ritz values next, by the rate at which the worst of the wanted ones falls: a look
- * costs as much as many steps on a small body. */
+ * costs as much as a step on a small body. */
 static sfem_int sfemi_lanczos_next(const sfemi_lanczos *z, sfem_int before, sfem_real was, sfem_real worst)
 {
     const sfem_real tol = z->s->def->tolerance;
     sfem_real columns = 16;
     if (worst < 1 && was < HUGE_VAL && was > worst && z->m > before)
-        columns = 0.9 * (z->m - before) * log(worst / tol) / log(was / worst);
+        columns = 0.7 * (z->m - before) * log(worst / tol) / log(was / worst); /* it falls ever faster */
     else if (worst < 1)
         columns = 1.1 * sqrt((sfem_real)z->wanted) * log10(worst / tol);
     columns = fmin(fmax(columns, 1.0), 64.0);
@@ -20378,8 +20589,7 @@ static sfem_status sfemi_lanczos_iterate(sfemi_lanczos *z, sfem_error *err)
         sfemi_lanczos_step(z);
         full = z->m + 4 > z->capacity;
         if (full || z->m >= next) {
-            /* the first look is a cheap one; where the rate is known, this may be the last */
-            if (!(worst < HUGE_VAL || full ? sfemi_lanczos_vectors(z) : sfemi_lanczos_values(z)))
+            if (!(z->full ? sfemi_lanczos_vectors(z) : sfemi_lanczos_values(z)))
                 return sfemi_fail(err, SFEM_NOT_CONVERGED,
                                   "an eigenvalue of the Lanczos matrix does not converge");
             was = worst;
@@ -20454,6 +20664,7 @@ static void sfemi_lanczos_output(sfemi_lanczos *z, sfem_modes *out)
     job.minus = 0;
     job.c = z->c;
     job.w = z->w;
+    job.before = NULL;
     job.kept = 0;
     for (k = 0; k < z->wanted; k += 4) {
         sfemi_lanczos_pick(z, k, z->wanted, z->c);
@@ -20532,6 +20743,7 @@ static sfem_status sfemi_lanczos_rayleigh(sfemi_lanczos *z, sfem_modes *out, sfe
     z->info->restarts = restarts;
     sfemi_lanczos_polish(z);
     job.z = z;
+    job.before = NULL;
     job.first = 0;
     job.panels = (z->m + 23) / 24;
     for (k = 0; k < z->m; k += 4) {
@@ -20562,7 +20774,7 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
     sfem_int i;
     int turn;
     if (status != SFEM_OK) return status;
-    if (!sfemi_lanczos_vectors(z))
+    if ((z->full || !sfemi_lanczos_some(z)) && !sfemi_lanczos_vectors(z))
         return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
     SFEMI_NEW(sfem_real, lambda, s->al, z->m);
     for (i = 0; i < z->m; ++i) lambda[i] = sfemi_lanczos_lambda(z, z->theta[i]);
@@ -24362,6 +24574,16 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_eigen_sweep)(size_t rows, size_t cou
         SFEMI_ST(p + SFEMI_W, x1);
         SFEMI_ST(p + 2 * SFEMI_W, x2);
     }
+    for (; i + SFEMI_W <= rows; i += SFEMI_W) {
+        double *p = z + count * h + i;
+        SFEMI_V x = SFEMI_LD(p);
+        for (k = count; k-- > 0; p -= h) {
+            const SFEMI_V ck = SFEMI_DUP(c[k]), sk = SFEMI_DUP(s[k]), y = SFEMI_LD(p - h);
+            SFEMI_ST(p, SFEMI_FMA(sk, y, SFEMI_MUL(ck, x)));
+            x = SFEMI_FNMA(sk, x, SFEMI_MUL(ck, y));
+        }
+        SFEMI_ST(p, x);
+    }
     for (; i < rows; ++i) {
         double *p = z + count * h + i, x = p[0];
         for (k = count; k-- > 0; p -= h) {
@@ -25100,36 +25322,50 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward4)(size_t per, size_t k,
  * apart, and blocks [rows][4]; rows a multiple of 24, 96 at a time so that they stay in the first-level
  * cache. */
 
-/* c [24 panels][4] += V^T W */
+/* c [24 panels][4] += V^T W, and d += V^T U if there is a U */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_dots)(size_t rows, size_t panels, const double *v,
-                                                        size_t stride, const double *w, double *c)
+                                                        size_t stride, const double *w, const double *u,
+                                                        double *c, double *d)
 {
     size_t at, p, r;
     for (at = 0; at < rows; at += 96) {
         const size_t depth = rows - at < 96 ? rows - at : 96;
         for (p = 0; p < panels; ++p)
-            for (r = 0; r < 24; r += 12)
-                SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, v + p * stride + 24 * at + r, 24, 1,
-                                              w + 4 * at, c + 4 * (24 * p + r));
+            for (r = 0; r < 24; r += 12) {
+                const double *a = v + p * stride + 24 * at + r;
+                SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, a, 24, 1, w + 4 * at, c + 4 * (24 * p + r));
+                if (u)
+                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, a, 24, 1, u + 4 * at,
+                                                  d + 4 * (24 * p + r));
+            }
     }
 }
 
-/* W -= V c, or += */
+/* W -= V c, or +=, and U -= V d if there is a U */
 static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_combine)(int minus, size_t rows, size_t panels,
                                                            const double *v, size_t stride,
-                                                           const double *c, double *w)
+                                                           const double *c, const double *d, double *w,
+                                                           double *u)
 {
     size_t at, p, r;
     for (at = 0; at < rows; at += 96) {
         const size_t end = rows - at < 96 ? rows : at + 96;
         for (p = 0; p < panels; ++p)
             for (r = at; r < end; r += 12) {
+                const double *a = v + p * stride + 24 * r;
+#if SFEMI_PATH >= 1 /* twelve rows run side by side, which no prefetcher foresees */
+                const double *next = r + 12 < end     ? a + 288
+                                     : p + 1 < panels ? v + (p + 1) * stride + 24 * at
+                                     : end < rows     ? v + 24 * end
+                                                      : v;
+                size_t k;
+                for (k = 0; k < 288; k += 8) _mm_prefetch((const char *)(next + k), _MM_HINT_T0);
+#endif
                 if (minus)
-                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 1, 24, v + p * stride + 24 * r, 1, 24, c + 96 * p,
-                                                  w + 4 * r);
+                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 1, 24, a, 1, 24, c + 96 * p, w + 4 * r);
                 else
-                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, 24, v + p * stride + 24 * r, 1, 24, c + 96 * p,
-                                                  w + 4 * r);
+                    SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, 24, a, 1, 24, c + 96 * p, w + 4 * r);
+                if (u) SFEMI_KERNEL(sfemi_ldl_outer4)(1, 1, 24, a, 1, 24, d + 96 * p, u + 4 * r);
             }
     }
 }
