@@ -66,6 +66,12 @@ bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S besid
 bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distortion against loss
 	$(BUILD)/bench/link
 
+stress: $(BUILD)/bench/stress ## which integrator survives what: 416 scenes, the default in all of them
+	$(BUILD)/bench/stress
+
+accuracy: $(BUILD)/bench/accuracy ## the verification table: expected beside found; CalculiX if there
+	$(BUILD)/bench/accuracy
+
 bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, BLAS where installed
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/solver
 
@@ -150,6 +156,8 @@ $(BUILD)/examples/%: examples/%.c $(wildcard examples/*.h) softfem.h $(BUILD)/so
 $(BUILD)/tests/%: tests/%.c $(wildcard tests/*.h) softfem.h $(BUILD)/softfem.o $(BUILD)/cmocka
 	@mkdir -p $(@D)
 	$(CC) $(FLAGS) $(FLAGS_$*) -pthread -o $@ $< $(BUILD)/softfem.o $(LDFLAGS) -lcmocka -lm
+
+$(BUILD)/tests/test_stress: bench/stress.h
 
 $(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)

@@ -768,7 +768,8 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
         if (r->verdict == STRESS_IS_PASSED && !(w.moved >= least)) {
             char why[96];
             snprintf(why, sizeof why, "moved by %.3g m, at least %.3g wanted", w.moved, least);
-            stress_note(r, STRESS_IS_STILL, why);
+            stress_note(r, s->scene->family == STRESS_POINT && s->scene->law >= SFEM_STVK
+                               ? STRESS_IS_LOCKED : STRESS_IS_STILL, why);
         }
     }
 }
@@ -856,10 +857,15 @@ STRESS_STATIC void stress_come_back(stress_body *s, stress_form form, double h, 
         (void)sfem_body_set_state(s->body, u, NULL, &err);
     }
     {
-        char why[96];
-        snprintf(why, sizeof why, "off by %.3g of its length, force %.2g, after %d damped steps",
-                 r->shape, force, r->damped_steps);
-        stress_note(r, STRESS_IS_SHAPE, why);
+        char why[128];
+        sfem_int inverted = 0;
+        (void)sfem_model_forces(s->model, sfem_body_displacement(s->body), SFEM_DOUBLE, s->f, NULL,
+                                &inverted, s->work, NULL);
+        r->inverted = (int)inverted;
+        snprintf(why, sizeof why,
+                 "off by %.3g of its length, force %.2g, %d tets inverted, after %d damped steps",
+                 r->shape, force, (int)inverted, r->damped_steps);
+        stress_note(r, s->scene->law == SFEM_STVK && inverted ? STRESS_IS_LOCKED : STRESS_IS_SHAPE, why);
     }
 }
 
