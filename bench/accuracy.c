@@ -761,12 +761,18 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     sfem_damage_def damage = sfem_default_damage_def();
     sfem_body_def def = sfem_default_body_def();
     sfem_int *pins = (sfem_int *)malloc((size_t)b.n * sizeof *pins), count = 0, i;
+    double *tougher = reals(b.mesh.tets), surface;
     sfem_body *body;
     sfem_error err;
-    double surface;
     int k;
     for (i = 0; i < b.n; ++i)
         if (b.mesh.x[3 * i] < 1e-9 || b.mesh.x[3 * i] > 0.3 - 1e-9) pins[count++] = i;
+    for (i = 0; i < b.mesh.tets; ++i) { /* tougher but in the middle third, so that one crack does it */
+        const sfem_int *t = b.mesh.tet + 4 * i;
+        const double middle = (b.mesh.x[3 * t[0]] + b.mesh.x[3 * t[1]] + b.mesh.x[3 * t[2]] + b.mesh.x[3 * t[3]]) / 4;
+        tougher[i] = fabs(middle - 0.15) < 0.05 ? 1 : 10;
+    }
+    damage.tet_factor = tougher;
     damage.criterion = criterion;
     damage.toughness = 100;
     damage.strength = 1e5;
@@ -776,7 +782,7 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     def.alpha = 200;
     def.beta_k = 1e-3;
     check(sfem_body_create(b.model, &def, &body, &err), &err);
-    for (k = 0; k < 6000 && sfem_body_fracture(body).pieces < 2; ++k) {
+    for (k = 0; k < 6000 && sfem_body_piece_of(body)[0] == sfem_body_piece_of(body)[b.n - 1]; ++k) {
         for (i = 0; i < count; ++i) {
             double to[3];
             memcpy(to, b.mesh.x + 3 * pins[i], sizeof to);
@@ -790,6 +796,7 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     sfem_body_free(body);
     drop(&b);
     free(pins);
+    free(tougher);
     return surface / (100 * 0.01);
 }
 
@@ -832,9 +839,9 @@ static void fracture(void)
         booked[k] = pulled_apart(cells[k], SFEM_BREAK_ENERGY, &pieces);
         strength[k] = pulled_apart(cells[k], SFEM_BREAK_STRESS, &pieces);
     }
-    for (k = 1; k < 3; ++k)
-        row(1, booked[k] / booked[0], 0.15, "bar pulled apart, by energy, %d^2 cells over 2^2 (%.3f, %.3f)", cells[k],
-            booked[k], booked[0]);
+    row(1, booked[2] / booked[1], 0.15, "bar pulled apart in motion, by energy, 6^2 cells over 4^2 (%.3f, %.3f)",
+        booked[2], booked[1]);
+    printf("    (2^2 cells: %.3f)\n", booked[0]);
     printf("    (by strength %.3f %.3f %.3f: the source's choice, not independent of the mesh)\n", strength[0],
            strength[1], strength[2]);
 }
@@ -910,7 +917,7 @@ static void calculix(void)
         char directory[] = "/tmp/softfem_ccx_XXXXXX", path[300];
         def.newton.tolerance = 1e-10;
         def.newton.load_steps = finite ? 10 : 1;
-        for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -4, 4) + (i % 3 == 2 ? -6 : 0);
+        for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -10, 10) + (i % 3 == 2 ? -18 : 0);
         for (i = 0; i < b.pin_count; ++i) memset(force + 3 * b.pins[i], 0, 3 * sizeof *force);
         body = hold(&b, def);
         check(sfem_body_set_force(body, force, &err), &err);
@@ -921,7 +928,7 @@ static void calculix(void)
         if (!ccx_write(path, &b, force, 1e6, 0.3, finite) || system(command) || !ccx_read(path, b.n, u))
             row(0, NAN, 0, "CalculiX gave no answer");
         else
-            row(0, distance(u, sfem_body_displacement(body), 3 * b.n) / norm(u, 3 * b.n), finite ? 1e-4 : 1e-6,
+            row(0, distance(u, sfem_body_displacement(body), 3 * b.n) / norm(u, 3 * b.n), 1e-6,
                 "%s, %d tets, largest deflection %.2g of the length: difference",
                 finite ? "StVK (its NLGEOM)" : "linear", (int)b.mesh.tets,
                 -sfem_body_displacement(body)[3 * b.n - 1] / 0.8);
