@@ -16732,7 +16732,7 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     if (status != SFEM_OK) return status;
     for (i = 0; i < n; ++i) {
         const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i] + g->added[i];
-        g->y[i] = b->state.u[i] + h * b->state.w[i] + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
+        g->y[i] = b->state.u[i] + h * b->state.w[i] / (1 + h * b->alpha / r) + (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
     }
     memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
     phi = sfemi_guard_choose_start(b, &psi);

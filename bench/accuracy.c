@@ -402,8 +402,9 @@ static const method methods[] = {
 };
 
 /* Differences of successive halvings of the step, of a bar that begins to sag and sways, smoothly: the load is
- * there from the start, and velocities are those of a slow bend. */
-static double time_order(const method *m, sfem_law law, int first)
+ * there from the start, and velocities are those of a slow bend. Backward Euler, which damps all that moves faster
+ * than a few steps, needs steps ten times as short to show its order. */
+static double time_order(const method *m, sfem_law law, double time, int first)
 {
     double *u[4], e[3], order;
     sfem_int i, n = 0;
@@ -425,7 +426,7 @@ static double time_order(const method *m, sfem_law law, int first)
         body = hold(&b, def);
         for (i = 0; i < b.n; ++i) v[3 * i + 2] = 0.4 * pow(b.mesh.x[3 * i] / 0.4, 2);
         check(sfem_body_set_state(body, NULL, v, &err), &err);
-        run(body, 0.2 / steps, steps);
+        run(body, time / steps, steps);
         n = 3 * b.n;
         u[k] = reals(n);
         memcpy(u[k], sfem_body_displacement(body), (size_t)n * sizeof(double));
@@ -477,7 +478,7 @@ static void orders(void)
     title("order in time, by halving the step");
     for (k = 0; k < sizeof methods / sizeof *methods; ++k)
         for (law = 0; law < 4; ++law)
-            row(methods[k].order, time_order(&methods[k], (sfem_law)law, 200), 0.15, "%s, %s", methods[k].name,
+            row(methods[k].order, time_order(&methods[k], (sfem_law)law, methods[k].order > 1 ? 0.2 : 0.02, 200), 0.15, "%s, %s", methods[k].name,
                 law_name[law]);
     row(4, fourth_order(), 0.15, "(1/12,1,1) with its start, linear");
 }
@@ -760,12 +761,18 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     sfem_damage_def damage = sfem_default_damage_def();
     sfem_body_def def = sfem_default_body_def();
     sfem_int *pins = (sfem_int *)malloc((size_t)b.n * sizeof *pins), count = 0, i;
+    double *tougher = reals(b.mesh.tets), surface;
     sfem_body *body;
     sfem_error err;
-    double surface;
     int k;
     for (i = 0; i < b.n; ++i)
         if (b.mesh.x[3 * i] < 1e-9 || b.mesh.x[3 * i] > 0.3 - 1e-9) pins[count++] = i;
+    for (i = 0; i < b.mesh.tets; ++i) { /* tougher but in the middle third, so that one crack does it */
+        const sfem_int *t = b.mesh.tet + 4 * i;
+        const double middle = (b.mesh.x[3 * t[0]] + b.mesh.x[3 * t[1]] + b.mesh.x[3 * t[2]] + b.mesh.x[3 * t[3]]) / 4;
+        tougher[i] = fabs(middle - 0.15) < 0.05 ? 1 : 10;
+    }
+    damage.tet_factor = tougher;
     damage.criterion = criterion;
     damage.toughness = 100;
     damage.strength = 1e5;
@@ -775,7 +782,7 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     def.alpha = 200;
     def.beta_k = 1e-3;
     check(sfem_body_create(b.model, &def, &body, &err), &err);
-    for (k = 0; k < 6000 && sfem_body_fracture(body).pieces < 2; ++k) {
+    for (k = 0; k < 6000 && sfem_body_piece_of(body)[0] == sfem_body_piece_of(body)[b.n - 1]; ++k) {
         for (i = 0; i < count; ++i) {
             double to[3];
             memcpy(to, b.mesh.x + 3 * pins[i], sizeof to);
@@ -789,6 +796,7 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     sfem_body_free(body);
     drop(&b);
     free(pins);
+    free(tougher);
     return surface / (100 * 0.01);
 }
 
@@ -831,15 +839,16 @@ static void fracture(void)
         booked[k] = pulled_apart(cells[k], SFEM_BREAK_ENERGY, &pieces);
         strength[k] = pulled_apart(cells[k], SFEM_BREAK_STRESS, &pieces);
     }
-    for (k = 1; k < 3; ++k)
-        row(1, booked[k] / booked[0], 0.15, "bar pulled apart, by energy, %d^2 cells over 2^2 (%.3f, %.3f)", cells[k],
-            booked[k], booked[0]);
+    row(1, booked[2] / booked[1], 0.15, "bar pulled apart in motion, by energy, 6^2 cells over 4^2 (%.3f, %.3f)",
+        booked[2], booked[1]);
+    printf("    (2^2 cells: %.3f)\n", booked[0]);
     printf("    (by strength %.3f %.3f %.3f: the source's choice, not independent of the mesh)\n", strength[0],
            strength[1], strength[2]);
 }
 
 /* ---- CalculiX ---- */
 
+/* Numbers of at most twenty characters: more it does not read. */
 static int ccx_write(const char *name, const bar *b, const double *force, double young, double nu, int finite)
 {
     char path[320];
@@ -851,7 +860,7 @@ static int ccx_write(const char *name, const bar *b, const double *force, double
     if (!f) return 0;
     fprintf(f, "*NODE, NSET=ALL\n");
     for (i = 0; i < b->n; ++i)
-        fprintf(f, "%d, %.16g, %.16g, %.16g\n", (int)i + 1, b->mesh.x[3 * i], b->mesh.x[3 * i + 1],
+        fprintf(f, "%d, %.12g, %.12g, %.12g\n", (int)i + 1, b->mesh.x[3 * i], b->mesh.x[3 * i + 1],
                 b->mesh.x[3 * i + 2]);
     fprintf(f, "*ELEMENT, TYPE=C3D4, ELSET=BODY\n");
     for (i = 0; i < b->mesh.tets; ++i)
@@ -863,7 +872,7 @@ static int ccx_write(const char *name, const bar *b, const double *force, double
     fprintf(f, "*STEP%s\n*STATIC\n%s*CLOAD\n", finite ? ", NLGEOM, INC=1000" : "", finite ? "0.1, 1.0\n" : "");
     for (i = 0; i < b->n; ++i)
         for (c = 0; c < 3; ++c)
-            if (force[3 * i + c] != 0) fprintf(f, "%d, %d, %.16g\n", (int)i + 1, c + 1, force[3 * i + c]);
+            if (force[3 * i + c] != 0) fprintf(f, "%d, %d, %.12g\n", (int)i + 1, c + 1, force[3 * i + c]);
     fprintf(f, "*NODE PRINT, NSET=ALL%s\nU\n*END STEP\n", finite ? ", FREQUENCY=1000" : "");
     return fclose(f) == 0;
 }
@@ -908,7 +917,7 @@ static void calculix(void)
         char directory[] = "/tmp/softfem_ccx_XXXXXX", path[300];
         def.newton.tolerance = 1e-10;
         def.newton.load_steps = finite ? 10 : 1;
-        for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -4, 4) + (i % 3 == 2 ? -6 : 0);
+        for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -10, 10) + (i % 3 == 2 ? -18 : 0);
         for (i = 0; i < b.pin_count; ++i) memset(force + 3 * b.pins[i], 0, 3 * sizeof *force);
         body = hold(&b, def);
         check(sfem_body_set_force(body, force, &err), &err);
@@ -919,12 +928,12 @@ static void calculix(void)
         if (!ccx_write(path, &b, force, 1e6, 0.3, finite) || system(command) || !ccx_read(path, b.n, u))
             row(0, NAN, 0, "CalculiX gave no answer");
         else
-            row(0, distance(u, sfem_body_displacement(body), 3 * b.n) / norm(u, 3 * b.n), finite ? 1e-4 : 1e-6,
+            row(0, distance(u, sfem_body_displacement(body), 3 * b.n) / norm(u, 3 * b.n), 1e-6,
                 "%s, %d tets, largest deflection %.2g of the length: difference",
                 finite ? "StVK (its NLGEOM)" : "linear", (int)b.mesh.tets,
                 -sfem_body_displacement(body)[3 * b.n - 1] / 0.8);
         snprintf(command, sizeof command, "rm -rf '%s'", name);
-        if (!getenv("KEEP") && name == directory && system(command)) printf("    (%s is left)\n", name);
+        if (name == directory && system(command)) printf("    (%s is left)\n", name);
         sfem_body_free(body);
         drop(&b);
         free(force);
@@ -934,7 +943,6 @@ static void calculix(void)
 
 int main(int argc, char **argv)
 {
-    if (getenv("ONLY")) return calculix(), 0;
     patches();
     space();
     completeness();

@@ -1,12 +1,12 @@
 /* Which integrator survives what: the scenes of stress.h, a fixed list of them and sampled ones, by every
  * form of every integrator; a table of survival by family, and each failure with what reruns it.
  *
- *     build/bench/stress [--jobs N] [--fixed N] [--sampled N] [--first SEED] [--quick]
+ *     build/bench/stress [--jobs N] [--fixed N] [--sampled N] [--first SEED] [--quick] [--every N]
  *     build/bench/stress --scene NAME [--seed N] [--form FORM]
  *     build/bench/stress --list
  *
  * The default goes through all scenes; the others, which the default is compared with, through the fixed
- * ones, with a quarter of the steps where they iterate. NAME is of the fixed list, or a family: then
+ * ones (every Nth of them), with a quarter of the steps where they iterate. NAME is of the fixed list, or a family: then
  * the sampled scene of the seed, or the fixed ones of the family. Status 1 if the default fails. */
 #define _DEFAULT_SOURCE
 #include "stress.h"
@@ -211,7 +211,7 @@ int main(int argc, char **argv)
     const int fixed = (int)number(argc, argv, "--fixed", quick ? 40 : 100000);
     const int sampled = (int)number(argc, argv, "--sampled", quick ? 20 : 200);
     const uint64_t first = number(argc, argv, "--first", 1000);
-    const int jobs = (int)number(argc, argv, "--jobs", 2);
+    const int jobs = (int)number(argc, argv, "--jobs", 2), every = (int)number(argc, argv, "--every", 1);
     const char *scene = NULL, *form = stress_form_name(STRESS_FORM_DEFAULT);
     stress_scene s;
     board *b;
@@ -231,7 +231,9 @@ int main(int argc, char **argv)
         const int only = option(argc, argv, "--form", NULL);
         if (only && strcmp(form, stress_form_name(f))) continue;
         for (k = 0; k < total; ++k)
-            if (stress_fixed(k, &s) && stress_applies(s.family, (stress_form)f)) add(b, &s, (stress_form)f);
+            if ((f == STRESS_FORM_DEFAULT || k % every == 0) && stress_fixed(k, &s) &&
+                stress_applies(s.family, (stress_form)f))
+                add(b, &s, (stress_form)f);
         for (k = 0; k < sampled && f == STRESS_FORM_DEFAULT; ++k) {
             stress_sampled(first + (uint64_t)k, &s);
             add(b, &s, STRESS_FORM_DEFAULT);

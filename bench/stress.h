@@ -768,7 +768,8 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
         if (r->verdict == STRESS_IS_PASSED && !(w.moved >= least)) {
             char why[96];
             snprintf(why, sizeof why, "moved by %.3g m, at least %.3g wanted", w.moved, least);
-            stress_note(r, STRESS_IS_STILL, why);
+            stress_note(r, s->scene->family == STRESS_POINT && s->scene->law >= SFEM_STVK
+                               ? STRESS_IS_LOCKED : STRESS_IS_STILL, why);
         }
     }
 }
@@ -856,10 +857,15 @@ STRESS_STATIC void stress_come_back(stress_body *s, stress_form form, double h, 
         (void)sfem_body_set_state(s->body, u, NULL, &err);
     }
     {
-        char why[96];
-        snprintf(why, sizeof why, "off by %.3g of its length, force %.2g, after %d damped steps",
-                 r->shape, force, r->damped_steps);
-        stress_note(r, STRESS_IS_SHAPE, why);
+        char why[128];
+        sfem_int inverted = 0;
+        (void)sfem_model_forces(s->model, sfem_body_displacement(s->body), SFEM_DOUBLE, s->f, NULL,
+                                &inverted, s->work, NULL);
+        r->inverted = (int)inverted;
+        snprintf(why, sizeof why,
+                 "off by %.3g of its length, force %.2g, %d tets inverted, after %d damped steps",
+                 r->shape, force, (int)inverted, r->damped_steps);
+        stress_note(r, s->scene->law == SFEM_STVK && inverted ? STRESS_IS_LOCKED : STRESS_IS_SHAPE, why);
     }
 }
 
@@ -1050,12 +1056,12 @@ STRESS_STATIC void stress_modal_settle(stress_modal *m, double h, int steps, str
     if (!(r->shape < STRESS_SHAPE_TOLERANCE)) stress_note(r, STRESS_IS_SHAPE, "damped modes remain");
 }
 
-/* While held, no node further from its rest than thrice the largest path and noise of a target, a tenth
- * of the length: least squares overshoot by what the modes swing on between handles. */
+/* While held, no node further from its rest than the body is long: ten times the path of a target. Least squares
+ * of targets that contradict (pinned nodes, too, are asked to move) overshoot elsewhere. */
 STRESS_STATIC void stress_run_modal(const stress_scene *scene, stress_form form, stress_result *r)
 {
     uint64_t random = scene->seed * 0x9e3779b97f4a7c15u + 777;
-    const double allowed = 3 * 0.1 * 0.5 * 1.05;
+    const double allowed = 0.5;
     stress_modal m;
     stress_hands hands;
     sfem_error err;
@@ -1233,7 +1239,8 @@ STRESS_STATIC void stress_compare_modes(sfem_model *model, const sfem_modes *a, 
                                         stress_result *r)
 {
     const size_t n = 3 * (size_t)a->nodes;
-    double *y = (double *)malloc(n * sizeof *y), scale = b->lambda[b->count - 1];
+    const sfem_matrix *stiffness = sfem_model_stiffness(model);
+    double *y = (double *)malloc(n * sizeof *y), scale = b->lambda[b->count - 1], largest = 0;
     double value = 0, norm = 0, backward = 0;
     int i, j;
     size_t k;
@@ -1242,8 +1249,12 @@ STRESS_STATIC void stress_compare_modes(sfem_model *model, const sfem_modes *a, 
         free(y);
         return;
     }
+    for (i = 0; i < a->nodes; ++i) /* what the dense solver loses is 1e-15 of the largest eigenvalue, or so */
+        for (j = 0; j < 9; j += 4)
+            largest = fmax(largest, stiffness->val[9 * (stiffness->row[i + 1] - 1) + j] / sfem_model_node_mass(model)[i]);
     for (i = 0; i < a->count; ++i) {
-        value = fmax(value, fabs(a->lambda[i] - b->lambda[i]) / (fabs(b->lambda[i]) + 1e-6 * scale));
+        value = fmax(value, fmax(fabs(a->lambda[i] - b->lambda[i]) - 1e-13 * largest, 0) /
+                                (fabs(b->lambda[i]) + 1e-6 * scale));
         backward = fmax(backward, a->error[i]);
         sfem_model_multiply_mass(model, a->phi + n * (size_t)i, y, NULL);
         for (j = 0; j <= i; ++j) {
