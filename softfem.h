@@ -8272,10 +8272,10 @@ static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfe
     return 1;
 }
 
-/* Plane rotations of neighbouring rows and columns turn a matrix of half bandwidth 4 into a tridiagonal
- * one [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
- * number that each rotation leaves outside, and the next ones chase over the edge. The columns of
- * z [n][4] are turned, too. */
+/* Plane rotations of neighbouring rows and columns make a matrix of half bandwidth 4 a tridiagonal one
+ * [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
+ * number that each rotation leaves outside, and the next ones chase over the edge. The columns of z
+ * [n][4] are turned, too. */
 static void sfemi_eigen_band(size_t n, sfem_real *a, sfem_real *z)
 {
     size_t k, l, j, p, i;
@@ -8316,8 +8316,8 @@ static void sfemi_eigen_band(size_t n, sfem_real *a, sfem_real *z)
             }
 }
 
-/* L U = P (A - theta I) for such a matrix, not turned, `size` large: u [n][9], the multipliers l
- * [n][4], pivots that vanish made of the size of rounding. pivot [n]: which of the next rows came up. */
+/* L U = P (A - theta I) for such a matrix, not turned, `size` large: u [n][9], multipliers l [n][4],
+ * pivots that vanish made of the size of rounding. pivot [n]: which of the next rows came up. */
 static void sfemi_eigen_band_lu(size_t n, const sfem_real *a, sfem_real theta, sfem_real size,
                                 sfem_real *u, sfem_real *l, unsigned char *pivot)
 {
@@ -8371,9 +8371,9 @@ static void sfemi_eigen_band_solve(size_t n, const sfem_real *u, const sfem_real
     }
 }
 
-/* The eigenvectors of `count` eigenvalues of such a matrix to x [count][n], by inverse iteration, each
- * kept orthogonal to those before. work: 13 n numbers, and n bytes more. Returns 0 if a residual is more
- * than rounding leaves. */
+/* The eigenvectors of `count` eigenvalues of such a matrix to x [count][n], by inverse iteration,
+ * each orthogonal to those before. work: 13 n numbers, and n bytes more. Returns 0 if a residual is
+ * more than rounding leaves. */
 static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
                                     const sfem_real *lambda, sfem_real size, sfem_real *x,
                                     sfem_real *work)
@@ -19154,8 +19154,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 typedef struct sfemi_modes_kernels {
     void (*dots)(size_t, size_t, const double *, size_t, const double *, const double *, double *,
                  double *);
-    void (*combine)(int, size_t, size_t, const double *, size_t, const double *, const double *, double *,
-                    double *);
+    void (*combine)(int, size_t, size_t, const double *, size_t, const double *, const double *,
+                    double *, double *);
     void (*gram)(size_t, const double *, const double *, double *);
     void (*turn)(size_t, const double *, double *);
     void (*row)(int, int, int, const sfem_int *, const double *, const double *, const double *, double *);
@@ -19859,7 +19859,8 @@ static void sfemi_lanczos_dots(sfemi_lanczos *z, sfemi_lanczos_job *job)
         memset(c, 0, size * sizeof *c);
         for (k = 0; k < z->chunks; ++k)
             for (i = 0; i < size; ++i) c[i] += z->part[(2 * (size_t)k + (size_t)b) * all + i];
-        for (i = 4 * (size_t)(z->m - 4 * b - 24 * job->first); i < size; ++i) c[i] = 0; /* none there */
+        i = 4 * (size_t)(z->m - 4 * b - 24 * job->first);
+        for (; i < size; ++i) c[i] = 0; /* no vectors there */
     }
 }
 
@@ -19899,9 +19900,9 @@ static void sfemi_lanczos_orthogonalise(sfemi_lanczos *z, sfem_int first, sfem_i
                 z->c[4 * (k - 24 * job.first) + q];
 }
 
-/* The same with all panels for W and for the block before it, the newest of V, which has been through the
- * recurrence only. V is read once for both. What that block had in the old basis, Op brings back into it:
- * no part of T, which but for rounding is a band matrix. */
+/* The same with all panels for W and for the block before it, the newest of V, which has been through
+ * the recurrence only. V is read once for both. What that block had in the old basis, Op brings back
+ * into it: no part of T, which but for rounding is a band matrix. */
 static void sfemi_lanczos_orthogonalise_both(sfemi_lanczos *z, sfem_int column)
 {
     sfemi_lanczos_job job;
@@ -20035,9 +20036,9 @@ static void sfemi_lanczos_append(sfemi_lanczos *z)
     if (z->m > z->info->basis) z->info->basis = z->m;
 }
 
-/* T gets the columns of the newest block, W the next one. The recurrence comes first: what is then left in
- * the rest of the basis is of the size of rounding over R, so that one pass over all of it does; as long
- * as R is not small, one every other step for the two blocks; after a restart two each step. */
+/* T gets the columns of the newest block, W the next one. The recurrence comes first: what is then left
+ * in the rest of the basis is of the size of rounding over R, so that one pass over all of it does; as
+ * long as R is not small, one every other step for the two blocks; after a restart two each step. */
 static void sfemi_lanczos_step(sfemi_lanczos *z)
 {
     const sfem_int column = z->m - 4;
@@ -20567,7 +20568,7 @@ static sfem_int sfemi_lanczos_next(const sfemi_lanczos *z, sfem_int before, sfem
     const sfem_real tol = z->s->def->tolerance;
     sfem_real columns = 16;
     if (worst < 1 && was < HUGE_VAL && was > worst && z->m > before)
-        columns = 0.7 * (z->m - before) * log(worst / tol) / log(was / worst); /* it falls ever faster */
+        columns = 0.7 * (z->m - before) * log(worst / tol) / log(was / worst); /* ever faster */
     else if (worst < 1)
         columns = 1.1 * sqrt((sfem_real)z->wanted) * log10(worst / tol);
     columns = fmin(fmax(columns, 1.0), 64.0);
@@ -25333,7 +25334,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_dots)(size_t rows, size_t pane
         for (p = 0; p < panels; ++p)
             for (r = 0; r < 24; r += 12) {
                 const double *a = v + p * stride + 24 * at + r;
-                SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, a, 24, 1, w + 4 * at, c + 4 * (24 * p + r));
+                SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, a, 24, 1, w + 4 * at,
+                                              c + 4 * (24 * p + r));
                 if (u)
                     SFEMI_KERNEL(sfemi_ldl_outer4)(1, 0, depth, a, 24, 1, u + 4 * at,
                                                   d + 4 * (24 * p + r));

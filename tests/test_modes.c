@@ -144,7 +144,7 @@ static double backward_error(const body *b, const sfem_modes *m, sfem_int k, con
     for (i = 0; i < (size_t)m->nodes; ++i) mass = fmax(mass, sfem_model_node_mass(b->model)[i]);
     for (i = 0; i < (size_t)pin_count; ++i)
         for (j = 0; j < 3; ++j)
-            held[3 * (size_t)pins[i] + j] = axes ? (axes[i] >> j) & 1 : 1;
+            held[3 * (size_t)pins[i] + j] = (unsigned char)(axes ? (axes[i] >> j) & 1 : 1);
     sfem_matrix_to_dense(sfem_model_stiffness(b->model), full);
     for (i = 0; i < n; ++i) {
         double row = 0;
@@ -374,7 +374,7 @@ static void no_double_mode_of_a_square_bar_is_lost(void **state)
     (void)state;
     for (s = 0; s < TEST_COUNT(cells); ++s)
         for (free_ends = 0; free_ends < 2; ++free_ends)
-            for (count = 20; count <= 60; count += 40) {
+            for (count = 20; count <= (cells[s][0] < 30 ? 60 : 20); count += 40) {
                 const double size[3] = {(double)cells[s][0] / cells[s][1], 1, 1};
                 body b = body_bar(cells[s][0], cells[s][1], cells[s][1], size, 0.45, SFEM_MASS_LUMPED);
                 sfem_modes_def def = sfem_default_modes_def();
@@ -382,7 +382,6 @@ static void no_double_mode_of_a_square_bar_is_lost(void **state)
                 sfem_int i, doubles = 0;
                 if (!free_ends) body_clamp(&b);
                 def.modes = count;
-                if (b.mesh.tets > 10000 && count == 60 && free_ends) def.modes = 30;
                 m = modes_of(&b, def);
                 assert_int_equal(m.info.proved, 1);
                 for (i = 0; i < m.count - 1; ++i) doubles += multiplicity(&m, i, 1e-9) == 2;
@@ -452,34 +451,44 @@ static void a_ball_has_its_quintuples(void **state)
 }
 
 /* Eight equal pieces: every eigenvalue eight times at least, twice a block. */
-static void more_copies_than_a_block_is_wide(void **state)
+/* so many equal cubes in a row that share no node; b.mesh is one of them */
+static body body_pieces(sfem_int pieces, sfem_mass mass)
 {
     const sfem_int cells[3] = {4, 4, 4};
     const double size[3] = {1, 1, 1};
-    enum { PIECES = 8 };
-    sfem_model_def model = sfem_default_model_def();
-    sfem_modes_def def = sfem_default_modes_def();
-    sfem_mesh one, all;
+    sfem_model_def def = sfem_default_model_def();
     sfem_error err = {SFEM_OK, -1, -1, -1, ""};
-    sfem_modes m;
-    body b;
+    sfem_mesh all;
     sfem_int i;
-    (void)state;
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &one, &err), err);
-    all = one;
-    all.nodes *= PIECES;
-    all.tets *= PIECES;
+    body b;
+    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &b.mesh, &err), err);
+    all = b.mesh;
+    all.nodes *= pieces;
+    all.tets *= pieces;
     all.x = (sfem_real *)malloc((size_t)all.nodes * 3 * sizeof *all.x);
     all.tet = (sfem_int *)malloc((size_t)all.tets * 4 * sizeof *all.tet);
     for (i = 0; i < 3 * all.nodes; ++i)
-        all.x[i] = one.x[i % (3 * one.nodes)] + (i % 3 == 0 ? 2 * (i / (3 * one.nodes)) : 0);
+        all.x[i] = b.mesh.x[i % (3 * b.mesh.nodes)] + (i % 3 == 0 ? 2 * (i / (3 * b.mesh.nodes)) : 0);
     for (i = 0; i < 4 * all.tets; ++i)
-        all.tet[i] = one.tet[i % (4 * one.tets)] + i / (4 * one.tets) * one.nodes;
-    model.mesh = &all;
-    assert_ok(sfem_model_create(&model, &b.model, &err), err);
-    b.mesh = one;
+        all.tet[i] = b.mesh.tet[i % (4 * b.mesh.tets)] + i / (4 * b.mesh.tets) * b.mesh.nodes;
+    def.mesh = &all;
+    def.mass = mass;
+    assert_ok(sfem_model_create(&def, &b.model, &err), err);
     b.pins = NULL;
     b.pin_count = 0;
+    free(all.x);
+    free(all.tet);
+    return b;
+}
+
+static void more_copies_than_a_block_is_wide(void **state)
+{
+    enum { PIECES = 8 };
+    sfem_modes_def def = sfem_default_modes_def();
+    body b = body_pieces(PIECES, SFEM_MASS_LUMPED);
+    sfem_modes m;
+    sfem_int i;
+    (void)state;
     def.modes = 40; /* 8 (2 + 3) */
     def.rigid = 1;
     m = modes_of(&b, def);
@@ -488,10 +497,38 @@ static void more_copies_than_a_block_is_wide(void **state)
     for (i = m.rigid; i < m.count; ++i) assert_int_equal(multiplicity(&m, i, 1e-9) % PIECES, 0);
     modes_check(&b, &m);
     sfem_modes_free(&m);
-    sfem_model_free(b.model);
-    sfem_mesh_free(&one);
-    free(all.x);
-    free(all.tet);
+    body_free(&b);
+}
+
+/* A block of four starts in four copies at most of each eigenvalue, and only rounding would bring others
+ * in: cubes have double and triple ones, so that two of them miss copies, which the signs then tell. */
+static void what_lanczos_missed_is_found_by_the_count(void **state)
+{
+    static const sfem_int pieces[] = {2, 8, 9};
+    size_t k;
+    int mass;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(pieces); ++k)
+        for (mass = 0; mass < 2; ++mass) {
+            const sfem_mass kind = mass ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED;
+            body b = body_pieces(pieces[k], kind), one = body_pieces(1, kind);
+            sfem_modes_def def = sfem_default_modes_def();
+            sfem_modes m, reference;
+            sfem_int i;
+            def.modes = 10;
+            m = modes_of(&b, def);
+            def.dense = 1;
+            reference = modes_of(&one, def);
+            assert_true(m.info.recovered > 0 && m.info.restarts > 0);
+            assert_int_equal(m.info.proved, 1);
+            for (i = 0; i < m.count; ++i)
+                assert_near(m.lambda[i], reference.lambda[i / pieces[k]], 1e-10, 0);
+            modes_check(&b, &m);
+            sfem_modes_free(&m);
+            sfem_modes_free(&reference);
+            body_free(&b);
+            body_free(&one);
+        }
 }
 
 static void a_cut_cluster_is_told(void **state)
@@ -919,7 +956,7 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
         if (kind == 0) body_clamp(&b);
         def.modes = 14;
         if (kind == 2) def.max_basis = 8;
-        for (threads = 1; threads <= 4; ++threads) {
+        for (threads = 1; threads <= 3; ++threads) {
             sfem_modes m;
             uint64_t hash;
             def.exec = thread_exec(threads);
@@ -947,6 +984,7 @@ int main(void)
         cmocka_unit_test(a_cube_has_double_and_triple_modes),
         cmocka_unit_test(a_ball_has_its_quintuples),
         cmocka_unit_test(more_copies_than_a_block_is_wide),
+        cmocka_unit_test(what_lanczos_missed_is_found_by_the_count),
         cmocka_unit_test(a_cut_cluster_is_told),
         cmocka_unit_test(all_below_a_frequency),
         cmocka_unit_test(longitudinal_modes_of_a_bar_converge_at_second_order),
