@@ -1,4 +1,4 @@
-/* softfem.h - elastic bodies in one C header.                                          v0.1.0
+/* softfem.h - elastic bodies in one C header.                                          v0.2.0
  *
  * Tetrahedral finite elements for real-time and offline use: put this file into a project, and in
  * exactly one source file write
@@ -73,7 +73,7 @@
 #include <stdint.h>
 
 #define SFEM_VERSION_MAJOR 0
-#define SFEM_VERSION_MINOR 1
+#define SFEM_VERSION_MINOR 2
 #define SFEM_VERSION_PATCH 0
 #define SFEM_VERSION (SFEM_VERSION_MAJOR * 10000 + SFEM_VERSION_MINOR * 100 + SFEM_VERSION_PATCH)
 
@@ -1097,9 +1097,11 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
- * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps. predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
+ * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps.
+ * predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
  * during this step, as F at its start does. solve leaves the step's acceleration where
- * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step up. */
+ * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step
+ * up. */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
@@ -1118,10 +1120,11 @@ SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^
  * body that is woken goes on from there at the tolerance or slower.
  *   It wakes by what changes a load (compared bit by bit at the next step: setting the same again is
  * no change), gravity, a pin's or handle's target, by a new state or static solution, by pins and handles
- * set, taken or released, by edges broken or healed, by sfem_body_predict, and by sfem_body_wake; all of these, and a change of the
- * load while awake, also begin the calm time anew. Whether it sleeps, and since when it is calm, belongs to
- * the saved state. The tolerance is off by default because its unit is the caller's: for bodies of
- * a metre in a game .02 m/s does. A body without damping of any kind hardly ever comes to rest.
+ * set, taken or released, by edges broken or healed, by sfem_body_predict, and by sfem_body_wake;
+ * all of these, and a change of the load while awake, also begin the calm time anew. Whether it
+ * sleeps, and since when it is calm, belongs to the saved state. The tolerance is off by default
+ * because its unit is the caller's: for bodies of a metre in a game .02 m/s does. A body without
+ * damping of any kind hardly ever comes to rest.
  *   cost   awake, a look at each node's velocity until one is too fast; 3 reals a node of state */
 SFEM_DEF int sfem_body_is_asleep(const sfem_body *body);
 SFEM_DEF void sfem_body_wake(sfem_body *body);
@@ -1218,8 +1221,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *   sfem_body_prepare allocates all that it needs: two more factors, two matrices; steps and renew
  * allocate nothing.
  *   The state block does not hold a factor: loading or setting a state, static solutions, steps of
- * another length and other pins drop a renewed factor and one under way, and the body goes on with the rest pose's. To save a
- * state from which both this body and another go on with the same bits, drop it then, too.
+ * another length and other pins drop a renewed factor and one under way, and the body goes on with
+ * the rest pose's. To save a state from which both this body and another go on with the same bits,
+ * drop it then, too.
  *   errors  SFEM_BAD_ARGUMENT (no such body, K of another pattern), SFEM_NOT_FINITE (K: node),
  *           SFEM_NOT_PREPARED */
 SFEM_DEF sfem_status sfem_body_renew(sfem_body *body, const sfem_matrix *k, sfem_error *err);
@@ -1267,10 +1271,11 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
  * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
  * whole body stays, and stays stable (see sfem_damage_law for p). What it costs is accuracy: pieces that
  * are held part too slowly at large steps, by the inertia p h^2 K across the crack, until the factor is
- * renewed (renew_flops, below); pieces that nothing holds move, and turn, as they should at once. How a crack runs depends on the
- * mesh and on the step: no more than one round a step, so a crack passes at most about one edge a step.
- * Nothing is allocated after sfem_body_create. set_state keeps what is broken; statics are refused then;
- * a body of linear laws sees small rotations only, and its pieces with it. */
+ * renewed (renew_flops, below); pieces that nothing holds move, and turn, as they should at once.
+ * How a crack runs depends on the mesh and on the step: no more than one round a step, so a crack
+ * passes at most about one edge a step. Nothing is allocated after sfem_body_create. set_state
+ * keeps what is broken; statics are refused then; a body of linear laws sees small rotations only,
+ * and its pieces with it. */
 typedef struct sfem_fracture {
     sfem_int pieces;     /* connected components over intact edges: 1 */
     sfem_int free_pieces; /* those that no pin or handle holds */
@@ -12278,8 +12283,7 @@ SFEMI_UNUSED static void sfemi_damage_total_tangent(const sfemi_damage *d, const
 }
 
 /* val += scale (K_damaged - K) at rest, on K's pattern: what a renewed factor is made of. */
-SFEMI_UNUSED static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale,
-                                                    sfem_real *val)
+static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
 {
     static const sfem_real still[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
     const sfem_model *model = d->bonds->model;
@@ -15046,14 +15050,14 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
  *   w' = w - (gamma - 1/2) h b- + (gamma + 1/2) h b,
  * the velocity is w + h/2 b as for (p,q,r), and so is the rest; A = B/(1 - am) is of that family, with p =
  * 1/((1+rho)^2 (2-rho)), q = (3-rho)/((1+rho)(2-rho)), r = 1. b is the acceleration at another time than u,
- * later by s = (am - af) h <= 0, and the weights of b and b- extrapolate to the time of u. With steps of h1, then
- * h2, that is
+ * later by s = (am - af) h <= 0, and the weights of b and b- extrapolate to the time of u. With
+ * steps of h1, then h2, that is
  *   s = ((am - af) h1 - am s-)/(1 - am),  w' = w - (d - (h1+h2)/2) b- + d b,
  *   d = (h1+h2)/2 (h1 - s-)/(h1 - s- + s).
  * A start of second order is
  *   w' = y + (h2/2) b,  A b = F - D v0 - f,  A y = A v0 - p h2^2 K v0,
- * which is Newmark's own for rho = 1. y in place of v0 lets modes that are not resolved move no farther than they
- * would. In the displacements, undamped, that first step is generalized-alpha's.
+ * which is Newmark's own for rho = 1. y in place of v0 lets modes that are not resolved move no
+ * farther than they would. In the displacements, undamped, that first step is generalized-alpha's.
  * ============================================================================================ */
 
 /* Puts a definition of the methods that are (p,q,r) as one of it. */
@@ -16119,8 +16123,8 @@ static void sfemi_guard_settle_momentum(sfem_body *b)
 }
 
 /* The centripetal acceleration of free pieces, omega x (omega x r), omega by the momentum of w; of others 0.
- * The turned K0 takes it for a stretch that p h^2 K0 resists: a stiff body at .2 rad a step then stretches until
- * that is a fifth of its energy. So only what differs from it is solved for,
+ * The turned K0 takes it for a stretch that p h^2 K0 resists: a stiff body at .2 rad a step then
+ * stretches until that is a fifth of its energy. So only what differs from it is solved for,
  *   A (a - c) = L - f - D (w + q h c/2) - r M c,
  * which leaves its damping in place (it cancels what w, the way over the last step, has of it) and the momenta
  * as they are. Returns whether there is any. */
@@ -17214,9 +17218,9 @@ SFEM_DEF void sfem_body_wake(sfem_body *b)
  * In stages, each cut into pieces whose operations are known: the tangent by chunks of tets, in one order;
  * its blocks turned back, Q_i^T K_ij Q_j; the matrix; its factor, front by front. Each step pays in
  * renew_flops, and pieces are done until nothing is left of them; what the last one took too much, the
- * next step pays. A finished factor is used from the next step on. A keeps w: A' (w' - w) = h (F - f - D w), which
- * A (w' - w) = .. passes into; the other form that suggests itself, A' w' = A w + .., would put the
- * difference of two stiffnesses into the momentum.
+ * next step pays. A finished factor is used from the next step on. A keeps w: A' (w' - w) = h (F -
+ * f - D w), which A (w' - w) = .. passes into; the other form that suggests itself, A' w' = A w +
+ * .., would put the difference of two stiffnesses into the momentum.
  * ============================================================================================ */
 
 /* What a tet of the tangent, a block turned and a block of the matrix count as. */
@@ -25495,6 +25499,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
+ *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
+ *           factors; states saved by 0.1.0 are refused
  *   0.1.0   meshes, sparse solver, linear and nonlinear bodies, (p,q,r), Newmark and its kin, handles
  *
  * LICENCE, at your choice

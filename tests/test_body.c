@@ -1,82 +1,9 @@
 /* Integrators, loads, state and threads of linear bodies. Handles have tests of their own. */
-#include "support.h"
+#include "oscillator.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
  * -------------------------------------------------------------------------------------------- */
-
-/* One tet of which node 1 may move along x only: k u + d u' + m u'' = F with the entries of K, D, M. */
-typedef struct oscillator {
-    sfem_model *model;
-    double k, m;
-} oscillator;
-
-static const sfem_int corner_pins[4] = {0, 2, 3, 1};
-static const unsigned char corner_axes[4] = {7, 7, 7, SFEM_AXIS_Y | SFEM_AXIS_Z};
-
-static oscillator make_oscillator(sfem_mass mass)
-{
-    static sfem_real x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
-    static sfem_int tet[4] = {0, 1, 2, 3};
-    sfem_model_def def = sfem_default_model_def();
-    oscillator o;
-    sfem_mesh mesh;
-    sfem_error err;
-    sfem_matrix m;
-    memset(&mesh, 0, sizeof mesh);
-    mesh.nodes = 4;
-    mesh.tets = 1;
-    mesh.x = x;
-    mesh.tet = tet;
-    def.mesh = &mesh;
-    def.mass = mass;
-    assert_ok(sfem_model_create(&def, &o.model, &err), err);
-    assert_ok(sfem_model_combine(o.model, 0, 1, 0, NULL, &m, &err), err);
-    o.k = sfem_model_stiffness(o.model)->val[9 * 2]; /* block (1,1), row-wise the third */
-    o.m = m.val[9 * 2];
-    sfem_matrix_free(&m, NULL);
-    return o;
-}
-
-static sfem_body *make_body(sfem_model *model, const sfem_body_def *def)
-{
-    sfem_body *body = NULL;
-    sfem_error err;
-    assert_ok(sfem_body_create(model, def, &body, &err), err);
-    return body;
-}
-
-static sfem_body *oscillator_body(const oscillator *o, sfem_body_def def)
-{
-    def.pins = corner_pins;
-    def.pin_axes = corner_axes;
-    def.pin_count = 4;
-    return make_body(o->model, &def);
-}
-
-static void set_node1(sfem_body *body, double u, double v)
-{
-    sfem_real uu[12] = {0}, vv[12] = {0};
-    sfem_error err;
-    uu[3] = u;
-    vv[3] = v;
-    assert_ok(sfem_body_set_state(body, uu, vv, &err), err);
-}
-
-static double node1(const sfem_body *body) { return sfem_body_displacement(body)[3]; }
-
-static double node1_velocity(const sfem_body *body)
-{
-    sfem_real v[12];
-    sfem_body_velocities(body, v);
-    return v[3];
-}
-
-static void step(sfem_body *body, double h)
-{
-    sfem_error err;
-    assert_ok(sfem_body_step(body, h, &err), err);
-}
 
 /* A clamped block, jittered so that no symmetry hides a mistake. */
 typedef struct block {
@@ -336,7 +263,7 @@ static void radius_period_and_damping_are_those_of_the_table(void **state)
         {"(1/2,1,1)", SFEM_PQR, 0.5, {.0507, .1890, .6247, 5.45}},
     };
     static const double digit[4] = {6e-5, 6e-5, 6e-5, 6e-3};
-    oscillator o = make_oscillator(SFEM_MASS_LUMPED);
+    oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     const double w = sqrt(o.k / o.m);
     size_t i, j;
     (void)state;
@@ -369,7 +296,7 @@ static void damped_amplification_is_that_of_the_matrix(void **state)
 {
     static const double xi[] = {0.05, 0.2}, omega_h[] = {0.3, 1, 3};
     static const double pqr[][3] = {{0.25, 1, 1}, {0.3, 1.4, 1}, {0.5, 1, 3}};
-    oscillator o = make_oscillator(SFEM_MASS_LUMPED);
+    oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     const double w = sqrt(o.k / o.m);
     size_t i, j, k;
     (void)state;
@@ -445,7 +372,7 @@ static void observe_order(const oscillator *o, sfem_body_def def, double xi, dou
 
 static void newmark_and_pqr_are_of_second_order(void **state)
 {
-    oscillator o = make_oscillator(SFEM_MASS_CONSISTENT);
+    oscillator o = make_oscillator(1e6, SFEM_MASS_CONSISTENT);
     sfem_body_def def = sfem_default_body_def();
     (void)state;
     observe_order(&o, def, 0, 0, 200, 2, 2);
@@ -468,7 +395,7 @@ static void newmark_and_pqr_are_of_second_order(void **state)
 
 static void q_other_than_one_is_of_first_order_and_adds_mass(void **state)
 {
-    oscillator o = make_oscillator(SFEM_MASS_LUMPED);
+    oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     sfem_body_def def = sfem_default_body_def();
     (void)state;
     def.q = 1.5;
@@ -478,7 +405,7 @@ static void q_other_than_one_is_of_first_order_and_adds_mass(void **state)
 
 static void p_one_twelfth_is_of_fourth_order_in_displacement(void **state)
 {
-    oscillator o = make_oscillator(SFEM_MASS_LUMPED);
+    oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     sfem_body_def def = sfem_default_body_def();
     double e1, e2;
     (void)state;
@@ -493,7 +420,7 @@ static void p_one_twelfth_is_of_fourth_order_in_displacement(void **state)
 
 static void p_chooses_itself_from_what_is_resolved(void **state)
 {
-    oscillator o = make_oscillator(SFEM_MASS_LUMPED);
+    oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     const double w = sqrt(o.k / o.m);
     sfem_body_def def = sfem_default_body_def();
     sfem_body *body;
@@ -675,7 +602,7 @@ static double varying_step_error(const oscillator *o, int steps, double p, doubl
 
 static void a_change_of_step_keeps_the_order(void **state)
 {
-    oscillator o = make_oscillator(SFEM_MASS_LUMPED);
+    oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     (void)state;
     assert_near(log2(varying_step_error(&o, 200, .25, 0) / varying_step_error(&o, 400, .25, 0)), 2, 0, .1);
     assert_near(log2(varying_step_error(&o, 200, .35, 0) / varying_step_error(&o, 400, .35, 0)), 2, 0, .1);

@@ -1,82 +1,9 @@
 /* Implicit integrators and Newton's iteration: linear and nonlinear bodies, damping forces, statics. */
-#include "support.h"
+#include "oscillator.h"
 
 /* --------------------------------------------------------------------------------------------
  * one degree of freedom
  * -------------------------------------------------------------------------------------------- */
-
-/* One tet of which node 1 may move along x only: k u + D(u') + m u'' = F. */
-typedef struct oscillator {
-    sfem_model *model;
-    double k, m;
-} oscillator;
-
-static oscillator make_oscillator(double young, sfem_mass mass)
-{
-    static sfem_real x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
-    static sfem_int tet[4] = {0, 1, 2, 3};
-    sfem_model_def def = sfem_default_model_def();
-    oscillator o;
-    sfem_mesh mesh;
-    sfem_error err;
-    sfem_matrix m;
-    memset(&mesh, 0, sizeof mesh);
-    mesh.nodes = 4;
-    mesh.tets = 1;
-    mesh.x = x;
-    mesh.tet = tet;
-    def.mesh = &mesh;
-    def.material.young = young;
-    def.mass = mass;
-    assert_ok(sfem_model_create(&def, &o.model, &err), err);
-    assert_ok(sfem_model_combine(o.model, 0, 1, 0, NULL, &m, &err), err);
-    o.k = sfem_model_stiffness(o.model)->val[9 * 2];
-    o.m = m.val[9 * 2];
-    sfem_matrix_free(&m, NULL);
-    return o;
-}
-
-static sfem_body *make_body(sfem_model *model, const sfem_body_def *def)
-{
-    sfem_body *body = NULL;
-    sfem_error err;
-    assert_ok(sfem_body_create(model, def, &body, &err), err);
-    return body;
-}
-
-static sfem_body *oscillator_body(const oscillator *o, sfem_body_def def)
-{
-    static const sfem_int pins[4] = {0, 2, 3, 1};
-    static const unsigned char axes[4] = {7, 7, 7, SFEM_AXIS_Y | SFEM_AXIS_Z};
-    def.pins = pins;
-    def.pin_axes = axes;
-    def.pin_count = 4;
-    return make_body(o->model, &def);
-}
-
-static void set_node1(sfem_body *body, double u, double v)
-{
-    sfem_real uu[12] = {0}, vv[12] = {0};
-    sfem_error err;
-    uu[3] = u;
-    vv[3] = v;
-    assert_ok(sfem_body_set_state(body, uu, vv, &err), err);
-}
-
-static double node1(const sfem_body *body) { return sfem_body_displacement(body)[3]; }
-
-static double node1_velocity(const sfem_body *body)
-{
-    sfem_real v[12];
-    sfem_body_velocities(body, v);
-    return v[3];
-}
-
-static void step(sfem_body *body, double h)
-{
-    sfem_error err;
-    assert_ok(sfem_body_step(body, h, &err), err);
-}
 
 static void solve_dense(double *a, double *x, int n)
 {

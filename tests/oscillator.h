@@ -1,0 +1,81 @@
+/* A body of one degree of freedom, for the tests of what steps through time. */
+#ifndef OSCILLATOR_H
+#define OSCILLATOR_H
+
+#include "support.h"
+
+/* One tet of which node 1 may move along x only: k u + d u' + m u'' = F with the entries of K, D, M. */
+typedef struct oscillator {
+    sfem_model *model;
+    double k, m;
+} oscillator;
+
+static inline oscillator make_oscillator(double young, sfem_mass mass)
+{
+    static sfem_real x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
+    static sfem_int tet[4] = {0, 1, 2, 3};
+    sfem_model_def def = sfem_default_model_def();
+    oscillator o;
+    sfem_mesh mesh;
+    sfem_error err;
+    sfem_matrix m;
+    memset(&mesh, 0, sizeof mesh);
+    mesh.nodes = 4;
+    mesh.tets = 1;
+    mesh.x = x;
+    mesh.tet = tet;
+    def.mesh = &mesh;
+    def.material.young = young;
+    def.mass = mass;
+    assert_ok(sfem_model_create(&def, &o.model, &err), err);
+    assert_ok(sfem_model_combine(o.model, 0, 1, 0, NULL, &m, &err), err);
+    o.k = sfem_model_stiffness(o.model)->val[9 * 2]; /* block (1,1), row-wise the third */
+    o.m = m.val[9 * 2];
+    sfem_matrix_free(&m, NULL);
+    return o;
+}
+
+static inline sfem_body *make_body(sfem_model *model, const sfem_body_def *def)
+{
+    sfem_body *body = NULL;
+    sfem_error err;
+    assert_ok(sfem_body_create(model, def, &body, &err), err);
+    return body;
+}
+
+static const sfem_int corner_pins[4] = {0, 2, 3, 1};
+static const unsigned char corner_axes[4] = {7, 7, 7, SFEM_AXIS_Y | SFEM_AXIS_Z};
+
+static inline sfem_body *oscillator_body(const oscillator *o, sfem_body_def def)
+{
+    def.pins = corner_pins;
+    def.pin_axes = corner_axes;
+    def.pin_count = 4;
+    return make_body(o->model, &def);
+}
+
+static inline void set_node1(sfem_body *body, double u, double v)
+{
+    sfem_real uu[12] = {0}, vv[12] = {0};
+    sfem_error err;
+    uu[3] = u;
+    vv[3] = v;
+    assert_ok(sfem_body_set_state(body, uu, vv, &err), err);
+}
+
+static inline double node1(const sfem_body *body) { return sfem_body_displacement(body)[3]; }
+
+static inline double node1_velocity(const sfem_body *body)
+{
+    sfem_real v[12];
+    sfem_body_velocities(body, v);
+    return v[3];
+}
+
+static inline void step(sfem_body *body, double h)
+{
+    sfem_error err;
+    assert_ok(sfem_body_step(body, h, &err), err);
+}
+
+#endif
