@@ -1143,6 +1143,7 @@ STRESS_STATIC void stress_run_stream(const stress_scene *scene, stress_form form
     if (!status) status = sfem_receiver_create(&link, &receiver, &err);
     for (k = 0; k < scene->steps && !status; ++k) {
         const int whole = k > scene->steps - 100;
+        const int began = receiver && sfem_receiver_get_info(receiver).started;
         stress_packet p;
         if (k % 40 == 0) { /* a push that a metre of the bar's bending stiffness would give */
             const double push = 0.03 * scene->young * 0.01 * stress_normal(&random);
@@ -1185,7 +1186,8 @@ STRESS_STATIC void stress_run_stream(const stress_scene *scene, stress_form form
             sfem_receiver_read(receiver, underway[i].byte, underway[i].bytes);
             underway[i].bytes = 0;
         }
-        if (k > 0) sfem_receiver_step(receiver);
+        if (began) sfem_receiver_step(receiver);
+        while (sfem_receiver_lead(receiver) > 0) sfem_receiver_step(receiver); /* it began at a late one */
         last = 0;
         for (i = 0; i < STRESS_MODES; ++i) {
             const double q = sfem_modal_coordinates(m.body[0])[i];
