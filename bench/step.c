@@ -292,7 +292,7 @@ static void rival_free(rival *r)
 static sfem_body *make_body(sfem_model *model, sfem_int pin_count, const sfem_int *pins, int kind)
 {
     sfem_body_def def = sfem_default_body_def();
-    sfem_body *body;
+    sfem_body *body = NULL;
     sfem_error err;
     def.pins = pins;
     def.pin_count = pin_count;
