@@ -159,22 +159,6 @@ static void pqr_is_newmark_with_any_damping_matrix_too(void **state)
     sfem_model_free(damped.model);
 }
 
-/* One step of everything against the equations solved with a dense Gauss elimination here. */
-static void solve_dense(double *a, double *x, int n)
-{
-    int i, j, k;
-    for (i = 0; i < n; ++i)
-        for (j = i + 1; j < n; ++j) {
-            const double f = a[j * n + i] / a[i * n + i];
-            for (k = i; k < n; ++k) a[j * n + k] -= f * a[i * n + k];
-            x[j] -= f * x[i];
-        }
-    for (i = n - 1; i >= 0; --i) {
-        for (k = i + 1; k < n; ++k) x[i] -= a[i * n + k] * x[k];
-        x[i] /= a[i * n + i];
-    }
-}
-
 static void a_step_equals_the_dense_solution_of_its_equation(void **state)
 {
     block b = make_block(3, 1, 2, SFEM_MASS_CONSISTENT, 0.3, 0.004, NULL);

@@ -5,34 +5,6 @@
  * one degree of freedom
  * -------------------------------------------------------------------------------------------- */
 
-static void solve_dense(double *a, double *x, int n)
-{
-    int i, j, k;
-    for (i = 0; i < n; ++i) {
-        for (k = i, j = i + 1; j < n; ++j)
-            if (fabs(a[j * n + i]) > fabs(a[k * n + i])) k = j;
-        for (j = 0; j < n; ++j) {
-            const double t = a[i * n + j];
-            a[i * n + j] = a[k * n + j];
-            a[k * n + j] = t;
-        }
-        {
-            const double t = x[i];
-            x[i] = x[k];
-            x[k] = t;
-        }
-        for (j = i + 1; j < n; ++j) {
-            const double f = a[j * n + i] / a[i * n + i];
-            for (k = i; k < n; ++k) a[j * n + k] -= f * a[i * n + k];
-            x[j] -= f * x[i];
-        }
-    }
-    for (i = n - 1; i >= 0; --i) {
-        for (k = i + 1; k < n; ++k) x[i] -= a[i * n + k] * x[k];
-        x[i] /= a[i * n + i];
-    }
-}
-
 /* Modulus and angle of the complex pair among the roots of the method's recurrence of the given order,
  * fitted to displacements. */
 static void amplification(sfem_body *body, double h, int order, double *radius, double *angle)
