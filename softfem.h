@@ -761,8 +761,10 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
-/* Cauchy stress of the displacement u [nodes][3] under small strain, constant in a tet:
- * stress [tets][6] in the order xx yy zz xy xz yz, von_mises [tets], Pa; either may be NULL. */
+/* Cauchy stress of the displacement u [nodes][3] under small strain, whatever the law (a turn counts as
+ * strain), constant in a tet: stress [tets][6] in the order xx yy zz xy xz yz (a file wants yz before xz, see
+ * sfem_field), von_mises [tets], Pa; either may be NULL. Of a body that turns or is stretched far use
+ * sfem_law_stress, F by its tets' nodes. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
 /* 1/2 u.K u, J, summed from the tets' own strains. */

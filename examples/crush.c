@@ -6,7 +6,7 @@
  * A corotational body under the default step, which no violence makes explode: (p,q,r) with a factor
  * turned node by node, guarded [softfem.h, >>guard]. A contact sheet is left in the --out directory.
  *
- *     cc -O2 -I. examples/crush.c softfem.o -lm          (softfem.o: see README)
+ *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/crush.c softfem.o -lm
  *
  * The last lines on stdout are `key value`: shape_error is the largest distance from the rest shape
  * at the end, best turned and moved, over the length of the bar.
@@ -97,7 +97,7 @@ static void go(run *r, double seconds)
 /* 2. The right end turns about the bar's axis, in a second. */
 static void twist(run *r, double turns)
 {
-    const sfem_int steps = (sfem_int)(1 / r->h + 0.5);
+    const sfem_int steps = ex_steps(1, r->h);
     char caption[48];
     sfem_int i, k;
     sfem_error err;
@@ -195,7 +195,7 @@ int main(int argc, char **argv)
     int k;
     memset(&r, 0, sizeof r);
     r.o = ex_parse(argc, argv, "Twists a soft bar, crushes it to a point, and waits.", table);
-    r.h = ex_real(&r.o, "--dt");
+    r.h = ex_positive(&r.o, "--dt");
     ex_make_directory(ex_text(&r.o, "--out"));
     start = ex_seconds();
     make(&r);

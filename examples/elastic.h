@@ -28,6 +28,20 @@ EX_STATIC double ex_deformation(const sfem_mesh *mesh, sfem_int tet, const doubl
     return det / 6;
 }
 
+/* von Mises stress of a tet of a body at x, by the stretch of its polar decomposition where it turns */
+EX_STATIC double ex_tet_stress(const sfem_mesh *mesh, sfem_int tet, const double *x, int turns, double mu,
+                               double *volume)
+{
+    double f[9], r[9], s[9], size = 0, mean;
+    int k;
+    *volume = ex_deformation(mesh, tet, x, f);
+    if (turns) sfem_polar(f, r, s);
+    else for (k = 0; k < 9; ++k) s[k] = (f[k] + f[k % 3 * 3 + k / 3]) / 2;
+    mean = (s[0] + s[4] + s[8]) / 3;
+    for (k = 0; k < 9; ++k) size += (s[k] - (k % 4 ? 0 : mean)) * (s[k] - (k % 4 ? 0 : mean));
+    return sqrt(1.5 * size) * 2 * mu;
+}
+
 /* Von Mises stress sqrt(3/2) |2 mu dev e| at the nodes, the mean over their tets by volume: e is F's
  * stretch less I where the body turns, else the small strain. To be freed. */
 EX_STATIC double *ex_strain_stress(const sfem_mesh *mesh, const double *x, int turns, double mu)
@@ -37,13 +51,8 @@ EX_STATIC double *ex_strain_stress(const sfem_mesh *mesh, const double *x, int t
     sfem_int e, i;
     int k;
     for (e = 0; e < mesh->tets; ++e) {
-        double f[9], r[9], s[9], size = 0, mean, stress;
-        const double volume = ex_deformation(mesh, e, x, f);
-        if (turns) sfem_polar(f, r, s);
-        else for (k = 0; k < 9; ++k) s[k] = (f[k] + f[k % 3 * 3 + k / 3]) / 2;
-        mean = (s[0] + s[4] + s[8]) / 3;
-        for (k = 0; k < 9; ++k) size += (s[k] - (k % 4 ? 0 : mean)) * (s[k] - (k % 4 ? 0 : mean));
-        stress = sqrt(1.5 * size) * 2 * mu;
+        double volume;
+        const double stress = ex_tet_stress(mesh, e, x, turns, mu, &volume);
         for (k = 0; k < 4; ++k) {
             node[mesh->tet[4 * e + k]] += volume * stress;
             weight[mesh->tet[4 * e + k]] += volume;

@@ -7,7 +7,7 @@
  * missing [softfem.h, >>api-modes]. Prints `mode K HZ ERROR`, and leaves a contact sheet of the shapes in
  * the --out directory, with --vtu also modes.vtu for ParaView.
  *
- *     cc -O2 -I. examples/modes.c softfem.o -lm          (softfem.o: see README)
+ *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/modes.c softfem.o -lm
  */
 #include "support.h"
 #include "softfem.h"

@@ -144,6 +144,7 @@ static void make_modal(run *r, const sfem_body_def *body)
     sfem_error err;
     ex_reals(&r->o, "--rayleigh", 2, rayleigh);
     modes.modes = (sfem_int)ex_integer(&r->o, "--modes");
+    if (modes.modes < 1) ex_fail("--modes must be at least 1");
     modes.pins = body->pins;
     modes.pin_count = body->pin_count;
     modes.exec = body->exec;
@@ -426,8 +427,11 @@ static void write_step(run *r, const char *path)
 {
     double *x = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *x);
     double *stress = (double *)ex_new((size_t)r->mesh.tets, sizeof *stress);
+    const double mu = ex_real(&r->o, "--young") / (2 + 2 * ex_real(&r->o, "--poisson"));
     sfem_field field[2];
     sfem_error err;
+    double volume;
+    sfem_int i;
     memset(field, 0, sizeof field);
     field[0].name = "displacement";
     field[0].values = displacement(r);
@@ -437,7 +441,8 @@ static void write_step(run *r, const char *path)
     field[1].components = 1;
     field[1].per_tet = 1;
     positions(r, x);
-    sfem_model_stress(r->model, displacement(r), NULL, stress);
+    for (i = 0; i < r->mesh.tets; ++i) /* sfem_model_stress would take a turn for strain */
+        stress[i] = ex_tet_stress(&r->mesh, i, x, ex_choice(&r->o, "--material") > 0, mu, &volume);
     must(sfem_write_vtu(path, &r->mesh, x, field, 2, &err), &err);
     free(stress);
     free(x);
