@@ -149,7 +149,10 @@ typedef struct sfem_allocator {
 /* Threads. All zero means the calling thread alone. With threads > 1, loops are split with OpenMP
  * where it is compiled in, or with parallel_for where that is given: it has to call
  * task(data, i) once for each i in [0, count), in any order, on any threads, and return when all are
- * done. Results have the same bits for any number of threads. */
+ * done. Results have the same bits for any number of threads. Small bodies take one
+ * thread whatever is asked for. OpenMP's threads spin while they wait: where processors have other work to do
+ * a step may take a hundred times as long, unless OMP_WAIT_POLICY=passive is set. Many bodies are better
+ * stepped in parallel, each by one thread. */
 typedef void (*sfem_task)(void *data, sfem_int index);
 typedef struct sfem_exec {
     sfem_int threads;
@@ -1099,7 +1102,8 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
- * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps.
+ * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps. (Where a
+ * changed load wakes it in a whole step, that step goes without the caller's forces.)
  * predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
  * during this step, as F at its start does. solve leaves the step's acceleration where
  * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step
@@ -1657,7 +1661,10 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
  * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it.
  * Nodes that do not move in any mode carry no force. Handles that contradict or repeat one
  * another, or that are more than the modes can follow, share what is left by least squares,
- * weighted by the compliance.
+ * weighted by the compliance: far beyond their reach the force is the gap over that compliance, without
+ * bound, so clamp what a device is to feel and look at info.handle_residual. J leaves out how Rt changes with q:
+ * held where the body is bent by some .8 rad and more under loads, or pulled past its length, a warped body
+ * gains energy, and forces grow without end (SFEM_WARP_NONE does not; nor does it report an error).
  *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
  *   target  a position, m (of a region: the weighted mean of its nodes')
  *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes),
