@@ -52,8 +52,8 @@ static void report(const stress_scene *s, stress_form form, const stress_result 
     printf("%-34s seed %-6llu %-12s %c %5d+%-5d steps %.2f s\n", s->name, (unsigned long long)s->seed,
            stress_form_name((int)form), stress_letter((int)r->verdict), r->steps, r->damped_steps,
            r->seconds);
-    printf("    energy +%.3g S, momenta %.1e %.1e, shape %.3g, lost a swing %.3g, redone %.3g\n",
-           r->excess, r->linear, r->angular, r->shape, r->lost, r->redo);
+    printf("    energy +%.3g S, form %.1e, momenta %.1e %.1e, shape %.3g, lost a swing %.3g, redone %.3g\n",
+           r->excess, r->drift, r->linear, r->angular, r->shape, r->lost, r->redo);
     if (r->why[0]) printf("    %s: %s\n", stress_verdict_about((int)r->verdict), r->why);
     fflush(stdout);
 }
