@@ -939,6 +939,8 @@ typedef struct sfem_piece {
  *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
  *                 body is nonlinear or its load changes.)
  * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
+ * In these, and in Newmark's of linear bodies, the momenta of a free piece are changed by its loads alone, to
+ * rounding of the velocities: however stiff the body and long the step, internal forces are not asked.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
  * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
  * unconditionally stable for linear bodies, and second order but for the first:
@@ -13673,6 +13675,8 @@ typedef struct sfemi_piece {
     sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
+    sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
     sfem_real sum[4][3];          /* scratch of the energies */
 } sfemi_piece;
 
@@ -13687,7 +13691,10 @@ typedef struct sfemi_turn {
     sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
     sfem_real *trace;    /* [nodes] and this */
     sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *still;    /* [nodes][3] zeros where no law turns, else NULL */
+    sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
+    int still;           /* no law turns: rigid motions are those of the rest pose */
+    int twists;          /* of laws that turn and linear ones: internal forces have a torque */
+    int by_hand;         /* the caller may add to the right side of the step under way */
 } sfemi_turn;
 
 /* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
@@ -15440,11 +15447,20 @@ static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real in
     for (i = 0; i < 9; ++i) inverse[i] = det > 0 && rest > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
 }
 
-/* Where rigid motions are taken: at X + u, or at X where all laws are linear. What costs no energy there,
- * and what K does not see, are the infinitesimal rotations of the rest pose. */
+/* Where rigid motions are taken: at X + u, or at X (NULL) where all laws are linear. What costs no energy
+ * there, and what K does not see, are the infinitesimal rotations of the rest pose. */
 static const sfem_real *sfemi_turn_pose(const sfem_body *b, const sfem_real *u)
 {
-    return b->turn.still ? b->turn.still : u;
+    return b->turn.still ? NULL : u;
+}
+
+/* r = X + u - centre of node i. */
+static void sfemi_turn_arm(const sfem_body *b, const sfem_real *u, sfem_int i, const sfem_real centre[3],
+                           sfem_real r[3])
+{
+    const sfem_real *x = b->model->mesh.x + 3 * (size_t)i;
+    int c;
+    for (c = 0; c < 3; ++c) r[c] = (u ? x[c] + u[3 * (size_t)i + (size_t)c] : x[c]) - centre[c];
 }
 
 /* Mass, centre and inertia of every piece at X + u. */
@@ -15467,21 +15483,21 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         sfemi_piece *p = t->piece + t->piece_of[i];
         if (t->piece_of[i] < 0) continue;
         p->mass += model->node_mass[i];
-        for (c = 0; c < 3; ++c)
-            p->centre[c] += model->node_mass[i] *
-                            (model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c]);
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            p->centre[c] += model->node_mass[i] * (u ? model->mesh.x[at] + u[at] : model->mesh.x[at]);
+        }
     }
     for (k = 0; k < t->pieces; ++k)
         for (c = 0; c < 3; ++c) t->piece[k].centre[c] /= t->piece[k].mass;
     for (i = 0; i < nodes; ++i) {
-        sfem_real r[3], m = model->node_mass[i], *in;
+        sfem_real r[3], q[3], m = model->node_mass[i], *in;
         if (t->piece_of[i] < 0 || t->piece[t->piece_of[i]].held) continue;
         in = t->piece[t->piece_of[i]].inertia_inverse;
-        for (c = 0; c < 3; ++c)
-            r[c] = model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c] -
-                   t->piece[t->piece_of[i]].centre[c];
+        sfemi_turn_arm(b, u, i, t->piece[t->piece_of[i]].centre, r);
+        sfemi_turn_arm(b, t->lever ? t->lever : u, i, t->piece[t->piece_of[i]].centre, q);
         for (c = 0; c < 9; ++c)
-            in[c] += m * ((c % 4 == 0 ? sfemi_dot3(r, r) : 0) - r[c / 3] * r[c % 3]);
+            in[c] += m * ((c % 4 == 0 ? sfemi_dot3(q, r) : 0) - r[c / 3] * q[c % 3]);
     }
     for (k = 0; k < t->pieces; ++k)
         if (!t->piece[k].held) {
@@ -15491,29 +15507,37 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         }
 }
 
-/* The pieces' sum m |X - centre|^2, and 1 / sum V_e of the nodes. */
+/* The pieces' sum m |X - centre|^2, from their places at rest. */
+static void sfemi_turn_size(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    sfemi_turn_locate(b, NULL);
+    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real r[3];
+        if (b->turn.piece_of[i] < 0) continue;
+        sfemi_turn_arm(b, NULL, i, p->centre, r);
+        p->rest += model->node_mass[i] * sfemi_dot3(r, r);
+        p->sum[0][0] += 1;
+    }
+    for (i = 0; i < b->turn.pieces; ++i)
+        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+}
+
+/* The same, 1 / sum V_e of the nodes, and whether some laws of a body that turns are linear. */
 static void sfemi_turn_weigh(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
-    int c;
     memset(b->turn.over, 0, (size_t)model->mesh.nodes * sizeof *b->turn.over);
     for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += model->volume[i / 4];
     for (i = 0; i < model->mesh.nodes; ++i)
         if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
-    memset(b->turn.v, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->turn.v);
-    sfemi_turn_locate(b, b->turn.v);
-    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-        for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
-            const sfem_real r = model->mesh.x[3 * (size_t)i + (size_t)c] - p->centre[c];
-            p->rest += model->node_mass[i] * r * r;
-        }
-        if (b->turn.piece_of[i] >= 0) p->sum[0][0] += 1;
-    }
-    for (i = 0; i < b->turn.pieces; ++i)
-        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+    b->turn.twists = 0;
+    for (i = 0; model->turns && i < model->mesh.tets; ++i) b->turn.twists |= model->law[i] == SFEM_LINEAR;
+    sfemi_turn_size(b);
 }
 
 /* Which pieces are held by pins or handles. */
@@ -15530,30 +15554,37 @@ static void sfemi_turn_find_held(sfem_body *b)
                 b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
 }
 
-/* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
-static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+/* Adds to each free piece's motion its momentum scale N^T x, x a force or momentum [nodes][3]; of M x where
+ * x is a velocity. */
+static void sfemi_turn_collect(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity,
+                               sfem_real scale)
 {
     const sfem_model *model = b->model;
-    sfemi_turn *t = &b->turn;
-    sfem_int i, k;
+    const sfemi_turn *t = &b->turn;
+    const sfem_real *pose = velocity && t->lever ? t->lever : sfemi_turn_pose(b, u);
+    sfem_int i;
     int c;
-    u = sfemi_turn_pose(b, u);
-    for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p = t->piece + t->piece_of[i];
-        const size_t at = 3 * (size_t)i;
-        sfem_real r[3], force[3], torque[3];
+        const sfem_real *xi = x + 3 * (size_t)i;
+        sfem_real r[3], force[3], torque[3], s;
         if (t->piece_of[i] < 0 || p->held) continue;
-        for (c = 0; c < 3; ++c) {
-            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
-            force[c] = velocity ? model->node_mass[i] * x[at + (size_t)c] : x[at + (size_t)c];
-        }
+        sfemi_turn_arm(b, pose, i, p->centre, r);
+        s = velocity ? scale * model->node_mass[i] : scale;
+        for (c = 0; c < 3; ++c) force[c] = s * xi[c];
         sfemi_cross(r, force, torque);
         for (c = 0; c < 3; ++c) {
             p->motion[c] += force[c];
             p->motion[3 + c] += torque[c];
         }
     }
+}
+
+static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    sfem_int k;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
+    sfemi_turn_collect(b, u, x, velocity, 1);
 }
 
 /* The motion that has this momentum: (N^T M N)^-1. */
@@ -15593,8 +15624,7 @@ static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real sc
         sfem_real r[3], v[3], s;
         if (b->turn.piece_of[i] < 0 || p->held) continue;
         s = force ? scale * model->node_mass[i] : scale;
-        for (c = 0; c < 3; ++c)
-            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
+        sfemi_turn_arm(b, u, i, p->centre, r);
         sfemi_cross(p->motion + 3, r, v);
         for (c = 0; c < 3; ++c) x[at + (size_t)c] += s * (p->motion[c] + v[c]);
     }
@@ -15622,9 +15652,55 @@ static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, 
 static int sfemi_turn_projects(const sfem_body *b)
 {
     sfem_int k;
-    for (k = 0; b->def.frame != SFEM_FRAME_REST && k < b->turn.pieces; ++k)
+    if (b->turns && b->def.frame == SFEM_FRAME_REST) return 0;
+    for (k = 0; k < b->turn.pieces; ++k)
         if (!b->turn.piece[k].held) return 1;
     return 0;
+}
+
+/* The momentum that a step gives a free piece is that of its loads, load[0] F+ + load[1] F + load[2] F- + their
+ * sum M g, less brake M v: internal forces add up to nothing, but where modes are not resolved (h omega of 1e4 and
+ * more), or the body has gone far, what rounding leaves of their sum is much more than that. So their sum is
+ * never taken: this is, as an acceleration times the mass part of A. */
+static void sfemi_turn_push(sfem_body *b, const sfem_real *u, const sfem_real load[3], const sfem_real *v,
+                            sfem_real brake)
+{
+    const sfemi_state_head *head = b->state.head;
+    const sfem_real all = load[0] + load[1] + load[2];
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
+    if (head->loaded && head->load_age >= 2) sfemi_turn_collect(b, u, b->state.force[0], 0, all);
+    for (c = 0; head->loaded && head->load_age < 2 && c < 3; ++c)
+        if (load[c] != 0) sfemi_turn_collect(b, u, b->state.force[c], 0, load[c]);
+    if (brake != 0) sfemi_turn_collect(b, u, v, 1, -brake);
+    sfemi_turn_divide(b);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].push[c] = b->turn.piece[k].motion[c] + (c < 3 ? all * head->gravity[c] : 0);
+}
+
+/* The same of forces x that the caller has added, times scale. */
+static void sfemi_turn_push_more(sfem_body *b, const sfem_real *u, const sfem_real *x, sfem_real scale)
+{
+    sfem_int k;
+    int c;
+    sfemi_turn_motion(b, u, x, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].push[c] += scale * b->turn.piece[k].motion[c];
+}
+
+/* Of a body of linear laws: gives the acceleration the rigid part that the loads give it. What A^-1 has
+ * made of it differs by rounding, times the condition of A. */
+static void sfemi_turn_settle(sfem_body *b, sfem_real cm, sfem_real *a)
+{
+    sfem_int k;
+    int c;
+    sfemi_turn_motion(b, NULL, a, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] = b->turn.piece[k].push[c] / cm - b->turn.piece[k].motion[c];
+    sfemi_turn_add_motion(b, NULL, 1, 0, a);
 }
 
 /* x = Q A0^-1 Q^T x, held axes becoming 0. */
@@ -15666,11 +15742,12 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
     }
 }
 
-/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
-static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
-                             const sfem_real *frame, sfem_real *x)
+/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. Pushed, rigid motion is
+ * that of the pieces' push; but that of laws which have a torque, so that theirs counts. */
+static void sfemi_turn_solve_pushed(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                                    const sfem_real *frame, int pushed, sfem_real *x)
 {
-    const int projects = u && sfemi_turn_projects(b);
+    const int projects = u && sfemi_turn_projects(b), given = pushed ? b->turn.twists ? 3 : 6 : 0;
     sfem_int k;
     int c;
     if (projects) {
@@ -15680,12 +15757,19 @@ static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real
     sfemi_turn_apply(b, f, frame, x);
     if (!projects) return;
     for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
-        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].kept[c] = c < given ? b->turn.piece[k].push[c] : b->turn.piece[k].motion[c];
     sfemi_turn_motion(b, u, x, 1);
     for (k = 0; k < b->turn.pieces; ++k)
         for (c = 0; c < 6; ++c)
             b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] / f->key.cm - b->turn.piece[k].motion[c];
     sfemi_turn_add_motion(b, u, 1, 0, x);
+}
+
+static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                             const sfem_real *frame, sfem_real *x)
+{
+    sfemi_turn_solve_pushed(b, f, u, frame, 0, x);
 }
 
 /* y = P^T Q (K Q^T P z + rest of D Q^T P zd); zd may be NULL. z and zd are overwritten. */
@@ -16135,7 +16219,16 @@ static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
     sfem_int i;
     int c;
     if (b->base || b->turn.still || !b->factor || !sfemi_turn_projects(b)) return 0;
-    sfemi_turn_motion(b, s->u, s->w, 1);
+    sfemi_turn_momentum(b, s->u, s->w, 1);
+    for (i = 0; i < b->turn.pieces; ++i)
+        memcpy(b->turn.piece[i].curl, b->turn.piece[i].motion + 3, sizeof b->turn.piece[i].curl);
+    sfemi_turn_divide(b);
+    for (i = 0; i < b->turn.pieces; ++i) { /* sum m r x (omega x (omega x r)) = omega x L */
+        sfemi_piece *p = b->turn.piece + i;
+        sfem_real torque[3];
+        sfemi_cross(p->motion + 3, p->curl, torque);
+        for (c = 0; c < 3; ++c) p->curl[c] = sfemi_dot3(p->inertia_inverse + 3 * c, torque);
+    }
     memset(a, 0, 3 * (size_t)model->mesh.nodes * sizeof *a);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
@@ -16168,6 +16261,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         t.ck = 0; /* forces at the end of the last step are at hand */
     } else {
         t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+        if (sfemi_turn_projects(b)) sfemi_turn_push(b, s->u, t.load, s->w, b->alpha * t.cd);
     }
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
     memset(b->acc, 0, n * sizeof *b->acc);
@@ -16218,16 +16312,24 @@ static void sfemi_guard_solve(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
     const sfem_real h = b->step, *base = sfemi_pqr_base(b);
+    const sfem_factor *f = sfemi_body_active(b);
     sfem_real *x = b->zm;
-    int centripetal;
+    int centripetal, c, more = 0;
+    sfem_int k;
     size_t i;
     memcpy(x, b->rhs, n * sizeof *x);
-    for (i = 0; i < n; ++i) b->guard.added[i] += b->rhs[i];
+    for (i = 0; i < n; ++i) {
+        b->guard.added[i] += b->rhs[i];
+        more |= b->guard.added[i] != 0;
+    }
+    if (more && !b->base && sfemi_turn_projects(b)) sfemi_turn_push_more(b, b->state.u, b->guard.added, 1);
     for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
     centripetal = sfemi_guard_centripetal(b, b->guard.grad);
     for (i = 0; centripetal && i < n; ++i)
-        x[i] -= b->factor->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
-    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->state.frame, x);
+        x[i] -= f->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
+    for (k = 0; centripetal && k < b->turn.pieces; ++k)
+        for (c = 0; c < 3; ++c) b->turn.piece[k].push[3 + c] -= f->key.cm * b->turn.piece[k].curl[c];
+    sfemi_turn_solve_pushed(b, f, b->state.u, b->state.frame, !b->base, x);
     for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
@@ -17655,6 +17757,21 @@ static void sfemi_body_place_pins(sfem_body *b)
     }
 }
 
+/* A body of linear laws that steps by one solve has the momentum of its free pieces set right, see >>turn; not
+ * where its tets are damped each in its own way, which makes no rule for it. */
+static int sfemi_body_settles(const sfem_body *b)
+{
+    return !b->turns && !sfemi_implicit_serves(b) && !b->model->damping;
+}
+
+/* Which pieces are held; a body that does not turn has them in their places for good. */
+static void sfemi_body_find_held(sfem_body *b)
+{
+    if (!b->turn.pieces) return;
+    sfemi_turn_find_held(b);
+    if (!b->turns) sfemi_turn_locate(b, NULL);
+}
+
 static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
 {
     const sfem_allocator *al = &b->allocator;
@@ -17687,7 +17804,26 @@ done:
     return status;
 }
 
-/* What only a body that turns needs. */
+/* Where a consistent mass matrix puts the nodes' masses, and the sizes of the pieces, of a body that does not turn. */
+static sfem_status sfemi_body_allocate_lever(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    if (model->block_mass) {
+        SFEMI_NEW(sfem_real, b->turn.lever, &b->allocator, n);
+        sfem_model_multiply_mass(model, model->mesh.x, b->turn.lever, &b->exec);
+        for (i = 0; i < n; ++i)
+            b->turn.lever[i] = model->node_mass[i / 3] > 0
+                                   ? b->turn.lever[i] / model->node_mass[i / 3] - model->mesh.x[i] : 0;
+    }
+    sfemi_turn_size(b);
+done:
+    return status;
+}
+
+/* The pieces, and what only a body that turns needs. */
 static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
@@ -17700,7 +17836,8 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
-    if (!b->model->turns) SFEMI_NEW(sfem_real, b->turn.still, al, n);
+    b->turn.still = !b->model->turns;
+    if (!b->turns) return sfemi_body_allocate_lever(b, err);
     SFEMI_NEW(sfem_real, b->turn.work, al,
               sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + 2 * (n / 3) +
                   (3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
@@ -17735,7 +17872,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.work);
-    sfemi_delete(&al, b->turn.still);
+    sfemi_delete(&al, b->turn.lever);
     sfemi_damage_free(b->damage);
     sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
@@ -17775,7 +17912,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
-    if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (b->turns || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
     if (b->bonds) {
         SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
@@ -17784,7 +17921,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
         sfemi_fracture_regroup(b);
     }
     if (b->turns) sfemi_turn_weigh(b);
-    if (b->turns) sfemi_turn_find_held(b);
+    sfemi_body_find_held(b);
 done:
     return status;
 }
@@ -17845,9 +17982,9 @@ static void sfemi_body_held_changed(sfem_body *b)
 {
     sfem_int k;
     int changed = 0;
-    if (!b->turns) return;
     for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
-    sfemi_turn_find_held(b);
+    sfemi_body_find_held(b);
+    if (!b->turns) return;
     for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
@@ -17994,9 +18131,35 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     return sfemi_body_prepare_handles(b, err);
 }
 
-SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
+/* Of a linear body: the momentum that the step's loads give its free pieces; by hand, less that of the right
+ * side, which the solve will add when the caller has added to it what he likes. */
+static void sfemi_body_push(sfem_body *b)
 {
-    SFEM_ASSERT(b);
+    static const sfem_real end[3] = {1, 0, 0};
+    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_pqr_terms t;
+    size_t i;
+    if (!sfemi_turn_projects(b)) return;
+    t = sfemi_pqr_weigh(b, b->step);
+    if (b->base && b->state.head->started != SFEMI_RUNNING) { /* at a start base comes from a solve, too */
+        for (i = 0; i < n; ++i) b->zk[i] = b->state.w[i] - b->base[i];
+        sfemi_turn_motion(b, NULL, b->zk, 1);
+        sfemi_turn_add_motion(b, NULL, 1, 0, b->base);
+    }
+    sfemi_turn_push(b, NULL, newmark ? end : t.load, b->zm, b->alpha != 0 || t.am != 0);
+    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, -1);
+}
+
+static void sfemi_body_settle(sfem_body *b)
+{
+    if (!sfemi_turn_projects(b)) return;
+    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, 1);
+    sfemi_turn_settle(b, b->factor->key.cm, b->acc);
+}
+
+static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
+{
     if (!sfemi_body_is_prepared(b, h)) {
         sfem_status status;
         if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
@@ -18011,8 +18174,16 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
+    if (!b->turns) sfemi_body_push(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
+{
+    SFEM_ASSERT(b);
+    b->turn.by_hand = 1;
+    return sfemi_body_predict(b, h, err);
 }
 
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
@@ -18026,6 +18197,7 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     }
     if (!b->turns)
         sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    if (!b->turns) sfemi_body_settle(b);
     if (b->turns) sfemi_guard_solve(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
@@ -18093,7 +18265,8 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     sfem_status status;
     SFEM_ASSERT(b);
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
-    status = sfem_body_predict(b, h, err);
+    b->turn.by_hand = 0;
+    status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
     return status;
@@ -18280,7 +18453,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         sfemi_damage_refresh(b->damage);
         sfemi_fracture_regroup(b);
     }
-    if (b->turns) sfemi_turn_find_held(b);
+    sfemi_body_find_held(b);
     sfemi_renew_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;

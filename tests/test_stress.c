@@ -49,6 +49,50 @@ SURVIVES(modal_bodies_survive_their_handles, STRESS_MODAL, 1000)
 SURVIVES(streams_survive_their_link, STRESS_STREAM, 1000)
 SURVIVES(odd_bodies_have_all_their_modes, STRESS_EIGEN, 1000)
 
+/* What a linear body conserves, it conserves; and its momenta, where h omega is 1e5. */
+static void linear_bodies_conserve_what_they_have_to(void **state)
+{
+    stress_scene s;
+    double drift = 0, momentum = 0;
+    int k, runs = 0;
+    (void)state;
+    for (k = 0; stress_fixed(k, &s); ++k) {
+        stress_result r;
+        if (s.law != SFEM_LINEAR || s.family >= STRESS_BREAK) continue;
+        if (s.steps > 1000) s.steps = 1000;
+        if (s.family >= STRESS_KICK && s.family != STRESS_HANDLE) s.young = 1e10, s.seed &= ~(uint64_t)1; /* free */
+        r = stress_run(&s, STRESS_FORM_DEFAULT);
+        ++runs;
+        if (r.verdict != STRESS_IS_PASSED) fail_msg("%s, seed %d: %s", s.name, (int)s.seed, r.why);
+        if (s.young < 1e10) drift = fmax(drift, r.drift);
+        momentum = fmax(momentum, r.linear);
+    }
+    print_message("    %d bodies: off by %.1e, momenta by %.1e\n", runs, drift, momentum);
+    assert_true(runs >= 10 && drift < 1e-12 && momentum < 1e-11);
+}
+
+/* By number: hands that let go of a linear body, kicks of stiff ones whose steps span periods, slivers at h omega
+ * = 1e5, a body inside out by a law that cannot tell. */
+static void odd_ones_have_their_verdicts(void **state)
+{
+    static const int seed[] = {97, 129, 141, 144, 153};
+    stress_scene s;
+    size_t i;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(seed); ++i) {
+        stress_result r;
+        assert_true(stress_fixed(seed[i] - 1, &s));
+        if (s.steps > 1000) s.steps = 1000;
+        r = stress_run(&s, STRESS_FORM_DEFAULT);
+        if (r.verdict != STRESS_IS_PASSED) fail_msg("%s, seed %d: %s", s.name, seed[i], r.why);
+    }
+    assert_true(stress_fixed(91, &s) && s.family == STRESS_INVERT && s.law == SFEM_STVK);
+    s.steps = 10;
+    assert_int_equal(stress_run(&s, STRESS_FORM_DEFAULT).verdict, STRESS_IS_LOCKED);
+    s.law = SFEM_NEOHOOKEAN; /* which can */
+    assert_int_not_equal(stress_run(&s, STRESS_FORM_DEFAULT).verdict, STRESS_IS_LOCKED);
+}
+
 /* The scenes can tell: without guard and turning a kicked bar explodes. */
 static void the_sources_form_does_not_survive(void **state)
 {
@@ -96,6 +140,8 @@ int main(void)
         cmocka_unit_test(streams_survive_their_link),
         cmocka_unit_test(odd_bodies_have_all_their_modes),
         cmocka_unit_test(the_sources_form_does_not_survive),
+        cmocka_unit_test(linear_bodies_conserve_what_they_have_to),
+        cmocka_unit_test(odd_ones_have_their_verdicts),
         cmocka_unit_test(the_same_scene_gives_the_same_verdict),
     };
     return run_all_tests(tests);
