@@ -3814,10 +3814,8 @@ static sfemi_word sfemi_scan_peek(sfemi_scan *s)
     sfemi_word w;
     const char *q;
     sfemi_scan_space(s);
-    for (q = s->p; q < s->end && *q != '\n' && !sfemi_is_blank(*q) && *q != s->blank &&
-                   *q != s->comment;
-         ++q) {
-    }
+    for (q = s->p; q < s->end && *q != s->blank && *q != s->comment; ++q)
+        if ((unsigned char)*q <= ' ' && (*q == '\n' || sfemi_is_blank(*q))) break;
     w.p = s->p;
     w.n = (size_t)(q - s->p);
     return w;
@@ -4168,6 +4166,14 @@ static sfem_status sfemi_gmsh_end(sfemi_gmsh *g, const char *end)
     return SFEM_OK;
 }
 
+/* In text: is this no section's end, nor that of the data? */
+static sfem_status sfemi_gmsh_more(sfemi_gmsh *g, const char *what)
+{
+    sfemi_scan_space(&g->s);
+    if (g->s.order || (g->s.p < g->s.end && *g->s.p != '$')) return SFEM_OK;
+    return sfemi_scan_expected(&g->s, what, sfemi_scan_peek(&g->s));
+}
+
 /* Binary files tell by an integer 1 in which order its bytes are. */
 static sfem_status sfemi_gmsh_order(sfemi_gmsh *g, int data_size)
 {
@@ -4289,9 +4295,7 @@ static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
     g->volumes = count[3];
     for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
-            sfemi_word w = sfemi_scan_peek(s);
-            if (!s->order && (!w.n || *w.p == '$'))
-                return sfemi_scan_expected(s, "another entity", w);
+            SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
             if (!s->order && k < 3) sfemi_scan_skip_line(s);
             else SFEMI_TRY(sfemi_gmsh_entity(g, k));
         }
@@ -4470,11 +4474,7 @@ static sfem_status sfemi_gmsh_block(sfemi_gmsh *g, int64_t *elements, sfem_int *
         region = place < 0 ? 0 : g->group[place];
     }
     for (i = 0; i < count; ++i) {
-        sfemi_word w = sfemi_scan_peek(s);
-        if (!s->order && (!w.n || *w.p == '$')) {
-            status = sfemi_scan_expected(s, "another element", w);
-            goto done;
-        }
+        SFEMI_TRY(sfemi_gmsh_more(g, "another element"));
         if (type == 4 && g->m.tet) {
             g->m.region[g->m.tets] = region;
             s->in_row = 1;
