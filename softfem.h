@@ -330,8 +330,13 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      const sfem_allocator *allocator, sfem_mesh *out,
                                      sfem_error *err);
 
+/* From the two files of TetGen. */
+SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
+                                            size_t ele_bytes, const sfem_allocator *allocator,
+                                            sfem_mesh *out, sfem_error *err);
+
 #ifndef SFEM_NO_STDIO
-/* From a file, which is read whole. */
+/* From a file, which is read whole; with x.node or x.ele, from both of them. */
 SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
                                     sfem_mesh *out, sfem_error *err);
 
@@ -3724,10 +3729,29 @@ static const char *sfemi_text_real(const char *p, const char *end, sfem_real *ou
 
 typedef struct sfemi_scan {
     const char *p, *end;
-    sfem_int line; /* of p, from 1 */
-    int in_row;    /* numbers are looked for up to the end of the line only */
+    sfem_int line;       /* of p, from 1 */
+    int in_row;          /* numbers are looked for up to the end of the line only */
+    char blank, comment; /* counts as a blank, too; begins a comment: ' ' and '\n' are none */
+    int order;           /* numbers are binary, low bytes first (1) or high bytes first (2); 0 = text */
+    int size, real;      /* bytes of a count and of a real in binary; other integers have 4 */
+    const char *start;   /* of binary data, whose places are told in bytes from here; or NULL */
+    const char *file;    /* which of several files this is, or NULL */
     sfem_error *err;
 } sfemi_scan;
+
+static sfemi_scan sfemi_scan_of(const void *data, size_t bytes, sfem_error *err)
+{
+    sfemi_scan s;
+    memset(&s, 0, sizeof s);
+    s.p = bytes ? (const char *)data : "";
+    s.end = s.p + bytes;
+    s.line = 1;
+    s.blank = ' ';
+    s.comment = '\n';
+    s.err = err;
+    if (bytes >= 3 && !memcmp(s.p, "\xef\xbb\xbf", 3)) s.p += 3; /* a byte order mark */
+    return s;
+}
 
 SFEMI_PRINTF(3, 4)
 static sfem_status sfemi_scan_fail(const sfemi_scan *s, sfem_status status, const char *format, ...)
@@ -3737,30 +3761,48 @@ static sfem_status sfemi_scan_fail(const sfemi_scan *s, sfem_status status, cons
     va_start(list, format);
     vsnprintf(text, sizeof text, format, list);
     va_end(list);
-    sfemi_fail(s->err, status, "line %ld: %s", (long)s->line, text);
+    if (s->start)
+        return sfemi_fail(s->err, status, "byte %lld: %s", (long long)(s->p - s->start), text);
+    if (s->file)
+        sfemi_fail(s->err, status, "line %ld of %.40s: %s", (long)s->line, s->file, text);
+    else
+        sfemi_fail(s->err, status, "line %ld: %s", (long)s->line, text);
     if (s->err) s->err->line = s->line;
     return status;
 }
 
 static int sfemi_is_blank(char c) { return c == ' ' || (c >= '\t' && c <= '\r' && c != '\n'); }
 
-static void sfemi_scan_space(sfemi_scan *s)
+/* Goes to the end of the line, or of the data. */
+static void sfemi_scan_rest(sfemi_scan *s)
 {
-    for (; s->p < s->end; ++s->p) {
-        if (*s->p == '\n') {
-            if (s->in_row) return;
-            if (s->line < INT32_MAX) ++s->line;
-        } else if (!sfemi_is_blank(*s->p))
-            return;
-    }
+    const char *p =
+        s->p < s->end ? (const char *)memchr(s->p, '\n', (size_t)(s->end - s->p)) : NULL;
+    s->p = p ? p : s->end;
 }
 
 static void sfemi_scan_skip_line(sfemi_scan *s)
 {
-    const char *p =
-        s->p < s->end ? (const char *)memchr(s->p, '\n', (size_t)(s->end - s->p)) : NULL;
-    s->p = p ? p + 1 : s->end;
-    if (p && s->line < INT32_MAX) ++s->line;
+    sfemi_scan_rest(s);
+    if (s->p == s->end) return;
+    ++s->p;
+    if (s->line < INT32_MAX) ++s->line;
+}
+
+static void sfemi_scan_space(sfemi_scan *s)
+{
+    if (s->order) return; /* binary data has no space */
+    for (; s->p < s->end; ++s->p) {
+        if (*s->p != '\n' && *s->p == s->comment) {
+            sfemi_scan_rest(s);
+            if (s->p == s->end) return;
+        }
+        if (*s->p == '\n') {
+            if (s->in_row) return;
+            if (s->line < INT32_MAX) ++s->line;
+        } else if (!sfemi_is_blank(*s->p) && *s->p != s->blank)
+            return;
+    }
 }
 
 /* The next word, of no letters at the end of the data (or of the line, in a row). */
@@ -3774,8 +3816,8 @@ static sfemi_word sfemi_scan_peek(sfemi_scan *s)
     sfemi_word w;
     const char *q;
     sfemi_scan_space(s);
-    for (q = s->p; q < s->end && *q != '\n' && !sfemi_is_blank(*q); ++q) {
-    }
+    for (q = s->p; q < s->end && *q != s->blank && *q != s->comment; ++q)
+        if ((unsigned char)*q <= ' ' && (*q == '\n' || sfemi_is_blank(*q))) break;
     w.p = s->p;
     w.n = (size_t)(q - s->p);
     return w;
@@ -3821,13 +3863,61 @@ static sfem_status sfemi_scan_expected(sfemi_scan *s, const char *what, sfemi_wo
                            sfemi_word_text(found, text));
 }
 
+/* Goes past binary data. */
+static sfem_status sfemi_scan_skip_bytes(sfemi_scan *s, uint64_t bytes, const char *what)
+{
+    if (bytes > (uint64_t)(s->end - s->p))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, but the data ends", what);
+    s->p += (size_t)bytes;
+    return SFEM_OK;
+}
+
+/* The bits of a binary number of 4 or 8 bytes. */
+static sfem_status sfemi_scan_bits(sfemi_scan *s, int bytes, const char *what, uint64_t *out)
+{
+    const unsigned char *p = (const unsigned char *)s->p;
+    sfem_status status = sfemi_scan_skip_bytes(s, (uint64_t)bytes, what);
+    int i;
+    if (status != SFEM_OK) return status;
+    for (*out = 0, i = 0; i < bytes; ++i)
+        *out = *out << 8 | p[s->order == 1 ? bytes - 1 - i : i];
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_scan_range(sfemi_scan *s, int64_t v, int64_t low, int64_t high,
+                                    const char *what)
+{
+    if (v >= low && v <= high) return SFEM_OK;
+    return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %lld, not in %lld .. %lld", what, (long long)v,
+                           (long long)low, (long long)high);
+}
+
+static sfem_status sfemi_scan_binary(sfemi_scan *s, int bytes, int64_t low, int64_t high,
+                                     const char *what, int64_t *out)
+{
+    const char *before = s->p;
+    uint64_t bits = 0;
+    sfem_status status = sfemi_scan_bits(s, bytes, what, &bits);
+    if (status != SFEM_OK) return status;
+    *out = bytes == 4 ? (int64_t)(int32_t)(uint32_t)bits : (int64_t)bits;
+    s->p = before; /* the place of the fault */
+    status = sfemi_scan_range(s, *out, low, high, what);
+    if (status == SFEM_OK) s->p += bytes;
+    return status;
+}
+
 static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, const char *what,
                                       int64_t *out)
 {
-    sfemi_word w = sfemi_scan_peek(s);
-    size_t i = w.n && (w.p[0] == '-' || w.p[0] == '+');
-    int negative = w.n && w.p[0] == '-';
+    sfemi_word w;
+    size_t i;
+    int negative;
     int64_t v = 0;
+    sfem_status status;
+    if (s->order) return sfemi_scan_binary(s, 4, low, high, what, out);
+    w = sfemi_scan_peek(s);
+    i = w.n && (w.p[0] == '-' || w.p[0] == '+');
+    negative = w.n && w.p[0] == '-';
     if (i == w.n) return sfemi_scan_expected(s, what, w);
     for (; i < w.n; ++i) {
         if (w.p[i] < '0' || w.p[i] > '9') return sfemi_scan_expected(s, what, w);
@@ -3836,35 +3926,66 @@ static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, 
         v = 10 * v + (w.p[i] - '0');
     }
     if (negative) v = -v;
-    if (v < low || v > high)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %lld, not in %lld .. %lld", what,
-                               (long long)v, (long long)low, (long long)high);
+    status = sfemi_scan_range(s, v, low, high, what);
+    if (status != SFEM_OK) return status;
     s->p += w.n;
     *out = v;
     return SFEM_OK;
 }
 
+/* An integer that has the width of a count in binary. */
+static sfem_status sfemi_scan_size(sfemi_scan *s, int64_t low, int64_t high, const char *what,
+                                   int64_t *out)
+{
+    return s->order ? sfemi_scan_binary(s, s->size, low, high, what, out)
+                    : sfemi_scan_integer(s, low, high, what, out);
+}
+
+static sfem_status sfemi_scan_binary_real(sfemi_scan *s, const char *what, sfem_real *out)
+{
+    const char *before = s->p;
+    uint64_t bits = 0;
+    uint32_t low;
+    float f;
+    sfem_status status = sfemi_scan_bits(s, s->real, what, &bits);
+    if (status != SFEM_OK) return status;
+    low = (uint32_t)bits;
+    memcpy(&f, &low, sizeof f);
+    if (s->real == 8)
+        memcpy(out, &bits, sizeof *out);
+    else
+        *out = (low & 0x7f800000u) == 0x7f800000u ? HUGE_VAL : (sfem_real)f;
+    if (sfemi_finite(*out)) return SFEM_OK;
+    s->p = before;
+    return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is not finite", what);
+}
+
 static sfem_status sfemi_scan_real(sfemi_scan *s, const char *what, sfem_real *out)
 {
-    sfemi_word w = sfemi_scan_peek(s);
-    const char *q = sfemi_text_real(w.p, w.p + w.n, out);
-    size_t sign = w.n && (w.p[0] == '-' || w.p[0] == '+');
-    sfemi_word name;
+    sfemi_word w, name;
+    const char *q;
+    size_t sign;
+    if (s->order) return sfemi_scan_binary_real(s, what, out);
+    w = sfemi_scan_peek(s);
+    q = sfemi_text_real(w.p, w.p + w.n, out);
+    if (q && q == w.p + w.n && sfemi_finite(*out)) {
+        s->p += w.n;
+        return SFEM_OK;
+    }
+    sign = w.n && (w.p[0] == '-' || w.p[0] == '+');
     name.p = w.p + sign;
     name.n = w.n - sign;
     if (sfemi_word_is(name, "nan") || sfemi_word_is(name, "inf") || sfemi_word_is(name, "infinity"))
         return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is not finite", what);
-    if (q != w.p + w.n || !w.n) return sfemi_scan_expected(s, what, w);
-    if (!sfemi_finite(*out))
-        return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is too large for a double", what);
-    s->p += w.n;
-    return SFEM_OK;
+    if (!q || q != w.p + w.n) return sfemi_scan_expected(s, what, w);
+    return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is too large for a double", what);
 }
 
 /* Nothing more on this line? */
 static sfem_status sfemi_scan_end_of_row(sfemi_scan *s, const char *what)
 {
     sfemi_word w;
+    if (s->order) return SFEM_OK;
     s->in_row = 1;
     w = sfemi_scan_peek(s);
     s->in_row = 0;
@@ -3876,7 +3997,7 @@ static sfem_status sfemi_scan_end_of_row(sfemi_scan *s, const char *what)
 static sfem_status sfemi_scan_count(sfemi_scan *s, size_t each, const char *what, sfem_int *out)
 {
     int64_t n;
-    sfem_status status = sfemi_scan_integer(s, 0, INT64_MAX, what, &n);
+    sfem_status status = sfemi_scan_size(s, 0, INT64_MAX, what, &n);
     if (status != SFEM_OK) return status;
     if ((uint64_t)n > ((uint64_t)(s->end - s->p) + 1) / each)
         return sfemi_scan_fail(s, SFEM_FORMAT,
@@ -3888,13 +4009,84 @@ static sfem_status sfemi_scan_count(sfemi_scan *s, size_t each, const char *what
     return SFEM_OK;
 }
 
-/* ---- Gmsh 4.1 ASCII ---- */
+static sfem_status sfemi_scan_skip_words(sfemi_scan *s, int64_t count, const char *what)
+{
+    for (; count > 0; --count) {
+        sfemi_word w = sfemi_scan_word(s);
+        if (!w.n) return sfemi_scan_expected(s, what, w);
+    }
+    return SFEM_OK;
+}
+
+#ifndef SFEM_NO_STDIO
+
+/* ---- whole files ---- */
+
+/* "path: text", with the system's reason if there is one. */
+static sfem_status sfemi_file_fail(const char *path, const char *text, sfem_error *err)
+{
+    const char *reason = errno ? strerror(errno) : "no reason given";
+    return sfemi_fail(err, SFEM_IO, "%.120s: %s (%.60s)", path, text, reason);
+}
+
+/* The whole file, in a buffer that doubles. */
+static sfem_status sfemi_file_read(const char *path, const sfem_allocator *a, char **out,
+                                   size_t *bytes, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    char *buffer = NULL, *larger = NULL;
+    size_t size = 65536, n = 0, got;
+    FILE *f;
+    errno = 0;
+    f = fopen(path, "rb");
+    if (!f) return sfemi_file_fail(path, "cannot be opened", err);
+    SFEMI_NEW(char, buffer, a, size);
+    while ((got = fread(buffer + n, 1, size - n, f)) > 0) {
+        n += got;
+        if (n < size) continue;
+        if (size > (size_t)-1 / 2) {
+            status = sfemi_fail(err, SFEM_TOO_LARGE, "%.120s: too large a file", path);
+            goto done;
+        }
+        SFEMI_NEW(char, larger, a, 2 * size);
+        memcpy(larger, buffer, n);
+        sfemi_delete(a, buffer);
+        buffer = larger;
+        larger = NULL;
+        size *= 2;
+    }
+    if (ferror(f)) {
+        status = sfemi_file_fail(path, "cannot be read", err);
+        goto done;
+    }
+    *out = buffer;
+    *bytes = n;
+    buffer = NULL;
+done:
+    sfemi_delete(a, buffer);
+    fclose(f);
+    return status;
+}
+
+/* Puts the path in front of what is wrong with the file. */
+static void sfemi_file_blame(const char *path, sfem_error *err)
+{
+    sfem_error e;
+    if (!err) return;
+    e = *err;
+    sfemi_fail_at(err, e.status, e.node, e.tet, "%.100s: %.135s", path, e.text);
+    err->line = e.line;
+}
+
+#endif
+
+/* ---- Gmsh 2.2 and 4.1 ---- */
 
 /* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
 typedef struct sfemi_tags {
-    int64_t *tag;    /* [count] */
+    int64_t *tag;    /* [count] of which `used` are in */
     sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
-    size_t mask;
+    size_t mask, used;
 } sfemi_tags;
 
 static sfem_status sfemi_tags_new(sfemi_tags *g, sfem_int count, const sfem_allocator *a,
@@ -3925,71 +4117,164 @@ static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
     return g->table + i;
 }
 
+/* The place of a tag, or -1. */
+static sfem_int sfemi_tags_find(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t k;
+    if (!g->used) return -1;
+    k = (uint64_t)tag - (uint64_t)g->tag[0]; /* most files count on by one */
+    if (k < g->used && g->tag[k] == tag) return (sfem_int)k;
+    return *sfemi_tags_slot(g, tag) - 1;
+}
+
+/* Puts a tag in, at the place `used`; 0 if it is there already. */
+static int sfemi_tags_add(sfemi_tags *g, int64_t tag)
+{
+    sfem_int *slot = sfemi_tags_slot(g, tag);
+    if (*slot) return 0;
+    g->tag[g->used++] = tag;
+    *slot = (sfem_int)g->used;
+    return 1;
+}
+
 typedef struct sfemi_gmsh {
     sfemi_scan s;
     sfem_mesh m;
     sfemi_tags node, volume;
     sfem_int volumes, *group; /* [volumes] first physical group, or 0 */
+    int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
     int any_group, has_format, has_nodes, has_elements;
 } sfemi_gmsh;
 
+/* From here on numbers are binary, if the file is. */
+static sfem_status sfemi_gmsh_begin(sfemi_gmsh *g)
+{
+    sfem_status status;
+    if (!g->order) return SFEM_OK;
+    status = sfemi_scan_end_of_row(&g->s, "the end of the line");
+    if (status != SFEM_OK) return status;
+    sfemi_scan_skip_line(&g->s);
+    g->s.order = g->order;
+    return SFEM_OK;
+}
+
 static sfem_status sfemi_gmsh_end(sfemi_gmsh *g, const char *end)
 {
-    sfemi_word w = sfemi_scan_peek(&g->s);
+    sfemi_word w;
+    g->s.order = 0;
+    w = sfemi_scan_peek(&g->s);
     if (!sfemi_word_is(w, end)) return sfemi_scan_expected(&g->s, end, w);
     g->s.p += w.n;
     return SFEM_OK;
 }
 
-static sfem_status sfemi_gmsh_format(sfemi_gmsh *g)
+/* In text: is this no section's end, nor that of the data? */
+static sfem_status sfemi_gmsh_more(sfemi_gmsh *g, const char *what)
+{
+    sfemi_scan_space(&g->s);
+    if (g->s.order || (g->s.p < g->s.end && *g->s.p != '$')) return SFEM_OK;
+    return sfemi_scan_expected(&g->s, what, sfemi_scan_peek(&g->s));
+}
+
+/* Binary files tell by an integer 1 in which order its bytes are. */
+static sfem_status sfemi_gmsh_order(sfemi_gmsh *g, int data_size)
 {
     sfemi_scan *s = &g->s;
-    sfemi_word w = sfemi_scan_peek(s);
+    sfem_status status;
+    uint64_t one = 0;
+    g->order = 1;
+    SFEMI_TRY(sfemi_gmsh_begin(g));
+    SFEMI_TRY(sfemi_scan_bits(s, 4, "an integer 1 that tells the order of bytes", &one));
+    if (one == 0x01000000)
+        g->order = 2;
+    else if (one != 1)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "the integer that tells the order of bytes is "
+                                                 "not 1");
+    s->size = g->version == 2 ? 4 : data_size;
+    s->real = g->version == 2 ? data_size : 8;
+done:
+    return status;
+}
+
+static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
+{
+    sfemi_scan *s = &g->s;
+    sfemi_word w;
     sfem_status status;
     sfem_real version;
     int64_t binary, size;
     char text[25];
+    if (g->has_format) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $MeshFormat section");
+    w = sfemi_scan_peek(s);
     if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
-    if (!sfemi_word_is(w, "4.1"))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 4.1 ASCII is read",
+    g->version = version >= 2 && version <= 2.2 ? 2 : 4;
+    if (g->version == 4 && !sfemi_word_is(w, "4.1"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 2.0 to 2.2 and 4.1 are read",
                                sfemi_word_text(w, text));
     s->p += w.n;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "the file type (0 ASCII, 1 binary)", &binary));
-    if (binary) return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 4.1 binary: only 4.1 ASCII is read");
     SFEMI_TRY(sfemi_scan_integer(s, 1, 64, "the data size", &size));
+    if (binary) {
+        if (size != 4 && size != 8)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "the data size of a binary file is %ld, not 4 "
+                                                   "or 8",
+                                   (long)size);
+        s->start = start;
+        SFEMI_TRY(sfemi_gmsh_order(g, (int)size));
+    }
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndMeshFormat"));
     g->has_format = 1;
 done:
     return status;
 }
 
-/* One volume: tag, box, physical groups, bounding surfaces. */
-static sfem_status sfemi_gmsh_volume(sfemi_gmsh *g, sfem_int i)
+/* What is left of an entity behind its box and first physical group: in text the line, in binary the
+ * other groups and the entities that bound it. */
+static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t groups)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int *slot;
+    int64_t bounds = 0;
+    if (!s->order) {
+        sfemi_scan_skip_line(s);
+        return SFEM_OK;
+    }
+    SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)groups, "a physical group"));
+    if (dimension == 0) goto done;
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of bounding entities", &bounds));
+    SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)bounds, "a bounding entity"));
+done:
+    return status;
+}
+
+/* One entity: tag, place or box, physical groups, what bounds it. Only volumes are kept. */
+static sfem_status sfemi_gmsh_entity(sfemi_gmsh *g, int dimension)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
     sfem_real x;
     int64_t v, groups, group = 0;
+    sfem_int at;
     int k;
     sfemi_scan_space(s);
     s->in_row = 1;
-    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a volume tag", &v));
-    for (k = 0; k < 6; ++k) SFEMI_TRY(sfemi_scan_real(s, "a bound of the volume", &x));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of physical groups", &groups));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &v));
+    for (k = 0; k < (dimension ? 6 : 3); ++k)
+        SFEMI_TRY(sfemi_scan_real(s, "a bound of the entity", &x));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of physical groups", &groups));
     if (groups > 0)
         SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
-    g->volume.tag[i] = v;
-    slot = sfemi_tags_slot(&g->volume, v);
-    if (*slot) {
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
-        goto done;
+    if (dimension == 3) {
+        at = (sfem_int)g->volume.used;
+        if (!sfemi_tags_add(&g->volume, v)) {
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
+            goto done;
+        }
+        g->group[at] = (sfem_int)(group < 0 ? -group : group); /* a sign tells the orientation */
+        if (groups > 0) g->any_group = 1;
     }
-    *slot = i + 1;
-    g->group[i] = (sfem_int)(group < 0 ? -group : group); /* a sign only tells the orientation */
-    if (groups > 0) g->any_group = 1;
-    sfemi_scan_skip_line(s);
+    SFEMI_TRY(sfemi_gmsh_entity_end(g, dimension, groups - (groups > 0)));
 done:
     s->in_row = 0;
     return status;
@@ -4005,63 +4290,73 @@ static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
     sfem_int count[4], i;
     int k;
     if (g->group) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Entities section");
-    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, 8, what[k], &count[k]));
+    SFEMI_TRY(sfemi_gmsh_begin(g));
+    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
     SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
     SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
     g->volumes = count[3];
-    for (k = 0; k < 3; ++k)
+    for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
-            sfemi_word w = sfemi_scan_peek(s);
-            if (!w.n || *w.p == '$') return sfemi_scan_expected(s, "another entity", w);
-            sfemi_scan_skip_line(s);
+            SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
+            if (!s->order && k < 3) sfemi_scan_skip_line(s);
+            else SFEMI_TRY(sfemi_gmsh_entity(g, k));
         }
-    for (i = 0; i < count[3]; ++i) SFEMI_TRY(sfemi_gmsh_volume(g, i));
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
 done:
     return status;
 }
 
-/* One block of nodes: all their tags, then all their places. */
-static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g, sfem_int first, sfem_int *n)
+static sfem_status sfemi_gmsh_node_tag(sfemi_gmsh *g)
+{
+    sfem_status status;
+    int64_t v = 0;
+    status = sfemi_scan_size(&g->s, 1, INT64_MAX, "a node tag", &v);
+    if (status == SFEM_OK && !sfemi_tags_add(&g->node, v))
+        status =
+            sfemi_scan_fail(&g->s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
+    return status;
+}
+
+/* The place of node i, and so many more numbers that are not needed, to the end of the row. */
+static sfem_status sfemi_gmsh_point(sfemi_gmsh *g, sfem_int i, int more)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
+    sfem_real ignored;
+    int k;
+    s->in_row = 1;
+    for (k = 0; k < 3; ++k)
+        SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
+    for (k = 0; k < more; ++k)
+        SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+done:
+    s->in_row = 0;
+    return status;
+}
+
+/* 4.1: one block of nodes: all their tags, then all their places. */
+static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int i, count = 0;
+    sfem_int i, first = (sfem_int)g->node.used, count = 0;
     int64_t dimension, v, parametric;
-    int k;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
     SFEMI_TRY(sfemi_scan_integer(s, INT32_MIN, INT32_MAX, "the tag of an entity", &v));
     SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "'parametric' (0 or 1)", &parametric));
-    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes in a block", &count));
+    SFEMI_TRY(sfemi_scan_count(s, s->order ? 28 : 8, "the count of nodes in a block", &count));
     if (count > g->m.nodes - first) {
         status = sfemi_scan_fail(
             s, SFEM_FORMAT, "the blocks have more than the %ld nodes announced", (long)g->m.nodes);
         goto done;
     }
+    for (i = 0; i < count; ++i) SFEMI_TRY(sfemi_gmsh_node_tag(g));
     for (i = first; i < first + count; ++i) {
-        sfem_int *slot;
-        SFEMI_TRY(sfemi_scan_integer(s, 1, INT64_MAX, "a node tag", &v));
-        g->node.tag[i] = v;
-        slot = sfemi_tags_slot(&g->node, v);
-        if (*slot) {
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
-            goto done;
-        }
-        *slot = i + 1;
-    }
-    for (i = first; i < first + count; ++i) {
-        sfem_real ignored;
         sfemi_scan_space(s);
-        s->in_row = 1;
-        for (k = 0; k < 3; ++k)
-            SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
-        for (k = 0; k < (parametric ? (int)dimension : 0); ++k)
-            SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
-        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+        SFEMI_TRY(sfemi_gmsh_point(g, i, parametric ? (int)dimension : 0));
     }
-    *n = count;
 done:
-    s->in_row = 0;
     return status;
 }
 
@@ -4070,24 +4365,33 @@ static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
     sfemi_scan *s = &g->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int nodes = 0, n = 0, filled = 0;
-    int64_t blocks, v;
+    sfem_int nodes = 0;
+    int64_t blocks = 0, v;
     if (g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Nodes section");
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of node blocks", &blocks));
-    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes", &nodes));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest node tag", &v));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest node tag", &v));
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_gmsh_begin(g));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of node blocks", &blocks));
+    }
+    SFEMI_TRY(sfemi_scan_count(s, g->order ? (size_t)(4 + 3 * s->real) : 8, "the count of nodes",
+                               &nodes));
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the lowest node tag", &v));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the highest node tag", &v));
+    } else
+        SFEMI_TRY(sfemi_gmsh_begin(g));
     SFEMI_NEW(sfem_real, g->m.x, &g->m.allocator, 3 * (size_t)nodes);
     SFEMI_TRY(sfemi_tags_new(&g->node, nodes, &g->m.allocator, err));
     g->m.nodes = nodes;
-    for (; blocks > 0; --blocks) {
-        SFEMI_TRY(sfemi_gmsh_node_block(g, filled, &n));
-        filled += n;
-    }
+    for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_node_block(g));
+    if (g->version == 2)
+        for (v = 0; v < nodes; ++v) {
+            SFEMI_TRY(sfemi_gmsh_node_tag(g));
+            SFEMI_TRY(sfemi_gmsh_point(g, (sfem_int)v, 0));
+        }
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndNodes"));
-    if (filled != nodes) {
+    if (g->node.used != (size_t)nodes) {
         status = sfemi_scan_fail(s, SFEM_FORMAT, "%ld nodes announced, %ld found", (long)nodes,
-                                 (long)filled);
+                                 (long)g->node.used);
         goto done;
     }
     g->has_nodes = 1;
@@ -4095,68 +4399,166 @@ done:
     return status;
 }
 
-/* Tet number t from its row: tag and four node tags. */
-static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g, sfem_int t)
+/* The nodes of the next tet, in the rest of its row. */
+static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
-    sfem_status status;
+    const sfem_int t = g->m.tets;
+    sfem_status status = SFEM_OK;
     int64_t v;
     int k;
-    s->in_row = 1;
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "an element tag", &v));
     for (k = 0; k < 4; ++k) {
-        sfem_int slot;
-        SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
-        slot = *sfemi_tags_slot(&g->node, v);
-        if (!slot) {
+        sfem_int node;
+        SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
+        node = sfemi_tags_find(&g->node, v);
+        if (node < 0) {
             status =
                 sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node tag %lld, which is not there",
                                 (long)t, (long long)v);
             if (s->err) s->err->tet = t;
             goto done;
         }
-        g->m.tet[4 * (size_t)t + (size_t)k] = slot - 1;
+        g->m.tet[4 * (size_t)t + (size_t)k] = node;
     }
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+    ++g->m.tets;
+done:
+    return status;
+}
+
+/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past the
+ * rest of the row of one. */
+static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
+                                            int64_t count)
+{
+    /* nodes of the types 1 .. 31, the second to fourth order of lines to pyramids among them */
+    static const unsigned char nodes[32] = {0,  2,  3,  4, 4,  8,  6,  5,  3,  6,  9,
+                                            10, 27, 18, 14, 1,  8,  20, 15, 13, 9,  10,
+                                            12, 15, 15, 21, 4,  5,  6,  20, 35, 56};
+    sfemi_scan *s = &g->s;
+    uint64_t each;
+    if (!s->order) {
+        sfemi_scan_skip_line(s);
+        return SFEM_OK;
+    }
+    if (type != 92 && type != 93 && (type > 31 || !nodes[type]))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
+                               (long long)type);
+    each = (uint64_t)s->size * (1 + (uint64_t)more +
+                                (type == 92 ? 64u : type == 93 ? 125u : nodes[type]));
+    if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
+    return sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
+}
+
+static sfem_status sfemi_gmsh_count_tets(sfemi_scan *s, int64_t more, sfem_int *tets)
+{
+    if (more > INT32_MAX - *tets)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+    *tets += (sfem_int)more;
+    return SFEM_OK;
+}
+
+/* 4.1: one block of elements. First they are only counted: g->m.tet is NULL then. */
+static sfem_status sfemi_gmsh_block(sfemi_gmsh *g, int64_t *elements, sfem_int *tets)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int place, region;
+    int64_t dimension, entity, type, count, i, v;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements in a block", &count));
+    region = (sfem_int)entity;
+    if (g->any_group) {
+        place = sfemi_tags_find(&g->volume, entity);
+        region = place < 0 ? 0 : g->group[place];
+    }
+    for (i = 0; i < count; ++i) {
+        SFEMI_TRY(sfemi_gmsh_more(g, "another element"));
+        if (type == 4 && g->m.tet) {
+            g->m.region[g->m.tets] = region;
+            s->in_row = 1;
+            SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "an element tag", &v));
+            SFEMI_TRY(sfemi_gmsh_tet(g));
+            s->in_row = 0;
+        } else if (s->order) {
+            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));
+            break;
+        } else
+            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, 1));
+    }
+    *elements += count;
+    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
 done:
     s->in_row = 0;
     return status;
 }
 
-/* One block of elements. First they are only counted: g->m.tet is NULL then. */
-static sfem_status sfemi_gmsh_element_block(sfemi_gmsh *g, int64_t *elements, sfem_int *tets)
+/* 2.2: the tags of an element: its physical group, its entity, and others. */
+static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, sfem_int *group, sfem_int *entity)
+{
+    sfem_status status = SFEM_OK;
+    int64_t k, v;
+    *group = *entity = 0;
+    for (k = 0; k < tags; ++k) {
+        SFEMI_TRY(sfemi_scan_integer(&g->s, -INT32_MAX, INT32_MAX, "a tag of an element", &v));
+        if (k == 0) *group = (sfem_int)(v < 0 ? -v : v);
+        if (k == 1) *entity = (sfem_int)v;
+    }
+    if (*group) g->any_group = 1;
+done:
+    return status;
+}
+
+/* 2.2: in text one element, in binary a block of at most `left` elements of one type. */
+static sfem_status sfemi_gmsh_tagged(sfemi_gmsh *g, int64_t left, int64_t *elements, sfem_int *tets)
 {
     sfemi_scan *s = &g->s;
-    sfem_status status;
-    sfem_int slot, region;
-    int64_t dimension, entity, type, count, i;
-    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
-    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
+    sfem_status status = SFEM_OK;
+    sfem_int group, entity;
+    int64_t v, type, tags, count = 1, i;
+    sfemi_scan_space(s);
+    s->in_row = 1;
+    if (!s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "an element tag", &v));
     SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements in a block", &count));
-    region = (sfem_int)entity;
-    if (g->any_group) {
-        slot = *sfemi_tags_slot(&g->volume, entity);
-        region = slot ? g->group[slot - 1] : 0;
-    }
-    for (i = 0; i < count; ++i) {
-        sfemi_word w = sfemi_scan_peek(s);
-        if (!w.n || *w.p == '$') {
-            status = sfemi_scan_expected(s, "another element", w);
-            goto done;
-        }
-        if (type == 4 && *tets == INT32_MAX) {
-            status = sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
-            goto done;
-        }
-        if (type == 4 && g->m.tet) {
-            SFEMI_TRY(sfemi_gmsh_tet(g, *tets));
-            g->m.region[*tets] = region;
-        } else
+    if (s->order)
+        SFEMI_TRY(sfemi_scan_integer(s, 0, left, "the count of elements in a block", &count));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tags", &tags));
+    if (type != 4) SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, tags, count));
+    for (i = 0; type == 4 && i < count; ++i) {
+        if (s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "an element tag", &v));
+        SFEMI_TRY(sfemi_gmsh_tags(g, tags, &group, &entity));
+        if (g->m.tet) {
+            g->m.region[g->m.tets] = g->any_group ? group : entity;
+            SFEMI_TRY(sfemi_gmsh_tet(g));
+        } else if (s->order)
+            SFEMI_TRY(sfemi_scan_skip_bytes(s, 16, "a node tag of a tet"));
+        else
             sfemi_scan_skip_line(s);
-        *tets += type == 4;
     }
     *elements += count;
+    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
+done:
+    s->in_row = 0;
+    return status;
+}
+
+/* All elements, once: they are counted while g->m.tet is NULL, and the tets read if it is not. */
+static sfem_status sfemi_gmsh_pass(sfemi_gmsh *g, int64_t blocks, int64_t elements, sfem_int *tets)
+{
+    sfem_status status = SFEM_OK;
+    int64_t found = 0;
+    if (g->version == 4)
+        for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_block(g, &found, tets));
+    else
+        while (found < elements)
+            SFEMI_TRY(sfemi_gmsh_tagged(g, elements - found, &found, tets));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    if (found != elements)
+        status = sfemi_scan_fail(&g->s, SFEM_FORMAT, "%lld elements announced, %lld found",
+                                 (long long)elements, (long long)found);
 done:
     return status;
 }
@@ -4167,44 +4569,46 @@ static sfem_status sfemi_gmsh_elements(sfemi_gmsh *g)
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
     sfem_int tets = 0;
-    int64_t blocks, elements, v, b, found = 0;
+    int64_t blocks = 0, elements, v;
     if (g->has_elements) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Elements section");
     if (!g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "$Elements come before $Nodes");
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of element blocks", &blocks));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements", &elements));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest element tag", &v));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest element tag", &v));
-    start = *s;
-    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &tets));
-    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
-    if (found != elements) {
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "%lld elements announced, %lld found",
-                                 (long long)elements, (long long)found);
-        goto done;
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_gmsh_begin(g));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of element blocks", &blocks));
     }
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements", &elements));
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the lowest element tag", &v));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the highest element tag", &v));
+    } else
+        SFEMI_TRY(sfemi_gmsh_begin(g));
+    start = *s;
+    SFEMI_TRY(sfemi_gmsh_pass(g, blocks, elements, &tets));
     SFEMI_NEW(sfem_int, g->m.tet, &g->m.allocator, 4 * (size_t)tets);
     SFEMI_NEW(sfem_int, g->m.region, &g->m.allocator, tets);
     *s = start;
-    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &g->m.tets));
-    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    SFEMI_TRY(sfemi_gmsh_pass(g, blocks, elements, &tets));
     g->has_elements = 1;
 done:
     return status;
 }
 
-/* Goes past the line $End<name> of section $<name>. */
+/* Goes past $End<name> of section $<name>: a line in ASCII files, anywhere in binary ones. */
 static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
 {
     sfemi_scan *s = &g->s;
     sfemi_word w;
     while (s->p < s->end) {
+        const char *p = g->order ? (const char *)memchr(s->p, '$', (size_t)(s->end - s->p)) : NULL;
+        if (p) s->p = p;
         w = sfemi_scan_peek(s);
         if (w.n == name.n + 3 && !memcmp(w.p, "$End", 4) &&
             !memcmp(w.p + 4, name.p + 1, name.n - 1)) {
             s->p += w.n;
             return SFEM_OK;
         }
-        sfemi_scan_skip_line(s);
+        if (p) ++s->p;
+        else sfemi_scan_skip_line(s);
     }
     w.n = 0;
     return sfemi_scan_expected(s, "the end of the section", w);
@@ -4213,12 +4617,13 @@ static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
 static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
+    const char *start = s->p;
     sfem_status status = SFEM_OK;
     sfemi_word w;
     while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
         if (*w.p != '$') return sfemi_scan_expected(s, "a section like $Nodes", w);
         if (sfemi_word_is(w, "$MeshFormat"))
-            status = sfemi_gmsh_format(g);
+            status = sfemi_gmsh_format(g, start);
         else if (!g->has_format)
             return sfemi_scan_expected(s, "$MeshFormat", w);
         else if (sfemi_word_is(w, "$Entities"))
@@ -4273,15 +4678,6 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     return SFEM_OK;
 }
 
-static sfem_status sfemi_vtk_skip_words(sfemi_scan *s, int64_t count, const char *what)
-{
-    for (; count > 0; --count) {
-        sfemi_word w = sfemi_scan_word(s);
-        if (!w.n) return sfemi_scan_expected(s, what, w);
-    }
-    return SFEM_OK;
-}
-
 static sfem_status sfemi_vtk_points(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
@@ -4291,7 +4687,7 @@ static sfem_status sfemi_vtk_points(sfemi_vtk *r)
     size_t i;
     if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
-    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of the points"));
+    SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of the points"));
     SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
     for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + i));
     r->m.nodes = n;
@@ -4314,7 +4710,7 @@ static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of numbers in CELLS", &r->numbers));
     if (sfemi_word_is(sfemi_scan_peek(s), "OFFSETS")) {
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the offsets"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the offsets"));
         SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, n);
         for (i = 0; i < n; ++i) {
             SFEMI_TRY(sfemi_scan_integer(s, before, i ? r->numbers : 0, "an offset", &v));
@@ -4330,12 +4726,12 @@ static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
             status = sfemi_scan_expected(s, "CONNECTIVITY", sfemi_scan_peek(s));
             goto done;
         }
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the connectivity"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the connectivity"));
         n -= n > 0;
     }
     r->cells = n;
     r->cell_scan = *s;
-    SFEMI_TRY(sfemi_vtk_skip_words(s, r->numbers, "another number of a cell"));
+    SFEMI_TRY(sfemi_scan_skip_words(s, r->numbers, "another number of a cell"));
     r->has_cells = 1;
 done:
     return status;
@@ -4371,14 +4767,14 @@ static sfem_status sfemi_vtk_field(sfemi_scan *s)
 {
     sfem_status status;
     int64_t arrays, components, tuples;
-    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of a field"));
+    SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of a field"));
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "the count of arrays in a field", &arrays));
     for (; arrays > 0; --arrays) {
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of an array"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of an array"));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of an array"));
-        SFEMI_TRY(sfemi_vtk_skip_words(s, components * tuples, "another value of an array"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of an array"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, components * tuples, "another value of an array"));
     }
 done:
     return status;
@@ -4434,7 +4830,7 @@ static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
         }
         left -= (sfem_int)nodes;
         if (r->type[i] != 10) {
-            SFEMI_TRY(sfemi_vtk_skip_words(s, nodes, "another number of a cell"));
+            SFEMI_TRY(sfemi_scan_skip_words(s, nodes, "another number of a cell"));
             continue;
         }
         for (; nodes > 0; --nodes) {
@@ -4495,7 +4891,440 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
     return sfemi_vtk_tets(r);
 }
 
-/* ---- either ---- */
+/* ---- Vega .veg, TetGen .node and .ele ---- */
+
+#define SFEMI_INCLUDES 16 /* files that one .veg may include */
+
+/* A material or a set of tets, by its name. */
+typedef struct sfemi_rows_name {
+    sfemi_word name;
+    sfem_int material;    /* its number, or -1: it is a set */
+    size_t first, behind; /* its tets in member[] */
+} sfemi_rows_name;
+
+/* Both are rows of numbers, with comments from # on and commas as good as blanks. */
+typedef struct sfemi_rows {
+    sfemi_scan s;
+    sfem_mesh m;
+    sfem_int node_base, tet_base; /* the numbers of the first node and tet, mostly 0 or 1 */
+    int has_nodes, has_tets;
+    /* .veg: */
+    sfemi_rows_name *name; /* [names of names_room] */
+    sfem_int *member;      /* [members of members_room] tets of all sets, from 0 */
+    size_t names, names_room, members, members_room;
+    sfem_int materials;
+    const char *path; /* of the file, or NULL: there is nothing to include from */
+    int included, depth;
+    char *text[SFEMI_INCLUDES];       /* [included] the names are in there */
+    char file[SFEMI_INCLUDES][25];    /* [included] */
+    sfemi_scan outer[SFEMI_INCLUDES]; /* [depth] */
+} sfemi_rows;
+
+static void sfemi_rows_free(sfemi_rows *r, const sfem_allocator *a)
+{
+    int i;
+    for (i = 0; i < r->included; ++i) sfemi_delete(a, r->text[i]);
+    sfemi_delete(a, r->name);
+    sfemi_delete(a, r->member);
+}
+
+/* Room for one thing more behind `used` of them; NULL if there is no memory. */
+static void *sfemi_rows_grow(const sfem_allocator *a, void *old, size_t used, size_t *room,
+                             size_t size)
+{
+    size_t more = *room ? 2 * *room : 16;
+    void *p;
+    if (used < *room) return old;
+    p = sfemi_new(a, more, size);
+    if (!p) return NULL;
+    if (used) memcpy(p, old, used * size);
+    sfemi_delete(a, old);
+    *room = more;
+    return p;
+}
+
+/* The words up to the end of the row, or to a comma. */
+static sfemi_word sfemi_rows_words(sfemi_scan *s)
+{
+    sfemi_word w;
+    sfemi_scan_space(s);
+    w.p = s->p;
+    while (s->p < s->end && *s->p != '\n' && *s->p != s->comment && *s->p != s->blank) ++s->p;
+    for (w.n = (size_t)(s->p - w.p); w.n && sfemi_is_blank(w.p[w.n - 1]);) --w.n;
+    return w;
+}
+
+#ifndef SFEM_NO_STDIO
+static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    const char *slash = strrchr(r->path, '/');
+    size_t folder = slash ? (size_t)(slash + 1 - r->path) : 0, bytes = 0;
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    char *path = NULL, *text = NULL, short_name[25];
+    sfemi_scan inner;
+    SFEMI_NEW(char, path, a, folder + w.n + 1);
+    memcpy(path, r->path, folder);
+    memcpy(path + folder, w.p, w.n);
+    SFEMI_TRY(sfemi_file_read(path, a, &text, &bytes, err));
+    inner = sfemi_scan_of(text, bytes, err);
+    inner.comment = r->s.comment;
+    inner.blank = r->s.blank;
+    memcpy(r->file[r->included], sfemi_word_text(w, short_name), 25);
+    inner.file = r->file[r->included];
+    r->text[r->included++] = text;
+    r->outer[r->depth++] = r->s;
+    r->s = inner;
+done:
+    sfemi_delete(a, path);
+    return status;
+}
+#endif
+
+/* *INCLUDE name: goes on in that file, beside the first one or below it, and then behind this row. */
+static sfem_status sfemi_rows_include(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfemi_word w;
+    char text[25];
+    size_t i;
+    w = sfemi_rows_words(s);
+    if (!w.n) return sfemi_scan_expected(s, "the name of a file", w);
+    if (!r->path)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: there is no file to include from",
+                               sfemi_word_text(w, text));
+    for (i = 0; i < w.n; ++i)
+        if (w.p[i] == '\\' || w.p[i] == ':' || !w.p[i] || (w.p[i] == '/' && i == 0) ||
+            (w.p[i] == '.' && i + 1 < w.n && w.p[i + 1] == '.'))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: not a file beside this one",
+                                   sfemi_word_text(w, text));
+    if (r->included == SFEMI_INCLUDES)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than %d files are included", SFEMI_INCLUDES);
+#ifndef SFEM_NO_STDIO
+    return sfemi_rows_open(r, w);
+#else
+    return SFEM_OK;
+#endif
+}
+
+/* To the first word of the next row, or of the one that it is at; `any` is 0 at the end of it all. */
+static sfem_status sfemi_rows_next(sfemi_rows *r, int *any)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    for (;;) {
+        s->in_row = 0;
+        sfemi_scan_space(s);
+        if (s->p == s->end && r->depth > 0) {
+            *s = r->outer[--r->depth];
+            continue;
+        }
+        *any = s->p < s->end;
+        s->in_row = 1;
+        if (!sfemi_word_is(sfemi_scan_peek(s), "*INCLUDE")) return SFEM_OK;
+        sfemi_scan_word(s);
+        SFEMI_TRY(sfemi_rows_include(r));
+    }
+done:
+    return status;
+}
+
+/* To the next row, which has to be there. */
+static sfem_status sfemi_rows_need(sfemi_rows *r, const char *what)
+{
+    int any;
+    sfem_status status = sfemi_rows_next(r, &any);
+    if (status != SFEM_OK || any) return status;
+    r->s.in_row = 0;
+    return sfemi_scan_expected(&r->s, what, sfemi_scan_peek(&r->s));
+}
+
+/* The row in front of a table: a count, then up to three small numbers, which have defaults. */
+static sfem_status sfemi_rows_header(sfemi_rows *r, const char *what, sfem_int *count,
+                                     int64_t small[3])
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status;
+    int i;
+    SFEMI_TRY(sfemi_rows_need(r, what));
+    SFEMI_TRY(sfemi_scan_count(s, 8, what, count));
+    for (i = 0; i < 3 && sfemi_scan_peek(s).n; ++i)
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a number behind a count", &small[i]));
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+done:
+    return status;
+}
+
+/* The number in front of row i, which counts on by one from any `base`. */
+static sfem_status sfemi_rows_number(sfemi_rows *r, sfem_int i, const char *what, sfem_int *base)
+{
+    int64_t v;
+    sfem_status status;
+    SFEMI_TRY(sfemi_rows_need(r, what));
+    if (i == 0) {
+        SFEMI_TRY(sfemi_scan_integer(&r->s, 0, INT32_MAX, what, &v));
+        *base = (sfem_int)v;
+    } else {
+        v = (int64_t)*base + i;
+        SFEMI_TRY(sfemi_scan_integer(&r->s, v, v, what, &v));
+    }
+done:
+    return status;
+}
+
+/* The count, 3, attributes and markers; rows of number, place, attributes and markers. */
+static sfem_status sfemi_rows_nodes(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    int64_t small[3] = {3, 0, 0};
+    sfem_int n = 0, i;
+    int k;
+    if (r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*VERTICES a second time");
+    SFEMI_TRY(sfemi_rows_header(r, "the count of nodes", &n, small));
+    if (small[0] != 3)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "nodes in %ld dimensions, not 3", (long)small[0]);
+    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_rows_number(r, i, "the number of a node", &r->node_base));
+        for (k = 0; k < 3; ++k)
+            SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + 3 * (size_t)i + k));
+        SFEMI_TRY(sfemi_scan_skip_words(s, small[1] + small[2], "an attribute or marker"));
+        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the node's line"));
+    }
+    r->m.nodes = n;
+    r->has_nodes = 1;
+done:
+    return status;
+}
+
+static sfem_status sfemi_rows_tet(sfemi_rows *r, sfem_int t)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    int64_t v;
+    int k;
+    for (k = 0; k < 4; ++k) {
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a node of a tet", &v));
+        if (v < r->node_base || v - r->node_base >= r->m.nodes) {
+            status = sfemi_scan_fail(s, SFEM_BAD_MESH,
+                                     "tet %ld names node %lld, the nodes are %ld .. %lld", (long)t,
+                                     (long long)v, (long)r->node_base,
+                                     (long long)r->node_base + r->m.nodes - 1);
+            if (s->err) s->err->tet = t;
+            goto done;
+        }
+        r->m.tet[4 * (size_t)t + (size_t)k] = (sfem_int)v - r->node_base;
+    }
+done:
+    return status;
+}
+
+/* The count, 4 and attributes; rows of number, nodes and attributes, the first of which is the region. */
+static sfem_status sfemi_rows_tets(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    int64_t small[3] = {4, 0, 0};
+    sfem_real region;
+    sfem_int n = 0, i;
+    if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS a second time");
+    if (!r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS come before *VERTICES");
+    SFEMI_TRY(sfemi_rows_header(r, "the count of tets", &n, small));
+    if (small[0] != 4)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of %ld nodes, not 4", (long)small[0]);
+    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
+    if (small[1]) SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_rows_number(r, i, "the number of a tet", &r->tet_base));
+        SFEMI_TRY(sfemi_rows_tet(r, i));
+        if (small[1]) {
+            SFEMI_TRY(sfemi_scan_real(s, "the region of a tet", &region));
+            if (!(fabs(region) <= INT32_MAX) || region != floor(region))
+                return sfemi_scan_fail(s, SFEM_FORMAT, "the region %g of a tet is not a whole number "
+                                                       "below 2^31",
+                                       region);
+            r->m.region[i] = (sfem_int)region;
+            SFEMI_TRY(sfemi_scan_skip_words(s, small[1] - 1, "an attribute of a tet"));
+        }
+        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+    }
+    r->m.tets = n;
+    r->has_tets = 1;
+done:
+    return status;
+}
+
+/* The material or set of that name that came first, or NULL. */
+static const sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+{
+    size_t i;
+    for (i = 0; i < r->names; ++i)
+        if ((r->name[i].material < 0) == set && r->name[i].name.n == name.n &&
+            !memcmp(r->name[i].name.p, name.p, name.n))
+            return r->name + i;
+    return NULL;
+}
+
+static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_word w = sfemi_rows_words(&r->s);
+    sfemi_rows_name *p;
+    if (!w.n) return sfemi_scan_expected(&r->s, "a name", w);
+    p = (sfemi_rows_name *)sfemi_rows_grow(a, r->name, r->names, &r->names_room, sizeof *p);
+    if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: names");
+    r->name = p;
+    p += r->names++;
+    p->name = w;
+    p->material = material;
+    p->first = p->behind = r->members;
+    return sfemi_scan_end_of_row(&r->s, "the end of the line");
+}
+
+/* *MATERIAL name, then a law with its constants, which are the caller's business. */
+static sfem_status sfemi_veg_material(sfemi_rows *r)
+{
+    sfem_status status;
+    SFEMI_TRY(sfemi_rows_new_name(r, r->materials));
+    ++r->materials;
+    SFEMI_TRY(sfemi_rows_need(r, "the law of a material"));
+    if (*r->s.p == '*')
+        return sfemi_scan_expected(&r->s, "the law of a material", sfemi_scan_peek(&r->s));
+    sfemi_scan_rest(&r->s);
+done:
+    return status;
+}
+
+/* *SET name, then numbers of tets up to the next row that begins with a *. */
+static sfem_status sfemi_veg_set(sfemi_rows *r)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfem_int *p;
+    int64_t v;
+    int any;
+    if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*SET comes before *ELEMENTS");
+    SFEMI_TRY(sfemi_rows_new_name(r, -1));
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        while (sfemi_scan_peek(s).n) {
+            SFEMI_TRY(sfemi_scan_integer(s, r->tet_base, (int64_t)r->tet_base + r->m.tets - 1,
+                                         "the number of a tet in a set", &v));
+            p = (sfem_int *)sfemi_rows_grow(a, r->member, r->members, &r->members_room, sizeof *p);
+            if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: sets");
+            r->member = p;
+            p[r->members++] = (sfem_int)v - r->tet_base;
+        }
+    }
+    r->name[r->names - 1].behind = r->members;
+done:
+    return status;
+}
+
+/* *REGION, then a row "set, material", where the set allElements is always there. */
+static sfem_status sfemi_veg_region(sfemi_rows *r)
+{
+    const sfemi_rows_name *set, *material;
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfemi_word a, b;
+    char text[25];
+    size_t k;
+    if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*REGION comes before *ELEMENTS");
+    SFEMI_TRY(sfemi_rows_need(r, "a set and a material"));
+    a = sfemi_rows_words(s);
+    b = sfemi_rows_words(s);
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+    set = sfemi_rows_find(r, a, 1);
+    material = sfemi_rows_find(r, b, 0);
+    if (!set && !sfemi_word_is(a, "allElements"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *SET '%s' above",
+                               sfemi_word_text(a, text));
+    if (!material)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *MATERIAL '%s' above",
+                               sfemi_word_text(b, text));
+    if (!r->m.region) {
+        SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
+        for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
+    }
+    for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = material->material;
+    for (k = set ? set->first : 0; set && k < set->behind; ++k)
+        r->m.region[r->member[k]] = material->material;
+done:
+    return status;
+}
+
+static sfem_status sfemi_veg_elements(sfemi_rows *r)
+{
+    sfem_status status;
+    sfemi_word w;
+    char text[25];
+    SFEMI_TRY(sfemi_rows_need(r, "TET"));
+    w = sfemi_scan_peek(&r->s);
+    if (!sfemi_word_is(w, "TET") && !sfemi_word_is(w, "TETS"))
+        return sfemi_scan_fail(&r->s, SFEM_FORMAT, "*ELEMENTS %s: only TET is read",
+                               sfemi_word_text(w, text));
+    r->s.p += w.n;
+    SFEMI_TRY(sfemi_scan_end_of_row(&r->s, "the end of the line"));
+    SFEMI_TRY(sfemi_rows_tets(r));
+done:
+    return status;
+}
+
+static sfem_status sfemi_veg_read(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    int any;
+    s->comment = '#';
+    s->blank = ',';
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any) break;
+        w = sfemi_scan_peek(s);
+        s->p += w.n;
+        if (sfemi_word_is(w, "*VERTICES")) SFEMI_TRY(sfemi_rows_nodes(r));
+        else if (sfemi_word_is(w, "*ELEMENTS")) SFEMI_TRY(sfemi_veg_elements(r));
+        else if (sfemi_word_is(w, "*MATERIAL")) SFEMI_TRY(sfemi_veg_material(r));
+        else if (sfemi_word_is(w, "*SET")) SFEMI_TRY(sfemi_veg_set(r));
+        else if (sfemi_word_is(w, "*REGION")) SFEMI_TRY(sfemi_veg_region(r));
+        else {
+            s->p -= w.n;
+            return sfemi_scan_expected(s, "*VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION", w);
+        }
+    }
+    if (!r->has_tets)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
+                                 r->has_nodes ? "*ELEMENTS" : "*VERTICES");
+done:
+    return status;
+}
+
+/* One of the two files of TetGen, to its end. */
+static sfem_status sfemi_tetgen_file(sfemi_rows *r, const sfemi_scan *s, const char *file)
+{
+    sfem_status status;
+    int any;
+    r->s = *s;
+    r->s.comment = '#';
+    r->s.blank = ',';
+    r->s.file = file;
+    SFEMI_TRY(r->has_nodes ? sfemi_rows_tets(r) : sfemi_rows_nodes(r));
+    SFEMI_TRY(sfemi_rows_next(r, &any));
+    if (any) status = sfemi_scan_expected(&r->s, "the end of the file", sfemi_scan_peek(&r->s));
+done:
+    return status;
+}
+
+/* ---- any of them ---- */
 
 static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, const sfem_allocator *a,
                                          sfem_mesh *out)
@@ -4528,6 +5357,38 @@ static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, const sfem_allocato
     return status;
 }
 
+/* A .veg; with a second text, the .node and the .ele file of TetGen. */
+static sfem_status sfemi_mesh_parse_rows(const sfemi_scan *s, const sfemi_scan *ele,
+                                         const char *path, const sfem_allocator *a, sfem_mesh *out)
+{
+    sfemi_rows r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.path = path;
+    r.m.allocator = *a;
+    status = ele ? sfemi_tetgen_file(&r, s, ".node") : sfemi_veg_read(&r);
+    if (status == SFEM_OK && ele) status = sfemi_tetgen_file(&r, ele, ".ele");
+    sfemi_rows_free(&r, a);
+    *out = r.m;
+    return status;
+}
+
+/* What every reader ends with. */
+static sfem_status sfemi_mesh_parsed(sfem_status status, sfem_mesh *m, sfem_mesh *out,
+                                     sfem_error *err)
+{
+    if (status == SFEM_OK && m->tets < 1)
+        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
+                            (long)m->nodes);
+    if (status == SFEM_OK) {
+        sfem_mesh_orient(m);
+        *out = *m;
+    } else
+        sfem_mesh_free(m);
+    return status;
+}
+
 static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
 {
     sfemi_word w;
@@ -4536,95 +5397,85 @@ static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
     return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
 }
 
-SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
-                                     const sfem_allocator *allocator, sfem_mesh *out,
-                                     sfem_error *err)
+/* Of the file at path, which is NULL if there is none. */
+static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *path,
+                                    const sfem_allocator *a, sfem_mesh *out, sfem_error *err)
 {
     sfem_status status;
     char begin[25];
-    sfem_allocator a;
     sfem_mesh m;
-    sfemi_scan s;
-    SFEM_ASSERT(out && (data || !bytes));
-    memset(&a, 0, sizeof a);
+    sfemi_scan s = sfemi_scan_of(data, bytes, err), veg;
     memset(&m, 0, sizeof m);
-    memset(&s, 0, sizeof s);
-    if (allocator) a = *allocator;
-    s.p = bytes ? (const char *)data : "";
-    s.end = s.p + bytes;
-    s.line = 1;
-    s.err = err;
-    if (sfemi_scan_begins(&s, "\xef\xbb\xbf")) s.p += 3; /* a byte order mark */
     sfemi_scan_space(&s);
+    veg = s;
+    veg.comment = '#';
+    sfemi_scan_space(&veg);
     if (sfemi_scan_begins(&s, "$"))
-        status = sfemi_mesh_parse_gmsh(&s, &a, &m);
+        status = sfemi_mesh_parse_gmsh(&s, a, &m);
     else if (sfemi_scan_begins(&s, "# vtk DataFile Version"))
-        status = sfemi_mesh_parse_vtk(&s, &a, &m);
+        status = sfemi_mesh_parse_vtk(&s, a, &m);
+    else if (sfemi_scan_begins(&veg, "*"))
+        status = sfemi_mesh_parse_rows(&s, NULL, path, a, &m);
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
     else
         status = sfemi_scan_fail(&s, SFEM_FORMAT,
-                                 "only Gmsh 4.1 ASCII and VTK legacy ASCII are read, this begins "
-                                 "with '%s'",
+                                 "only Gmsh 2.2 and 4.1, VTK legacy ASCII and Vega .veg are read, "
+                                 "this begins with '%s'",
                                  sfemi_word_text(sfemi_scan_peek(&s), begin));
-    if (status == SFEM_OK && m.tets < 1)
-        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
-                            (long)m.nodes);
-    if (status == SFEM_OK) {
-        sfem_mesh_orient(&m);
-        *out = m;
-    } else
-        sfem_mesh_free(&m);
-    return status;
+    return sfemi_mesh_parsed(status, &m, out, err);
+}
+
+SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
+                                     const sfem_allocator *allocator, sfem_mesh *out,
+                                     sfem_error *err)
+{
+    sfem_allocator a;
+    SFEM_ASSERT(out && (data || !bytes));
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    return sfemi_mesh_parse(data, bytes, NULL, &a, out, err);
+}
+
+SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
+                                            size_t ele_bytes, const sfem_allocator *allocator,
+                                            sfem_mesh *out, sfem_error *err)
+{
+    sfem_allocator a;
+    sfem_status status;
+    sfem_mesh m;
+    sfemi_scan s, t;
+    SFEM_ASSERT(out && (node || !node_bytes) && (ele || !ele_bytes));
+    memset(&a, 0, sizeof a);
+    memset(&m, 0, sizeof m);
+    if (allocator) a = *allocator;
+    s = sfemi_scan_of(node, node_bytes, err);
+    t = sfemi_scan_of(ele, ele_bytes, err);
+    status = sfemi_mesh_parse_rows(&s, &t, NULL, &a, &m);
+    return sfemi_mesh_parsed(status, &m, out, err);
 }
 
 #ifndef SFEM_NO_STDIO
 
-/* ---- files ---- */
-
-/* "path: text", with the system's reason if there is one. */
-static sfem_status sfemi_file_fail(const char *path, const char *text, sfem_error *err)
-{
-    const char *reason = errno ? strerror(errno) : "no reason given";
-    return sfemi_fail(err, SFEM_IO, "%.120s: %s (%.60s)", path, text, reason);
-}
-
-/* The whole file, in a buffer that doubles. */
-static sfem_status sfemi_file_read(const char *path, const sfem_allocator *a, char **out,
-                                   size_t *bytes, sfem_error *err)
+/* The two files of TetGen, of which one was named: stem is the length of its name up to the point. */
+static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const sfem_allocator *a,
+                                          sfem_mesh *out, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    char *buffer = NULL, *larger = NULL;
-    size_t size = 65536, n = 0, got;
-    FILE *f;
-    errno = 0;
-    f = fopen(path, "rb");
-    if (!f) return sfemi_file_fail(path, "cannot be opened", err);
-    SFEMI_NEW(char, buffer, a, size);
-    while ((got = fread(buffer + n, 1, size - n, f)) > 0) {
-        n += got;
-        if (n < size) continue;
-        if (size > (size_t)-1 / 2) {
-            status = sfemi_fail(err, SFEM_TOO_LARGE, "%.120s: too large a file", path);
-            goto done;
-        }
-        SFEMI_NEW(char, larger, a, 2 * size);
-        memcpy(larger, buffer, n);
-        sfemi_delete(a, buffer);
-        buffer = larger;
-        larger = NULL;
-        size *= 2;
+    char *data[2] = {NULL, NULL}, *name = NULL;
+    size_t bytes[2] = {0, 0};
+    int i, capital = path[stem + 1] >= 'A' && path[stem + 1] <= 'Z';
+    SFEMI_NEW(char, name, a, stem + 6);
+    memcpy(name, path, stem);
+    for (i = 0; i < 2; ++i) {
+        strcpy(name + stem, i ? (capital ? ".ELE" : ".ele") : capital ? ".NODE" : ".node");
+        SFEMI_TRY(sfemi_file_read(name, a, &data[i], &bytes[i], err));
     }
-    if (ferror(f)) {
-        status = sfemi_file_fail(path, "cannot be read", err);
-        goto done;
-    }
-    *out = buffer;
-    *bytes = n;
-    buffer = NULL;
+    status = sfem_mesh_parse_tetgen(data[0], bytes[0], data[1], bytes[1], a, out, err);
+    if (status != SFEM_OK) sfemi_file_blame(path, err);
 done:
-    sfemi_delete(a, buffer);
-    fclose(f);
+    for (i = 0; i < 2; ++i) sfemi_delete(a, data[i]);
+    sfemi_delete(a, name);
     return status;
 }
 
@@ -4633,22 +5484,34 @@ SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allo
 {
     sfem_allocator a;
     sfem_status status;
+    sfemi_word tail;
     char *data = NULL;
-    size_t bytes = 0;
+    size_t bytes = 0, length;
     SFEM_ASSERT(path && out);
     memset(&a, 0, sizeof a);
     if (allocator) a = *allocator;
+    length = strlen(path);
+    for (tail.n = 0; tail.n < length && tail.n < 5; ++tail.n) {
+        tail.p = path + length - tail.n - 1;
+        if (*tail.p != '.') continue;
+        ++tail.n;
+        if (sfemi_word_is(tail, ".node") || sfemi_word_is(tail, ".ele"))
+            return sfemi_mesh_read_tetgen(path, length - tail.n, &a, out, err);
+        break;
+    }
     status = sfemi_file_read(path, &a, &data, &bytes, err);
     if (status != SFEM_OK) return status;
-    status = sfem_mesh_parse(data, bytes, &a, out, err);
+    status = sfemi_mesh_parse(data, bytes, path, &a, out, err);
     sfemi_delete(&a, data);
-    if (status != SFEM_OK && err) { /* put the path in front */
-        sfem_error e = *err;
-        sfemi_fail_at(err, status, e.node, e.tet, "%.100s: %.135s", path, e.text);
-        err->line = e.line;
-    }
+    if (status != SFEM_OK) sfemi_file_blame(path, err);
     return status;
 }
+
+#endif
+
+#ifndef SFEM_NO_STDIO
+
+/* ---- writing ---- */
 
 /* Closes a file that was written; tells if any of it failed. */
 static sfem_status sfemi_file_close(FILE *f, const char *path, sfem_error *err)
