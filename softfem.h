@@ -13727,6 +13727,7 @@ typedef struct sfemi_guard {
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
     sfem_real gain;        /* by how much the redo has lowered Phi */
+    sfem_real noise;       /* what rounding may make of Psi at rest */
     sfemi_guard_energies energies; /* of the step, if measured */
     int measured;
     int redone;            /* u, w, f come from the redo */
@@ -16522,6 +16523,7 @@ static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real
         memcpy(s, g->u, n * sizeof *s);
         memcpy(s + n, g->grad, n * sizeof *s);
     }
+    if (kind != SFEMI_TURNED && length * -slope > 2 * *phi) length = 2 * *phi / -slope; /* Phi has no less than 0 */
     for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
         sfem_real value;
         for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
@@ -17015,6 +17017,7 @@ static void sfemi_guard_finish(sfem_body *b)
     }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
+    if (g->noise > head->scale) head->scale = g->noise;
     head->last = e.ec;
     head->psi = psi;
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
@@ -17823,6 +17826,8 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     g->unit = g->frame + 3 * n;
     for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
     for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
+    for (i = 0; i < (size_t)b->model->mesh.tets; ++i)
+        g->noise += 1e-15 * sfemi_factor_isotropic(b->model, (sfem_int)i);
     for (i = 0; i < SFEMI_REDOS; ++i) SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->redo[i].grip, err));
 done:
     return status;
