@@ -16509,8 +16509,11 @@ static void sfemi_guard_remember(sfemi_guard *g, size_t n)
     if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n))) ++g->pairs;
 }
 
-/* One step of descent with Armijo's rule; 0 if there is none left to take. */
-static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
+enum { SFEMI_STUCK, SFEMI_LOWER, SFEMI_LOWEST };
+
+/* One step of descent with Armijo's rule, its length halved at most so often. LOWEST: what there is to gain
+ * drowns in rounding. */
+static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -16518,13 +16521,16 @@ static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real
     sfem_real length = 1;
     size_t i;
     int halvings;
+    if (-slope <= 1e-14 * fabs(*phi)) return slope <= 0 ? SFEMI_LOWEST : SFEMI_STUCK;
     if (kind == SFEMI_ISOTROPIC) {
         sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
         memcpy(s, g->u, n * sizeof *s);
         memcpy(s + n, g->grad, n * sizeof *s);
     }
-    if (kind != SFEMI_TURNED && length * -slope > 2 * *phi) length = 2 * *phi / -slope; /* Phi has no less than 0 */
-    for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
+    /* Phi is not negative: on a parabola of this slope there is nothing to be had beyond. Stretched a thousandfold
+     * tets are 1e12 times as stiff as at rest. */
+    if (kind != SFEMI_TURNED && -slope > 2 * *phi) length = 2 * *phi / -slope;
+    for (halvings = 0; halvings <= most; ++halvings, length /= 2) {
         sfem_real value;
         for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
@@ -16533,10 +16539,10 @@ static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real
         memcpy(g->u, g->trial_u, n * sizeof *g->u);
         memcpy(g->f, g->trial_f, n * sizeof *g->f);
         if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
-        return 1;
+        return SFEMI_LOWER;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
-    return 0;
+    return SFEMI_STUCK;
 }
 
 /* Gives free pieces the momentum that h L adds to M w. The angular one takes energy: a step's mean velocity,
@@ -16784,12 +16790,26 @@ static int sfemi_guard_is_near(sfem_body *b, sfem_real part)
     return -sfemi_guard_direction(b, SFEMI_TURNED) <= 2 * part * b->state.head->scale;
 }
 
+/* How many factors of tangents a redo may make: so many as take the time of a hundred descents by the majorant,
+ * by what processors do of either; one of a large body, ten of a small one. */
+static int sfemi_guard_allowance(const sfem_body *b)
+{
+    const sfem_ldl *ldl = b->guard.redo[SFEMI_TANGENT].factor->ldl;
+    sfem_ldl_info info;
+    double count;
+    if (!ldl) return 0;
+    info = sfem_ldl_get_info(ldl);
+    count = 2000 * (double)info.nnz / info.flops;
+    return count < 1 ? 1 : count > 10 ? 10 : (int)count;
+}
+
 /* Lowers Phi until Ec is in order and a step of descent gains little: by the turned factor; where that needs
- * short steps, by the isotropic majorant; where that is stuck, or creeps, by Newton's iteration. */
+ * short steps, by the isotropic majorant; where that is stuck, or creeps, by Newton's iteration, with the last
+ * of its factors once they are used up. */
 static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
                                         sfem_error *err)
 {
-    enum { LIMIT = 100, NEWTONS = 10 };
+    enum { LIMIT = 100 };
     static const sfem_real small[SFEMI_REDOS] = {.01, .001, .001};
     static const int enough[SFEMI_REDOS] = {1, 10, 1};
     sfemi_guard *g = &b->guard;
@@ -16797,7 +16817,7 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real first = 0;
     sfem_status status = SFEM_OK;
-    int k, kind = SFEMI_TURNED, next, poor = 0, newtons = 0;
+    int k, kind = SFEMI_TURNED, next, poor = 0, factors = 0, end;
     g->pairs = 0;
     for (k = 0; k < LIMIT; ++k) {
         sfem_real norm = 0, before = phi;
@@ -16805,17 +16825,17 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
         if (k == 0) first = norm;
         if (norm == 0 || norm < 1e-6 * first) break;
-        if (kind == SFEMI_TANGENT && newtons++ == NEWTONS) break;
-        next = kind;
-        if ((kind != SFEMI_TANGENT || sfemi_guard_linearise(b)) && sfemi_guard_descend(b, kind, &phi, psi)) {
+        if (kind == SFEMI_TANGENT && --factors >= 0 && !sfemi_guard_linearise(b)) break;
+        end = sfemi_guard_descend(b, kind, kind == SFEMI_TURNED || factors < 0 ? 3 : 19, &phi, psi);
+        if (end == SFEMI_LOWEST) break;
+        next = end == SFEMI_LOWER ? kind : kind + 1;
+        if (end == SFEMI_LOWER) {
             ++b->state.head->descents;
             poor = before - phi <= small[kind] * scale ? poor + 1 : 0;
             if (poor >= enough[kind] && sfemi_guard_at(b, *psi).ec <= target) {
                 if (kind != SFEMI_ISOTROPIC || sfemi_guard_is_near(b, small[SFEMI_TURNED])) break;
                 next = SFEMI_TANGENT;
             }
-        } else {
-            next = kind + 1;
         }
         if (next == SFEMI_REDOS) break;
         if (next == kind) continue;
@@ -16823,6 +16843,8 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         g->crumpled = 1;
         poor = 0;
         SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
+        if (kind == SFEMI_TANGENT) factors = sfemi_guard_allowance(b);
+        if (kind == SFEMI_TANGENT && !factors) break;
     }
     g->gain -= phi;
 done:
@@ -17009,7 +17031,7 @@ static void sfemi_guard_finish(sfem_body *b)
     /* what a redo could not reach, by far, is not in motion */
     if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
     else if (psi < head->locked) head->locked = psi;
-    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-12);
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-10);
     head->scale *= exp(-b->step);
     if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
         head->scale = 0;
