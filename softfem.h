@@ -13727,7 +13727,6 @@ typedef struct sfemi_guard {
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
     sfem_real gain;        /* by how much the redo has lowered Phi */
-    sfem_real noise;       /* what rounding may make of Psi at rest */
     sfemi_guard_energies energies; /* of the step, if measured */
     int measured;
     int redone;            /* u, w, f come from the redo */
@@ -17005,6 +17004,16 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to an energy that is not finite");
 }
 
+/* What rounding of the places makes of Psi. */
+static sfem_real sfemi_guard_rounding(const sfem_body *b)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        sum += fabs(b->guard.f[i]) * fabs(b->model->mesh.x[i] + b->guard.u[i]);
+    return 1e-15 * sum;
+}
+
 static void sfemi_guard_finish(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
@@ -17031,7 +17040,7 @@ static void sfemi_guard_finish(sfem_body *b)
     /* what a redo could not reach, by far, is not in motion */
     if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
     else if (psi < head->locked) head->locked = psi;
-    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-10);
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-12);
     head->scale *= exp(-b->step);
     if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
         head->scale = 0;
@@ -17039,7 +17048,7 @@ static void sfemi_guard_finish(sfem_body *b)
     }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
-    if (g->noise > head->scale) head->scale = g->noise;
+    if (redone) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
     head->last = e.ec;
     head->psi = psi;
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
@@ -17848,8 +17857,6 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     g->unit = g->frame + 3 * n;
     for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
     for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
-    for (i = 0; i < (size_t)b->model->mesh.tets; ++i)
-        g->noise += 1e-15 * sfemi_factor_isotropic(b->model, (sfem_int)i);
     for (i = 0; i < SFEMI_REDOS; ++i) SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->redo[i].grip, err));
 done:
     return status;
