@@ -13126,9 +13126,8 @@ static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real 
 }
 
 /* As sfem_model_tangent, for a damaged body that turns. */
-SFEMI_UNUSED static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u,
-                                                    sfem_tangent kind, sfem_matrix *tangent,
-                                                    const sfem_exec *exec)
+static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind,
+                                       sfem_matrix *tangent, const sfem_exec *exec)
 {
     const sfem_model *model = d->bonds->model;
     sfem_int i;
@@ -14269,7 +14268,8 @@ typedef struct sfemi_state_head {
     int64_t steps, redone, descents;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
-    sfem_real energy;                   /* and what it conserves */
+    sfem_real energy;                   /* and what it conserves; the part of psi that is locked in, not in */
+    sfem_real locked;                   /* motion */
     sfem_real calm;     /* s */
 } sfemi_state_head;
 
@@ -14567,7 +14567,7 @@ typedef struct sfemi_redo {
     sfemi_grip grip; /* the handles' columns for it */
 } sfemi_redo;
 
-enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
+enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_TANGENT, SFEMI_REDOS };
 
 /* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
 enum { SFEMI_MEMORY = 6 };
@@ -14576,6 +14576,13 @@ typedef struct sfemi_guard_energies {
     sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
 } sfemi_guard_energies;
 
+/* A matrix that changes, and its factor. */
+typedef struct sfemi_system {
+    sfem_factor *factor;
+    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
+    sfem_int *source;   /* [blocks] their places in K's pattern */
+} sfemi_system;
+
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
@@ -14583,10 +14590,13 @@ typedef struct sfemi_guard {
     sfem_real *added;      /* what the caller added to the right side */
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
     sfem_real *unit;       /* frames that do not turn */
-    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
+    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, with the isotropic majorant, and with K(z), which is */
+    sfemi_system system;   /* this; made when first needed, as is */
+    sfem_matrix tangent;   /* K(z) itself, on K's pattern */
     sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
+    sfem_real gain;        /* by how much the redo has lowered Phi */
     sfemi_guard_energies energies; /* of the step, if measured */
     int measured;
     int redone;            /* u, w, f come from the redo */
@@ -14601,12 +14611,6 @@ typedef struct sfemi_stage {
     sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
     sfem_real end; /* where in the step it ends, in h */
 } sfemi_stage;
-
-typedef struct sfemi_system {
-    sfem_factor *factor;
-    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
-    sfem_int *source;   /* [blocks] their places in K's pattern */
-} sfemi_system;
 
 typedef struct sfemi_implicit {
     sfem_newton_info info;
@@ -16951,6 +16955,7 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
     head->budget = head->last = e.ec;
     if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
+    head->locked = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
     head->rebase = SFEMI_LEDGER;
@@ -17433,7 +17438,7 @@ static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
+    const int count = kind != SFEMI_ISOTROPIC ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
     sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
     int k;
@@ -17468,8 +17473,11 @@ static void sfemi_guard_remember(sfemi_guard *g, size_t n)
     if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n))) ++g->pairs;
 }
 
-/* One step of descent with Armijo's rule; 0 if there is none left to take. */
-static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
+enum { SFEMI_STUCK, SFEMI_LOWER, SFEMI_LOWEST };
+
+/* One step of descent with Armijo's rule, its length halved at most so often. LOWEST: what there is to gain
+ * drowns in rounding. */
+static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -17477,12 +17485,16 @@ static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real
     sfem_real length = 1;
     size_t i;
     int halvings;
+    if (-slope <= 1e-14 * fabs(*phi)) return slope <= 0 ? SFEMI_LOWEST : SFEMI_STUCK;
     if (kind == SFEMI_ISOTROPIC) {
         sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
         memcpy(s, g->u, n * sizeof *s);
         memcpy(s + n, g->grad, n * sizeof *s);
     }
-    for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
+    /* Phi is not negative: on a parabola of this slope there is nothing to be had beyond. Stretched a thousandfold
+     * tets are 1e12 times as stiff as at rest. */
+    if (kind != SFEMI_TURNED && -slope > 2 * *phi) length = 2 * *phi / -slope;
+    for (halvings = 0; halvings <= most; ++halvings, length /= 2) {
         sfem_real value;
         for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
@@ -17491,10 +17503,10 @@ static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real
         memcpy(g->u, g->trial_u, n * sizeof *g->u);
         memcpy(g->f, g->trial_f, n * sizeof *g->f);
         if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
-        return 1;
+        return SFEMI_LOWER;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
-    return 0;
+    return SFEMI_STUCK;
 }
 
 /* Gives free pieces the momentum that h L adds to M w. The angular one takes energy: a step's mean velocity,
@@ -17613,6 +17625,32 @@ static sfem_real sfemi_guard_work(sfem_body *b)
     return work;
 }
 
+/* Room for K(z), and a factor of the body's own. */
+static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    sfemi_redo *redo = &g->redo[SFEMI_TANGENT];
+    sfemi_factor_key key = b->factor->key;
+    sfem_status status = SFEM_OK;
+    if (redo->factor) return SFEM_OK;
+    sfemi_system_close(b, &g->system);
+    key.majorant = 0;
+    key.ck = b->h * b->h;
+    key.cm = sfemi_body_coefficients(b, b->p).r;
+    key.cd = 0;
+    if (!g->tangent.val) {
+        sfem_real *val = NULL;
+        SFEMI_NEW(sfem_real, val, &b->allocator, 9 * (size_t)model->row[model->mesh.nodes]);
+        g->tangent = model->stiffness;
+        g->tangent.val = val;
+    }
+    SFEMI_TRY(sfemi_system_open(b, &key, &g->system, err));
+    redo->factor = g->system.factor;
+done:
+    return status;
+}
+
 /* The factor of the redo, and the handles' columns for it. */
 static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *err)
 {
@@ -17622,7 +17660,8 @@ static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *
     sfemi_factor_key key;
     sfem_status status = SFEM_OK;
     sfem_int i;
-    if (!g->factor || g->h != h) {
+    if (kind == SFEMI_TANGENT) SFEMI_TRY(sfemi_guard_open_system(b, err));
+    else if (!g->factor || g->h != h) {
         key = b->factor->key;
         key.majorant = kind == SFEMI_ISOTROPIC;
         key.ck = kind == SFEMI_TURNED ? h * h + h * b->beta : h * h;
@@ -17641,7 +17680,7 @@ static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *
     g->grip.count = b->grip.count;
     for (i = 0; i < b->grip.count; ++i) {
         const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
-        if (!g->grip.ready[slot])
+        if (!g->grip.ready[slot] && kind != SFEMI_TANGENT) /* else they change all the time */
             sfemi_grip_columns(g->factor, b->state.handle + slot, b->model->mesh.nodes, 1, g->grip.y[slot],
                                b->work, &b->exec);
         g->grip.ready[slot] = 1;
@@ -17650,18 +17689,99 @@ done:
     return status;
 }
 
-/* Lowers Phi, by the turned factor, or where that needs short steps, by the isotropic majorant, until Ec is
- * in order and a step of descent gains little. */
+/* A factor of (r + shift) M + h^2 K(z) with the projected K(z) that is in guard.tangent. */
+static sfem_status sfemi_guard_factor_tangent(sfem_body *b, sfem_real shift)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    const sfemi_system *y = &g->system;
+    const sfem_real h2 = b->step * b->step, cm = sfemi_body_coefficients(b, b->p).r + shift;
+    sfem_int k, at = 0;
+    int r, c;
+    for (k = 0; k < y->matrix.n; ++k) {
+        const sfem_int i = y->factor->node[k];
+        for (; at < y->matrix.row[k + 1]; ++at) {
+            const size_t from = 9 * (size_t)y->source[at];
+            const sfem_int j = model->col[y->source[at]];
+            const int mask_i = y->factor->mask[i], mask_j = y->factor->mask[j];
+            sfem_real *to = y->matrix.val + 9 * (size_t)at;
+            for (c = 0; c < 9; ++c) to[c] = h2 * g->tangent.val[from + (size_t)c];
+            for (c = 0; c < 9 && i == j; c += 4) to[c] += cm * model->node_mass[i];
+            for (r = 0; (mask_i | mask_j) && r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    if (((mask_i >> r & 1) || (mask_j >> c & 1)) && !(i == j && r == c)) to[3 * r + c] = 0;
+        }
+    }
+    return sfem_ldl_refactor(y->factor->ldl, &y->matrix, NULL);
+}
+
+/* K(z), each tet's projected to be positive semidefinite, and its factor; where rounding has eaten the mass, with
+ * more of that. 0 if there is none. */
+static int sfemi_guard_linearise(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    sfemi_grip *grip = &g->redo[SFEMI_TANGENT].grip;
+    const sfem_factor *f = g->redo[SFEMI_TANGENT].factor;
+    sfem_real fastest = 0;
+    sfem_status status;
+    sfem_int i;
+    int c, tries;
+    if (!f->ldl) return 0;
+    if (b->damage) sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    else sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    status = sfemi_guard_factor_tangent(b, 0);
+    if (status != SFEM_OK) { /* the largest (h omega)^2 of a node alone */
+        for (i = 0; i < model->mesh.nodes; ++i)
+            for (c = 0; c < 9 && model->node_mass[i] > 0; c += 4)
+                fastest = fmax(fastest, g->tangent.val[9 * (size_t)(model->row[i + 1] - 1) + (size_t)c] /
+                                            model->node_mass[i]);
+        fastest *= b->step * b->step;
+        for (tries = 0; status != SFEM_OK && tries < 4; ++tries)
+            status = sfemi_guard_factor_tangent(b, fastest * pow(10, 2.0 * tries - 12));
+    }
+    if (status != SFEM_OK) return 0;
+    for (i = 0; i < grip->count; ++i)
+        sfemi_grip_columns(f, b->state.handle + grip->slot[i], model->mesh.nodes, 1, grip->y[grip->slot[i]], b->work,
+                           &b->exec);
+    return 1;
+}
+
+/* Is Phi as low as it gets but for part of the scale, by the measure of the turned factor? That of the isotropic
+ * majorant cannot tell: it is far too stiff. */
+static int sfemi_guard_is_near(sfem_body *b, sfem_real part)
+{
+    return -sfemi_guard_direction(b, SFEMI_TURNED) <= 2 * part * b->state.head->scale;
+}
+
+/* How many factors of tangents a redo may make: so many as take the time of a hundred descents by the majorant,
+ * by what processors do of either; one of a large body, ten of a small one. */
+static int sfemi_guard_allowance(const sfem_body *b)
+{
+    const sfem_ldl *ldl = b->guard.redo[SFEMI_TANGENT].factor->ldl;
+    sfem_ldl_info info;
+    double count;
+    if (!ldl) return 0;
+    info = sfem_ldl_get_info(ldl);
+    count = 2000 * (double)info.nnz / info.flops;
+    return count < 1 ? 1 : count > 10 ? 10 : (int)count;
+}
+
+/* Lowers Phi until Ec is in order and a step of descent gains little: by the turned factor; where that needs
+ * short steps, by the isotropic majorant; where that is stuck, or creeps, by Newton's iteration, with the last
+ * of its factors once they are used up. */
 static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
                                         sfem_error *err)
 {
     enum { LIMIT = 100 };
+    static const sfem_real small[SFEMI_REDOS] = {.01, .001, .001};
+    static const int enough[SFEMI_REDOS] = {1, 10, 1};
     sfemi_guard *g = &b->guard;
     const sfem_real scale = b->state.head->scale;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real first = 0;
     sfem_status status = SFEM_OK;
-    int k, kind = SFEMI_TURNED, poor = 0;
+    int k, kind = SFEMI_TURNED, next, poor = 0, factors = 0, end;
     g->pairs = 0;
     for (k = 0; k < LIMIT; ++k) {
         sfem_real norm = 0, before = phi;
@@ -17669,19 +17789,28 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
         if (k == 0) first = norm;
         if (norm == 0 || norm < 1e-6 * first) break;
-        if (sfemi_guard_descend(b, kind, &phi, psi)) {
-            const int turned = kind == SFEMI_TURNED;
+        if (kind == SFEMI_TANGENT && --factors >= 0 && !sfemi_guard_linearise(b)) break;
+        end = sfemi_guard_descend(b, kind, kind == SFEMI_TURNED || factors < 0 ? 3 : 19, &phi, psi);
+        if (end == SFEMI_LOWEST) break;
+        next = end == SFEMI_LOWER ? kind : kind + 1;
+        if (end == SFEMI_LOWER) {
             ++b->state.head->descents;
-            poor = before - phi <= (turned ? .01 : .001) * scale ? poor + 1 : 0;
-            if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
-        } else if (kind == SFEMI_TURNED) {
-            kind = SFEMI_ISOTROPIC;
-            g->crumpled = 1;
-            SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
-        } else {
-            break;
+            poor = before - phi <= small[kind] * scale ? poor + 1 : 0;
+            if (poor >= enough[kind] && sfemi_guard_at(b, *psi).ec <= target) {
+                if (kind != SFEMI_ISOTROPIC || sfemi_guard_is_near(b, small[SFEMI_TURNED])) break;
+                next = SFEMI_TANGENT;
+            }
         }
+        if (next == SFEMI_REDOS) break;
+        if (next == kind) continue;
+        kind = next;
+        g->crumpled = 1;
+        poor = 0;
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
+        if (kind == SFEMI_TANGENT) factors = sfemi_guard_allowance(b);
+        if (kind == SFEMI_TANGENT && !factors) break;
     }
+    g->gain -= phi;
 done:
     return status;
 }
@@ -17708,6 +17837,7 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     head->budget += sfemi_guard_work(b);
     target = head->budget + .01 * head->scale;
     if (head->last > target) target = head->last;
+    g->gain = phi;
     status = sfemi_guard_minimise(b, phi, target, &psi, err);
     if (status != SFEM_OK) return status;
     if (b->grip.count) { /* what rounding has left of the handles' gaps after so many steps */
@@ -17839,6 +17969,16 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to an energy that is not finite");
 }
 
+/* What rounding of the places makes of Psi. */
+static sfem_real sfemi_guard_rounding(const sfem_body *b)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        sum += fabs(b->guard.f[i]) * fabs(b->model->mesh.x[i] + b->guard.u[i]);
+    return 1e-15 * sum;
+}
+
 static void sfemi_guard_finish(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
@@ -17862,7 +18002,10 @@ static void sfemi_guard_finish(sfem_body *b)
     /* what damping takes may not come back, as it would where shards spin too fast for the frames of D */
     if (b->damage && energy < head->budget) head->budget = fmax(energy, head->budget - g->damped);
     if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
-    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
+    /* what a redo could not reach, by far, is not in motion */
+    if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
+    else if (psi < head->locked) head->locked = psi;
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-12);
     head->scale *= exp(-b->step);
     if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
         head->scale = 0;
@@ -17870,6 +18013,7 @@ static void sfemi_guard_finish(sfem_body *b)
     }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
+    if (redone) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
     head->last = e.ec;
     head->psi = psi;
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
@@ -18731,6 +18875,8 @@ static void sfemi_body_destroy(sfem_body *b)
         sfemi_factor_release(b->model, b->guard.redo[k].factor);
         sfemi_body_free_grip(b, &b->guard.redo[k].grip);
     }
+    sfemi_system_close(b, &b->guard.system);
+    sfemi_delete(&al, b->guard.tangent.val);
     sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
@@ -18884,9 +19030,10 @@ done:
 static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
+    int k;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    for (i = 0; b->turns && i < b->def.max_handles; ++i)
-        b->guard.redo[SFEMI_TURNED].grip.ready[i] = b->guard.redo[SFEMI_ISOTROPIC].grip.ready[i] = 0;
+    for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
+        for (i = 0; i < b->def.max_handles; ++i) b->guard.redo[k].grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
