@@ -14574,6 +14574,7 @@ enum { SFEMI_MEMORY = 6 };
 
 typedef struct sfemi_guard_energies {
     sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+    sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
 } sfemi_guard_energies;
 
 /* A matrix that changes, and its factor. */
@@ -16871,7 +16872,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfem_real weight = b->def.corrections > 0 ? 0.25 : b->p; /* corrections lead to Newmark(1/4, 1/2) */
     sfemi_guard_energies e;
     sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
-    sfem_real stretch[3] = {0, 0, 0};
+    sfem_real stretch[3] = {0, 0, 0}, terms[3] = {0, 0, 0};
     sfem_int i, k;
     int c, held;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
@@ -16891,6 +16892,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
             mid[c] -= load * (s->u[at] + u1[at]);
             end[c] -= load * u1[at];
             stretch[c] += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            terms[c] += m * w1[at] * w1[at] + fabs(load) * (fabs(s->u[at]) + fabs(u1[at]));
             if (held) continue;
             sum[0][c] += m * w1[at];
             sum[1][c] += load;
@@ -16909,6 +16911,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     }
     e.kinetic = r / 2 * (kinetic[0] + kinetic[1] + kinetic[2]);
     e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
+    e.rounding = 1e-12 * (terms[0] + terms[1] + terms[2]);
     e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
            (weight - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
     e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
@@ -16953,7 +16956,8 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     sfemi_guard_look(b);
     if (head->rebase == SFEMI_LEDGER) return;
     e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
-    head->budget = head->last = e.ec;
+    head->last = e.ec;
+    head->budget = e.ec + e.rounding;
     if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
     head->locked = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
@@ -17596,15 +17600,45 @@ static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
     for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
 }
 
-/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there, and
- * that of the caller's forces. */
+/* The work along part (u' - u) + back w of what the caller added to the right side, and of so much of the newer
+ * and the older loads' difference to those in the energies; less what moves the centres of mass of free
+ * pieces, for their energy is not watched. */
+static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem_real back, sfem_real newer,
+                                        sfem_real older)
+{
+    const sfemi_state *s = &b->state;
+    const int loads = newer != 0 || older != 0;
+    sfem_real work = 0;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        if (b->turn.piece_of[i] < 0) continue;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real way = part * (b->guard.u[at] - s->u[at]) + back * s->w[at];
+            sfem_real f = b->guard.added[at];
+            if (loads)
+                f += newer * (s->force[0][at] - s->force[1][at]) + older * (s->force[2][at] - s->force[1][at]);
+            work += f * way;
+            p->sum[0][c] += f;
+            p->sum[1][c] += b->model->node_mass[i] * way;
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
+            work -= b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
+    return work;
+}
+
+/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
 static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
     const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
-    size_t i;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->pin_count; ++k)
@@ -17621,7 +17655,6 @@ static sfem_real sfemi_guard_work(sfem_body *b)
                 work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
-    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) work += g->added[i] * (g->u[i] - b->state.u[i]);
     return work;
 }
 
@@ -17796,7 +17829,8 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         if (end == SFEMI_LOWER) {
             ++b->state.head->descents;
             poor = before - phi <= small[kind] * scale ? poor + 1 : 0;
-            if (poor >= enough[kind] && sfemi_guard_at(b, *psi).ec <= target) {
+            if (poor >= enough[kind] &&
+                sfemi_guard_at(b, *psi).ec <= target + sfemi_guard_outer_work(b, 1, 0, 0, 0)) {
                 if (kind != SFEMI_ISOTROPIC || sfemi_guard_is_near(b, small[SFEMI_TURNED])) break;
                 next = SFEMI_TANGENT;
             }
@@ -17822,7 +17856,8 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real psi, phi, target;
+    const sfem_real h1 = head->started == SFEMI_RUNNING ? head->h : 0;
+    sfem_real psi, phi, target, outer;
     sfem_status status;
     size_t i;
     g->crumpled = 0;
@@ -17834,7 +17869,7 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     }
     memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
     phi = sfemi_guard_choose_start(b, &psi);
-    head->budget += sfemi_guard_work(b);
+    head->budget += sfemi_guard_work(b) + sfemi_guard_outer_work(b, 0, h1 / 2, 0, 0); /* from mid-step on */
     target = head->budget + .01 * head->scale;
     if (head->last > target) target = head->last;
     g->gain = phi;
@@ -17844,9 +17879,11 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
         sfemi_guard_constrain(b, g->u);
         (void)sfemi_guard_potential(b, g->u, g->f, &psi);
     }
+    outer = sfemi_guard_outer_work(b, 1, 0, 0, 0);
+    head->budget += outer;
     (void)sfemi_guard_at(b, psi);
     sfemi_guard_restore_momentum(b, psi);
-    sfemi_guard_slow_down(b, psi, target);
+    sfemi_guard_slow_down(b, psi, target + outer);
     g->psi = psi;
     return SFEM_OK;
 }
@@ -17886,8 +17923,8 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
     const sfemi_guard *g = &b->guard;
     const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real work = 0;
+    const int loads = s->head->loaded && s->head->load_age < 2;
+    sfem_real work = sfemi_guard_outer_work(b, .5, h1 / 2, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
     sfem_int k;
     size_t i;
     int l, c;
@@ -17905,11 +17942,6 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             work += s->f[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
         }
-    if (s->head->loaded && s->head->load_age < 2)
-        for (i = 0; i < n; ++i)
-            work += (t.load[0] * (s->force[0][i] - s->force[1][i]) + t.load[2] * (s->force[2][i] - s->force[1][i])) *
-                    (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
-    for (i = 0; i < n; ++i) work += g->added[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
     return work;
 }
 
@@ -17943,6 +17975,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real budget = head->budget;
+    sfem_real slack;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
     g->corrections = 0;
@@ -17953,8 +17986,9 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
         head->budget += sfemi_guard_step_work(b);
         e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
         g->measured = 1;
-        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .02 * head->scale &&
-                    e.ec <= head->budget + .3 * head->scale);
+        slack = head->budget + e.rounding;
+        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= slack + .02 * head->scale &&
+                    e.ec <= slack + .3 * head->scale);
     }
     if (g->redone) {
         head->budget = budget;
@@ -17988,7 +18022,7 @@ static void sfemi_guard_finish(sfem_body *b)
     const sfem_real psi = g->psi;
     const int redone = g->redone;
     sfemi_guard_energies e;
-    sfem_real energy, moving;
+    sfem_real energy, least, moving;
     sfem_int k;
     size_t i;
     int c;
@@ -18000,8 +18034,9 @@ static void sfemi_guard_finish(sfem_body *b)
     e = g->measured && !redone ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
     energy = head->energy = redone ? e.ec : e.eb;
     /* what damping takes may not come back, as it would where shards spin too fast for the frames of D */
-    if (b->damage && energy < head->budget) head->budget = fmax(energy, head->budget - g->damped);
-    if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
+    least = energy + e.rounding;
+    if (b->damage && least < head->budget) head->budget = fmax(least, head->budget - g->damped);
+    if (least < head->budget) head->budget = least + (head->budget - least) * exp(-b->step / .5);
     /* what a redo could not reach, by far, is not in motion */
     if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
     else if (psi < head->locked) head->locked = psi;
