@@ -1523,7 +1523,11 @@ SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
  *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: exact
  *                       at any h and any damping. With handles it steps as the other does, by
  *                       handle_beta and handle_gamma. */
-typedef enum sfem_modal_integrator { SFEM_MODAL_NEWMARK, SFEM_MODAL_EXACT } sfem_modal_integrator;
+typedef enum sfem_modal_integrator {
+    SFEM_MODAL_NEWMARK,
+    SFEM_MODAL_EXACT,
+    SFEM_MODAL_FITTED
+} sfem_modal_integrator;
 
 typedef struct sfem_modal sfem_modal;
 
@@ -1539,6 +1543,8 @@ typedef struct sfem_modal_def {
                                  * targets, >= 1 */
     sfem_int max_handles;       /* at a time, and nodes in all their regions */
     sfem_int max_handle_nodes;
+    sfem_real h;          /* s, >= 0: the step for which sfem_modal_start fits before there was one;
+                           * 0: for none */
     sfem_real tolerance;  /* m, >= 0: modes that can be left out of a step without moving any node
                            * by more than this, all together, are; see sfem_modal_info */
     sfem_real gravity[3]; /* m/s^2 */
@@ -21767,6 +21773,35 @@ static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfe
     return r;
 }
 
+/* (z/2)/tanh(z/2) for z >= 0 */
+static sfem_real sfemi_oscillator_coth(sfem_real z) { return z > 0 ? z / 2 / tanh(z / 2) : 1; }
+
+/* What Newmark (1/4, 1/2) has to take for mass and damping of q'' + c q' + omega2 q = f, so that its
+ * free motion in steps of h decays as the exact one: that recurrence makes (1 + z/2)/(1 - z/2) of the
+ * root z/h, so what it is given has the roots 2/h tanh(z/2) where they are real; where they are not,
+ * e^-ch/2 times the turn that the recurrence makes of the damped frequency. Stiffness and load stay,
+ * and what comes to rest does so where it should. Both are off from 1 and c by O(h^2), and not at all
+ * where c = 0 [Liniger, Willoughby 1970: exponential fitting]. */
+static void sfemi_oscillator_fit(sfem_real omega2, sfem_real c, sfem_real h, sfem_real *mass,
+                                 sfem_real *drag)
+{
+    const sfem_real x = c * h / 2, y = omega2 * h * h, d = y - x * x;
+    *mass = 1;
+    *drag = c;
+    if (c == 0 || !(h > 0)) return;
+    if (d > 0) { /* e = e^-x; the turn is 2 atan t; S and E the trace and determinant wanted */
+        const sfem_real e = exp(-x), lost = expm1(-x) * expm1(-x), t = d / 4;
+        const sfem_real plus = lost + 4 * e / (1 + t);      /* 1 + S + E */
+        const sfem_real minus = lost + 4 * e * t / (1 + t); /* 1 - S + E */
+        *mass = y / 4 * (plus / minus);
+        *drag = -expm1(-2 * x) * (y / minus) / h;
+    } else {
+        const sfem_real fast = x + sqrt(-d), slow = y / fast;
+        *mass = sfemi_oscillator_coth(slow) * sfemi_oscillator_coth(fast);
+        *drag = *mass * 2 / h * (tanh(slow / 2) + tanh(fast / 2));
+    }
+}
+
 /* --- modal bodies: the state ----------------------------------------------------------------- */
 
 typedef struct sfemi_modal_head {
@@ -21774,6 +21809,7 @@ typedef struct sfemi_modal_head {
     uint32_t version, unused;
     uint64_t size, key, checksum;
     sfem_real time, beta, gamma; /* of the last step */
+    sfem_real h;                 /* the step that a is fitted to; 0: to none; -1: a was given */
     sfem_real gravity[3];
     sfem_rigid rigid;            /* rigid.w is not kept: it follows from */
     sfem_real momentum[3];       /* the angular momentum, world */
@@ -21811,6 +21847,7 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
+    sfem_real *mass, *drag, *light; /* [stride] of the oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
     sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H] each */
     sfem_real *exact;              /* [H][3][stride] G */
@@ -21821,13 +21858,14 @@ struct sfem_modal {
     float *drawn_q32;              /* [stride] */
     sfem_int drawn_count;
     sfem_real h, beta, gamma;      /* what inverse is for; h = 0: nothing */
+    sfem_real fit_h;               /* what mass and drag are for */
     sfem_real exact_h;
     sfem_real pose_force[3], pose_torque[3]; /* of the loads at the end of the step */
     double turn[2 * SFEMI_TURN_TERMS + 1];
     float turn32[2 * SFEMI_TURN_TERMS32 + 1];
 };
 
-enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 1 };
+enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 2 };
 
 static int sfemi_modal_path_kind(const sfem_modal *b)
 {
@@ -21879,6 +21917,7 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 {
     sfem_modal_def def;
     memset(&def, 0, sizeof def);
+    def.integrator = SFEM_MODAL_FITTED;
     def.warp = SFEM_WARP_PATH;
     def.beta = 0.25;
     def.gamma = 0.5;
@@ -21893,25 +21932,26 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 
 static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
 {
-    const sfem_real number[9] = {d->beta,         d->gamma,      d->handle_beta,
-                                 d->handle_gamma, d->compliance, d->tolerance,
-                                 d->gravity[0],   d->gravity[1], d->gravity[2]};
-    if (!sfemi_all_finite(number, 9))
+    const sfem_real number[10] = {d->beta,         d->gamma,      d->handle_beta,
+                                  d->handle_gamma, d->compliance, d->tolerance,
+                                  d->gravity[0],   d->gravity[1], d->gravity[2],
+                                  d->h};
+    if (!sfemi_all_finite(number, 10))
         return sfemi_fail(err, SFEM_NOT_FINITE,
                           "a number of the definition of a modal body is not finite");
     if (!(d->beta > 0 && d->handle_beta > 0 && d->gamma >= 0.5 && d->handle_gamma >= 0.5))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "Newmark %g, %g and with handles %g, %g: beta > 0, gamma >= 1/2", d->beta,
                           d->gamma, d->handle_beta, d->handle_gamma);
-    if (!(d->compliance >= 0) || !(d->tolerance >= 0))
+    if (!(d->compliance >= 0) || !(d->tolerance >= 0) || !(d->h >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "compliance %g and tolerance %g must be 0 or more", d->compliance,
-                          d->tolerance);
+                          "compliance %g, tolerance %g and step %g must be 0 or more",
+                          d->compliance, d->tolerance, d->h);
     if (d->max_handles < 0 || d->max_handle_nodes < 0 || d->handle_iterations < 1 ||
         d->max_handles > 10000)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d handles of %d nodes, %d iterations",
                           (int)d->max_handles, (int)d->max_handle_nodes, (int)d->handle_iterations);
-    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_EXACT)
+    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_FITTED)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "warp %d or integrator %d is not one of them",
                           (int)d->warp, (int)d->integrator);
     return SFEM_OK;
@@ -21967,6 +22007,22 @@ static uint64_t sfemi_modal_key(const sfem_modal *b)
     return sfemi_state_hash(b->reduced->head->checksum, sizes, sizeof sizes);
 }
 
+/* The oscillators for steps of h; 0: as they are. */
+static void sfemi_modal_fit(sfem_modal *b, sfem_real h)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    if (b->fit_h == h) return;
+    for (k = 0; k < b->m; ++k) {
+        sfemi_oscillator_fit(r->lambda[k], r->damping[k],
+                             b->def.integrator == SFEM_MODAL_FITTED ? h : 0, b->mass + k,
+                             b->drag + k);
+        b->light[k] = 1 / b->mass[k];
+    }
+    b->fit_h = h;
+    b->h = 0;
+}
+
 static void sfemi_modal_series(sfem_modal *b)
 {
     const int kind = sfemi_modal_path_kind(b);
@@ -22019,13 +22075,16 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(char, block, al, b->state_bytes);
     sfemi_modal_lay_out(b, block);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
-    SFEMI_NEW(sfem_real, b->next, al, 7 * b->stride + 1);
+    SFEMI_NEW(sfem_real, b->next, al, 10 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
     b->inverse = b->vp + b->stride;
     b->from = b->inverse + b->stride;
-    b->drawn_q = b->from + b->stride;
+    b->mass = b->from + b->stride;
+    b->drag = b->mass + b->stride;
+    b->light = b->drag + b->stride;
+    b->drawn_q = b->light + b->stride;
     SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
     SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 3 + b->stride) + 1);
     SFEMI_NEW(sfem_int, b->column, al, 2 * rows + 1);
@@ -22038,11 +22097,13 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
     b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
-               b->stride * (7 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (10 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
                rows * ((rows + 3 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
     sfemi_modal_series(b);
+    b->fit_h = -1;
+    sfemi_modal_fit(b, def->h);
     memcpy(b->head->magic, "sfemmod", 8);
     b->head->version = SFEMI_MODAL_VERSION;
     b->head->size = b->state_bytes;
@@ -22316,16 +22377,32 @@ static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
     return slot;
 }
 
-/* S over all rows in use, with the compliance added: J A^-1 J^T, or with `exact` G A^-1 J^T;
- * inverse NULL: A = I. Rows that move nothing become zero. Returns eps times the mean diagonal of
- * J A^-1 J^T. */
-static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
-                                     const sfem_real r[9])
+typedef struct sfemi_handle_step {
+    sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
+    sfemi_modal_head *to;
+    sfem_real give, lag;             /* C and tau of the hands, of the present rows */
+} sfemi_handle_step;
+
+/* C and tau of the hands from means over rows that move: of J A^-1 J^T and of J M^-1 J^T, both with
+ * the frame, and of J Lambda^-1 J^T. */
+static void sfemi_handle_ease(const sfem_modal *b, const sfem_real mean[3], sfemi_handle_step *step)
+{
+    step->give = b->def.compliance * fmax(step->scale * mean[0], mean[2]);
+    step->lag = step->h > 0 && mean[1] > 0 ? 2 * sqrt(step->give / mean[1]) : 0;
+}
+
+/* S over all rows in use, with what the hands give added: J A^-1 J^T, or with `left` = G instead of
+ * the rows, G A^-1 J^T. Rows that move nothing become zero. With a step, that of its hands, which it
+ * sets; else (of velocities and accelerations) compliance times the mean of the diagonal. */
+static void sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
+                                const sfem_real r[9], sfemi_handle_step *step)
 {
     const sfemi_reduced_head *head = b->reduced->head;
+    const sfem_real *lambda = b->reduced->lambda;
     const sfem_int n = 3 * b->head->handles;
     sfem_int hi, hj, i = 0, j, c, d, rows = 0;
-    sfem_real *s = b->s, *diagonal = b->residual, most = 0, mean = 0, world[9], half[9];
+    sfem_real *s = b->s, *diagonal = b->residual, most = 0, mean[3] = {0, 0, 0}, world[9], half[9];
+    sfem_real give;
     size_t k;
     if (head->free) {
         sfemi_mul3(r, head->inverse, half);
@@ -22337,12 +22414,10 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
              hj = sfemi_handle_next(b, hj + 1), j += 3) {
             for (c = 0; c < 3; ++c) {
                 const sfem_real *x = left + (3 * (size_t)hi + (size_t)c) * b->stride;
-                const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
                 for (d = 0; d < 3; ++d) {
                     const sfem_real *y = b->rows + (3 * (size_t)hj + (size_t)d) * b->stride;
                     sfem_real sum = 0, own = 0, frame = 0;
-                    for (k = 0; k < b->m; ++k)
-                        sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
+                    for (k = 0; k < b->m; ++k) sum += x[k] * inverse[k] * y[k];
                     if (head->free) { /* I/mass + [ai]x^T W [aj]x */
                         sfem_real e[3] = {0, 0, 0}, g[3] = {0, 0, 0}, p[3], w[3];
                         e[c] = g[d] = 1;
@@ -22353,24 +22428,36 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
                     }
                     s[(i + c) * n + j + d] = sum + frame;
                     if (i != j || c != d) continue;
-                    for (k = 0; k < b->m; ++k)
-                        own += inverse ? z[k] * inverse[k] * z[k] : z[k] * z[k];
+                    for (k = 0; k < b->m; ++k) own += y[k] * inverse[k] * y[k];
                     diagonal[i + c] = own + frame;
                     most = fmax(most, diagonal[i + c]);
                 }
             }
         }
     }
-    for (i = 0; i < n; ++i)
-        if (diagonal[i] > 1e-12 * most) mean += diagonal[i], ++rows;
-    mean = rows ? b->def.compliance * mean / rows : 0;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; ++i) {
+        const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)(i % 3)) * b->stride;
+        if (diagonal[i] > 1e-12 * most) {
+            mean[0] += diagonal[i];
+            mean[1] += diagonal[i];
+            for (k = 0; step && k < b->m; ++k) {
+                mean[1] += z[k] * z[k] * (b->light[k] - inverse[k]);
+                if (lambda[k] > 0) mean[2] += z[k] * z[k] / lambda[k];
+            }
+            ++rows;
+        }
+        if (i % 3 == 2) hi = sfemi_handle_next(b, hi + 1);
+    }
+    for (c = 0; c < 3; ++c) mean[c] /= rows ? rows : 1;
+    if (step) sfemi_handle_ease(b, mean, step);
+    give = step ? step->give / (step->scale + step->gamma * step->h * step->lag)
+                : b->def.compliance * mean[0];
     for (i = 0; i < n; ++i) {
         if (diagonal[i] > 1e-12 * most)
-            s[i * n + i] += mean;
+            s[i * n + i] += give;
         else
             for (j = 0; j < n; ++j) s[i * n + j] = s[j * n + i] = 0;
     }
-    return mean;
 }
 
 /* x = S^-1 x by elimination with complete pivoting; what depends on the rest is left at 0. Returns
@@ -22458,8 +22545,9 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     sfem_real *angular = accelerations ? head->torque : head->momentum, w[3];
     const sfem_int n = 3 * head->handles;
     sfem_int hi, i = 0;
+    size_t k;
     int c;
-    sfemi_handle_matrix(b, NULL, b->rows, head->rigid.r);
+    sfemi_handle_matrix(b, b->light, b->rows, head->rigid.r, NULL);
     sfemi_grip_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
@@ -22473,7 +22561,9 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
         for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
     }
     sfemi_grip_solve(b->s, n, n, b->l, 1);
-    sfemi_handle_subtract(b, b->l, y);
+    memset(b->b, 0, b->stride * sizeof *b->b);
+    sfemi_handle_subtract(b, b->l, b->b);
+    for (k = 0; k < b->m; ++k) y[k] += b->light[k] * b->b[k];
     for (i = 0; loose && i < n; i += 3) {
         sfem_real t[3];
         sfemi_cross(b->arm + i, b->l + i, t);
@@ -22493,14 +22583,16 @@ static void sfemi_handle_locate(sfem_modal *b)
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
 }
 
-/* a = f - c v - lambda q, less what the handles hold of it. */
+/* mass a = f - c v - lambda q, less what the handles hold of it; of oscillators fitted to the present
+ * steps. */
 static void sfemi_modal_accelerate(sfem_modal *b)
 {
     const sfem_reduced *r = b->reduced;
     sfem_int hi, i = 0;
     size_t k;
     int c;
-    for (k = 0; k < b->m; ++k) b->a[k] = b->f[k] - r->damping[k] * b->v[k] - r->lambda[k] * b->q[k];
+    for (k = 0; k < b->m; ++k)
+        b->a[k] = b->light[k] * (b->f[k] - b->drag[k] * b->v[k] - r->lambda[k] * b->q[k]);
     for (c = 0; c < 3; ++c) b->head->accel[c] = b->pose_force[c] / r->head->mass;
     memcpy(b->head->torque, b->pose_torque, sizeof b->pose_torque);
     if (b->head->handles == 0) return;
@@ -22513,6 +22605,8 @@ static void sfemi_modal_accelerate(sfem_modal *b)
 
 SFEM_DEF void sfem_modal_start(sfem_modal *b)
 {
+    if (!(b->head->h > 0)) b->head->h = b->def.h;
+    sfemi_modal_fit(b, b->head->h);
     sfemi_modal_load_at(b, b->q, b->f);
     sfemi_modal_accelerate(b);
     b->head->started = 1;
@@ -22549,6 +22643,7 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
     ++b->head->handles;
     sfemi_handle_rows(b, h, b->q, b->q, &b->head->rigid, h->target, arm, NULL, NULL);
     sfemi_modal_wake(b);
+    sfemi_modal_fit(b, b->head->h > 0 ? b->head->h : b->def.h);
     sfemi_handle_locate(b);
     sfemi_handle_project(b, slot, 0);
     memcpy(b->mean, b->v, b->stride * sizeof *b->mean);
@@ -22613,6 +22708,8 @@ SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
     if (b->head->started) {
         sfemi_modal_load_at(b, b->q,
                             b->next); /* the frame's forces; f stays that of the last step */
+        sfemi_modal_fit(b, b->head->h > 0 ? b->head->h : b->def.h);
+        if (b->head->h < 0) b->head->h = b->fit_h;
         sfemi_modal_accelerate(b);
     }
 }
@@ -22648,37 +22745,49 @@ static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta,
     size_t k;
     if (b->h == h && b->beta == beta && b->gamma == gamma) return;
     for (k = 0; k < b->m; ++k)
-        b->inverse[k] = 1 / (1 + gamma * h * r->damping[k] + beta * h * h * r->lambda[k]);
+        b->inverse[k] =
+            1 / (b->mass[k] + gamma * h * b->drag[k] + beta * h * h * r->lambda[k]);
     b->h = h;
     b->beta = beta;
     b->gamma = gamma;
 }
 
-/* Distance of the handles from where they are to be, less what the compliance lets them:
- * b->residual, over scale; returns the largest, m. */
-static sfem_real sfemi_handle_gaps(sfem_modal *b, sfem_real scale, sfem_real eps,
-                                   const sfem_real *q_turn, const sfemi_modal_head *to)
+/* J q' at the end of the step, of the present rows. */
+static void sfemi_handle_velocity(const sfem_modal *b, sfem_int handle, sfem_int row,
+                                  const sfemi_modal_head *to, sfem_real v[3])
+{
+    sfem_real w[3], turn[3];
+    int c;
+    b->kernels->dot3(b->stride, b->rows + 3 * (size_t)handle * b->stride, b->v, v);
+    if (!b->reduced->head->free) return;
+    sfemi_frame_velocity(b, to->rigid.r, to->momentum, w);
+    sfemi_cross(w, b->arm + row, turn);
+    for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + turn[c];
+}
+
+/* Distance of the handles from where their hands let them be: b->residual, over what an acceleration
+ * changes of it; returns the largest, m. */
+static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
+                                   const sfem_real *q_turn)
 {
     const sfem_int n = 3 * b->head->handles;
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
     sfem_real worst = 0;
     sfem_int hi, i;
     int c;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        sfem_real x[3], arm[3];
-        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &to->rigid, x, arm, NULL, NULL);
+        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
+        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &step->to->rigid, x, arm, NULL, NULL);
+        if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
         for (c = 0; c < 3; ++c) {
-            const sfem_real gap = x[c] - b->handle[hi].target[c] - scale * eps * b->l[i + c];
-            b->residual[i + c] = gap / scale;
+            const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c] -
+                                  step->give * b->l[i + c];
+            b->residual[i + c] = gap / wide;
             if (!b->fixed[i + c]) worst = fmax(worst, sfemi_finite(gap) ? fabs(gap) : HUGE_VAL);
         }
     }
     return worst;
 }
-
-typedef struct sfemi_handle_step {
-    sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
-    sfemi_modal_head *to;
-} sfemi_handle_step;
 
 /* q = qp + scale inverse (b - J^T l), and of a free body the pose at the end of the step. */
 static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
@@ -22689,6 +22798,7 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
     for (k = 0; k < b->m; ++k) {
         b->a[k] *= b->inverse[k];
         b->q[k] = b->qp[k] + step->scale * b->a[k];
+        if (step->h > 0) b->v[k] = b->vp[k] + step->gamma * step->h * b->a[k];
     }
     if (b->reduced->head->free) {
         sfem_real force[3], torque[3];
@@ -22698,19 +22808,18 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
 }
 
 /* The multipliers of [A.14]: nodes turned as they are when the step begins, so that all is
- * linear. Returns eps d. */
-static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *step)
+ * linear. */
+static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real eps;
     sfem_int i;
     memcpy(b->q, b->from, b->stride * sizeof *b->q);
     sfemi_handle_locate(b);
-    eps = sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r);
+    sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r, step);
     sfemi_grip_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step->scale, eps, b->from, step->to);
+    sfemi_handle_gaps(b, step, b->from);
     sfemi_grip_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
@@ -22718,42 +22827,41 @@ static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *ste
         b->l[i] = b->residual[i];
     }
     sfemi_handle_respond(b, step);
-    return eps;
 }
 
 /* One correction of Newton's; returns the gap that is left. */
-static sfem_real sfemi_handle_correct(sfem_modal *b, const sfemi_handle_step *step)
+static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real *exact = b->def.warp != SFEM_WARP_NONE ? b->exact : NULL, eps, x[3];
+    sfem_real *exact = b->def.warp != SFEM_WARP_NONE ? b->exact : NULL, x[3];
     sfem_int hi, i;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, b->arm + i,
                           b->rows + 3 * (size_t)hi * b->stride,
                           exact ? exact + 3 * (size_t)hi * b->stride : NULL);
-    eps = sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r);
+    sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r, step);
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    sfemi_handle_gaps(b, step, b->q);
     sfemi_handle_eliminate(b->s, n, b->residual, b->column);
     for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
     sfemi_handle_respond(b, step);
-    return sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    return sfemi_handle_gaps(b, step, b->q);
 }
 
 /* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
  * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. Where
  * Newton's corrections bring them no nearer, as with targets that contradict one another, the
  * linear answer stands: it is bounded whatever the targets. */
-static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_step *step)
+static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *step)
 {
     const sfemi_reduced_head *r = b->reduced->head;
     const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
-    sfem_real worst, eps;
+    sfem_real worst;
     sfem_int it, hi, i;
     int c;
     memcpy(b->from, b->q, b->stride * sizeof *b->q);
-    eps = sfemi_handle_linear(b, step);
-    worst = sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    sfemi_handle_linear(b, step);
+    worst = sfemi_handle_gaps(b, step, b->q);
     for (it = 1; it < most && worst > 1e-10 * size; ++it) {
         const sfem_real left = sfemi_handle_correct(b, step);
         if (!(left < worst)) {
@@ -22788,7 +22896,7 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
             if (b->asleep[k]) continue;
             q = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
             v = b->v[k] + (1 - gamma) * h * b->a[k];
-            a = b->inverse[k] * (b->next[k] - r->damping[k] * v - r->lambda[k] * q);
+            a = b->inverse[k] * (b->next[k] - b->drag[k] * v - r->lambda[k] * q);
             b->q[k] = q + beta * h * h * a;
             b->v[k] = v + gamma * h * a;
             b->a[k] = a;
@@ -22799,16 +22907,16 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
     for (k = 0; k < b->m; ++k) {
         b->qp[k] = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
         b->vp[k] = b->v[k] + (1 - gamma) * h * b->a[k];
-        b->b[k] = b->next[k] - r->damping[k] * b->vp[k] - r->lambda[k] * b->qp[k];
+        b->b[k] = b->next[k] - b->drag[k] * b->vp[k] - r->lambda[k] * b->qp[k];
     }
     step.scale = beta * h * h;
     step.h = h;
     step.beta = beta;
     step.gamma = gamma;
     step.to = to;
+    step.give = step.lag = 0;
     sfemi_handle_solve(
         b, b->def.warp != SFEM_WARP_NONE || r->head->free ? b->def.handle_iterations : 1, &step);
-    for (k = 0; k < b->m; ++k) b->v[k] = b->vp[k] + gamma * h * b->a[k];
 }
 
 static void sfemi_modal_exact(sfem_modal *b, sfem_real h, sfemi_modal_head *to)
@@ -22885,6 +22993,23 @@ static sfem_int sfemi_modal_not_finite(const sfem_modal *b, const sfemi_modal_he
     return -1;
 }
 
+/* Steps of h begin: accelerations of the same forces, as oscillators fitted to h have them. */
+static void sfemi_modal_refit(sfem_modal *b, sfem_real h)
+{
+    const sfem_real before = b->head->h;
+    size_t k;
+    if (b->head->started && before >= 0 && before != h && b->def.integrator == SFEM_MODAL_FITTED) {
+        sfemi_modal_fit(b, before);
+        for (k = 0; k < b->m; ++k) b->b[k] = b->mass[k] * b->a[k] + b->drag[k] * b->v[k];
+        sfemi_modal_fit(b, h);
+        for (k = 0; k < b->m; ++k)
+            if (b->reduced->damping[k] != 0)
+                b->a[k] = b->light[k] * (b->b[k] - b->drag[k] * b->v[k]);
+    }
+    sfemi_modal_fit(b, h);
+    b->head->h = h;
+}
+
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
 {
     const int held = b->head->handles > 0;
@@ -22900,6 +23025,7 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     memcpy(b->backup, b->head, b->small_bytes);
     before =
         (const sfem_real *)(const void *)((char *)b->backup + ((char *)b->q - (char *)b->head));
+    sfemi_modal_refit(b, h);
     if (!b->head->started) {
         sfemi_modal_load_at(b, b->q, b->f);
         sfemi_modal_accelerate(b);
@@ -22964,6 +23090,7 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *accele
         sfemi_frame_step(b, h, beta, gamma, none, none, b->head);
     }
     b->head->time += h;
+    b->head->h = h;
     ++b->head->steps;
     b->head->beta = beta;
     b->head->gamma = gamma;
@@ -22989,6 +23116,7 @@ SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *
     if (v) memcpy(b->v, v, bytes);
     memcpy(b->mean, b->v, bytes);
     if (a) memcpy(b->a, a, bytes);
+    if (a) b->head->h = -1;
     b->head->started = a != NULL;
     sfemi_modal_wake(b);
     sfemi_modal_pack(b);
@@ -23028,7 +23156,7 @@ static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_
         b->qp[k] = r->lambda[k] > 0 ? 0 : b->q[k];
     }
     if (b->head->handles > 0) {
-        sfemi_handle_step step = {1, 0, 0, 0, NULL};
+        sfemi_handle_step step = {1, 0, 0, 0, NULL, 0, 0};
         step.to = to;
         sfemi_handle_solve(b, 1, &step);
     } else
