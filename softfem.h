@@ -1539,6 +1539,8 @@ typedef struct sfem_modal_def {
     sfem_real handle_gamma; /* (1/4, 1/2), with growing amplitude */
     sfem_real compliance;   /* eps >= 0 of handles, times the mean of the diagonal of J A^-1 J^T:
                              * what noisy targets and dependent handles need */
+    int frozen_turns;           /* handles pull by J = H Rt Phi alone, as the source has it: without
+                                 * what the nodes' rotations do as q changes */
     sfem_int handle_iterations; /* at most so many corrections a step bring warped handles to their
                                  * targets, >= 1 */
     sfem_int max_handles;       /* at a time, and nodes in all their regions */
@@ -21847,6 +21849,7 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
+    sfem_real *change;             /* [stride] */
     sfem_real *mass, *drag, *light; /* [stride] of the oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
     sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H] each */
@@ -22075,7 +22078,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(char, block, al, b->state_bytes);
     sfemi_modal_lay_out(b, block);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
-    SFEMI_NEW(sfem_real, b->next, al, 10 * b->stride + 1);
+    SFEMI_NEW(sfem_real, b->next, al, 11 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
@@ -22084,7 +22087,8 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->mass = b->from + b->stride;
     b->drag = b->mass + b->stride;
     b->light = b->drag + b->stride;
-    b->drawn_q = b->light + b->stride;
+    b->change = b->light + b->stride;
+    b->drawn_q = b->change + b->stride;
     SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
     SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 3 + b->stride) + 1);
     SFEMI_NEW(sfem_int, b->column, al, 2 * rows + 1);
@@ -22097,7 +22101,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
     b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
-               b->stride * (10 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (11 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
                rows * ((rows + 3 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
@@ -22322,12 +22326,19 @@ static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_re
     }
 }
 
+/* Do the rows contain how the rotations follow q? */
+static int sfemi_handle_turning(const sfem_modal *b)
+{
+    return b->def.warp != SFEM_WARP_NONE && !b->def.frozen_turns;
+}
+
 /* x and, unless NULL, J and (also unless NULL) G at q in the given pose, nodes turned as at
  * q_turn; arm is x - the frame's place, in the world. */
 static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, const sfem_real *q,
                               const sfem_real *q_turn, const sfem_rigid *frame, sfem_real x[3],
                               sfem_real arm[3], sfem_real *rows, sfem_real *exact)
 {
+    const int turning = sfemi_handle_turning(b);
     const sfem_reduced *r = b->reduced;
     const size_t stride = b->stride;
     const int loose = r->head->free;
@@ -22357,12 +22368,14 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
             memcpy(t, turned, sizeof t);
         }
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, rows);
-        if (!exact) continue;
+        if (!exact && !turning) continue;
         sfemi_turn_derivative(sfemi_modal_path_kind(b), w, linear, d);
         if (loose) {
             sfemi_mul3(frame->r, d, turned);
             memcpy(d, turned, sizeof d);
         }
+        if (turning) sfemi_handle_add_rows(stride, b->weight[p], d, psi, rows);
+        if (!exact) continue;
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, exact);
         sfemi_handle_add_rows(stride, b->weight[p], d, psi, exact);
     }
@@ -22765,10 +22778,28 @@ static void sfemi_handle_velocity(const sfem_modal *b, sfem_int handle, sfem_int
     for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + turn[c];
 }
 
+/* x of a handle at the end of the step; linear: as it is by what is known when the step begins, b->from
+ * and the rows there. */
+static void sfemi_handle_reach(sfem_modal *b, sfem_int handle, const sfemi_modal_head *to, int linear,
+                               sfem_real x[3])
+{
+    const sfemi_modal_handle *h = b->handle + handle;
+    sfem_real arm[3], more[3];
+    size_t k;
+    int c;
+    if (!linear || !sfemi_handle_turning(b)) {
+        sfemi_handle_rows(b, h, b->q, linear ? b->from : b->q, &to->rigid, x, arm, NULL, NULL);
+        return;
+    }
+    sfemi_handle_rows(b, h, b->from, b->from, &to->rigid, x, arm, NULL, NULL);
+    for (k = 0; k < b->m; ++k) b->change[k] = b->q[k] - b->from[k];
+    b->kernels->dot3(b->stride, b->rows + 3 * (size_t)handle * b->stride, b->change, more);
+    for (c = 0; c < 3; ++c) x[c] += more[c];
+}
+
 /* Distance of the handles from where their hands let them be: b->residual, over what an acceleration
  * changes of it; returns the largest, m. */
-static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
-                                   const sfem_real *q_turn)
+static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step, int linear)
 {
     const sfem_int n = 3 * b->head->handles;
     const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
@@ -22776,8 +22807,8 @@ static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
     sfem_int hi, i;
     int c;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
-        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &step->to->rigid, x, arm, NULL, NULL);
+        sfem_real x[3], v[3] = {0, 0, 0};
+        sfemi_handle_reach(b, hi, step->to, linear, x);
         if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
         for (c = 0; c < 3; ++c) {
             const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c] -
@@ -22819,7 +22850,7 @@ static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
     sfemi_grip_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step, b->from);
+    sfemi_handle_gaps(b, step, 1);
     sfemi_grip_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
@@ -22833,7 +22864,7 @@ static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
 static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real *exact = b->def.warp != SFEM_WARP_NONE ? b->exact : NULL, x[3];
+    sfem_real *exact = b->def.warp != SFEM_WARP_NONE && b->def.frozen_turns ? b->exact : NULL, x[3];
     sfem_int hi, i;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, b->arm + i,
@@ -22841,11 +22872,11 @@ static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
                           exact ? exact + 3 * (size_t)hi * b->stride : NULL);
     sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r, step);
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step, b->q);
+    sfemi_handle_gaps(b, step, 0);
     sfemi_handle_eliminate(b->s, n, b->residual, b->column);
     for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
     sfemi_handle_respond(b, step);
-    return sfemi_handle_gaps(b, step, b->q);
+    return sfemi_handle_gaps(b, step, 0);
 }
 
 /* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
@@ -22861,7 +22892,7 @@ static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *
     int c;
     memcpy(b->from, b->q, b->stride * sizeof *b->q);
     sfemi_handle_linear(b, step);
-    worst = sfemi_handle_gaps(b, step, b->q);
+    worst = sfemi_handle_gaps(b, step, 0);
     for (it = 1; it < most && worst > 1e-10 * size; ++it) {
         const sfem_real left = sfemi_handle_correct(b, step);
         if (!(left < worst)) {
