@@ -21849,10 +21849,10 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
-    sfem_real *change;             /* [stride] */
+    sfem_real *pull, *trial, *way; /* [stride] J^T l: taken, tried, and the difference */
     sfem_real *mass, *drag, *light; /* [stride] of the oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
-    sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H] each */
+    sfem_real *s, *arm, *l, *residual, *l_trial; /* [3H][3H], [3H] each */
     sfem_real *exact;              /* [H][3][stride] G */
     sfem_int *column, *fixed;      /* [3H]; fixed: rows that carry nothing */
     sfem_int *place;               /* [nodes] a node's place in force_node + 1, or 0 */
@@ -22078,7 +22078,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(char, block, al, b->state_bytes);
     sfemi_modal_lay_out(b, block);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
-    SFEMI_NEW(sfem_real, b->next, al, 11 * b->stride + 1);
+    SFEMI_NEW(sfem_real, b->next, al, 13 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
@@ -22087,23 +22087,26 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->mass = b->from + b->stride;
     b->drag = b->mass + b->stride;
     b->light = b->drag + b->stride;
-    b->change = b->light + b->stride;
-    b->drawn_q = b->change + b->stride;
+    b->pull = b->light + b->stride;
+    b->trial = b->pull + b->stride;
+    b->way = b->trial + b->stride;
+    b->drawn_q = b->way + b->stride;
     SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
-    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 3 + b->stride) + 1);
+    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 4 + b->stride) + 1);
     SFEMI_NEW(sfem_int, b->column, al, 2 * rows + 1);
     b->fixed = b->column + rows;
     b->arm = b->s + rows * rows;
     b->l = b->arm + rows;
     b->residual = b->l + rows;
-    b->exact = b->residual + rows;
+    b->l_trial = b->residual + rows;
+    b->exact = b->l_trial + rows;
     SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
     b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
-               b->stride * (11 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
-               rows * ((rows + 3 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
+               rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
     sfemi_modal_series(b);
     b->fit_h = -1;
@@ -22778,28 +22781,10 @@ static void sfemi_handle_velocity(const sfem_modal *b, sfem_int handle, sfem_int
     for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + turn[c];
 }
 
-/* x of a handle at the end of the step; linear: as it is by what is known when the step begins, b->from
- * and the rows there. */
-static void sfemi_handle_reach(sfem_modal *b, sfem_int handle, const sfemi_modal_head *to, int linear,
-                               sfem_real x[3])
-{
-    const sfemi_modal_handle *h = b->handle + handle;
-    sfem_real arm[3], more[3];
-    size_t k;
-    int c;
-    if (!linear || !sfemi_handle_turning(b)) {
-        sfemi_handle_rows(b, h, b->q, linear ? b->from : b->q, &to->rigid, x, arm, NULL, NULL);
-        return;
-    }
-    sfemi_handle_rows(b, h, b->from, b->from, &to->rigid, x, arm, NULL, NULL);
-    for (k = 0; k < b->m; ++k) b->change[k] = b->q[k] - b->from[k];
-    b->kernels->dot3(b->stride, b->rows + 3 * (size_t)handle * b->stride, b->change, more);
-    for (c = 0; c < 3; ++c) x[c] += more[c];
-}
-
 /* Distance of the handles from where their hands let them be: b->residual, over what an acceleration
  * changes of it; returns the largest, m. */
-static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step, int linear)
+static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
+                                   const sfem_real *q_turn)
 {
     const sfem_int n = 3 * b->head->handles;
     const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
@@ -22807,8 +22792,8 @@ static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
     sfem_int hi, i;
     int c;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        sfem_real x[3], v[3] = {0, 0, 0};
-        sfemi_handle_reach(b, hi, step->to, linear, x);
+        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
+        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &step->to->rigid, x, arm, NULL, NULL);
         if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
         for (c = 0; c < 3; ++c) {
             const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c] -
@@ -22850,7 +22835,7 @@ static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
     sfemi_grip_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step, 1);
+    sfemi_handle_gaps(b, step, b->from);
     sfemi_grip_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
@@ -22872,27 +22857,22 @@ static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
                           exact ? exact + 3 * (size_t)hi * b->stride : NULL);
     sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r, step);
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step, 0);
+    sfemi_handle_gaps(b, step, b->q);
     sfemi_handle_eliminate(b->s, n, b->residual, b->column);
     for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
     sfemi_handle_respond(b, step);
-    return sfemi_handle_gaps(b, step, 0);
+    return sfemi_handle_gaps(b, step, b->q);
 }
 
-/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
- * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. Where
- * Newton's corrections bring them no nearer, as with targets that contradict one another, the
- * linear answer stands: it is bounded whatever the targets. */
-static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *step)
+/* Rows of the source: where Newton's corrections bring the handles no nearer to their targets, as when
+ * those contradict one another, the linear answer stands. Returns the number of solves. */
+static sfem_int sfemi_handle_frozen(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
 {
-    const sfemi_reduced_head *r = b->reduced->head;
-    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
     sfem_real worst;
-    sfem_int it, hi, i;
-    int c;
-    memcpy(b->from, b->q, b->stride * sizeof *b->q);
+    sfem_int it;
     sfemi_handle_linear(b, step);
-    worst = sfemi_handle_gaps(b, step, 0);
+    worst = sfemi_handle_gaps(b, step, b->q);
     for (it = 1; it < most && worst > 1e-10 * size; ++it) {
         const sfem_real left = sfemi_handle_correct(b, step);
         if (!(left < worst)) {
@@ -22901,7 +22881,159 @@ static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *
         }
         worst = left;
     }
-    step->to->iterations = it;
+    return it;
+}
+
+/* --- handles whose rows are the derivative of x
+ *
+ * The hand is then a spring, and its force p = J^T l and F (force and torque on the frame) that of
+ *     wide C (p.A^-1 p + F.W F) + |x - target + tau x'|^2,   wide = beta h^2 + gamma h tau,
+ * at its least. Gauss-Newton finds it: each step along the line to the least of what is linear about
+ * the present place, by a half, a quarter... where the whole way leads up. It starts at the place
+ * where the step begins, so that stiff modes cannot be thrown far by a poor first answer. */
+
+enum { SFEMI_HANDLE_HALVINGS = 8 };
+
+/* Modes and frame under p and F, and what is to be least there. */
+static sfem_real sfemi_handle_try(sfem_modal *b, const sfemi_handle_step *step, const sfem_real *pull,
+                                  const sfem_real frame[6])
+{
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
+    const sfemi_reduced_head *head = b->reduced->head;
+    sfem_real work = 0, gaps = 0;
+    sfem_int hi, i;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) {
+        b->a[k] = b->inverse[k] * (b->b[k] - pull[k]);
+        b->q[k] = b->qp[k] + step->scale * b->a[k];
+        if (step->h > 0) b->v[k] = b->vp[k] + step->gamma * step->h * b->a[k];
+        work += b->inverse[k] * pull[k] * pull[k];
+    }
+    if (head->free) {
+        sfem_real force[3], torque[3], w[3];
+        for (c = 0; c < 3; ++c)
+            force[c] = b->pose_force[c] - frame[c], torque[c] = b->pose_torque[c] - frame[3 + c];
+        sfemi_frame_step(b, step->h, step->beta, step->gamma, force, torque, step->to);
+        sfemi_frame_velocity(b, step->to->rigid.r, frame + 3, w);
+        work += sfemi_dot3(frame, frame) / head->mass + sfemi_dot3(frame + 3, w);
+    }
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < 3 * b->head->handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, arm, NULL, NULL);
+        if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
+        for (c = 0; c < 3; ++c) {
+            const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c];
+            b->residual[i + c] = gap;
+            if (!b->fixed[i + c]) gaps += gap * gap;
+        }
+    }
+    return step->give * wide * work + gaps;
+}
+
+/* The forces at the least of what is linear about the present place, where p is b->pull and F frame:
+ * (wide S + C) l = gap + wide (J A^-1 p + W F). Leaves l in l_trial, p in trial, F in to. */
+static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_real frame[6],
+                             const sfem_rigid *pose, sfem_real to[6])
+{
+    const sfem_int n = 3 * b->head->handles;
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
+    sfem_int hi, i;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) b->way[k] = b->inverse[k] * b->pull[k];
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real back[3], w[3], turn[3];
+        b->kernels->dot3(b->stride, b->rows + 3 * (size_t)hi * b->stride, b->way, back);
+        if (b->reduced->head->free) {
+            sfemi_frame_velocity(b, pose->r, frame + 3, w);
+            sfemi_cross(w, b->arm + i, turn);
+            for (c = 0; c < 3; ++c) back[c] += frame[c] / b->reduced->head->mass + turn[c];
+        }
+        for (c = 0; c < 3; ++c) b->l_trial[i + c] = b->residual[i + c] / wide + back[c];
+    }
+    sfemi_grip_solve(b->s, n, n, b->l_trial, 1);
+    memset(b->trial, 0, b->stride * sizeof *b->trial);
+    sfemi_handle_subtract(b, b->l_trial, b->trial);
+    for (k = 0; k < b->m; ++k) b->trial[k] = -b->trial[k];
+    memset(to, 0, 6 * sizeof *to);
+    for (i = 0; i < n; i += 3) {
+        sfem_real t[3];
+        sfemi_cross(b->arm + i, b->l_trial + i, t);
+        for (c = 0; c < 3; ++c) to[c] += b->l_trial[i + c], to[3 + c] += t[c];
+    }
+}
+
+/* S of the rows at the present place. */
+static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const sfem_rigid *pose)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_int hi, i;
+    sfem_real x[3];
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, pose, x, b->arm + i,
+                          b->rows + 3 * (size_t)hi * b->stride, NULL);
+    sfemi_handle_matrix(b, b->inverse, b->rows, pose->r, step);
+    sfemi_grip_factor(b->s, n, n);
+    for (step->to->rows_left = 0, i = 0; i < n; ++i) {
+        b->fixed[i] = !(b->s[i * n + i] > 0);
+        step->to->rows_left += b->fixed[i];
+    }
+}
+
+/* Returns the number of solves. */
+static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, aim[6], tried[6], best, value = 0, part;
+    sfem_int it, i, half;
+    size_t k;
+    for (k = 0; k < b->m; ++k)
+        b->pull[k] = b->inverse[k] > 0
+                         ? b->b[k] + (b->qp[k] - b->q[k]) / (step->scale * b->inverse[k])
+                         : 0;
+    for (i = 0; i < n; ++i) b->l[i] = 0;
+    for (it = 0; it < most; ++it) {
+        const sfem_rigid pose = it ? step->to->rigid : b->head->rigid;
+        sfem_real change = 0;
+        sfemi_handle_linearise(b, step, &pose);
+        best = sfemi_handle_try(b, step, b->pull, frame);
+        sfemi_handle_aim(b, step, frame, &pose, aim);
+        for (k = 0; k < b->m; ++k) b->way[k] = b->trial[k] - b->pull[k];
+        for (part = 1, half = 0; half < SFEMI_HANDLE_HALVINGS; ++half, part /= 2) {
+            for (k = 0; k < b->m; ++k) b->trial[k] = b->pull[k] + part * b->way[k];
+            for (i = 0; i < 6; ++i) tried[i] = frame[i] + part * (aim[i] - frame[i]);
+            value = sfemi_handle_try(b, step, b->trial, tried);
+            if (value < best) break;
+        }
+        if (!(value < best)) { /* nothing better is in sight */
+            sfemi_handle_try(b, step, b->pull, frame);
+            break;
+        }
+        memcpy(b->pull, b->trial, b->stride * sizeof *b->pull);
+        memcpy(frame, tried, sizeof frame);
+        for (i = 0; i < n; ++i) b->l[i] += part * (b->l_trial[i] - b->l[i]);
+        for (i = 0; i < n; ++i)
+            if (!b->fixed[i])
+                change = fmax(change, fabs(b->residual[i] - step->give * b->l[i]));
+        if (part == 1 && change <= 1e-10 * size) return it + 1;
+    }
+    return it ? it : 1;
+}
+
+/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
+ * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. */
+static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *step)
+{
+    const sfemi_reduced_head *r = b->reduced->head;
+    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
+    sfem_int hi, i;
+    int c;
+    memcpy(b->from, b->q, b->stride * sizeof *b->q);
+    step->to->iterations = sfemi_handle_turning(b) ? sfemi_handle_spring(b, most, size, step)
+                                                   : sfemi_handle_frozen(b, most, size, step);
     step->to->residual = 0;
     for (i = 0, hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
          hi = sfemi_handle_next(b, hi + 1), i += 3) {
