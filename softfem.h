@@ -22987,7 +22987,7 @@ static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size
                                     sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, aim[6], tried[6], best, value = 0, part;
+    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, aim[6], tried[6], most_value, value = 0, part;
     sfem_int it, i, half;
     size_t k;
     for (k = 0; k < b->m; ++k)
@@ -22999,16 +22999,16 @@ static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size
         const sfem_rigid pose = it ? step->to->rigid : b->head->rigid;
         sfem_real change = 0;
         sfemi_handle_linearise(b, step, &pose);
-        best = sfemi_handle_try(b, step, b->pull, frame);
+        most_value = sfemi_handle_try(b, step, b->pull, frame) * (1 + 1e-10); /* rounding */
         sfemi_handle_aim(b, step, frame, &pose, aim);
         for (k = 0; k < b->m; ++k) b->way[k] = b->trial[k] - b->pull[k];
         for (part = 1, half = 0; half < SFEMI_HANDLE_HALVINGS; ++half, part /= 2) {
             for (k = 0; k < b->m; ++k) b->trial[k] = b->pull[k] + part * b->way[k];
             for (i = 0; i < 6; ++i) tried[i] = frame[i] + part * (aim[i] - frame[i]);
             value = sfemi_handle_try(b, step, b->trial, tried);
-            if (value < best) break;
+            if (value <= most_value) break;
         }
-        if (!(value < best)) { /* nothing better is in sight */
+        if (!(value <= most_value)) { /* nothing better is in sight */
             sfemi_handle_try(b, step, b->pull, frame);
             break;
         }
