@@ -1518,11 +1518,18 @@ SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *reduced, sfem_preci
 SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed */
 SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
 
-/* A MODAL BODY. Two integrators:
- *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]
+/* A MODAL BODY. Three integrators:
+ *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]. Of modes faster
+ *                       than the step it hardly sees the damping: its free motion changes sign at
+ *                       each step, and dies by e^(-4 ratio/(omega h)) where the exact one is dead
  *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: exact
- *                       at any h and any damping. With handles it steps as the other does, by
- *                       handle_beta and handle_gamma. */
+ *                       at any h and any damping. With handles it steps as the first does, by
+ *                       handle_beta and handle_gamma
+ *   SFEM_MODAL_FITTED   the same formulas as the first for oscillators whose mass and damping are
+ *                       fitted to the step: under (1/4, 1/2) free motion then dies as the exact one
+ *                       at any h [Liniger, Willoughby 1970]. Of second order, rests exact, modes
+ *                       without damping as the first has them to the bit. Its q'' are those of the
+ *                       fitted oscillators: what a link has to send. The default */
 typedef enum sfem_modal_integrator {
     SFEM_MODAL_NEWMARK,
     SFEM_MODAL_EXACT,
@@ -1537,16 +1544,16 @@ typedef struct sfem_modal_def {
     sfem_real beta, gamma;  /* > 0, >= 1/2 */
     sfem_real handle_beta;  /* while a handle is held: constraints on positions ring under */
     sfem_real handle_gamma; /* (1/4, 1/2), with growing amplitude */
-    sfem_real compliance;   /* eps >= 0 of handles, times the mean of the diagonal of J A^-1 J^T:
-                             * what noisy targets and dependent handles need */
-    int frozen_turns;           /* handles pull by J = H Rt Phi alone, as the source has it: without
-                                 * what the nodes' rotations do as q changes */
+    sfem_real compliance;   /* eps >= 0: a hand gives so much of what the body gives at rest, which
+                             * noisy targets and dependent handles need; see HANDLES */
+    int frozen_turns;           /* handles pull by J = H Rt Phi, as the source has it: without how the
+                                 * nodes' rotations follow q */
     sfem_int handle_iterations; /* at most so many corrections a step bring warped handles to their
                                  * targets, >= 1 */
     sfem_int max_handles;       /* at a time, and nodes in all their regions */
     sfem_int max_handle_nodes;
-    sfem_real h;          /* s, >= 0: the step for which sfem_modal_start fits before there was one;
-                           * 0: for none */
+    sfem_real h;          /* s, >= 0: the steps that sfem_modal_start is to fit q'' to before there
+                           * was one, for whoever sends it; 0: the first step fits it */
     sfem_real tolerance;  /* m, >= 0: modes that can be left out of a step without moving any node
                            * by more than this, all together, are; see sfem_modal_info */
     sfem_real gravity[3]; /* m/s^2 */
@@ -1554,12 +1561,12 @@ typedef struct sfem_modal_def {
     sfem_exec exec; /* threads for reconstruction */
 } sfem_modal_def;
 
-/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
+/* Fitted, (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
  * handles of 64 nodes in all; tolerance 0; no gravity. */
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
 
 /* A body at rest. Everything that it will ever need is allocated here: about 32 bytes a node and
- * 200 a mode, 72 a mode more for each handle.
+ * 250 a mode, 72 a mode more for each handle.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def,
                                        sfem_modal **out, sfem_error *err);
@@ -1599,6 +1606,10 @@ SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_re
 /* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for
  * that. */
 SFEM_DEF void sfem_modal_start(sfem_modal *modal);
+/* omega^2 and c, [modes], of what Newmark sees in steps of h, per unit of its mass: those of the
+ * reduced model, or fitted ones. SFEM_LOST_PREDICTED wants them. h > 0. */
+SFEM_DEF void sfem_modal_oscillators(const sfem_modal *modal, sfem_real h, sfem_real *stiffness,
+                                     sfem_real *damping);
 
 /* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs
  * the nodes whose force is not zero.
@@ -1657,13 +1668,22 @@ SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *modal, const sfem_rigid *r
 SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
                                   sfem_real angular[3]);
 
-/* HANDLES hold a node, or the mean of a region's displacement, at a target by Lagrange multipliers:
- *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)
- * [A.14-A.17].
+/* HANDLES hold a node, or the mean of a region's places x, at a target by multipliers [A.14-A.17]:
+ *     A q'' = b - J^T l,   x - target = C l - tau x',   J = dx/dq
+ * where the hand is a spring and a damper on the target's place:
+ *     C = eps mean diag J Lambda^-1 J^T   1/eps times as stiff as the body is at rest,
+ *     tau = 2 sqrt(C/mean diag J M^-1 J^T)   critically damped; 0 in statics
+ * (a free body's C at least that of A). So what noise, jumps and contradictions make of a body does
+ * not grow as steps shrink, and with C the least of q.Lambda q/2 + sum |x - target|^2/2C is where it
+ * rests. A hand that moves at v lags by tau v, at most .02 v/omega_1 at eps = 1e-4. With eps = 0 they
+ * are the source's constraints: exact, but 1 mm of noise in targets is v = 1 mm/h, times what the modes
+ * need to follow it, and on release that is what the body flies with. Under SFEM_WARP_ROTATION and
+ * _PATH J contains how the rotations follow q: the hand's work goes into the body (with the source's
+ * J = H R Phi, frozen_turns, 15-20 % of it do not, and targets that contradict one another can pump).
  * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it.
  * Nodes that do not move in any mode carry no force. Handles that contradict or repeat one
  * another, or that are more than the modes can follow, share what is left by least squares,
- * weighted by the compliance.
+ * weighted by C.
  *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
  *   target  a position, m (of a region: the weighted mean of its nodes')
  *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes),
@@ -1679,7 +1699,7 @@ SFEM_DEF void sfem_modal_release_handle(sfem_modal *modal, sfem_int handle);
 SFEM_DEF void sfem_modal_handle_position(const sfem_modal *modal, sfem_int handle, sfem_real x[3]);
 /* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The
  * hand, and so a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in
- * modes it is J^T (-l) = Phi^T Rt^T f, [modes], with the rotations that it was computed with. */
+ * modes it is J^T (-l), [modes], of the q that it was computed with. */
 SFEM_DEF void sfem_modal_handle_force(const sfem_modal *modal, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *modal, sfem_int handle,
                                             sfem_real *force);
@@ -1770,7 +1790,8 @@ typedef struct sfem_link_def {
     sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory: 48
                           * bytes a step and mode */
     const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised
-                          * modes, >= 0, for SFEM_LOST_PREDICTED; copied; damping NULL: none */
+                          * modes, >= 0, for SFEM_LOST_PREDICTED, as sfem_modal_oscillators gives
+                          * them; copied; damping NULL: none */
     sfem_allocator allocator;
 } sfem_link_def;
 
@@ -22308,13 +22329,14 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
 
 /* --- handles ---------------------------------------------------------------------------------
  *
- * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation
- * that displaces node k; of a free body's frame also the identity and -[arm]x, with mass and
- * inertia in A. With those, S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps
- * d l, d the mean of S's diagonal, by (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at
- * once where nothing warps. Else x is not linear in q, and dx = G dq with G = J + H (dRt/dw Phi q)
- * Psi: the body feels J^T l, and Newton's iteration for l has G A^-1 J^T for S. (With S it
- * converges slowly where Rt warps, and not at all for a bar that R bends far.) */
+ * Rows of handle i, in the world: J_i = dx_i/dq = sum_k weight_k R_frame (T_k Phi_k + dT_k/dw Phi_k q
+ * Psi_k), T the rotation that displaces node k; of a free body's frame also the identity and -[arm]x,
+ * with mass and inertia in A. With those, S = J A^-1 J^T. A step looks for l with x - target + tau x'
+ * = C l at its end. Where nothing warps that is linear in l: (wide S + C) l = what the gap would be
+ * without hands, wide = beta h^2 + gamma h tau. Warped, see below. With the source's rows, T_k Phi_k
+ * alone, dx = G dq with G the J from above: the body feels rows^T l, and Newton's iteration for l has
+ * G A^-1 rows^T for S. (With S it converges slowly where Rt warps, and not at all for a bar that R
+ * bends far.) */
 
 /* rows += t phi, t 3x3 */
 static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_real t[9],
@@ -23224,6 +23246,21 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     if (!held) sfemi_modal_settle(b);
     sfemi_modal_pack(b);
     return SFEM_OK;
+}
+
+SFEM_DEF void sfem_modal_oscillators(const sfem_modal *b, sfem_real h, sfem_real *stiffness,
+                                     sfem_real *damping)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    SFEM_ASSERT(h > 0);
+    for (k = 0; k < b->m; ++k) {
+        sfem_real mass;
+        sfemi_oscillator_fit(r->lambda[k], r->damping[k],
+                             b->def.integrator == SFEM_MODAL_FITTED ? h : 0, &mass, damping + k);
+        stiffness[k] = r->lambda[k] / mass;
+        damping[k] /= mass;
+    }
 }
 
 SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *acceleration, sfem_real h,
