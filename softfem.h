@@ -1525,12 +1525,23 @@ SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *reduced, sfem_preci
 SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed */
 SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
 
-/* A MODAL BODY. Two integrators:
- *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]
+/* A MODAL BODY. Three integrators:
+ *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]. Of modes faster
+ *                       than the step it hardly sees the damping: its free motion changes sign at
+ *                       each step, and dies by e^(-4 ratio/(omega h)) where the exact one is dead
  *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: exact
- *                       at any h and any damping. With handles it steps as the other does, by
- *                       handle_beta and handle_gamma. */
-typedef enum sfem_modal_integrator { SFEM_MODAL_NEWMARK, SFEM_MODAL_EXACT } sfem_modal_integrator;
+ *                       at any h and any damping. With handles it steps as the first does, by
+ *                       handle_beta and handle_gamma
+ *   SFEM_MODAL_FITTED   the same formulas as the first for oscillators whose mass and damping are
+ *                       fitted to the step: under (1/4, 1/2) free motion then dies as the exact one
+ *                       at any h [Liniger, Willoughby 1970]. Of second order, rests exact, modes
+ *                       without damping as the first has them to the bit. Its q'' are those of the
+ *                       fitted oscillators: what a link has to send. The default */
+typedef enum sfem_modal_integrator {
+    SFEM_MODAL_NEWMARK,
+    SFEM_MODAL_EXACT,
+    SFEM_MODAL_FITTED
+} sfem_modal_integrator;
 
 typedef struct sfem_modal sfem_modal;
 
@@ -1540,12 +1551,16 @@ typedef struct sfem_modal_def {
     sfem_real beta, gamma;  /* > 0, >= 1/2 */
     sfem_real handle_beta;  /* while a handle is held: constraints on positions ring under */
     sfem_real handle_gamma; /* (1/4, 1/2), with growing amplitude */
-    sfem_real compliance;   /* eps >= 0 of handles, times the mean of the diagonal of J A^-1 J^T:
-                             * what noisy targets and dependent handles need */
+    sfem_real compliance;   /* eps >= 0: a hand gives so much of what the body gives at rest, which
+                             * noisy targets and dependent handles need; see HANDLES */
+    int frozen_turns;           /* handles pull by J = H Rt Phi, as the source has it: without how the
+                                 * nodes' rotations follow q */
     sfem_int handle_iterations; /* at most so many corrections a step bring warped handles to their
                                  * targets, >= 1 */
     sfem_int max_handles;       /* at a time, and nodes in all their regions */
     sfem_int max_handle_nodes;
+    sfem_real h;          /* s, >= 0: the steps that sfem_modal_start is to fit q'' to before there
+                           * was one, for whoever sends it; 0: the first step fits it */
     sfem_real tolerance;  /* m, >= 0: modes that can be left out of a step without moving any node
                            * by more than this, all together, are; see sfem_modal_info */
     sfem_real gravity[3]; /* m/s^2 */
@@ -1553,12 +1568,12 @@ typedef struct sfem_modal_def {
     sfem_exec exec; /* threads for reconstruction */
 } sfem_modal_def;
 
-/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
+/* Fitted, (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
  * handles of 64 nodes in all; tolerance 0; no gravity. */
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
 
 /* A body at rest. Everything that it will ever need is allocated here: about 32 bytes a node and
- * 200 a mode, 72 a mode more for each handle.
+ * 250 a mode, 72 a mode more for each handle.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def,
                                        sfem_modal **out, sfem_error *err);
@@ -1598,6 +1613,10 @@ SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_re
 /* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for
  * that. */
 SFEM_DEF void sfem_modal_start(sfem_modal *modal);
+/* omega^2 and c, [modes], of what Newmark sees in steps of h, per unit of its mass: those of the
+ * reduced model, or fitted ones. SFEM_LOST_PREDICTED wants them. h > 0. */
+SFEM_DEF void sfem_modal_oscillators(const sfem_modal *modal, sfem_real h, sfem_real *stiffness,
+                                     sfem_real *damping);
 
 /* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs
  * the nodes whose force is not zero.
@@ -1656,13 +1675,22 @@ SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *modal, const sfem_rigid *r
 SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
                                   sfem_real angular[3]);
 
-/* HANDLES hold a node, or the mean of a region's displacement, at a target by Lagrange multipliers:
- *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)
- * [A.14-A.17].
+/* HANDLES hold a node, or the mean of a region's places x, at a target by multipliers [A.14-A.17]:
+ *     A q'' = b - J^T l,   x - target = C l - tau x',   J = dx/dq
+ * where the hand is a spring and a damper on the target's place:
+ *     C = eps mean diag J Lambda^-1 J^T   1/eps times as stiff as the body is at rest,
+ *     tau = 2 sqrt(C/mean diag J M^-1 J^T)   critically damped; 0 in statics
+ * (a free body's C at least that of A). So what noise, jumps and contradictions make of a body does
+ * not grow as steps shrink, and with C the least of q.Lambda q/2 + sum |x - target|^2/2C is where it
+ * rests. A hand that moves at v lags by tau v, at most .02 v/omega_1 at eps = 1e-4. With eps = 0 they
+ * are the source's constraints: exact, but 1 mm of noise in targets is v = 1 mm/h, times what the modes
+ * need to follow it, and on release that is what the body flies with. Under SFEM_WARP_ROTATION and
+ * _PATH J contains how the rotations follow q: the hand's work goes into the body (with the source's
+ * J = H R Phi, frozen_turns, 15-20 % of it do not, and targets that contradict one another can pump).
  * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it.
  * Nodes that do not move in any mode carry no force. Handles that contradict or repeat one
  * another, or that are more than the modes can follow, share what is left by least squares,
- * weighted by the compliance.
+ * weighted by C.
  *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
  *   target  a position, m (of a region: the weighted mean of its nodes')
  *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes),
@@ -1678,7 +1706,7 @@ SFEM_DEF void sfem_modal_release_handle(sfem_modal *modal, sfem_int handle);
 SFEM_DEF void sfem_modal_handle_position(const sfem_modal *modal, sfem_int handle, sfem_real x[3]);
 /* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The
  * hand, and so a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in
- * modes it is J^T (-l) = Phi^T Rt^T f, [modes], with the rotations that it was computed with. */
+ * modes it is J^T (-l), [modes], of the q that it was computed with. */
 SFEM_DEF void sfem_modal_handle_force(const sfem_modal *modal, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *modal, sfem_int handle,
                                             sfem_real *force);
@@ -1769,7 +1797,8 @@ typedef struct sfem_link_def {
     sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory: 48
                           * bytes a step and mode */
     const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised
-                          * modes, >= 0, for SFEM_LOST_PREDICTED; copied; damping NULL: none */
+                          * modes, >= 0, for SFEM_LOST_PREDICTED, as sfem_modal_oscillators gives
+                          * them; copied; damping NULL: none */
     sfem_allocator allocator;
 } sfem_link_def;
 
@@ -22985,6 +23014,35 @@ static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfe
     return r;
 }
 
+/* (z/2)/tanh(z/2) for z >= 0 */
+static sfem_real sfemi_oscillator_coth(sfem_real z) { return z > 0 ? z / 2 / tanh(z / 2) : 1; }
+
+/* What Newmark (1/4, 1/2) has to take for mass and damping of q'' + c q' + omega2 q = f, so that its
+ * free motion in steps of h decays as the exact one: that recurrence makes (1 + z/2)/(1 - z/2) of the
+ * root z/h, so what it is given has the roots 2/h tanh(z/2) where they are real; where they are not,
+ * e^-ch/2 times the turn that the recurrence makes of the damped frequency. Stiffness and load stay,
+ * and what comes to rest does so where it should. Both are off from 1 and c by O(h^2), and not at all
+ * where c = 0 [Liniger, Willoughby 1970: exponential fitting]. */
+static void sfemi_oscillator_fit(sfem_real omega2, sfem_real c, sfem_real h, sfem_real *mass,
+                                 sfem_real *drag)
+{
+    const sfem_real x = c * h / 2, y = omega2 * h * h, d = y - x * x;
+    *mass = 1;
+    *drag = c;
+    if (c == 0 || !(h > 0)) return;
+    if (d > 0) { /* e = e^-x; the turn is 2 atan t; S and E the trace and determinant wanted */
+        const sfem_real e = exp(-x), lost = expm1(-x) * expm1(-x), t = d / 4;
+        const sfem_real plus = lost + 4 * e / (1 + t);      /* 1 + S + E */
+        const sfem_real minus = lost + 4 * e * t / (1 + t); /* 1 - S + E */
+        *mass = y / 4 * (plus / minus);
+        *drag = -expm1(-2 * x) * (y / minus) / h;
+    } else {
+        const sfem_real fast = x + sqrt(-d), slow = y / fast;
+        *mass = sfemi_oscillator_coth(slow) * sfemi_oscillator_coth(fast);
+        *drag = *mass * 2 / h * (tanh(slow / 2) + tanh(fast / 2));
+    }
+}
+
 /* --- modal bodies: the state ----------------------------------------------------------------- */
 
 typedef struct sfemi_modal_head {
@@ -22992,6 +23050,7 @@ typedef struct sfemi_modal_head {
     uint32_t version, unused;
     uint64_t size, key, checksum;
     sfem_real time, beta, gamma; /* of the last step */
+    sfem_real h;                 /* the step that a is fitted to; 0: to none; -1: a was given */
     sfem_real gravity[3];
     sfem_rigid rigid;            /* rigid.w is not kept: it follows from */
     sfem_real momentum[3];       /* the angular momentum, world */
@@ -23029,8 +23088,10 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
+    sfem_real *pull, *trial, *way; /* [stride] J^T l: taken, tried, and the difference */
+    sfem_real *mass, *drag, *light; /* [stride] of the oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
-    sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H] each */
+    sfem_real *s, *arm, *l, *residual, *l_trial; /* [3H][3H], [3H] each */
     sfem_real *exact;              /* [H][3][stride] G */
     sfem_int *column, *fixed;      /* [3H]; fixed: rows that carry nothing */
     sfem_int *place;               /* [nodes] a node's place in force_node + 1, or 0 */
@@ -23039,13 +23100,14 @@ struct sfem_modal {
     float *drawn_q32;              /* [stride] */
     sfem_int drawn_count;
     sfem_real h, beta, gamma;      /* what inverse is for; h = 0: nothing */
+    sfem_real fit_h;               /* what mass and drag are for */
     sfem_real exact_h;
     sfem_real pose_force[3], pose_torque[3]; /* of the loads at the end of the step */
     double turn[2 * SFEMI_TURN_TERMS + 1];
     float turn32[2 * SFEMI_TURN_TERMS32 + 1];
 };
 
-enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 1 };
+enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 2 };
 
 static int sfemi_modal_path_kind(const sfem_modal *b)
 {
@@ -23097,6 +23159,7 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 {
     sfem_modal_def def;
     memset(&def, 0, sizeof def);
+    def.integrator = SFEM_MODAL_FITTED;
     def.warp = SFEM_WARP_PATH;
     def.beta = 0.25;
     def.gamma = 0.5;
@@ -23111,25 +23174,26 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 
 static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
 {
-    const sfem_real number[9] = {d->beta,         d->gamma,      d->handle_beta,
-                                 d->handle_gamma, d->compliance, d->tolerance,
-                                 d->gravity[0],   d->gravity[1], d->gravity[2]};
-    if (!sfemi_all_finite(number, 9))
+    const sfem_real number[10] = {d->beta,         d->gamma,      d->handle_beta,
+                                  d->handle_gamma, d->compliance, d->tolerance,
+                                  d->gravity[0],   d->gravity[1], d->gravity[2],
+                                  d->h};
+    if (!sfemi_all_finite(number, 10))
         return sfemi_fail(err, SFEM_NOT_FINITE,
                           "a number of the definition of a modal body is not finite");
     if (!(d->beta > 0 && d->handle_beta > 0 && d->gamma >= 0.5 && d->handle_gamma >= 0.5))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "Newmark %g, %g and with handles %g, %g: beta > 0, gamma >= 1/2", d->beta,
                           d->gamma, d->handle_beta, d->handle_gamma);
-    if (!(d->compliance >= 0) || !(d->tolerance >= 0))
+    if (!(d->compliance >= 0) || !(d->tolerance >= 0) || !(d->h >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "compliance %g and tolerance %g must be 0 or more", d->compliance,
-                          d->tolerance);
+                          "compliance %g, tolerance %g and step %g must be 0 or more",
+                          d->compliance, d->tolerance, d->h);
     if (d->max_handles < 0 || d->max_handle_nodes < 0 || d->handle_iterations < 1 ||
         d->max_handles > 10000)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d handles of %d nodes, %d iterations",
                           (int)d->max_handles, (int)d->max_handle_nodes, (int)d->handle_iterations);
-    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_EXACT)
+    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_FITTED)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "warp %d or integrator %d is not one of them",
                           (int)d->warp, (int)d->integrator);
     return SFEM_OK;
@@ -23185,6 +23249,22 @@ static uint64_t sfemi_modal_key(const sfem_modal *b)
     return sfemi_state_hash(b->reduced->head->checksum, sizes, sizeof sizes);
 }
 
+/* The oscillators for steps of h; 0: as they are. */
+static void sfemi_modal_fit(sfem_modal *b, sfem_real h)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    if (b->fit_h == h) return;
+    for (k = 0; k < b->m; ++k) {
+        sfemi_oscillator_fit(r->lambda[k], r->damping[k],
+                             b->def.integrator == SFEM_MODAL_FITTED ? h : 0, b->mass + k,
+                             b->drag + k);
+        b->light[k] = 1 / b->mass[k];
+    }
+    b->fit_h = h;
+    b->h = 0;
+}
+
 static void sfemi_modal_series(sfem_modal *b)
 {
     const int kind = sfemi_modal_path_kind(b);
@@ -23237,30 +23317,39 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(char, block, al, b->state_bytes);
     sfemi_modal_lay_out(b, block);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
-    SFEMI_NEW(sfem_real, b->next, al, 7 * b->stride + 1);
+    SFEMI_NEW(sfem_real, b->next, al, 13 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
     b->inverse = b->vp + b->stride;
     b->from = b->inverse + b->stride;
-    b->drawn_q = b->from + b->stride;
+    b->mass = b->from + b->stride;
+    b->drag = b->mass + b->stride;
+    b->light = b->drag + b->stride;
+    b->pull = b->light + b->stride;
+    b->trial = b->pull + b->stride;
+    b->way = b->trial + b->stride;
+    b->drawn_q = b->way + b->stride;
     SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
-    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 3 + b->stride) + 1);
+    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 4 + b->stride) + 1);
     SFEMI_NEW(sfem_int, b->column, al, 2 * rows + 1);
     b->fixed = b->column + rows;
     b->arm = b->s + rows * rows;
     b->l = b->arm + rows;
     b->residual = b->l + rows;
-    b->exact = b->residual + rows;
+    b->l_trial = b->residual + rows;
+    b->exact = b->l_trial + rows;
     SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
     b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
-               b->stride * (7 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
-               rows * ((rows + 3 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
+               rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
     sfemi_modal_series(b);
+    b->fit_h = -1;
+    sfemi_modal_fit(b, def->h);
     memcpy(b->head->magic, "sfemmod", 8);
     b->head->version = SFEMI_MODAL_VERSION;
     b->head->size = b->state_bytes;
@@ -23458,13 +23547,14 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
 
 /* --- handles ---------------------------------------------------------------------------------
  *
- * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation
- * that displaces node k; of a free body's frame also the identity and -[arm]x, with mass and
- * inertia in A. With those, S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps
- * d l, d the mean of S's diagonal, by (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at
- * once where nothing warps. Else x is not linear in q, and dx = G dq with G = J + H (dRt/dw Phi q)
- * Psi: the body feels J^T l, and Newton's iteration for l has G A^-1 J^T for S. (With S it
- * converges slowly where Rt warps, and not at all for a bar that R bends far.) */
+ * Rows of handle i, in the world: J_i = dx_i/dq = sum_k weight_k R_frame (T_k Phi_k + dT_k/dw Phi_k q
+ * Psi_k), T the rotation that displaces node k; of a free body's frame also the identity and -[arm]x,
+ * with mass and inertia in A. With those, S = J A^-1 J^T. A step looks for l with x - target + tau x'
+ * = C l at its end. Where nothing warps that is linear in l: (wide S + C) l = what the gap would be
+ * without hands, wide = beta h^2 + gamma h tau. Warped, see below. With the source's rows, T_k Phi_k
+ * alone, dx = G dq with G the J from above: the body feels rows^T l, and Newton's iteration for l has
+ * G A^-1 rows^T for S. (With S it converges slowly where Rt warps, and not at all for a bar that R
+ * bends far.) */
 
 /* rows += t phi, t 3x3 */
 static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_real t[9],
@@ -23479,12 +23569,19 @@ static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_re
     }
 }
 
+/* Do the rows contain how the rotations follow q? */
+static int sfemi_handle_turning(const sfem_modal *b)
+{
+    return b->def.warp != SFEM_WARP_NONE && !b->def.frozen_turns;
+}
+
 /* x and, unless NULL, J and (also unless NULL) G at q in the given pose, nodes turned as at
  * q_turn; arm is x - the frame's place, in the world. */
 static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, const sfem_real *q,
                               const sfem_real *q_turn, const sfem_rigid *frame, sfem_real x[3],
                               sfem_real arm[3], sfem_real *rows, sfem_real *exact)
 {
+    const int turning = sfemi_handle_turning(b);
     const sfem_reduced *r = b->reduced;
     const size_t stride = b->stride;
     const int loose = r->head->free;
@@ -23514,12 +23611,14 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
             memcpy(t, turned, sizeof t);
         }
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, rows);
-        if (!exact) continue;
+        if (!exact && !turning) continue;
         sfemi_turn_derivative(sfemi_modal_path_kind(b), w, linear, d);
         if (loose) {
             sfemi_mul3(frame->r, d, turned);
             memcpy(d, turned, sizeof d);
         }
+        if (turning) sfemi_handle_add_rows(stride, b->weight[p], d, psi, rows);
+        if (!exact) continue;
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, exact);
         sfemi_handle_add_rows(stride, b->weight[p], d, psi, exact);
     }
@@ -23534,16 +23633,32 @@ static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
     return slot;
 }
 
-/* S over all rows in use, with the compliance added: J A^-1 J^T, or with `exact` G A^-1 J^T;
- * inverse NULL: A = I. Rows that move nothing become zero. Returns eps times the mean diagonal of
- * J A^-1 J^T. */
-static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
-                                     const sfem_real r[9])
+typedef struct sfemi_handle_step {
+    sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
+    sfemi_modal_head *to;
+    sfem_real give, lag;             /* C and tau of the hands, of the present rows */
+} sfemi_handle_step;
+
+/* C and tau of the hands from means over rows that move: of J A^-1 J^T and of J M^-1 J^T, both with
+ * the frame, and of J Lambda^-1 J^T. */
+static void sfemi_handle_ease(const sfem_modal *b, const sfem_real mean[3], sfemi_handle_step *step)
+{
+    step->give = b->def.compliance * fmax(step->scale * mean[0], mean[2]);
+    step->lag = step->h > 0 && mean[1] > 0 ? 2 * sqrt(step->give / mean[1]) : 0;
+}
+
+/* S over all rows in use, with what the hands give added: J A^-1 J^T, or with `left` = G instead of
+ * the rows, G A^-1 J^T. Rows that move nothing become zero. With a step, that of its hands, which it
+ * sets; else (of velocities and accelerations) compliance times the mean of the diagonal. */
+static void sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
+                                const sfem_real r[9], sfemi_handle_step *step)
 {
     const sfemi_reduced_head *head = b->reduced->head;
+    const sfem_real *lambda = b->reduced->lambda;
     const sfem_int n = 3 * b->head->handles;
     sfem_int hi, hj, i = 0, j, c, d, rows = 0;
-    sfem_real *s = b->s, *diagonal = b->residual, most = 0, mean = 0, world[9], half[9];
+    sfem_real *s = b->s, *diagonal = b->residual, most = 0, mean[3] = {0, 0, 0}, world[9], half[9];
+    sfem_real give;
     size_t k;
     if (head->free) {
         sfemi_mul3(r, head->inverse, half);
@@ -23555,12 +23670,10 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
              hj = sfemi_handle_next(b, hj + 1), j += 3) {
             for (c = 0; c < 3; ++c) {
                 const sfem_real *x = left + (3 * (size_t)hi + (size_t)c) * b->stride;
-                const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
                 for (d = 0; d < 3; ++d) {
                     const sfem_real *y = b->rows + (3 * (size_t)hj + (size_t)d) * b->stride;
                     sfem_real sum = 0, own = 0, frame = 0;
-                    for (k = 0; k < b->m; ++k)
-                        sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
+                    for (k = 0; k < b->m; ++k) sum += x[k] * inverse[k] * y[k];
                     if (head->free) { /* I/mass + [ai]x^T W [aj]x */
                         sfem_real e[3] = {0, 0, 0}, g[3] = {0, 0, 0}, p[3], w[3];
                         e[c] = g[d] = 1;
@@ -23571,24 +23684,36 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
                     }
                     s[(i + c) * n + j + d] = sum + frame;
                     if (i != j || c != d) continue;
-                    for (k = 0; k < b->m; ++k)
-                        own += inverse ? z[k] * inverse[k] * z[k] : z[k] * z[k];
+                    for (k = 0; k < b->m; ++k) own += y[k] * inverse[k] * y[k];
                     diagonal[i + c] = own + frame;
                     most = fmax(most, diagonal[i + c]);
                 }
             }
         }
     }
-    for (i = 0; i < n; ++i)
-        if (diagonal[i] > 1e-12 * most) mean += diagonal[i], ++rows;
-    mean = rows ? b->def.compliance * mean / rows : 0;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; ++i) {
+        const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)(i % 3)) * b->stride;
+        if (diagonal[i] > 1e-12 * most) {
+            mean[0] += diagonal[i];
+            mean[1] += diagonal[i];
+            for (k = 0; step && k < b->m; ++k) {
+                mean[1] += z[k] * z[k] * (b->light[k] - inverse[k]);
+                if (lambda[k] > 0) mean[2] += z[k] * z[k] / lambda[k];
+            }
+            ++rows;
+        }
+        if (i % 3 == 2) hi = sfemi_handle_next(b, hi + 1);
+    }
+    for (c = 0; c < 3; ++c) mean[c] /= rows ? rows : 1;
+    if (step) sfemi_handle_ease(b, mean, step);
+    give = step ? step->give / (step->scale + step->gamma * step->h * step->lag)
+                : b->def.compliance * mean[0];
     for (i = 0; i < n; ++i) {
         if (diagonal[i] > 1e-12 * most)
-            s[i * n + i] += mean;
+            s[i * n + i] += give;
         else
             for (j = 0; j < n; ++j) s[i * n + j] = s[j * n + i] = 0;
     }
-    return mean;
 }
 
 /* x = S^-1 x by elimination with complete pivoting; what depends on the rest is left at 0. Returns
@@ -23676,8 +23801,9 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     sfem_real *angular = accelerations ? head->torque : head->momentum, w[3];
     const sfem_int n = 3 * head->handles;
     sfem_int hi, i = 0;
+    size_t k;
     int c;
-    sfemi_handle_matrix(b, NULL, b->rows, head->rigid.r);
+    sfemi_handle_matrix(b, b->light, b->rows, head->rigid.r, NULL);
     sfemi_grip_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
@@ -23691,7 +23817,9 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
         for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
     }
     sfemi_grip_solve(b->s, n, n, b->l, 1);
-    sfemi_handle_subtract(b, b->l, y);
+    memset(b->b, 0, b->stride * sizeof *b->b);
+    sfemi_handle_subtract(b, b->l, b->b);
+    for (k = 0; k < b->m; ++k) y[k] += b->light[k] * b->b[k];
     for (i = 0; loose && i < n; i += 3) {
         sfem_real t[3];
         sfemi_cross(b->arm + i, b->l + i, t);
@@ -23711,14 +23839,16 @@ static void sfemi_handle_locate(sfem_modal *b)
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
 }
 
-/* a = f - c v - lambda q, less what the handles hold of it. */
+/* mass a = f - c v - lambda q, less what the handles hold of it; of oscillators fitted to the present
+ * steps. */
 static void sfemi_modal_accelerate(sfem_modal *b)
 {
     const sfem_reduced *r = b->reduced;
     sfem_int hi, i = 0;
     size_t k;
     int c;
-    for (k = 0; k < b->m; ++k) b->a[k] = b->f[k] - r->damping[k] * b->v[k] - r->lambda[k] * b->q[k];
+    for (k = 0; k < b->m; ++k)
+        b->a[k] = b->light[k] * (b->f[k] - b->drag[k] * b->v[k] - r->lambda[k] * b->q[k]);
     for (c = 0; c < 3; ++c) b->head->accel[c] = b->pose_force[c] / r->head->mass;
     memcpy(b->head->torque, b->pose_torque, sizeof b->pose_torque);
     if (b->head->handles == 0) return;
@@ -23731,6 +23861,8 @@ static void sfemi_modal_accelerate(sfem_modal *b)
 
 SFEM_DEF void sfem_modal_start(sfem_modal *b)
 {
+    if (!(b->head->h > 0)) b->head->h = b->def.h;
+    sfemi_modal_fit(b, b->head->h);
     sfemi_modal_load_at(b, b->q, b->f);
     sfemi_modal_accelerate(b);
     b->head->started = 1;
@@ -23767,6 +23899,7 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
     ++b->head->handles;
     sfemi_handle_rows(b, h, b->q, b->q, &b->head->rigid, h->target, arm, NULL, NULL);
     sfemi_modal_wake(b);
+    sfemi_modal_fit(b, b->head->h > 0 ? b->head->h : b->def.h);
     sfemi_handle_locate(b);
     sfemi_handle_project(b, slot, 0);
     memcpy(b->mean, b->v, b->stride * sizeof *b->mean);
@@ -23831,6 +23964,8 @@ SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
     if (b->head->started) {
         sfemi_modal_load_at(b, b->q,
                             b->next); /* the frame's forces; f stays that of the last step */
+        sfemi_modal_fit(b, b->head->h > 0 ? b->head->h : b->def.h);
+        if (b->head->h < 0) b->head->h = b->fit_h;
         sfemi_modal_accelerate(b);
     }
 }
@@ -23866,37 +24001,49 @@ static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta,
     size_t k;
     if (b->h == h && b->beta == beta && b->gamma == gamma) return;
     for (k = 0; k < b->m; ++k)
-        b->inverse[k] = 1 / (1 + gamma * h * r->damping[k] + beta * h * h * r->lambda[k]);
+        b->inverse[k] =
+            1 / (b->mass[k] + gamma * h * b->drag[k] + beta * h * h * r->lambda[k]);
     b->h = h;
     b->beta = beta;
     b->gamma = gamma;
 }
 
-/* Distance of the handles from where they are to be, less what the compliance lets them:
- * b->residual, over scale; returns the largest, m. */
-static sfem_real sfemi_handle_gaps(sfem_modal *b, sfem_real scale, sfem_real eps,
-                                   const sfem_real *q_turn, const sfemi_modal_head *to)
+/* J q' at the end of the step, of the present rows. */
+static void sfemi_handle_velocity(const sfem_modal *b, sfem_int handle, sfem_int row,
+                                  const sfemi_modal_head *to, sfem_real v[3])
+{
+    sfem_real w[3], turn[3];
+    int c;
+    b->kernels->dot3(b->stride, b->rows + 3 * (size_t)handle * b->stride, b->v, v);
+    if (!b->reduced->head->free) return;
+    sfemi_frame_velocity(b, to->rigid.r, to->momentum, w);
+    sfemi_cross(w, b->arm + row, turn);
+    for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + turn[c];
+}
+
+/* Distance of the handles from where their hands let them be: b->residual, over what an acceleration
+ * changes of it; returns the largest, m. */
+static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
+                                   const sfem_real *q_turn)
 {
     const sfem_int n = 3 * b->head->handles;
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
     sfem_real worst = 0;
     sfem_int hi, i;
     int c;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        sfem_real x[3], arm[3];
-        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &to->rigid, x, arm, NULL, NULL);
+        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
+        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &step->to->rigid, x, arm, NULL, NULL);
+        if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
         for (c = 0; c < 3; ++c) {
-            const sfem_real gap = x[c] - b->handle[hi].target[c] - scale * eps * b->l[i + c];
-            b->residual[i + c] = gap / scale;
+            const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c] -
+                                  step->give * b->l[i + c];
+            b->residual[i + c] = gap / wide;
             if (!b->fixed[i + c]) worst = fmax(worst, sfemi_finite(gap) ? fabs(gap) : HUGE_VAL);
         }
     }
     return worst;
 }
-
-typedef struct sfemi_handle_step {
-    sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
-    sfemi_modal_head *to;
-} sfemi_handle_step;
 
 /* q = qp + scale inverse (b - J^T l), and of a free body the pose at the end of the step. */
 static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
@@ -23907,6 +24054,7 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
     for (k = 0; k < b->m; ++k) {
         b->a[k] *= b->inverse[k];
         b->q[k] = b->qp[k] + step->scale * b->a[k];
+        if (step->h > 0) b->v[k] = b->vp[k] + step->gamma * step->h * b->a[k];
     }
     if (b->reduced->head->free) {
         sfem_real force[3], torque[3];
@@ -23916,19 +24064,18 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
 }
 
 /* The multipliers of [A.14]: nodes turned as they are when the step begins, so that all is
- * linear. Returns eps d. */
-static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *step)
+ * linear. */
+static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real eps;
     sfem_int i;
     memcpy(b->q, b->from, b->stride * sizeof *b->q);
     sfemi_handle_locate(b);
-    eps = sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r);
+    sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r, step);
     sfemi_grip_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step->scale, eps, b->from, step->to);
+    sfemi_handle_gaps(b, step, b->from);
     sfemi_grip_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
@@ -23936,42 +24083,36 @@ static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *ste
         b->l[i] = b->residual[i];
     }
     sfemi_handle_respond(b, step);
-    return eps;
 }
 
 /* One correction of Newton's; returns the gap that is left. */
-static sfem_real sfemi_handle_correct(sfem_modal *b, const sfemi_handle_step *step)
+static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real *exact = b->def.warp != SFEM_WARP_NONE ? b->exact : NULL, eps, x[3];
+    sfem_real *exact = b->def.warp != SFEM_WARP_NONE && b->def.frozen_turns ? b->exact : NULL, x[3];
     sfem_int hi, i;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, b->arm + i,
                           b->rows + 3 * (size_t)hi * b->stride,
                           exact ? exact + 3 * (size_t)hi * b->stride : NULL);
-    eps = sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r);
+    sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r, step);
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    sfemi_handle_gaps(b, step, b->q);
     sfemi_handle_eliminate(b->s, n, b->residual, b->column);
     for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
     sfemi_handle_respond(b, step);
-    return sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    return sfemi_handle_gaps(b, step, b->q);
 }
 
-/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
- * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. Where
- * Newton's corrections bring them no nearer, as with targets that contradict one another, the
- * linear answer stands: it is bounded whatever the targets. */
-static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_step *step)
+/* Rows of the source: where Newton's corrections bring the handles no nearer to their targets, as when
+ * those contradict one another, the linear answer stands. Returns the number of solves. */
+static sfem_int sfemi_handle_frozen(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
 {
-    const sfemi_reduced_head *r = b->reduced->head;
-    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
-    sfem_real worst, eps;
-    sfem_int it, hi, i;
-    int c;
-    memcpy(b->from, b->q, b->stride * sizeof *b->q);
-    eps = sfemi_handle_linear(b, step);
-    worst = sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    sfem_real worst;
+    sfem_int it;
+    sfemi_handle_linear(b, step);
+    worst = sfemi_handle_gaps(b, step, b->q);
     for (it = 1; it < most && worst > 1e-10 * size; ++it) {
         const sfem_real left = sfemi_handle_correct(b, step);
         if (!(left < worst)) {
@@ -23980,7 +24121,159 @@ static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_
         }
         worst = left;
     }
-    step->to->iterations = it;
+    return it;
+}
+
+/* --- handles whose rows are the derivative of x
+ *
+ * The hand is then a spring, and its force p = J^T l and F (force and torque on the frame) that of
+ *     wide C (p.A^-1 p + F.W F) + |x - target + tau x'|^2,   wide = beta h^2 + gamma h tau,
+ * at its least. Gauss-Newton finds it: each step along the line to the least of what is linear about
+ * the present place, by a half, a quarter... where the whole way leads up. It starts at the place
+ * where the step begins, so that stiff modes cannot be thrown far by a poor first answer. */
+
+enum { SFEMI_HANDLE_HALVINGS = 8 };
+
+/* Modes and frame under p and F, and what is to be least there. */
+static sfem_real sfemi_handle_try(sfem_modal *b, const sfemi_handle_step *step, const sfem_real *pull,
+                                  const sfem_real frame[6])
+{
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
+    const sfemi_reduced_head *head = b->reduced->head;
+    sfem_real work = 0, gaps = 0;
+    sfem_int hi, i;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) {
+        b->a[k] = b->inverse[k] * (b->b[k] - pull[k]);
+        b->q[k] = b->qp[k] + step->scale * b->a[k];
+        if (step->h > 0) b->v[k] = b->vp[k] + step->gamma * step->h * b->a[k];
+        work += b->inverse[k] * pull[k] * pull[k];
+    }
+    if (head->free) {
+        sfem_real force[3], torque[3], w[3];
+        for (c = 0; c < 3; ++c)
+            force[c] = b->pose_force[c] - frame[c], torque[c] = b->pose_torque[c] - frame[3 + c];
+        sfemi_frame_step(b, step->h, step->beta, step->gamma, force, torque, step->to);
+        sfemi_frame_velocity(b, step->to->rigid.r, frame + 3, w);
+        work += sfemi_dot3(frame, frame) / head->mass + sfemi_dot3(frame + 3, w);
+    }
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < 3 * b->head->handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, arm, NULL, NULL);
+        if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
+        for (c = 0; c < 3; ++c) {
+            const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c];
+            b->residual[i + c] = gap;
+            if (!b->fixed[i + c]) gaps += gap * gap;
+        }
+    }
+    return step->give * wide * work + gaps;
+}
+
+/* The forces at the least of what is linear about the present place, where p is b->pull and F frame:
+ * (wide S + C) l = gap + wide (J A^-1 p + W F). Leaves l in l_trial, p in trial, F in to. */
+static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_real frame[6],
+                             const sfem_rigid *pose, sfem_real to[6])
+{
+    const sfem_int n = 3 * b->head->handles;
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
+    sfem_int hi, i;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) b->way[k] = b->inverse[k] * b->pull[k];
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real back[3], w[3], turn[3];
+        b->kernels->dot3(b->stride, b->rows + 3 * (size_t)hi * b->stride, b->way, back);
+        if (b->reduced->head->free) {
+            sfemi_frame_velocity(b, pose->r, frame + 3, w);
+            sfemi_cross(w, b->arm + i, turn);
+            for (c = 0; c < 3; ++c) back[c] += frame[c] / b->reduced->head->mass + turn[c];
+        }
+        for (c = 0; c < 3; ++c) b->l_trial[i + c] = b->residual[i + c] / wide + back[c];
+    }
+    sfemi_grip_solve(b->s, n, n, b->l_trial, 1);
+    memset(b->trial, 0, b->stride * sizeof *b->trial);
+    sfemi_handle_subtract(b, b->l_trial, b->trial);
+    for (k = 0; k < b->m; ++k) b->trial[k] = -b->trial[k];
+    memset(to, 0, 6 * sizeof *to);
+    for (i = 0; i < n; i += 3) {
+        sfem_real t[3];
+        sfemi_cross(b->arm + i, b->l_trial + i, t);
+        for (c = 0; c < 3; ++c) to[c] += b->l_trial[i + c], to[3 + c] += t[c];
+    }
+}
+
+/* S of the rows at the present place. */
+static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const sfem_rigid *pose)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_int hi, i;
+    sfem_real x[3];
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, pose, x, b->arm + i,
+                          b->rows + 3 * (size_t)hi * b->stride, NULL);
+    sfemi_handle_matrix(b, b->inverse, b->rows, pose->r, step);
+    sfemi_grip_factor(b->s, n, n);
+    for (step->to->rows_left = 0, i = 0; i < n; ++i) {
+        b->fixed[i] = !(b->s[i * n + i] > 0);
+        step->to->rows_left += b->fixed[i];
+    }
+}
+
+/* Returns the number of solves. */
+static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, aim[6], tried[6], most_value, value = 0, part;
+    sfem_int it, i, half;
+    size_t k;
+    for (k = 0; k < b->m; ++k)
+        b->pull[k] = b->inverse[k] > 0
+                         ? b->b[k] + (b->qp[k] - b->q[k]) / (step->scale * b->inverse[k])
+                         : 0;
+    for (i = 0; i < n; ++i) b->l[i] = 0;
+    for (it = 0; it < most; ++it) {
+        const sfem_rigid pose = it ? step->to->rigid : b->head->rigid;
+        sfem_real change = 0;
+        sfemi_handle_linearise(b, step, &pose);
+        most_value = sfemi_handle_try(b, step, b->pull, frame) * (1 + 1e-10); /* rounding */
+        sfemi_handle_aim(b, step, frame, &pose, aim);
+        for (k = 0; k < b->m; ++k) b->way[k] = b->trial[k] - b->pull[k];
+        for (part = 1, half = 0; half < SFEMI_HANDLE_HALVINGS; ++half, part /= 2) {
+            for (k = 0; k < b->m; ++k) b->trial[k] = b->pull[k] + part * b->way[k];
+            for (i = 0; i < 6; ++i) tried[i] = frame[i] + part * (aim[i] - frame[i]);
+            value = sfemi_handle_try(b, step, b->trial, tried);
+            if (value <= most_value) break;
+        }
+        if (!(value <= most_value)) { /* nothing better is in sight */
+            sfemi_handle_try(b, step, b->pull, frame);
+            break;
+        }
+        memcpy(b->pull, b->trial, b->stride * sizeof *b->pull);
+        memcpy(frame, tried, sizeof frame);
+        for (i = 0; i < n; ++i) b->l[i] += part * (b->l_trial[i] - b->l[i]);
+        for (i = 0; i < n; ++i)
+            if (!b->fixed[i])
+                change = fmax(change, fabs(b->residual[i] - step->give * b->l[i]));
+        if (part == 1 && change <= 1e-10 * size) return it + 1;
+    }
+    return it ? it : 1;
+}
+
+/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
+ * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. */
+static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *step)
+{
+    const sfemi_reduced_head *r = b->reduced->head;
+    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
+    sfem_int hi, i;
+    int c;
+    memcpy(b->from, b->q, b->stride * sizeof *b->q);
+    step->to->iterations = sfemi_handle_turning(b) ? sfemi_handle_spring(b, most, size, step)
+                                                   : sfemi_handle_frozen(b, most, size, step);
     step->to->residual = 0;
     for (i = 0, hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
          hi = sfemi_handle_next(b, hi + 1), i += 3) {
@@ -24006,7 +24299,7 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
             if (b->asleep[k]) continue;
             q = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
             v = b->v[k] + (1 - gamma) * h * b->a[k];
-            a = b->inverse[k] * (b->next[k] - r->damping[k] * v - r->lambda[k] * q);
+            a = b->inverse[k] * (b->next[k] - b->drag[k] * v - r->lambda[k] * q);
             b->q[k] = q + beta * h * h * a;
             b->v[k] = v + gamma * h * a;
             b->a[k] = a;
@@ -24017,16 +24310,16 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
     for (k = 0; k < b->m; ++k) {
         b->qp[k] = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
         b->vp[k] = b->v[k] + (1 - gamma) * h * b->a[k];
-        b->b[k] = b->next[k] - r->damping[k] * b->vp[k] - r->lambda[k] * b->qp[k];
+        b->b[k] = b->next[k] - b->drag[k] * b->vp[k] - r->lambda[k] * b->qp[k];
     }
     step.scale = beta * h * h;
     step.h = h;
     step.beta = beta;
     step.gamma = gamma;
     step.to = to;
+    step.give = step.lag = 0;
     sfemi_handle_solve(
         b, b->def.warp != SFEM_WARP_NONE || r->head->free ? b->def.handle_iterations : 1, &step);
-    for (k = 0; k < b->m; ++k) b->v[k] = b->vp[k] + gamma * h * b->a[k];
 }
 
 static void sfemi_modal_exact(sfem_modal *b, sfem_real h, sfemi_modal_head *to)
@@ -24103,6 +24396,23 @@ static sfem_int sfemi_modal_not_finite(const sfem_modal *b, const sfemi_modal_he
     return -1;
 }
 
+/* Steps of h begin: accelerations of the same forces, as oscillators fitted to h have them. */
+static void sfemi_modal_refit(sfem_modal *b, sfem_real h)
+{
+    const sfem_real before = b->head->h;
+    size_t k;
+    if (b->head->started && before >= 0 && before != h && b->def.integrator == SFEM_MODAL_FITTED) {
+        sfemi_modal_fit(b, before);
+        for (k = 0; k < b->m; ++k) b->b[k] = b->mass[k] * b->a[k] + b->drag[k] * b->v[k];
+        sfemi_modal_fit(b, h);
+        for (k = 0; k < b->m; ++k)
+            if (b->reduced->damping[k] != 0)
+                b->a[k] = b->light[k] * (b->b[k] - b->drag[k] * b->v[k]);
+    }
+    sfemi_modal_fit(b, h);
+    b->head->h = h;
+}
+
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
 {
     const int held = b->head->handles > 0;
@@ -24118,6 +24428,7 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     memcpy(b->backup, b->head, b->small_bytes);
     before =
         (const sfem_real *)(const void *)((char *)b->backup + ((char *)b->q - (char *)b->head));
+    sfemi_modal_refit(b, h);
     if (!b->head->started) {
         sfemi_modal_load_at(b, b->q, b->f);
         sfemi_modal_accelerate(b);
@@ -24155,6 +24466,21 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     return SFEM_OK;
 }
 
+SFEM_DEF void sfem_modal_oscillators(const sfem_modal *b, sfem_real h, sfem_real *stiffness,
+                                     sfem_real *damping)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    SFEM_ASSERT(h > 0);
+    for (k = 0; k < b->m; ++k) {
+        sfem_real mass;
+        sfemi_oscillator_fit(r->lambda[k], r->damping[k],
+                             b->def.integrator == SFEM_MODAL_FITTED ? h : 0, &mass, damping + k);
+        stiffness[k] = r->lambda[k] / mass;
+        damping[k] /= mass;
+    }
+}
+
 SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *acceleration, sfem_real h,
                                           sfem_real beta, sfem_real gamma, sfem_error *err)
 {
@@ -24182,6 +24508,7 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *accele
         sfemi_frame_step(b, h, beta, gamma, none, none, b->head);
     }
     b->head->time += h;
+    b->head->h = h;
     ++b->head->steps;
     b->head->beta = beta;
     b->head->gamma = gamma;
@@ -24207,6 +24534,7 @@ SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *
     if (v) memcpy(b->v, v, bytes);
     memcpy(b->mean, b->v, bytes);
     if (a) memcpy(b->a, a, bytes);
+    if (a) b->head->h = -1;
     b->head->started = a != NULL;
     sfemi_modal_wake(b);
     sfemi_modal_pack(b);
@@ -24246,7 +24574,7 @@ static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_
         b->qp[k] = r->lambda[k] > 0 ? 0 : b->q[k];
     }
     if (b->head->handles > 0) {
-        sfemi_handle_step step = {1, 0, 0, 0, NULL};
+        sfemi_handle_step step = {1, 0, 0, 0, NULL, 0, 0};
         step.to = to;
         sfemi_handle_solve(b, 1, &step);
     } else
