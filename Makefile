@@ -217,7 +217,7 @@ $(BUILD)/bench/step: bench/step.c examples/support.h softfem.h $(BUILD)/flags
 	    cholmod='-DSFEM_BENCH_CHOLMOD -lcholmod'; \
 	$(CC) $(FLAGS) -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< $(LDFLAGS) $$cholmod -lm
 
-$(BUILD)/bench/eigen: bench/eigen.c softfem.h $(BUILD)/softfem.o
+$(BUILD)/bench/eigen: bench/eigen.c bench/bench.h softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)
 	@others=; if printf '#include <arpack/arpack.h>\n#include <suitesparse/cholmod.h>\nint main(void){return 0;}\n' | \
 	    $(CC) -x c - -o /dev/null -larpack -lcholmod >/dev/null 2>&1; \
