@@ -138,14 +138,10 @@ static body body_new(const ex_options *o)
     b.a = sfem_modal_accelerations(b.modal);
     b.force = (double *)ex_new(3 * (size_t)b.mesh.nodes, sizeof *b.force);
     for (i = 0; i < b.mesh.nodes; ++i) b.tip += b.mesh.x[3 * i] > 1 - 1e-9;
-<<<<<<< HEAD
     b.h = ex_positive(o, "--dt");
-=======
-    b.h = ex_real(o, "--dt");
     b.stiffness = (double *)ex_new(2 * (size_t)b.modes, sizeof *b.stiffness);
     b.damping = b.stiffness + b.modes;
     sfem_modal_oscillators(b.modal, b.h, b.stiffness, b.damping);
->>>>>>> main
     return b;
 }
 
