@@ -769,10 +769,10 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
-/* Cauchy stress of the displacement u [nodes][3] under small strain, whatever the law (a turn counts as
- * strain), constant in a tet: stress [tets][6] in the order xx yy zz xy xz yz (a file wants yz before xz, see
- * sfem_field), von_mises [tets], Pa; either may be NULL. Of a body that turns or is stretched far use
- * sfem_law_stress, F by its tets' nodes. */
+/* Cauchy stress of the displacement u [nodes][3], constant in a tet, by the law of each: of linear ones that of
+ * the small strain, of others P F^T / J, where J = det F below .1 counts as .1, for flat and inverted tets have
+ * none. Of the undamaged body. stress [tets][6] in the order xx yy zz xy xz yz (a file wants yz before xz, see
+ * sfem_field), von_mises [tets], Pa; either may be NULL. .1 us a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
 /* 1/2 u.K u, J, summed from the tets' own strains. */
@@ -11747,6 +11747,23 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
+/* P F^T / J of a tet. */
+static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
+                             sfem_real s[6])
+{
+    static const int row[6] = {0, 1, 2, 0, 0, 1}, col[6] = {0, 1, 2, 1, 2, 2};
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_real f[9], p[9], n[3], j;
+    int a, i, k;
+    for (i = 0; i < 9; ++i)
+        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
+    (void)sfem_law_stress((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, p);
+    sfemi_cross(f, f + 3, n);
+    j = sfemi_dot3(n, f + 6);
+    for (k = 0; k < 6; ++k)
+        s[k] = sfemi_dot3(p + 3 * row[k], f + 3 * col[k]) / fmax(j, 0.1);
+}
+
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises)
 {
@@ -11754,8 +11771,12 @@ SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfe
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6];
         sfemi_element_gradients(&model->mesh, e, g);
-        sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
-        sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
+        if (model->law[e] == SFEM_LINEAR) {
+            sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
+            sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
+        } else {
+            sfemi_fem_cauchy(model, e, g, u, s);
+        }
         if (stress) memcpy(stress + 6 * (size_t)e, s, sizeof s);
         if (von_mises)
             von_mises[e] =

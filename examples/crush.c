@@ -33,7 +33,7 @@ typedef struct run {
     sfem_surface surface;
     sfem_model *model;
     sfem_body *body;
-    double h, mu;
+    double h;
     int64_t steps, redone; /* before the state was last set */
     double *frame[FRAMES];
     char caption[FRAMES][48];
@@ -65,7 +65,6 @@ static void make(run *r)
     model.material.poisson = ex_real(&r->o, "--poisson");
     model.material.alpha = 0.5;
     model.material.beta = 0.004;
-    r->mu = model.material.young / (2 + 2 * model.material.poisson);
     must(sfem_model_create(&model, &r->model, &err), &err);
     must(sfem_body_create(r->model, &body, &r->body, &err), &err);
 }
@@ -170,7 +169,7 @@ static void draw(const run *r)
     style.high = 0;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
-        value[k] = ex_strain_stress(&r->mesh, r->frame[k], 1, r->mu);
+        value[k] = ex_node_stress(r->model, &r->mesh, r->frame[k]);
         ex_range(value[k], r->mesh.nodes, &low, &high);
         if (k <= 2) style.high = fmax(style.high, high);
     }

@@ -425,13 +425,11 @@ static void record(run *r, sfem_int step)
 
 static void write_step(run *r, const char *path)
 {
-    double *x = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *x);
-    double *stress = (double *)ex_new((size_t)r->mesh.tets, sizeof *stress);
-    const double mu = ex_real(&r->o, "--young") / (2 + 2 * ex_real(&r->o, "--poisson"));
+    double *x = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *x), *stress;
     sfem_field field[2];
     sfem_error err;
-    double volume;
-    sfem_int i;
+    positions(r, x);
+    stress = ex_tet_stress(r->model, &r->mesh, x);
     memset(field, 0, sizeof field);
     field[0].name = "displacement";
     field[0].values = displacement(r);
@@ -440,9 +438,6 @@ static void write_step(run *r, const char *path)
     field[1].values = stress;
     field[1].components = 1;
     field[1].per_tet = 1;
-    positions(r, x);
-    for (i = 0; i < r->mesh.tets; ++i) /* sfem_model_stress would take a turn for strain */
-        stress[i] = ex_tet_stress(&r->mesh, i, x, ex_choice(&r->o, "--material") > 0, mu, &volume);
     must(sfem_write_vtu(path, &r->mesh, x, field, 2, &err), &err);
     free(stress);
     free(x);
@@ -489,14 +484,13 @@ static void draw(const run *r)
     const int across = r->frames > 1 ? 3 : 1, down = (r->frames + across - 1) / across;
     ex_picture *p = ex_picture_new(across > 1 ? 1500 : 1000, across > 1 ? 420 * down : 700);
     ex_style style = ex_default_style();
-    const double mu = ex_real(&r->o, "--young") / (2 + 2 * ex_real(&r->o, "--poisson"));
     double lower[3], upper[3], low, high;
     double *value[FRAMES];
     int k;
     p->bar = !r->breaks;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
-        value[k] = ex_strain_stress(&r->mesh, r->frame[k], ex_choice(&r->o, "--material") > 0, mu);
+        value[k] = ex_node_stress(r->model, &r->mesh, r->frame[k]);
         ex_range(value[k], r->mesh.nodes, &low, &high);
         style.high = fmax(style.high * (k > 0), high);
     }
