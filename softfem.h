@@ -16686,6 +16686,21 @@ done:
     return status;
 }
 
+/* What that takes. */
+static size_t sfemi_guard_bytes(const sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    size_t bytes = 0;
+    if (g->tangent.val) bytes += 9 * (size_t)g->tangent.row[g->tangent.n] * sizeof(sfem_real);
+    if (!g->redo[SFEMI_TANGENT].factor) return bytes;
+    bytes += 76 * (size_t)g->system.matrix.row[g->system.matrix.n];
+    if (g->system.factor->ldl) {
+        const sfem_ldl_info info = sfem_ldl_get_info(g->system.factor->ldl);
+        bytes += info.factor_bytes + info.work_bytes;
+    }
+    return bytes;
+}
+
 /* The factor of the redo, and the handles' columns for it. */
 static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *err)
 {
@@ -16978,6 +16993,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real budget = head->budget;
+    const int64_t descents = head->descents;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
     g->corrections = 0;
@@ -16996,6 +17012,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
         status = sfemi_guard_redo(b, err);
         if (status != SFEM_OK) {
             head->budget = budget;
+            head->descents = descents;
             return status;
         }
     }
@@ -17041,7 +17058,7 @@ static void sfemi_guard_finish(sfem_body *b)
     if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
     else if (psi < head->locked) head->locked = psi;
     moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-12);
-    head->scale *= exp(-b->step);
+    head->scale *= exp(-b->step) * (redone ? .9 : 1);
     if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
         head->scale = 0;
         head->budget = energy;
@@ -19280,7 +19297,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
                             2 * (n / 3) + 23 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b) + sfemi_guard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
