@@ -16510,17 +16510,20 @@ static void sfemi_guard_remember(sfemi_guard *g, size_t n)
 
 enum { SFEMI_STUCK, SFEMI_LOWER, SFEMI_LOWEST };
 
-/* One step of descent with Armijo's rule, its length halved at most so often. LOWEST: what there is to gain
- * drowns in rounding. */
+/* One step of descent with Armijo's rule, its length halved at most so often. Where what there is to gain drowns
+ * in rounding, which slivers feel as a large force, the slope alone tells [Hager and Zhang 2005]; LOWEST where
+ * that does not fall either. */
 static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real slope = sfemi_guard_direction(b, kind);
+    const int drowned = -slope <= 1e-12 * fabs(*phi);
     sfem_real length = 1;
     size_t i;
     int halvings;
-    if (-slope <= 1e-14 * fabs(*phi)) return slope <= 0 ? SFEMI_LOWEST : SFEMI_STUCK;
+    if (!(slope < 0)) return slope == 0 ? SFEMI_LOWEST : SFEMI_STUCK;
+    if (drowned) most = 1;
     if (kind == SFEMI_ISOTROPIC) {
         sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
         memcpy(s, g->u, n * sizeof *s);
@@ -16533,7 +16536,9 @@ static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi,
         sfem_real value;
         for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
-        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
+        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope) &&
+            !(drowned && value <= *phi + 1e-12 * fabs(*phi) && fabs(sfemi_guard_dot(g->grad, g->dir, n)) <= -.5 * slope))
+            continue;
         *phi = value;
         memcpy(g->u, g->trial_u, n * sizeof *g->u);
         memcpy(g->f, g->trial_f, n * sizeof *g->f);
@@ -16541,7 +16546,7 @@ static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi,
         return SFEMI_LOWER;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
-    return SFEMI_STUCK;
+    return drowned ? SFEMI_LOWEST : SFEMI_STUCK;
 }
 
 /* Gives free pieces the momentum that h L adds to M w. The angular one takes energy: a step's mean velocity,

@@ -879,31 +879,31 @@ static int descents_left(const scene *s, double shift)
  * gives steps no room to chatter in. */
 static void knots_come_to_rest(void **state)
 {
-    const double h[2] = {1.0 / 60, 1e-3}, young[2] = {1e4, 1e9};
+    const double h[3] = {1.0 / 60, 1.0 / 60, 1e-3}, young[3] = {1e4, 1e9, 1e9};
     int k, knots = 0;
     (void)state;
-    for (k = 0; k < 4; ++k) {
-        sfem_material m = rubber(young[k / 2]);
+    for (k = 0; k < 3; ++k) {
+        sfem_material m = rubber(young[k]);
         double f[3 * MAX_NODES], most = 0;
         scene s;
         sfem_int i;
         m.law = SFEM_NEOHOOKEAN;
         m.poisson = 0.49;
         m.alpha = 2;
-        m.beta = k / 2 ? 1e-3 : 0.05;
+        m.beta = k ? 1e-3 : 0.05;
         s = bar(5, 2, m);
         add_body(&s, sfem_default_body_def(), 0);
         set_scene(&s, SCATTERED);
-        run(s.body, h[k % 2], k % 2 && k < 2 ? 6000 : 1500);
+        run(s.body, h[k], 1500);
         forces(&s, sfem_body_displacement(s.body), f);
         for (i = 0; i < 3 * s.n; ++i) most = fmax(most, fabs(f[i]));
-        print_message("    Y %g, h %g: off by %.3f of its length, force %.1e of Y A, %d of %d redone\n", young[k / 2],
-                      h[k % 2], misshape(&s), most / (0.01 * young[k / 2]),
+        print_message("    Y %g, h %g: off by %.3f of its length, force %.1e of Y A, %d of %d redone\n", young[k],
+                      h[k], misshape(&s), most / (0.01 * young[k]),
                       (int)sfem_body_get_info(s.body).redone, (int)sfem_body_get_info(s.body).steps);
-        assert_true(most < 1e-5 * 0.01 * young[k / 2]);
+        assert_true(most < 1e-5 * 0.01 * young[k]);
         if (misshape(&s) > 0.1) {
             ++knots;
-            assert_int_equal(descents_left(&s, 1e-6 * young[k / 2]), 0);
+            assert_int_equal(descents_left(&s, 1e-6 * young[k]), 0);
         }
         drop(&s);
     }
