@@ -17535,17 +17535,20 @@ static void sfemi_guard_remember(sfemi_guard *g, size_t n)
 
 enum { SFEMI_STUCK, SFEMI_LOWER, SFEMI_LOWEST };
 
-/* One step of descent with Armijo's rule, its length halved at most so often. LOWEST: what there is to gain
- * drowns in rounding. */
+/* One step of descent with Armijo's rule, its length halved at most so often. Where what there is to gain drowns
+ * in rounding, which slivers feel as a large force, the slope alone tells [Hager and Zhang 2005]; LOWEST where
+ * that does not fall either. */
 static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real slope = sfemi_guard_direction(b, kind);
+    const int drowned = -slope <= 1e-12 * fabs(*phi);
     sfem_real length = 1;
     size_t i;
     int halvings;
-    if (-slope <= 1e-14 * fabs(*phi)) return slope <= 0 ? SFEMI_LOWEST : SFEMI_STUCK;
+    if (!(slope < 0)) return slope == 0 ? SFEMI_LOWEST : SFEMI_STUCK;
+    if (drowned) most = 1;
     if (kind == SFEMI_ISOTROPIC) {
         sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
         memcpy(s, g->u, n * sizeof *s);
@@ -17558,7 +17561,9 @@ static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi,
         sfem_real value;
         for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
-        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
+        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope) &&
+            !(drowned && value <= *phi + 1e-12 * fabs(*phi) && fabs(sfemi_guard_dot(g->grad, g->dir, n)) <= -.5 * slope))
+            continue;
         *phi = value;
         memcpy(g->u, g->trial_u, n * sizeof *g->u);
         memcpy(g->f, g->trial_f, n * sizeof *g->f);
@@ -17566,7 +17571,7 @@ static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi,
         return SFEMI_LOWER;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
-    return SFEMI_STUCK;
+    return drowned ? SFEMI_LOWEST : SFEMI_STUCK;
 }
 
 /* Gives free pieces the momentum that h L adds to M w. The angular one takes energy: a step's mean velocity,
@@ -17738,6 +17743,21 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
     redo->factor = g->system.factor;
 done:
     return status;
+}
+
+/* What that takes. */
+static size_t sfemi_guard_bytes(const sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    size_t bytes = 0;
+    if (g->tangent.val) bytes += 9 * (size_t)g->tangent.row[g->tangent.n] * sizeof(sfem_real);
+    if (!g->redo[SFEMI_TANGENT].factor) return bytes;
+    bytes += 76 * (size_t)g->system.matrix.row[g->system.matrix.n];
+    if (g->system.factor->ldl) {
+        const sfem_ldl_info info = sfem_ldl_get_info(g->system.factor->ldl);
+        bytes += info.factor_bytes + info.work_bytes;
+    }
+    return bytes;
 }
 
 /* The factor of the redo, and the handles' columns for it. */
@@ -18031,6 +18051,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real budget = head->budget;
+    const int64_t descents = head->descents;
     sfem_real slack;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
@@ -18051,6 +18072,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
         status = sfemi_guard_redo(b, err);
         if (status != SFEM_OK) {
             head->budget = budget;
+            head->descents = descents;
             return status;
         }
     }
@@ -18097,7 +18119,7 @@ static void sfemi_guard_finish(sfem_body *b)
     if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
     else if (psi < head->locked) head->locked = psi;
     moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-12);
-    head->scale *= exp(-b->step);
+    head->scale *= exp(-b->step) * (redone ? .9 : 1);
     if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
         head->scale = 0;
         head->budget = energy;
@@ -20407,7 +20429,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
                             2 * (n / 3) + 23 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b) + sfemi_guard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;

@@ -978,6 +978,103 @@ static void crushed_bodies_come_back(void **state)
     assert_true(back >= runs - runs / 8);
 }
 
+static void tear(scene *s, double how_far)
+{
+    double u[3 * MAX_NODES];
+    test_random random = {23};
+    sfem_error err;
+    random_fill(&random, u, 3 * (size_t)s->n, -how_far, how_far);
+    assert_ok(sfem_body_set_state(s->body, u, NULL, &err), err);
+}
+
+/* Where neo-Hookean tets are stretched a thousandfold, they are 1e12 times as stiff as at rest: no factor of the
+ * rest pose tells how far to go, and no number of halvings that is reasonable finds it. */
+static void bodies_torn_a_thousandfold_come_back(void **state)
+{
+    const double young[2] = {1e4, 1e9};
+    int k;
+    (void)state;
+    for (k = 0; k < 2; ++k) {
+        sfem_material m = rubber(young[k]);
+        const double calm = 0.1 * young[k] * 0.4 * 0.2 * 0.2;
+        sfem_body_info info;
+        scene s;
+        m.law = SFEM_NEOHOOKEAN;
+        m.poisson = 0.45;
+        m.alpha = 1;
+        m.beta = 0.02;
+        s = bar(4, 2, m);
+        add_body(&s, sfem_default_body_def(), 0);
+        tear(&s, 400);
+        assert_true(sfem_body_energy(s.body).elastic > 1e16 * calm);
+        run(s.body, 1.0 / 60, 240);
+        info = sfem_body_get_info(s.body);
+        print_message("    Y %g: elastic %.2g of what a knot may have, kinetic %.1g, %d of 240 redone\n", young[k],
+                      sfem_body_energy(s.body).elastic / calm, sfem_body_energy(s.body).kinetic / calm,
+                      (int)info.redone);
+        assert_true(sfem_body_energy(s.body).elastic < 2 * calm);
+        assert_true(sfem_body_energy(s.body).kinetic < 10 * calm);
+        drop(&s);
+    }
+}
+
+/* Negative pivots of K(u) + shift M, K the exact tangent: 0 in a minimum of the energy. */
+static int descents_left(const scene *s, double shift)
+{
+    const double *mass = sfem_model_node_mass(s->model);
+    sfem_matrix k = *sfem_model_stiffness(s->model);
+    sfem_ldl_def def = sfem_default_ldl_def();
+    sfem_ldl *ldl = NULL;
+    sfem_error err;
+    sfem_int i;
+    int c, negative;
+    k.val = (sfem_real *)calloc(9 * (size_t)k.row[k.n], sizeof *k.val);
+    sfem_model_tangent(s->model, sfem_body_displacement(s->body), SFEM_TANGENT_EXACT, &k, NULL);
+    for (i = 0; i < k.n; ++i)
+        for (c = 0; c < 9; c += 4) k.val[9 * (k.row[i + 1] - 1) + c] += shift * mass[i];
+    def.positive = 0;
+    assert_ok(sfem_ldl_create(&def, &k, &ldl, &err), err);
+    negative = (int)sfem_ldl_get_info(ldl).negative;
+    sfem_ldl_free(ldl);
+    free(k.val);
+    return negative;
+}
+
+/* A knot, a minimum of the energy beside that of the rest shape, comes to rest: its energy is not in motion, and
+ * gives steps no room to chatter in. */
+static void knots_come_to_rest(void **state)
+{
+    const double h[3] = {1.0 / 60, 1.0 / 60, 1e-3}, young[3] = {1e4, 1e9, 1e9};
+    int k, knots = 0;
+    (void)state;
+    for (k = 0; k < 3; ++k) {
+        sfem_material m = rubber(young[k]);
+        double f[3 * MAX_NODES], most = 0;
+        scene s;
+        sfem_int i;
+        m.law = SFEM_NEOHOOKEAN;
+        m.poisson = 0.49;
+        m.alpha = 2;
+        m.beta = k ? 1e-3 : 0.05;
+        s = bar(5, 2, m);
+        add_body(&s, sfem_default_body_def(), 0);
+        set_scene(&s, SCATTERED);
+        run(s.body, h[k], 1500);
+        forces(&s, sfem_body_displacement(s.body), f);
+        for (i = 0; i < 3 * s.n; ++i) most = fmax(most, fabs(f[i]));
+        print_message("    Y %g, h %g: off by %.3f of its length, force %.1e of Y A, %d of %d redone\n", young[k],
+                      h[k], misshape(&s), most / (0.01 * young[k]),
+                      (int)sfem_body_get_info(s.body).redone, (int)sfem_body_get_info(s.body).steps);
+        assert_true(most < 1e-5 * 0.01 * young[k]);
+        if (misshape(&s) > 0.1) {
+            ++knots;
+            assert_int_equal(descents_left(&s, 1e-6 * young[k]), 0);
+        }
+        drop(&s);
+    }
+    assert_true(knots > 0);
+}
+
 /* Where all nodes are at one place but for rounding, no rotation is taken from the rounding. */
 static void a_point_opens_the_same_way_whatever_its_rounding(void **state)
 {
@@ -1387,17 +1484,21 @@ static void a_saved_state_continues_bit_for_bit(void **state)
     const int cuts[4] = {0, 3, 17, 31};
     int kind, k;
     (void)state;
-    for (kind = KICKED; kind <= SCATTERED; ++kind)
+    for (kind = KICKED; kind <= SCATTERED + 1; ++kind)
         for (k = 0; k < 4; ++k) {
-            scene s = bar(4, 2, rubber(1e6));
+            sfem_material m = rubber(1e6);
             sfem_body *first;
             sfem_int handle = 0;
             void *memory;
             size_t bytes;
             uint64_t hash;
             sfem_error err;
+            scene s;
+            if (kind > SCATTERED) m.law = SFEM_NEOHOOKEAN;
+            s = bar(4, 2, m);
             add_body(&s, eventful(), 0);
-            set_scene(&s, kind);
+            if (kind > SCATTERED) tear(&s, 100);
+            else set_scene(&s, kind);
             go_on(&s, &handle, 0, cuts[k]);
             bytes = sfem_body_state_size(s.body);
             memory = malloc(bytes);
@@ -1421,20 +1522,25 @@ static void a_saved_state_continues_bit_for_bit(void **state)
 
 static void any_number_of_threads_gives_the_same_bits(void **state)
 {
-    const int kinds[2] = {KICKED, SCATTERED};
-    uint64_t hash[2] = {0, 0};
+    const int kinds[3] = {KICKED, SCATTERED, SCENES};
+    uint64_t hash[3] = {0, 0, 0};
     int threads, k;
     (void)state;
     for (threads = 1; threads <= 8; threads += threads < 2 ? 1 : 3)
-        for (k = 0; k < 2; ++k) {
-            scene s = bar(8, 4, rubber(1e6));
+        for (k = 0; k < 3; ++k) {
+            sfem_material m = rubber(1e6);
             sfem_body_def def = eventful();
             sfem_int handle = 0;
             uint64_t now;
+            scene s;
+            if (kinds[k] == SCENES) m.law = SFEM_NEOHOOKEAN;
+            s = bar(8, 4, m);
             def.exec = thread_exec(threads);
             add_body(&s, def, 0);
-            set_scene(&s, kinds[k]);
+            if (kinds[k] == SCENES) tear(&s, 100);
+            else set_scene(&s, kinds[k]);
             go_on(&s, &handle, 0, 12);
+            assert_true(kinds[k] != SCENES || sfem_body_get_info(s.body).factors_made > 4); /* with tangents */
             now = hash_reals(sfem_body_displacement(s.body), 3 * (size_t)s.n);
             if (threads == 1) hash[k] = now;
             assert_true(now == hash[k]);
@@ -1446,7 +1552,7 @@ static void a_prepared_body_allocates_nothing(void **state)
 {
     int kind;
     (void)state;
-    for (kind = KICKED; kind < SCENES; ++kind) {
+    for (kind = KICKED; kind <= SCENES; ++kind) {
         scene s = bar(4, 2, rubber(1e6));
         sfem_body_def def = eventful();
         test_memory memory = {0};
@@ -1461,10 +1567,12 @@ static void a_prepared_body_allocates_nothing(void **state)
         sfem_model_free(s.model);
         model.mesh = &s.mesh;
         model.material = rubber(1e6);
+        if (kind == SCENES) model.material.law = SFEM_NEOHOOKEAN;
         model.allocator = test_allocator(&memory);
         assert_ok(sfem_model_create(&model, &s.model, &err), err);
         add_body(&s, def, 0);
-        set_scene(&s, kind);
+        if (kind == SCENES) tear(&s, 100); /* which takes tangents */
+        else set_scene(&s, kind);
         assert_status(sfem_body_step(s.body, 1.0 / 30, &err), SFEM_NOT_PREPARED);
         assert_ok(sfem_body_prepare(s.body, 1.0 / 30, &err), err);
         calls = memory.calls;
@@ -1480,9 +1588,9 @@ static void a_prepared_body_allocates_nothing(void **state)
     }
 }
 
-static sfem_status crumple_and_run(sfem_allocator allocator, void *user, sfem_error *err)
+/* Crumpled, or torn so that it takes tangents, too. */
+static sfem_status run_with(sfem_allocator allocator, const sfem_mesh *mesh, int torn, sfem_error *err)
 {
-    const sfem_mesh *mesh = (const sfem_mesh *)user;
     sfem_model_def def = sfem_default_model_def();
     sfem_body_def body = eventful();
     sfem_real u[3 * 64], before[3 * 64];
@@ -1494,8 +1602,9 @@ static sfem_status crumple_and_run(sfem_allocator allocator, void *user, sfem_er
     int k;
     def.mesh = mesh;
     def.material = rubber(1e7);
+    if (torn) def.material.law = SFEM_NEOHOOKEAN;
     def.allocator = body.allocator = allocator;
-    random_fill(&random, u, 3 * (size_t)mesh->nodes, -0.3, 0.3);
+    random_fill(&random, u, 3 * (size_t)mesh->nodes, torn ? -100 : -0.3, torn ? 100 : 0.3);
     status = sfem_model_create(&def, &model, err);
     if (status == SFEM_OK) status = sfem_body_create(model, &body, &b, err);
     if (status == SFEM_OK) status = sfem_body_set_state(b, u, NULL, err);
@@ -1510,10 +1619,20 @@ static sfem_status crumple_and_run(sfem_allocator allocator, void *user, sfem_er
         }
     }
     if (status == SFEM_OK)
-        assert_true(sfem_body_get_info(b).redone > 0 && sfem_body_get_info(b).factors_made == 3);
+        assert_true(sfem_body_get_info(b).redone > 0 && sfem_body_get_info(b).factors_made == 3 + torn);
     sfem_body_free(b);
     sfem_model_free(model);
     return status;
+}
+
+static sfem_status crumple_and_run(sfem_allocator allocator, void *user, sfem_error *err)
+{
+    return run_with(allocator, (const sfem_mesh *)user, 0, err);
+}
+
+static sfem_status tear_and_run(sfem_allocator allocator, void *user, sfem_error *err)
+{
+    return run_with(allocator, (const sfem_mesh *)user, 1, err);
 }
 
 static void every_allocation_may_fail(void **state)
@@ -1521,6 +1640,7 @@ static void every_allocation_may_fail(void **state)
     scene s = bar(2, 1, rubber(1e6));
     (void)state;
     fail_every_allocation(crumple_and_run, &s.mesh);
+    fail_every_allocation(tear_and_run, &s.mesh);
     drop(&s);
 }
 
@@ -1545,6 +1665,8 @@ int main(void)
         cmocka_unit_test(a_falling_body_is_left_alone),
         cmocka_unit_test(a_body_on_a_floor_of_the_callers_is_left_alone),
         cmocka_unit_test(crushed_bodies_come_back),
+        cmocka_unit_test(bodies_torn_a_thousandfold_come_back),
+        cmocka_unit_test(knots_come_to_rest),
         cmocka_unit_test(a_point_opens_the_same_way_whatever_its_rounding),
         cmocka_unit_test(a_changing_step_is_as_good_as_a_fixed_one),
         cmocka_unit_test(changes_make_no_energy),
