@@ -80,6 +80,7 @@ typedef struct body {
     sfem_modal *mirror;         /* the receiver's: to be drawn, never stepped */
     const double *q, *v, *a;    /* [modes] of the sender's */
     double *force;              /* [nodes][3] */
+    double *stiffness, *damping; /* [modes] of the oscillators, for who predicts */
     double h, hand[2], goal[2]; /* N, across the tip: now, and where it tends to */
     sfem_int modes, tip;        /* nodes at the tip */
     uint64_t random;
@@ -138,12 +139,16 @@ static body body_new(const ex_options *o)
     b.force = (double *)ex_new(3 * (size_t)b.mesh.nodes, sizeof *b.force);
     for (i = 0; i < b.mesh.nodes; ++i) b.tip += b.mesh.x[3 * i] > 1 - 1e-9;
     b.h = ex_real(o, "--dt");
+    b.stiffness = (double *)ex_new(2 * (size_t)b.modes, sizeof *b.stiffness);
+    b.damping = b.stiffness + b.modes;
+    sfem_modal_oscillators(b.modal, b.h, b.stiffness, b.damping);
     return b;
 }
 
 static void body_free(body *b)
 {
     free(b->force);
+    free(b->stiffness);
     sfem_modal_free(b->modal);
     sfem_modal_free(b->mirror);
     sfem_reduced_view_free(b->view);
@@ -280,15 +285,14 @@ typedef struct run {
 
 static sfem_link_def link_def(const ex_options *o, const body *b, int way)
 {
-    const sfem_reduced_info info = sfem_reduced_get_info(b->reduced);
     sfem_link_def d = sfem_default_link_def();
     d.modes = b->modes;
     d.h = b->h; /* beta and gamma are those of a modal body by default */
     d.key_every = way == 4 ? 0 : (sfem_int)ex_integer(o, "--key");
     d.single = !ex_given(o, "--double");
     d.lost = (sfem_lost)(way % 4);
-    d.stiffness = info.lambda;
-    d.damping = info.damping;
+    d.stiffness = b->stiffness;
+    d.damping = b->damping;
     return d;
 }
 

@@ -3,10 +3,10 @@
 #include "../bench/stress.h"
 
 /* What the default does not survive yet, by its number in the fixed list: a body thrown by a hand at 100 m/s,
- * soft and ill-shaped ones not back at rest after 3000 damped steps, modes under contradicting handles. */
+ * soft and ill-shaped ones not back at rest after 3000 damped steps. */
 static int is_open(uint64_t seed)
 {
-    return seed == 104 || seed == 107 || seed == 122 || seed == 134 || seed == 185 || seed == 188;
+    return seed == 104 || seed == 107 || seed == 122 || seed == 134;
 }
 
 /* scenes of the fixed list whose family it is, every third, with at most so many steps */
@@ -107,6 +107,40 @@ static void the_sources_form_does_not_survive(void **state)
     assert_true(failed >= 2);
 }
 
+/* Constraints without hands, as the source prints them, ring: what is asked of held bodies can tell. */
+static void the_sources_handles_do_not_survive(void **state)
+{
+    stress_scene s;
+    int k, failed = 0, runs = 0;
+    (void)state;
+    for (k = 0; stress_fixed(k, &s); ++k)
+        if (s.family == STRESS_MODAL && k % 3 == 1) {
+            s.steps = 500;
+            failed += stress_run(&s, STRESS_FORM_NAIVE).verdict == STRESS_IS_WRONG;
+            ++runs;
+        }
+    assert_int_equal(failed, runs);
+}
+
+/* Whole scenes: modes faster than the step that damping has to stop (181, 186, 189), noise in the targets of steps
+ * far below the period (187, 199), hands beside the pins that throw the tip (185, 192), and, where J leaves out how
+ * the rotations follow q, hands that contradict one another and pump (1131). */
+static void hands_neither_pump_nor_throw(void **state)
+{
+    static const uint64_t seed[8] = {181, 186, 189, 187, 199, 185, 192, 1131};
+    stress_scene s;
+    int i, k;
+    (void)state;
+    for (i = 0; i < 8; ++i) {
+        stress_result r;
+        for (k = 0; seed[i] < 1000 && stress_fixed(k, &s) && s.seed != seed[i]; ++k) continue;
+        if (seed[i] >= 1000) stress_sampled(seed[i], &s);
+        r = stress_run(&s, STRESS_FORM_DEFAULT);
+        if (r.verdict != STRESS_IS_PASSED)
+            fail_msg("%s, seed %d: %s: %s", s.name, (int)s.seed, stress_verdict_about((int)r.verdict), r.why);
+    }
+}
+
 static void the_same_scene_gives_the_same_verdict(void **state)
 {
     stress_scene s;
@@ -142,6 +176,8 @@ int main(void)
         cmocka_unit_test(the_sources_form_does_not_survive),
         cmocka_unit_test(linear_bodies_conserve_what_they_have_to),
         cmocka_unit_test(odd_ones_have_their_verdicts),
+        cmocka_unit_test(the_sources_handles_do_not_survive),
+        cmocka_unit_test(hands_neither_pump_nor_throw),
         cmocka_unit_test(the_same_scene_gives_the_same_verdict),
     };
     return run_all_tests(tests);
