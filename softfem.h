@@ -16478,28 +16478,45 @@ static void sfemi_turn_find_held(sfem_body *b)
                 b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
 }
 
+/* The nodes [first, end) that follow each other in one free piece: from first on, or *end is the number of nodes. */
+static sfem_int sfemi_turn_run(const sfem_body *b, sfem_int first, sfem_int *end)
+{
+    const sfem_int nodes = b->model->mesh.nodes, *of = b->turn.piece_of;
+    sfem_int i = first;
+    while (i < nodes && (of[i] < 0 || b->turn.piece[of[i]].held)) ++i;
+    for (*end = i; *end < nodes && of[*end] == of[i];) ++*end;
+    return i;
+}
+
 /* Adds to each free piece's motion its momentum scale N^T x, x a force or momentum [nodes][3]; of M x where
  * x is a velocity. */
 static void sfemi_turn_collect(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity,
                                sfem_real scale)
 {
-    const sfem_model *model = b->model;
-    const sfemi_turn *t = &b->turn;
-    const sfem_real *pose = velocity && t->lever ? t->lever : sfemi_turn_pose(b, u);
-    sfem_int i;
-    int c;
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        sfemi_piece *p = t->piece + t->piece_of[i];
-        const sfem_real *xi = x + 3 * (size_t)i;
-        sfem_real r[3], force[3], torque[3], s;
-        if (t->piece_of[i] < 0 || p->held) continue;
-        sfemi_turn_arm(b, pose, i, p->centre, r);
-        s = velocity ? scale * model->node_mass[i] : scale;
-        for (c = 0; c < 3; ++c) force[c] = s * xi[c];
-        sfemi_cross(r, force, torque);
-        for (c = 0; c < 3; ++c) {
-            p->motion[c] += force[c];
-            p->motion[3 + c] += torque[c];
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x;
+    const sfem_real *pose = velocity && b->turn.lever ? b->turn.lever : sfemi_turn_pose(b, u);
+    sfem_int i, end;
+    for (i = sfemi_turn_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_turn_run(b, end, &end)) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const sfem_real c0 = p->centre[0], c1 = p->centre[1], c2 = p->centre[2];
+        sfem_real f[3] = {0, 0, 0}, t[3] = {0, 0, 0};
+        size_t at;
+        for (at = 3 * (size_t)i; at < 3 * (size_t)end; at += 3) {
+            const sfem_real s = velocity ? scale * mass[at / 3] : scale;
+            const sfem_real f0 = s * x[at], f1 = s * x[at + 1], f2 = s * x[at + 2];
+            const sfem_real r0 = (pose ? rest[at] + pose[at] : rest[at]) - c0;
+            const sfem_real r1 = (pose ? rest[at + 1] + pose[at + 1] : rest[at + 1]) - c1;
+            const sfem_real r2 = (pose ? rest[at + 2] + pose[at + 2] : rest[at + 2]) - c2;
+            f[0] += f0;
+            f[1] += f1;
+            f[2] += f2;
+            t[0] += r1 * f2 - r2 * f1;
+            t[1] += r2 * f0 - r0 * f2;
+            t[2] += r0 * f1 - r1 * f0;
+        }
+        for (at = 0; at < 3; ++at) {
+            p->motion[at] += f[at];
+            p->motion[3 + at] += t[at];
         }
     }
 }
@@ -16538,19 +16555,23 @@ static void sfemi_turn_motion(sfem_body *b, const sfem_real *u, const sfem_real 
 static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real scale, int force,
                                   sfem_real *x)
 {
-    const sfem_model *model = b->model;
-    sfem_int i;
-    int c;
-    u = sfemi_turn_pose(b, u);
-    for (i = 0; i < model->mesh.nodes; ++i) {
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *pose = sfemi_turn_pose(b, u);
+    sfem_int i, end;
+    for (i = sfemi_turn_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_turn_run(b, end, &end)) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-        const size_t at = 3 * (size_t)i;
-        sfem_real r[3], v[3], s;
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
-        s = force ? scale * model->node_mass[i] : scale;
-        sfemi_turn_arm(b, u, i, p->centre, r);
-        sfemi_cross(p->motion + 3, r, v);
-        for (c = 0; c < 3; ++c) x[at + (size_t)c] += s * (p->motion[c] + v[c]);
+        const sfem_real c0 = p->centre[0], c1 = p->centre[1], c2 = p->centre[2];
+        const sfem_real v0 = p->motion[0], v1 = p->motion[1], v2 = p->motion[2];
+        const sfem_real w0 = p->motion[3], w1 = p->motion[4], w2 = p->motion[5];
+        size_t at;
+        for (at = 3 * (size_t)i; at < 3 * (size_t)end; at += 3) {
+            const sfem_real s = force ? scale * mass[at / 3] : scale;
+            const sfem_real r0 = (pose ? rest[at] + pose[at] : rest[at]) - c0;
+            const sfem_real r1 = (pose ? rest[at + 1] + pose[at + 1] : rest[at + 1]) - c1;
+            const sfem_real r2 = (pose ? rest[at + 2] + pose[at + 2] : rest[at + 2]) - c2;
+            x[at] += s * (v0 + (w1 * r2 - w2 * r1));
+            x[at + 1] += s * (v1 + (w2 * r0 - w0 * r2));
+            x[at + 2] += s * (v2 + (w0 * r1 - w1 * r0));
+        }
     }
 }
 
