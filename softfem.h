@@ -310,16 +310,27 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * >>api-meshio   files
  * ============================================================================================ */
 
-/* READING. Which format it is shows in the data itself:
- *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region is
- *                            the volume's first physical group (0 without one) if any volume has
- *                            one, else the number of its entity
+/* READING. Which format it is shows in the data itself, TetGen's in the name:
+ *   Gmsh 2.0 to 2.2 and 4.1 (.msh)  ASCII and binary, in either order of bytes, 2.2 with doubles or
+ *                            floats; node tags in any order and with gaps; 4-node tets (type 4);
+ *                            region is the first physical group of the tet, in 4.1 of its volume (0
+ *                            without one), if any has one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
- * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
- * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
- * sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find. Numbers are read
+ *   Vega (.veg)              *ELEMENTS TET; region is the material's number, from 0 in the order of
+ *                            the *MATERIAL rows, whose constants are not read: what the last *REGION
+ *                            says that has the tet in its *SET (-1 if none does; NULL without any).
+ *                            sfem_mesh_read also follows *INCLUDE to files beside this one or below
+ *                            it, 16 at most; a count stands in one file with what it counts.
+ *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number; attributes
+ *                            and markers of nodes are passed over
+ * The last two are numbered from 0, from 1 or from elsewhere, without gaps, and may have comments
+ * (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh and VTK files, and
+ * refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from 0,
+ * with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as
+ * by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find. Numbers are read
  * exactly, whatever the locale: the double nearest to the text.
- *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line
+ *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line, in
+ *                            binary files -1, while the text tells the byte
  *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
  *           SFEM_NOT_FINITE  a coordinate that is NaN or infinite, or overflows; err->line
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY, and for a file SFEM_IO
@@ -330,7 +341,7 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      const sfem_allocator *allocator, sfem_mesh *out,
                                      sfem_error *err);
 
-/* From the two files of TetGen. */
+/* From the contents of TetGen's two files, of which the messages speak as .node and .ele. */
 SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err);
@@ -3586,7 +3597,8 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file format, version 4.1. The VTK file formats, for VTK 4.2 and later. */
+ * manual, MSH file formats 2.2 and 4.1. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. */
 
 /* ---- numbers as text, the same in any locale ---- */
 
@@ -5278,26 +5290,25 @@ done:
 
 static sfem_status sfemi_veg_read(sfemi_rows *r)
 {
+    static const char *const word[5] = {"*VERTICES", "*ELEMENTS", "*REGION", "*MATERIAL", "*SET"};
+    static sfem_status (*const reader[5])(sfemi_rows *) = {
+        sfemi_rows_nodes, sfemi_veg_elements, sfemi_veg_region, sfemi_veg_material, sfemi_veg_set};
     sfemi_scan *s = &r->s;
     sfem_status status = SFEM_OK;
     sfemi_word w;
-    int any;
+    int any, k;
     s->comment = '#';
     s->blank = ',';
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any) break;
         w = sfemi_scan_peek(s);
-        s->p += w.n;
-        if (sfemi_word_is(w, "*VERTICES")) SFEMI_TRY(sfemi_rows_nodes(r));
-        else if (sfemi_word_is(w, "*ELEMENTS")) SFEMI_TRY(sfemi_veg_elements(r));
-        else if (sfemi_word_is(w, "*MATERIAL")) SFEMI_TRY(sfemi_veg_material(r));
-        else if (sfemi_word_is(w, "*SET")) SFEMI_TRY(sfemi_veg_set(r));
-        else if (sfemi_word_is(w, "*REGION")) SFEMI_TRY(sfemi_veg_region(r));
-        else {
-            s->p -= w.n;
+        for (k = 0; k < 5 && !sfemi_word_is(w, word[k]);) ++k;
+        if (k == 5)
             return sfemi_scan_expected(s, "*VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION", w);
-        }
+        s->p += w.n;
+        if (k < 3) SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line")); /* no name */
+        SFEMI_TRY(reader[k](r));
     }
     if (!r->has_tets)
         status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
