@@ -317,18 +317,18 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  *                            without one), if any has one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
  *   Vega (.veg)              *ELEMENTS TET; region is the material's number, from 0 in the order of
- *                            the *MATERIAL rows, whose constants are not read: what the last *REGION
- *                            says that has the tet in its *SET (-1 if none does; NULL without any).
- *                            sfem_mesh_read also follows *INCLUDE to files beside this one or below
- *                            it, 16 at most; a count stands in one file with what it counts.
+ *                            *MATERIAL, by the last *REGION with the tet in its *SET (-1 if none
+ *                            has; NULL without any); its constants are not read. sfem_mesh_read
+ *                            follows *INCLUDE to files beside this one or below it, 16 at most; a
+ *                            count has to stand in one file with what it counts
  *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number; attributes
  *                            and markers of nodes are passed over
  * The last two are numbered from 0, from 1 or from elsewhere, without gaps, and may have comments
  * (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh and VTK files, and
- * refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from 0,
- * with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as
- * by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find. Numbers are read
- * exactly, whatever the locale: the double nearest to the text.
+ * refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from
+ * 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are
+ * turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
+ * Numbers are read exactly, whatever the locale: the double nearest to the text.
  *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line, in
  *                            binary files -1, while the text tells the byte
  *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
@@ -3742,10 +3742,10 @@ typedef struct sfemi_scan {
     sfem_int line;       /* of p, from 1 */
     int in_row;          /* numbers are looked for up to the end of the line only */
     char blank, comment; /* counts as a blank, too; begins a comment: ' ' and '\n' are none */
-    int order;           /* numbers are binary, low bytes first (1) or high bytes first (2); 0 = text */
-    int size, real;      /* bytes of a count and of a real in binary; other integers have 4 */
-    const char *start;   /* of binary data, whose places are told in bytes from here; or NULL */
-    const char *file;    /* which of several files this is, or NULL */
+    int order;      /* numbers are binary, low bytes first (1) or high bytes first (2); 0 = text */
+    int size, real; /* bytes of a count and of a real in binary; other integers have 4 */
+    const char *start; /* of binary data, whose places are told in bytes from here; or NULL */
+    const char *file;  /* which of several files this is, or NULL */
     sfem_error *err;
 } sfemi_scan;
 
@@ -3889,8 +3889,7 @@ static sfem_status sfemi_scan_bits(sfemi_scan *s, int bytes, const char *what, u
     sfem_status status = sfemi_scan_skip_bytes(s, (uint64_t)bytes, what);
     int i;
     if (status != SFEM_OK) return status;
-    for (*out = 0, i = 0; i < bytes; ++i)
-        *out = *out << 8 | p[s->order == 1 ? bytes - 1 - i : i];
+    for (*out = 0, i = 0; i < bytes; ++i) *out = *out << 8 | p[s->order == 1 ? bytes - 1 - i : i];
     return SFEM_OK;
 }
 
@@ -4198,8 +4197,9 @@ static sfem_status sfemi_gmsh_order(sfemi_gmsh *g, int data_size)
     if (one == 0x01000000)
         g->order = 2;
     else if (one != 1)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "the integer that tells the order of bytes is "
-                                                 "not 1");
+        status = sfemi_scan_fail(s, SFEM_FORMAT,
+                                 "the integer that tells the order of bytes is "
+                                 "not 1");
     s->size = g->version == 2 ? 4 : data_size;
     s->real = g->version == 2 ? data_size : 8;
 done:
@@ -4227,8 +4227,9 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
     SFEMI_TRY(sfemi_scan_integer(s, 1, 64, "the data size", &size));
     if (binary) {
         if (size != 4 && size != 8)
-            return sfemi_scan_fail(s, SFEM_FORMAT, "the data size of a binary file is %ld, not 4 "
-                                                   "or 8",
+            return sfemi_scan_fail(s, SFEM_FORMAT,
+                                   "the data size of a binary file is %ld, not 4 "
+                                   "or 8",
                                    (long)size);
         s->start = start;
         SFEMI_TRY(sfemi_gmsh_order(g, (int)size));
@@ -4239,8 +4240,8 @@ done:
     return status;
 }
 
-/* What is left of an entity behind its box and first physical group: in text the line, in binary the
- * other groups and the entities that bound it. */
+/* What is left of an entity behind its box and first physical group: in text the line, in binary
+ * the other groups and the entities that bound it. */
 static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t groups)
 {
     sfemi_scan *s = &g->s;
@@ -4308,8 +4309,10 @@ static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
     for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
             SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
-            if (!s->order && k < 3) sfemi_scan_skip_line(s);
-            else SFEMI_TRY(sfemi_gmsh_entity(g, k));
+            if (!s->order && k < 3)
+                sfemi_scan_skip_line(s);
+            else
+                SFEMI_TRY(sfemi_gmsh_entity(g, k));
         }
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
 done:
@@ -4322,8 +4325,7 @@ static sfem_status sfemi_gmsh_node_tag(sfemi_gmsh *g)
     int64_t v = 0;
     status = sfemi_scan_size(&g->s, 1, INT64_MAX, "a node tag", &v);
     if (status == SFEM_OK && !sfemi_tags_add(&g->node, v))
-        status =
-            sfemi_scan_fail(&g->s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
+        status = sfemi_scan_fail(&g->s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
     return status;
 }
 
@@ -4337,8 +4339,7 @@ static sfem_status sfemi_gmsh_point(sfemi_gmsh *g, sfem_int i, int more)
     s->in_row = 1;
     for (k = 0; k < 3; ++k)
         SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
-    for (k = 0; k < more; ++k)
-        SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
+    for (k = 0; k < more; ++k) SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
 done:
     s->in_row = 0;
@@ -4436,15 +4437,15 @@ done:
     return status;
 }
 
-/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past the
- * rest of the row of one. */
+/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past
+ * the rest of the row of one. */
 static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
                                             int64_t count)
 {
     /* nodes of the types 1 .. 31, the second to fourth order of lines to pyramids among them */
-    static const unsigned char nodes[32] = {0,  2,  3,  4, 4,  8,  6,  5,  3,  6,  9,
-                                            10, 27, 18, 14, 1,  8,  20, 15, 13, 9,  10,
-                                            12, 15, 15, 21, 4,  5,  6,  20, 35, 56};
+    static const unsigned char nodes[32] = {0,  2,  3,  4,  4, 8, 6,  5,  3,  6, 9,
+                                            10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10,
+                                            12, 15, 15, 21, 4, 5, 6,  20, 35, 56};
     sfemi_scan *s = &g->s;
     uint64_t each;
     if (!s->order) {
@@ -4455,7 +4456,9 @@ static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t
         return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
                                (long long)type);
     each = (uint64_t)s->size * (1 + (uint64_t)more +
-                                (type == 92 ? 64u : type == 93 ? 125u : nodes[type]));
+                                (type == 92   ? 64u
+                                 : type == 93 ? 125u
+                                              : nodes[type]));
     if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
         return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
     return sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
@@ -4563,8 +4566,7 @@ static sfem_status sfemi_gmsh_pass(sfemi_gmsh *g, int64_t blocks, int64_t elemen
     if (g->version == 4)
         for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_block(g, &found, tets));
     else
-        while (found < elements)
-            SFEMI_TRY(sfemi_gmsh_tagged(g, elements - found, &found, tets));
+        while (found < elements) SFEMI_TRY(sfemi_gmsh_tagged(g, elements - found, &found, tets));
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
     if (found != elements)
         status = sfemi_scan_fail(&g->s, SFEM_FORMAT, "%lld elements announced, %lld found",
@@ -4617,8 +4619,10 @@ static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
             s->p += w.n;
             return SFEM_OK;
         }
-        if (p) ++s->p;
-        else sfemi_scan_skip_line(s);
+        if (p)
+            ++s->p;
+        else
+            sfemi_scan_skip_line(s);
     }
     w.n = 0;
     return sfemi_scan_expected(s, "the end of the section", w);
@@ -4992,7 +4996,8 @@ done:
 }
 #endif
 
-/* *INCLUDE name: goes on in that file, beside the first one or below it, and then behind this row. */
+/* *INCLUDE name: goes on in that file, then behind this row. A name that could lead out of the
+ * folder of the first file is refused: meshes come from strangers. */
 static sfem_status sfemi_rows_include(sfemi_rows *r)
 {
     sfemi_scan *s = &r->s;
@@ -5010,7 +5015,8 @@ static sfem_status sfemi_rows_include(sfemi_rows *r)
             return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: not a file beside this one",
                                    sfemi_word_text(w, text));
     if (r->included == SFEMI_INCLUDES)
-        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than %d files are included", SFEMI_INCLUDES);
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than %d files are included",
+                               SFEMI_INCLUDES);
 #ifndef SFEM_NO_STDIO
     return sfemi_rows_open(r, w);
 #else
@@ -5018,7 +5024,7 @@ static sfem_status sfemi_rows_include(sfemi_rows *r)
 #endif
 }
 
-/* To the first word of the next row, or of the one that it is at; `any` is 0 at the end of it all. */
+/* To the first word of the next row, or of the one that it is at; `any` is 0 at the end. */
 static sfem_status sfemi_rows_next(sfemi_rows *r, int *any)
 {
     sfemi_scan *s = &r->s;
@@ -5119,10 +5125,9 @@ static sfem_status sfemi_rows_tet(sfemi_rows *r, sfem_int t)
     for (k = 0; k < 4; ++k) {
         SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a node of a tet", &v));
         if (v < r->node_base || v - r->node_base >= r->m.nodes) {
-            status = sfemi_scan_fail(s, SFEM_BAD_MESH,
-                                     "tet %ld names node %lld, the nodes are %ld .. %lld", (long)t,
-                                     (long long)v, (long)r->node_base,
-                                     (long long)r->node_base + r->m.nodes - 1);
+            status = sfemi_scan_fail(
+                s, SFEM_BAD_MESH, "tet %ld names node %lld, the nodes are %ld .. %lld", (long)t,
+                (long long)v, (long)r->node_base, (long long)r->node_base + r->m.nodes - 1);
             if (s->err) s->err->tet = t;
             goto done;
         }
@@ -5132,7 +5137,7 @@ done:
     return status;
 }
 
-/* The count, 4 and attributes; rows of number, nodes and attributes, the first of which is the region. */
+/* The count, 4 and attributes; rows of number, nodes and attributes, the first of them the region. */
 static sfem_status sfemi_rows_tets(sfemi_rows *r)
 {
     sfemi_scan *s = &r->s;
@@ -5154,8 +5159,9 @@ static sfem_status sfemi_rows_tets(sfemi_rows *r)
         if (small[1]) {
             SFEMI_TRY(sfemi_scan_real(s, "the region of a tet", &region));
             if (!(fabs(region) <= INT32_MAX) || region != floor(region))
-                return sfemi_scan_fail(s, SFEM_FORMAT, "the region %g of a tet is not a whole number "
-                                                       "below 2^31",
+                return sfemi_scan_fail(s, SFEM_FORMAT,
+                                       "the region %g of a tet is not a whole number "
+                                       "below 2^31",
                                        region);
             r->m.region[i] = (sfem_int)region;
             SFEMI_TRY(sfemi_scan_skip_words(s, small[1] - 1, "an attribute of a tet"));
@@ -5466,7 +5472,7 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
 
 #ifndef SFEM_NO_STDIO
 
-/* The two files of TetGen, of which one was named: stem is the length of its name up to the point. */
+/* The two files of TetGen, of which one was named: stem is its name's length up to the point. */
 static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const sfem_allocator *a,
                                           sfem_mesh *out, sfem_error *err)
 {
