@@ -4150,7 +4150,7 @@ typedef struct sfemi_gmsh {
     sfemi_scan s;
     sfem_mesh m;
     sfemi_tags node, volume;
-    sfem_int volumes, *group; /* [volumes] first physical group, or 0 */
+    sfem_int *group; /* [volume] first physical group, or 0 */
     int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
     int any_group, has_format, has_nodes, has_elements;
 } sfemi_gmsh;
@@ -4305,7 +4305,6 @@ static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
     for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
     SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
     SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
-    g->volumes = count[3];
     for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
             SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
