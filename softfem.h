@@ -313,16 +313,27 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * >>api-meshio   files
  * ============================================================================================ */
 
-/* READING. Which format it is shows in the data itself:
- *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region is
- *                            the volume's first physical group (0 without one) if any volume has
- *                            one, else the number of its entity
+/* READING. Which format it is shows in the data itself, TetGen's in the name:
+ *   Gmsh 2.0 to 2.2 and 4.1 (.msh)  ASCII and binary, in either order of bytes, 2.2 with doubles or
+ *                            floats; node tags in any order and with gaps; 4-node tets (type 4);
+ *                            region is the first physical group of the tet, in 4.1 of its volume (0
+ *                            without one), if any has one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
- * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
- * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
- * sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find. Numbers are read
- * exactly, whatever the locale: the double nearest to the text.
- *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line
+ *   Vega (.veg)              *ELEMENTS TET; region is the material's number, from 0 in the order of
+ *                            *MATERIAL, by the last *REGION with the tet in its *SET (-1 if none
+ *                            has; NULL without any); its constants are not read. sfem_mesh_read
+ *                            follows *INCLUDE to files beside this one or below it, 16 at most; a
+ *                            count has to stand in one file with what it counts
+ *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number; attributes
+ *                            and markers of nodes are passed over
+ * The last two are numbered from 0, from 1 or from elsewhere, without gaps, and may have comments
+ * (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh and VTK files, and
+ * refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from
+ * 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are
+ * turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
+ * Numbers are read exactly, whatever the locale: the double nearest to the text.
+ *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line, in
+ *                            binary files -1, while the text tells the byte
  *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
  *           SFEM_NOT_FINITE  a coordinate that is NaN or infinite, or overflows; err->line
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY, and for a file SFEM_IO
@@ -333,7 +344,7 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      const sfem_allocator *allocator, sfem_mesh *out,
                                      sfem_error *err);
 
-/* From the two files of TetGen. */
+/* From the contents of TetGen's two files, of which the messages speak as .node and .ele. */
 SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err);
@@ -3623,7 +3634,8 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file format, version 4.1. The VTK file formats, for VTK 4.2 and later. */
+ * manual, MSH file formats 2.2 and 4.1. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. */
 
 /* ---- numbers as text, the same in any locale ---- */
 
@@ -3767,10 +3779,10 @@ typedef struct sfemi_scan {
     sfem_int line;       /* of p, from 1 */
     int in_row;          /* numbers are looked for up to the end of the line only */
     char blank, comment; /* counts as a blank, too; begins a comment: ' ' and '\n' are none */
-    int order;           /* numbers are binary, low bytes first (1) or high bytes first (2); 0 = text */
-    int size, real;      /* bytes of a count and of a real in binary; other integers have 4 */
-    const char *start;   /* of binary data, whose places are told in bytes from here; or NULL */
-    const char *file;    /* which of several files this is, or NULL */
+    int order;      /* numbers are binary, low bytes first (1) or high bytes first (2); 0 = text */
+    int size, real; /* bytes of a count and of a real in binary; other integers have 4 */
+    const char *start; /* of binary data, whose places are told in bytes from here; or NULL */
+    const char *file;  /* which of several files this is, or NULL */
     sfem_error *err;
 } sfemi_scan;
 
@@ -3914,8 +3926,7 @@ static sfem_status sfemi_scan_bits(sfemi_scan *s, int bytes, const char *what, u
     sfem_status status = sfemi_scan_skip_bytes(s, (uint64_t)bytes, what);
     int i;
     if (status != SFEM_OK) return status;
-    for (*out = 0, i = 0; i < bytes; ++i)
-        *out = *out << 8 | p[s->order == 1 ? bytes - 1 - i : i];
+    for (*out = 0, i = 0; i < bytes; ++i) *out = *out << 8 | p[s->order == 1 ? bytes - 1 - i : i];
     return SFEM_OK;
 }
 
@@ -4176,7 +4187,7 @@ typedef struct sfemi_gmsh {
     sfemi_scan s;
     sfem_mesh m;
     sfemi_tags node, volume;
-    sfem_int volumes, *group; /* [volumes] first physical group, or 0 */
+    sfem_int *group; /* [volume] first physical group, or 0 */
     int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
     int any_group, has_format, has_nodes, has_elements;
 } sfemi_gmsh;
@@ -4223,8 +4234,9 @@ static sfem_status sfemi_gmsh_order(sfemi_gmsh *g, int data_size)
     if (one == 0x01000000)
         g->order = 2;
     else if (one != 1)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "the integer that tells the order of bytes is "
-                                                 "not 1");
+        status = sfemi_scan_fail(s, SFEM_FORMAT,
+                                 "the integer that tells the order of bytes is "
+                                 "not 1");
     s->size = g->version == 2 ? 4 : data_size;
     s->real = g->version == 2 ? data_size : 8;
 done:
@@ -4252,8 +4264,9 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
     SFEMI_TRY(sfemi_scan_integer(s, 1, 64, "the data size", &size));
     if (binary) {
         if (size != 4 && size != 8)
-            return sfemi_scan_fail(s, SFEM_FORMAT, "the data size of a binary file is %ld, not 4 "
-                                                   "or 8",
+            return sfemi_scan_fail(s, SFEM_FORMAT,
+                                   "the data size of a binary file is %ld, not 4 "
+                                   "or 8",
                                    (long)size);
         s->start = start;
         SFEMI_TRY(sfemi_gmsh_order(g, (int)size));
@@ -4264,8 +4277,8 @@ done:
     return status;
 }
 
-/* What is left of an entity behind its box and first physical group: in text the line, in binary the
- * other groups and the entities that bound it. */
+/* What is left of an entity behind its box and first physical group: in text the line, in binary
+ * the other groups and the entities that bound it. */
 static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t groups)
 {
     sfemi_scan *s = &g->s;
@@ -4329,12 +4342,13 @@ static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
     for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
     SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
     SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
-    g->volumes = count[3];
     for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
             SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
-            if (!s->order && k < 3) sfemi_scan_skip_line(s);
-            else SFEMI_TRY(sfemi_gmsh_entity(g, k));
+            if (!s->order && k < 3)
+                sfemi_scan_skip_line(s);
+            else
+                SFEMI_TRY(sfemi_gmsh_entity(g, k));
         }
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
 done:
@@ -4347,8 +4361,7 @@ static sfem_status sfemi_gmsh_node_tag(sfemi_gmsh *g)
     int64_t v = 0;
     status = sfemi_scan_size(&g->s, 1, INT64_MAX, "a node tag", &v);
     if (status == SFEM_OK && !sfemi_tags_add(&g->node, v))
-        status =
-            sfemi_scan_fail(&g->s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
+        status = sfemi_scan_fail(&g->s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
     return status;
 }
 
@@ -4362,8 +4375,7 @@ static sfem_status sfemi_gmsh_point(sfemi_gmsh *g, sfem_int i, int more)
     s->in_row = 1;
     for (k = 0; k < 3; ++k)
         SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
-    for (k = 0; k < more; ++k)
-        SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
+    for (k = 0; k < more; ++k) SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
 done:
     s->in_row = 0;
@@ -4461,15 +4473,15 @@ done:
     return status;
 }
 
-/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past the
- * rest of the row of one. */
+/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past
+ * the rest of the row of one. */
 static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
                                             int64_t count)
 {
     /* nodes of the types 1 .. 31, the second to fourth order of lines to pyramids among them */
-    static const unsigned char nodes[32] = {0,  2,  3,  4, 4,  8,  6,  5,  3,  6,  9,
-                                            10, 27, 18, 14, 1,  8,  20, 15, 13, 9,  10,
-                                            12, 15, 15, 21, 4,  5,  6,  20, 35, 56};
+    static const unsigned char nodes[32] = {0,  2,  3,  4,  4, 8, 6,  5,  3,  6, 9,
+                                            10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10,
+                                            12, 15, 15, 21, 4, 5, 6,  20, 35, 56};
     sfemi_scan *s = &g->s;
     uint64_t each;
     if (!s->order) {
@@ -4480,7 +4492,9 @@ static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t
         return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
                                (long long)type);
     each = (uint64_t)s->size * (1 + (uint64_t)more +
-                                (type == 92 ? 64u : type == 93 ? 125u : nodes[type]));
+                                (type == 92   ? 64u
+                                 : type == 93 ? 125u
+                                              : nodes[type]));
     if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
         return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
     return sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
@@ -4588,8 +4602,7 @@ static sfem_status sfemi_gmsh_pass(sfemi_gmsh *g, int64_t blocks, int64_t elemen
     if (g->version == 4)
         for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_block(g, &found, tets));
     else
-        while (found < elements)
-            SFEMI_TRY(sfemi_gmsh_tagged(g, elements - found, &found, tets));
+        while (found < elements) SFEMI_TRY(sfemi_gmsh_tagged(g, elements - found, &found, tets));
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
     if (found != elements)
         status = sfemi_scan_fail(&g->s, SFEM_FORMAT, "%lld elements announced, %lld found",
@@ -4642,8 +4655,10 @@ static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
             s->p += w.n;
             return SFEM_OK;
         }
-        if (p) ++s->p;
-        else sfemi_scan_skip_line(s);
+        if (p)
+            ++s->p;
+        else
+            sfemi_scan_skip_line(s);
     }
     w.n = 0;
     return sfemi_scan_expected(s, "the end of the section", w);
@@ -5017,7 +5032,8 @@ done:
 }
 #endif
 
-/* *INCLUDE name: goes on in that file, beside the first one or below it, and then behind this row. */
+/* *INCLUDE name: goes on in that file, then behind this row. A name that could lead out of the
+ * folder of the first file is refused: meshes come from strangers. */
 static sfem_status sfemi_rows_include(sfemi_rows *r)
 {
     sfemi_scan *s = &r->s;
@@ -5035,7 +5051,8 @@ static sfem_status sfemi_rows_include(sfemi_rows *r)
             return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: not a file beside this one",
                                    sfemi_word_text(w, text));
     if (r->included == SFEMI_INCLUDES)
-        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than %d files are included", SFEMI_INCLUDES);
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than %d files are included",
+                               SFEMI_INCLUDES);
 #ifndef SFEM_NO_STDIO
     return sfemi_rows_open(r, w);
 #else
@@ -5043,7 +5060,7 @@ static sfem_status sfemi_rows_include(sfemi_rows *r)
 #endif
 }
 
-/* To the first word of the next row, or of the one that it is at; `any` is 0 at the end of it all. */
+/* To the first word of the next row, or of the one that it is at; `any` is 0 at the end. */
 static sfem_status sfemi_rows_next(sfemi_rows *r, int *any)
 {
     sfemi_scan *s = &r->s;
@@ -5144,10 +5161,9 @@ static sfem_status sfemi_rows_tet(sfemi_rows *r, sfem_int t)
     for (k = 0; k < 4; ++k) {
         SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a node of a tet", &v));
         if (v < r->node_base || v - r->node_base >= r->m.nodes) {
-            status = sfemi_scan_fail(s, SFEM_BAD_MESH,
-                                     "tet %ld names node %lld, the nodes are %ld .. %lld", (long)t,
-                                     (long long)v, (long)r->node_base,
-                                     (long long)r->node_base + r->m.nodes - 1);
+            status = sfemi_scan_fail(
+                s, SFEM_BAD_MESH, "tet %ld names node %lld, the nodes are %ld .. %lld", (long)t,
+                (long long)v, (long)r->node_base, (long long)r->node_base + r->m.nodes - 1);
             if (s->err) s->err->tet = t;
             goto done;
         }
@@ -5157,7 +5173,7 @@ done:
     return status;
 }
 
-/* The count, 4 and attributes; rows of number, nodes and attributes, the first of which is the region. */
+/* The count, 4 and attributes; rows of number, nodes and attributes, the first of them the region. */
 static sfem_status sfemi_rows_tets(sfemi_rows *r)
 {
     sfemi_scan *s = &r->s;
@@ -5179,8 +5195,9 @@ static sfem_status sfemi_rows_tets(sfemi_rows *r)
         if (small[1]) {
             SFEMI_TRY(sfemi_scan_real(s, "the region of a tet", &region));
             if (!(fabs(region) <= INT32_MAX) || region != floor(region))
-                return sfemi_scan_fail(s, SFEM_FORMAT, "the region %g of a tet is not a whole number "
-                                                       "below 2^31",
+                return sfemi_scan_fail(s, SFEM_FORMAT,
+                                       "the region %g of a tet is not a whole number "
+                                       "below 2^31",
                                        region);
             r->m.region[i] = (sfem_int)region;
             SFEMI_TRY(sfemi_scan_skip_words(s, small[1] - 1, "an attribute of a tet"));
@@ -5315,26 +5332,25 @@ done:
 
 static sfem_status sfemi_veg_read(sfemi_rows *r)
 {
+    static const char *const word[5] = {"*VERTICES", "*ELEMENTS", "*REGION", "*MATERIAL", "*SET"};
+    static sfem_status (*const reader[5])(sfemi_rows *) = {
+        sfemi_rows_nodes, sfemi_veg_elements, sfemi_veg_region, sfemi_veg_material, sfemi_veg_set};
     sfemi_scan *s = &r->s;
     sfem_status status = SFEM_OK;
     sfemi_word w;
-    int any;
+    int any, k;
     s->comment = '#';
     s->blank = ',';
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any) break;
         w = sfemi_scan_peek(s);
-        s->p += w.n;
-        if (sfemi_word_is(w, "*VERTICES")) SFEMI_TRY(sfemi_rows_nodes(r));
-        else if (sfemi_word_is(w, "*ELEMENTS")) SFEMI_TRY(sfemi_veg_elements(r));
-        else if (sfemi_word_is(w, "*MATERIAL")) SFEMI_TRY(sfemi_veg_material(r));
-        else if (sfemi_word_is(w, "*SET")) SFEMI_TRY(sfemi_veg_set(r));
-        else if (sfemi_word_is(w, "*REGION")) SFEMI_TRY(sfemi_veg_region(r));
-        else {
-            s->p -= w.n;
+        for (k = 0; k < 5 && !sfemi_word_is(w, word[k]);) ++k;
+        if (k == 5)
             return sfemi_scan_expected(s, "*VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION", w);
-        }
+        s->p += w.n;
+        if (k < 3) SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line")); /* no name */
+        SFEMI_TRY(reader[k](r));
     }
     if (!r->has_tets)
         status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
@@ -5492,7 +5508,7 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
 
 #ifndef SFEM_NO_STDIO
 
-/* The two files of TetGen, of which one was named: stem is the length of its name up to the point. */
+/* The two files of TetGen, of which one was named: stem is its name's length up to the point. */
 static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const sfem_allocator *a,
                                           sfem_mesh *out, sfem_error *err)
 {

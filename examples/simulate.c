@@ -15,7 +15,7 @@
 enum { FRAMES = 6, MAX_LOADS = 16 };
 
 static const ex_option table[] = {
-    {"MESH", "FILE", NULL, "Gmsh 4.1 ASCII or VTK legacy ASCII; without it a bar of 1 x 0.2 x 0.2 m"},
+    {"MESH", "FILE", NULL, "Gmsh, VTK legacy, Vega or TetGen; without it a bar of 1 x 0.2 x 0.2 m"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational", "the law of the material"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
