@@ -1,6 +1,6 @@
 /* grab - a hand takes a bar by its end, bends it, holds it and lets go:
  *
- *                  ,-> hand          [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi
+ *                  ,-> hand          A q'' = b - J^T l,  x - target = C l - tau x',  J = dx/dq
  *             ,---'
  *     //|====' warped modes         the hand feels l, the source's sign; the plots show the pull on it
  *
