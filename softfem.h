@@ -13811,6 +13811,8 @@ struct sfem_body {
     size_t work_size;
     /* the step under way */
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
+    int begun;           /* not finished, nor undone: before holds */
+    sfemi_state_head before; /* what was when it began */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
@@ -17954,6 +17956,12 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     return sfemi_body_prepare_handles(b, err);
 }
 
+static sfem_status sfemi_body_check_step(sfem_real h, sfem_error *err)
+{
+    if (sfemi_finite(h) && h > 0) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
+}
+
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfemi_coefficients k;
@@ -17962,8 +17970,8 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     sfem_real p;
     sfem_status status;
     SFEM_ASSERT(b);
-    if (!(sfemi_finite(h) && h > 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
+    status = sfemi_body_check_step(h, err);
+    if (status != SFEM_OK) return status;
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
     b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
@@ -17994,16 +18002,43 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     return sfemi_body_prepare_handles(b, err);
 }
 
+/* Takes out of a body's head what a step has changed before its end: it failed, or was given up. What the
+ * caller has done since it began stays done. */
+static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
+{
+    const sfemi_state_head *before = &b->before;
+    if (!b->begun) return;
+    head->budget = before->budget;
+    head->scale = before->scale;
+    head->last = before->last;
+    head->descents = before->descents;
+    if (head->load_age > before->load_age) head->load_age = before->load_age;
+    if (head->rebase < before->rebase) head->rebase = before->rebase;
+    if (head->current && !before->current) head->rebase = SFEMI_NEW_LEDGER;
+}
+
+static void sfemi_body_undo(sfem_body *b)
+{
+    sfemi_body_take_back(b, b->state.head);
+    b->begun = 0;
+    b->phase = SFEMI_IDLE;
+}
+
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
 {
+    sfem_status status;
     SFEM_ASSERT(b);
+    status = sfemi_body_check_step(h, err); /* what Newton has prepared would serve any */
+    if (status != SFEM_OK) return status;
     if (!sfemi_body_is_prepared(b, h)) {
-        sfem_status status;
         if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
     }
+    sfemi_body_undo(b);
+    b->before = *b->state.head;
+    b->begun = 1;
     b->step = h;
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
     sfemi_sleep_compare_load(b);
@@ -18021,7 +18056,8 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
     if (sfemi_implicit_serves(b)) {
         const sfem_status status = sfemi_implicit_solve(b, err);
-        b->phase = status == SFEM_OK ? SFEMI_SOLVED : SFEMI_IDLE;
+        if (status == SFEM_OK) b->phase = SFEMI_SOLVED;
+        else sfemi_body_undo(b);
         return status;
     }
     if (!b->turns)
@@ -18029,9 +18065,10 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     if (b->turns) sfemi_guard_solve(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
-    b->phase = SFEMI_IDLE;
-    if (!sfemi_all_finite(b->acc, n))
+    if (!sfemi_all_finite(b->acc, n)) {
+        sfemi_body_undo(b);
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+    }
     b->phase = SFEMI_SOLVED;
     return SFEM_OK;
 }
@@ -18069,8 +18106,12 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         const sfem_status status = sfemi_guard_judge_step(b, err);
-        if (status != SFEM_OK) return status;
+        if (status != SFEM_OK) {
+            sfemi_body_undo(b);
+            return status;
+        }
     }
+    b->begun = 0;
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
     if (b->turns) sfemi_guard_finish(b);
@@ -18091,11 +18132,14 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status;
+    sfem_int sleep;
     SFEM_ASSERT(b);
+    sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
     status = sfem_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
+    if (status != SFEM_OK) b->state.head->sleep = sleep; /* what has woken it will do so again */
     return status;
 }
 
@@ -18228,6 +18272,7 @@ static void sfemi_body_restart(sfem_body *b)
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
+    b->begun = 0;
 }
 
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const sfem_real *v,
@@ -18252,8 +18297,11 @@ SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->sta
 SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
 {
     const size_t bytes = sfem_body_state_size(b);
+    sfemi_state_head head = *b->state.head;
     uint32_t sum;
+    sfemi_body_take_back(b, &head);
     memcpy(memory, b->state.head, bytes);
+    memcpy(memory, &head, sizeof head);
     sum = sfemi_state_checksum(memory, bytes);
     memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
 }
@@ -18284,6 +18332,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     sfemi_renew_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
+    b->begun = 0;
     return SFEM_OK;
 }
 
@@ -18380,6 +18429,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     sfem_body_handle_position(b, k, h->hold.target);
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
+    for (c = 0; b->turns && c < SFEMI_REDOS; ++c) b->guard.redo[c].grip.ready[k] = 0;
     b->grip.dirty = 1;
     sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
