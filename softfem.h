@@ -18202,9 +18202,13 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
                                               sfem_error *err)
 {
     const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
+    sfem_real *at, sum[3];
     int c;
     if (status != SFEM_OK) return status;
-    for (c = 0; c < 3; ++c) b->state.force[0][3 * (size_t)node + (size_t)c] += f[c];
+    at = b->state.force[0] + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = at[c] + f[c];
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
+    memcpy(at, sum, sizeof sum);
     sfemi_body_load_changed(b);
     return SFEM_OK;
 }
@@ -18306,6 +18310,43 @@ SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
     memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
 }
 
+/* Would a body be safe with this block of its own size? A checksum is no signature. */
+static int sfemi_body_state_sound(const sfem_body *b, const sfemi_state_head *head, const char *memory)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const char *at = memory + sizeof *head;
+    sfem_int k;
+    size_t i;
+    int c;
+    if (!sfemi_finite(head->time) || !(head->h >= 0 && sfemi_finite(head->h)) || !sfemi_all_finite(head->gravity, 3) ||
+        head->started < SFEMI_NOT_STARTED || head->started > SFEMI_RUNNING ||
+        (head->started == SFEMI_RUNNING && head->h == 0) || head->rebase < SFEMI_LEDGER ||
+        head->rebase > SFEMI_NEW_LEDGER || head->sleep < SFEMI_AWAKE || head->sleep > SFEMI_ASLEEP)
+        return 0;
+    for (i = 0; i < 9 * (size_t)nodes; ++i) { /* u, w, a; the block may stand at any address */
+        sfem_real x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    at += sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real) + (size_t)b->pin_count * sizeof(sfemi_hold);
+    for (k = 0; k < b->def.max_handles; ++k, at += sizeof(sfemi_handle)) {
+        sfemi_handle h;
+        memcpy(&h, at, sizeof h);
+        if (!h.used) continue;
+        if (!sfemi_all_finite(h.weight, 4) || !sfemi_all_finite(h.hold.target, 3) || !sfemi_all_finite(h.hold.past, 3))
+            return 0;
+        for (c = 0; c < 4; ++c) /* a handle does not hold what is in no tet */
+            if (h.node[c] < 0 || h.node[c] >= nodes || b->model->node_mass[h.node[c]] == 0) return 0;
+    }
+    if (b->bonds) at += sizeof(sfemi_books) + SFEMI_ACCOUNTS * sizeof(sfem_real);
+    for (k = 0; b->bonds && k < b->bonds->edges; ++k) {
+        sfem_real zeta;
+        memcpy(&zeta, at + (size_t)k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    return 1;
+}
+
 SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size_t bytes,
                                           sfem_error *err)
 {
@@ -18322,6 +18363,8 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
     if (head.size != b->state.head->size || head.key != b->state.head->key)
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
+    if (!sfemi_body_state_sound(b, &head, (const char *)memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the saved state holds numbers out of their ranges");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
     if (b->damage) {
@@ -23381,6 +23424,45 @@ SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
     memcpy(memory, &head, sizeof head);
 }
 
+/* Would a body be safe with this block of its own size? A checksum is no signature. */
+static int sfemi_modal_state_sound(const sfem_modal *b, const sfemi_modal_head *head, const char *memory)
+{
+    const char *base = (const char *)b->head;
+    const char *at = memory + ((const char *)b->q - base), *held = memory + ((const char *)b->handle_node - base);
+    const char *loaded = memory + ((const char *)b->force_node - base);
+    const sfem_int nodes = b->reduced->head->nodes;
+    sfem_int i, used = 0, node;
+    size_t k;
+    if (head->forces < 0 || head->forces > nodes || head->handle_nodes < 0 ||
+        head->handle_nodes > b->def.max_handle_nodes || !sfemi_all_finite(&head->time, 6) ||
+        !sfemi_all_finite(head->rigid.x, sizeof head->rigid / sizeof(sfem_real)) ||
+        !sfemi_all_finite(head->momentum, 9))
+        return 0;
+    for (k = 0; k < 3 * b->stride; ++k) { /* q, q', q'', one after the other but for what aligns them */
+        sfem_real x;
+        memcpy(&x, at + k / b->stride * (size_t)((const char *)b->v - (const char *)b->q) + k % b->stride * sizeof x,
+               sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    at = memory + ((const char *)b->handle - base);
+    for (i = 0; i < b->def.max_handles; ++i) {
+        sfemi_modal_handle h;
+        memcpy(&h, at + (size_t)i * sizeof h, sizeof h);
+        if (!h.used) continue;
+        ++used;
+        if (h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
+            !sfemi_all_finite(h.target, 3))
+            return 0;
+    }
+    if (used != head->handles) return 0;
+    for (i = 0; i < head->handle_nodes + head->forces; ++i) {
+        memcpy(&node, i < head->handle_nodes ? held + (size_t)i * sizeof node
+                                             : loaded + (size_t)(i - head->handle_nodes) * sizeof node, sizeof node);
+        if (node < 0 || node >= nodes) return 0;
+    }
+    return 1;
+}
+
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes,
                                            sfem_error *err)
 {
@@ -23396,6 +23478,8 @@ SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, si
         return sfemi_fail(err, SFEM_FORMAT, "the state is damaged: its checksum does not fit");
     if (head.key != b->head->key || head.size != b->state_bytes)
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of another body");
+    if (!sfemi_modal_state_sound(b, &head, (const char *)memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the state holds numbers out of their ranges");
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
     memcpy(b->head, memory, bytes);
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = i + 1;
