@@ -14758,6 +14758,8 @@ struct sfem_body {
     size_t work_size;
     /* the step under way */
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
+    int begun;           /* not finished, nor undone: before holds */
+    sfemi_state_head before; /* what was when it began */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
@@ -19251,6 +19253,12 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     return sfemi_body_prepare_handles(b, err);
 }
 
+static sfem_status sfemi_body_check_step(sfem_real h, sfem_error *err)
+{
+    if (sfemi_finite(h) && h > 0) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
+}
+
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfemi_coefficients k;
@@ -19259,8 +19267,8 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     sfem_real p;
     sfem_status status;
     SFEM_ASSERT(b);
-    if (!(sfemi_finite(h) && h > 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
+    status = sfemi_body_check_step(h, err);
+    if (status != SFEM_OK) return status;
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
     b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
@@ -19318,15 +19326,42 @@ static void sfemi_body_settle(sfem_body *b)
     sfemi_turn_settle(b, b->factor->key.cm, b->acc);
 }
 
+/* Takes out of a body's head what a step has changed before its end: it failed, or was given up. What the
+ * caller has done since it began stays done. */
+static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
+{
+    const sfemi_state_head *before = &b->before;
+    if (!b->begun) return;
+    head->budget = before->budget;
+    head->scale = before->scale;
+    head->last = before->last;
+    head->descents = before->descents;
+    if (head->load_age > before->load_age) head->load_age = before->load_age;
+    if (head->rebase < before->rebase) head->rebase = before->rebase;
+    if (head->current && !before->current) head->rebase = SFEMI_NEW_LEDGER;
+}
+
+static void sfemi_body_undo(sfem_body *b)
+{
+    sfemi_body_take_back(b, b->state.head);
+    b->begun = 0;
+    b->phase = SFEMI_IDLE;
+}
+
 static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
 {
+    sfem_status status;
+    status = sfemi_body_check_step(h, err); /* what Newton has prepared would serve any */
+    if (status != SFEM_OK) return status;
     if (!sfemi_body_is_prepared(b, h)) {
-        sfem_status status;
         if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
     }
+    sfemi_body_undo(b);
+    b->before = *b->state.head;
+    b->begun = 1;
     b->step = h;
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
     sfemi_sleep_compare_load(b);
@@ -19352,7 +19387,8 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
     if (sfemi_implicit_serves(b)) {
         const sfem_status status = sfemi_implicit_solve(b, err);
-        b->phase = status == SFEM_OK ? SFEMI_SOLVED : SFEMI_IDLE;
+        if (status == SFEM_OK) b->phase = SFEMI_SOLVED;
+        else sfemi_body_undo(b);
         return status;
     }
     if (!b->turns)
@@ -19361,9 +19397,10 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     if (b->turns) sfemi_guard_solve(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
-    b->phase = SFEMI_IDLE;
-    if (!sfemi_all_finite(b->acc, n))
+    if (!sfemi_all_finite(b->acc, n)) {
+        sfemi_body_undo(b);
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+    }
     b->phase = SFEMI_SOLVED;
     return SFEM_OK;
 }
@@ -19401,8 +19438,12 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         const sfem_status status = sfemi_guard_judge_step(b, err);
-        if (status != SFEM_OK) return status;
+        if (status != SFEM_OK) {
+            sfemi_body_undo(b);
+            return status;
+        }
     }
+    b->begun = 0;
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
     if (b->turns) sfemi_guard_finish(b);
@@ -19423,12 +19464,15 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status;
+    sfem_int sleep;
     SFEM_ASSERT(b);
+    sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
     b->turn.by_hand = 0;
     status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
+    if (status != SFEM_OK) b->state.head->sleep = sleep; /* what has woken it will do so again */
     return status;
 }
 
@@ -19491,9 +19535,13 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
                                               sfem_error *err)
 {
     const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
+    sfem_real *at, sum[3];
     int c;
     if (status != SFEM_OK) return status;
-    for (c = 0; c < 3; ++c) b->state.force[0][3 * (size_t)node + (size_t)c] += f[c];
+    at = b->state.force[0] + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = at[c] + f[c];
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
+    memcpy(at, sum, sizeof sum);
     sfemi_body_load_changed(b);
     return SFEM_OK;
 }
@@ -19561,6 +19609,7 @@ static void sfemi_body_restart(sfem_body *b)
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
+    b->begun = 0;
 }
 
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const sfem_real *v,
@@ -19585,10 +19634,50 @@ SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->sta
 SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
 {
     const size_t bytes = sfem_body_state_size(b);
+    sfemi_state_head head = *b->state.head;
     uint32_t sum;
+    sfemi_body_take_back(b, &head);
     memcpy(memory, b->state.head, bytes);
+    memcpy(memory, &head, sizeof head);
     sum = sfemi_state_checksum(memory, bytes);
     memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
+}
+
+/* Would a body be safe with this block of its own size? A checksum is no signature. */
+static int sfemi_body_state_sound(const sfem_body *b, const sfemi_state_head *head, const char *memory)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const char *at = memory + sizeof *head;
+    sfem_int k;
+    size_t i;
+    int c;
+    if (!sfemi_finite(head->time) || !(head->h >= 0 && sfemi_finite(head->h)) || !sfemi_all_finite(head->gravity, 3) ||
+        head->started < SFEMI_NOT_STARTED || head->started > SFEMI_RUNNING ||
+        (head->started == SFEMI_RUNNING && head->h == 0) || head->rebase < SFEMI_LEDGER ||
+        head->rebase > SFEMI_NEW_LEDGER || head->sleep < SFEMI_AWAKE || head->sleep > SFEMI_ASLEEP)
+        return 0;
+    for (i = 0; i < 9 * (size_t)nodes; ++i) { /* u, w, a; the block may stand at any address */
+        sfem_real x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    at += sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real) + (size_t)b->pin_count * sizeof(sfemi_hold);
+    for (k = 0; k < b->def.max_handles; ++k, at += sizeof(sfemi_handle)) {
+        sfemi_handle h;
+        memcpy(&h, at, sizeof h);
+        if (!h.used) continue;
+        if (!sfemi_all_finite(h.weight, 4) || !sfemi_all_finite(h.hold.target, 3) || !sfemi_all_finite(h.hold.past, 3))
+            return 0;
+        for (c = 0; c < 4; ++c) /* a handle does not hold what is in no tet */
+            if (h.node[c] < 0 || h.node[c] >= nodes || b->model->node_mass[h.node[c]] == 0) return 0;
+    }
+    if (b->bonds) at += sizeof(sfemi_books) + SFEMI_ACCOUNTS * sizeof(sfem_real);
+    for (k = 0; b->bonds && k < b->bonds->edges; ++k) {
+        sfem_real zeta;
+        memcpy(&zeta, at + (size_t)k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    return 1;
 }
 
 SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size_t bytes,
@@ -19607,6 +19696,8 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
     if (head.size != b->state.head->size || head.key != b->state.head->key)
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
+    if (!sfemi_body_state_sound(b, &head, (const char *)memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the saved state holds numbers out of their ranges");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
     if (b->damage) {
@@ -19617,6 +19708,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     sfemi_renew_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
+    b->begun = 0;
     return SFEM_OK;
 }
 
@@ -19713,6 +19805,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     sfem_body_handle_position(b, k, h->hold.target);
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
+    for (c = 0; b->turns && c < SFEMI_REDOS; ++c) b->guard.redo[c].grip.ready[k] = 0;
     b->grip.dirty = 1;
     sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
@@ -24963,6 +25056,45 @@ SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
     memcpy(memory, &head, sizeof head);
 }
 
+/* Would a body be safe with this block of its own size? A checksum is no signature. */
+static int sfemi_modal_state_sound(const sfem_modal *b, const sfemi_modal_head *head, const char *memory)
+{
+    const char *base = (const char *)b->head;
+    const char *at = memory + ((const char *)b->q - base), *held = memory + ((const char *)b->handle_node - base);
+    const char *loaded = memory + ((const char *)b->force_node - base);
+    const sfem_int nodes = b->reduced->head->nodes;
+    sfem_int i, used = 0, node;
+    size_t k;
+    if (head->forces < 0 || head->forces > nodes || head->handle_nodes < 0 ||
+        head->handle_nodes > b->def.max_handle_nodes || !sfemi_all_finite(&head->time, 6) ||
+        !sfemi_all_finite(head->rigid.x, sizeof head->rigid / sizeof(sfem_real)) ||
+        !sfemi_all_finite(head->momentum, 9))
+        return 0;
+    for (k = 0; k < 3 * b->stride; ++k) { /* q, q', q'', one after the other but for what aligns them */
+        sfem_real x;
+        memcpy(&x, at + k / b->stride * (size_t)((const char *)b->v - (const char *)b->q) + k % b->stride * sizeof x,
+               sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    at = memory + ((const char *)b->handle - base);
+    for (i = 0; i < b->def.max_handles; ++i) {
+        sfemi_modal_handle h;
+        memcpy(&h, at + (size_t)i * sizeof h, sizeof h);
+        if (!h.used) continue;
+        ++used;
+        if (h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
+            !sfemi_all_finite(h.target, 3))
+            return 0;
+    }
+    if (used != head->handles) return 0;
+    for (i = 0; i < head->handle_nodes + head->forces; ++i) {
+        memcpy(&node, i < head->handle_nodes ? held + (size_t)i * sizeof node
+                                             : loaded + (size_t)(i - head->handle_nodes) * sizeof node, sizeof node);
+        if (node < 0 || node >= nodes) return 0;
+    }
+    return 1;
+}
+
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes,
                                            sfem_error *err)
 {
@@ -24978,6 +25110,8 @@ SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, si
         return sfemi_fail(err, SFEM_FORMAT, "the state is damaged: its checksum does not fit");
     if (head.key != b->head->key || head.size != b->state_bytes)
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of another body");
+    if (!sfemi_modal_state_sound(b, &head, (const char *)memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the state holds numbers out of their ranges");
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
     memcpy(b->head, memory, bytes);
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = i + 1;

@@ -1520,6 +1520,94 @@ static void a_saved_state_continues_bit_for_bit(void **state)
         }
 }
 
+/* What a handle left in the factors of redone steps is not taken for its successor's. */
+static void a_handle_that_follows_another_is_held_in_steps_done_again(void **state)
+{
+    scene s = bar(5, 2, rubber(1e6));
+    sfem_body *body[2];
+    sfem_real target[3];
+    sfem_int handle;
+    void *block;
+    size_t bytes;
+    sfem_error err;
+    int j, k;
+    (void)state;
+    add_body(&s, sfem_default_body_def(), 1);
+    body[0] = s.body;
+    for (j = 0; j < 2; ++j) {
+        assert_ok(sfem_body_grab_node(body[0], j ? s.n / 2 : s.n - 1, &handle, &err), err);
+        assert_int_equal(handle, 0);
+        if (j) break;
+        sfem_body_handle_position(body[0], handle, target);
+        for (k = 0; k < 6; ++k) {
+            target[1] += k % 2 ? 2 : -2;
+            assert_ok(sfem_body_move_handle(body[0], handle, target, &err), err);
+            step(body[0], 1.0 / 60);
+        }
+        assert_true(sfem_body_get_info(body[0]).redone > 0);
+        sfem_body_release_handle(body[0], handle);
+    }
+    bytes = sfem_body_state_size(body[0]);
+    block = malloc(2 * bytes);
+    sfem_body_save_state(body[0], block);
+    add_body(&s, sfem_default_body_def(), 1);
+    body[1] = s.body;
+    assert_ok(sfem_body_load_state(body[1], block, bytes, &err), err);
+    sfem_body_handle_position(body[0], handle, target);
+    for (k = 0; k < 6; ++k) {
+        target[1] += k % 2 ? 2 : -2;
+        for (j = 0; j < 2; ++j) {
+            assert_ok(sfem_body_move_handle(body[j], handle, target, &err), err);
+            step(body[j], 1.0 / 60);
+            sfem_body_save_state(body[j], (char *)block + (size_t)j * bytes);
+        }
+        assert_memory_equal(block, (char *)block + bytes, bytes);
+    }
+    free(block);
+    sfem_body_free(body[0]);
+    drop(&s);
+}
+
+/* Not in the ledger either, though it is of another length than the next one. */
+static void a_step_that_fails_or_is_given_up_leaves_no_trace(void **state)
+{
+    const sfem_real gravity[2][3] = {{0, 0, -98.1}, {0, 98.1, 0}};
+    double v[3 * MAX_NODES];
+    scene s = bar(4, 2, rubber(1e5));
+    test_random random = {29};
+    sfem_body *body[2];
+    void *block;
+    size_t bytes;
+    sfem_error err;
+    int j, k;
+    (void)state;
+    for (j = 0; j < 2; ++j) {
+        add_body(&s, sfem_default_body_def(), 1);
+        body[j] = s.body;
+    }
+    bytes = sfem_body_state_size(s.body);
+    block = malloc(2 * bytes);
+    for (k = 0; k < 12; ++k) {
+        if (k % 4 == 0) random_fill(&random, v, 3 * (size_t)s.n, -2, 2);
+        for (j = 0; j < 2; ++j) {
+            if (k % 4 == 0) assert_ok(sfem_body_set_state(body[j], NULL, v, &err), err);
+            if (k % 4 == 2) assert_ok(sfem_body_set_gravity(body[j], gravity[k / 4 % 2], &err), err);
+            if (j) {
+                assert_ok(sfem_body_predict(body[j], 0.5, &err), err);
+                sfem_body_rhs(body[j])[3 * s.n - 1] = (double)NAN;
+                assert_status(sfem_body_solve(body[j], &err), SFEM_NOT_FINITE);
+                assert_ok(sfem_body_predict(body[j], 0.3, &err), err);
+            }
+            step(body[j], 1.0 / 60);
+            sfem_body_save_state(body[j], (char *)block + (size_t)j * bytes);
+        }
+        assert_memory_equal(block, (char *)block + bytes, bytes);
+    }
+    free(block);
+    sfem_body_free(body[0]);
+    drop(&s);
+}
+
 static void any_number_of_threads_gives_the_same_bits(void **state)
 {
     const int kinds[3] = {KICKED, SCATTERED, SCENES};
@@ -1677,6 +1765,8 @@ int main(void)
         cmocka_unit_test(corrections_stop_at_their_tolerance),
         cmocka_unit_test(damping_takes_energy_and_no_rotation),
         cmocka_unit_test(a_saved_state_continues_bit_for_bit),
+        cmocka_unit_test(a_handle_that_follows_another_is_held_in_steps_done_again),
+        cmocka_unit_test(a_step_that_fails_or_is_given_up_leaves_no_trace),
         cmocka_unit_test(any_number_of_threads_gives_the_same_bits),
         cmocka_unit_test(a_prepared_body_allocates_nothing),
         cmocka_unit_test(every_allocation_may_fail),
