@@ -10012,12 +10012,14 @@ struct sfem_model {
     sfem_real *density;        /* [tets] kg/m^3 */
     sfem_real *volume;         /* [tets] */
     unsigned char *law;        /* [tets] sfem_law */
-    int turns, hardens;        /* some law is not linear; is neither linear nor corotational */
+    int turns;                 /* some law is not linear */
+    sfem_real margin;          /* p for modes that steps do not resolve, by the laws, see SFEM_P_SAFE */
     sfemi_chunks chunks;
     sfem_real total_mass;
     int lock;                  /* guards what follows */
     sfem_int references;
     sfem_factor *factors;      /* those that bodies use now */
+    sfem_real omega_max;       /* of the free body at rest, within a hundredth; 0: not known */
 };
 
 /* Sections this short need no more than a spin lock. */
@@ -10349,6 +10351,17 @@ done:
     return status;
 }
 
+/* What p has to be for a law whose tangent outgrows that at rest, in fast modes: a quarter of how much. */
+static sfem_real sfemi_fem_margin(sfem_law law)
+{
+    switch (law) {
+    case SFEM_COROTATIONAL: return 0.27;
+    case SFEM_NEOHOOKEAN: return 0.35;
+    case SFEM_STVK: return 0.5;
+    default: return 0.25;
+    }
+}
+
 /* Adds tet e to K, M and the part of D that is its own: alpha_e - alpha, beta_e - beta. */
 static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material *m)
 {
@@ -10361,7 +10374,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
     model->law[e] = (unsigned char)m->law;
     model->turns |= m->law != SFEM_LINEAR;
-    model->hardens |= m->law == SFEM_STVK || m->law == SFEM_NEOHOOKEAN;
+    model->margin = fmax(model->margin, sfemi_fem_margin(m->law));
     model->density[e] = m->density;
     node = m->density * v / 20;
     for (a = 0; a < 4; ++a) {
@@ -13393,7 +13406,7 @@ typedef struct sfemi_state_head {
     char magic[8];
     uint32_t version, checksum;
     uint64_t size, key; /* key: what it belongs to */
-    sfem_real time, h;  /* h: of the last step */
+    sfem_real time, h, p; /* h, p: of the last step */
     sfem_real gravity[3];
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
@@ -15090,11 +15103,12 @@ static sfem_real sfemi_alpha_p(const sfem_body *b)
  * first order; here the first step is Newmark's own,
  *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
  * and a step of another length, h1 before and h2 now, follows from the same two half-steps:
- *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + (1/4-p)(h2^2-h1^2) D a + p h2 (F+ - F) + p h1 (F- - F).
+ *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + ((1/4-p) h2^2 - (1/4-p1) h1^2) D a
+ *           + p h2 (F+ - F) + p1 h1 (F- - F),   where p may be another one, p1, too.
  * Both are put as one equation for a = (w' - w)/d, d = (h1 + h2)/2 being the time between the centres of the
  * two means and h1 = 0 the start: A a = b, where every force in b has weight one,
- *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p (h1/d)(F- - F),
- *   ck = 2 p (h1 - h2),  cd = (h1 - (q/2)(h1 - h2))/d,  ca = 2 (1/4 - p)(h2 - h1).
+ *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p1 (h1/d)(F- - F),
+ *   ck = (p1 h1^2 - p h2^2)/d,  cd = (h1 - (q/2)(h1 - h2))/d,  ca = ((1/4-p) h2^2 - (1/4-p1) h1^2)/d.
  * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
 
@@ -15143,16 +15157,16 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
 {
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
     const int running = b->state.head->started == SFEMI_RUNNING;
-    const sfem_real h1 = running ? b->state.head->h : 0;
+    const sfem_real h1 = running ? b->state.head->h : 0, p1 = h1 > 0 ? b->state.head->p : 0;
     sfemi_pqr_terms t;
     if (b->def.integrator == SFEM_KR_ALPHA) return sfemi_alpha_weigh(b, h1, h2);
     t.back = t.am = t.af = t.cka = t.lag = 0;
     t.d = (h1 + h2) / 2;
-    t.ck = 2 * k.p * (h1 - h2);
+    t.ck = (p1 * h1 * h1 - k.p * h2 * h2) / t.d;
     t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
-    t.ca = 2 * (0.25 - k.p) * (h2 - h1);
+    t.ca = ((0.25 - k.p) * h2 * h2 - (0.25 - p1) * h1 * h1) / t.d;
     t.load[0] = k.p * h2 / t.d;
-    t.load[2] = k.p * h1 / t.d;
+    t.load[2] = p1 * h1 / t.d;
     if (!running && sfemi_pqr_starts_at_fourth_order(b)) {
         t.ck = -h2 / 3;
         t.load[0] = 1.0 / 3;
@@ -15311,9 +15325,8 @@ static sfem_real sfemi_pqr_tridiagonal_last(const sfem_real *d, const sfem_real 
 
 /* A bound that needs no iteration: the largest omega^2 of any single tet, by the Frobenius norm of K_e. On
  * vectors without a rigid part M_e is rho V/20 when consistent, rho V/4 when lumped. */
-static sfem_real sfemi_pqr_element_bound(const sfem_body *b)
+static sfem_real sfemi_pqr_element_bound(const sfem_model *model)
 {
-    const sfem_model *model = b->model;
     sfem_real most = 0;
     sfem_int e;
     int i, j, k;
@@ -15331,15 +15344,22 @@ static sfem_real sfemi_pqr_element_bound(const sfem_body *b)
     return most;
 }
 
+/* Is this axis out of reach of the waves that omega_max is sought among? mask NULL: nothing is held. */
+static int sfemi_pqr_holds(const sfem_model *model, const unsigned char *mask, size_t i)
+{
+    return mask ? mask[i / 3] >> (i % 3) & 1 : !(model->node_mass[i / 3] > 0);
+}
+
 /* An upper estimate of the largest omega: Lanczos on M^-1 K with a lumped M [Lanczos 1950], the Ritz value
- * plus its residual, never above the bound by elements. A consistent M is at least a fifth of its
- * lumped form, tet by tet, so its omega^2 is at most five times the lumped one. */
-static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
+ * plus its residual, to a part of tolerance of omega^2, never above the bound by elements, squared. A
+ * consistent M is at least a fifth of its lumped form, tet by tet, so its omega^2 is at most five
+ * times the lumped one. */
+static sfem_status sfemi_pqr_find_omega(const sfem_body *b, const unsigned char *mask, sfem_real bound,
+                                        sfem_real tolerance, sfem_real *out, sfem_error *err)
 {
     enum { STEPS = 80 };
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real bound = sfemi_pqr_element_bound(b);
     sfem_real d[STEPS], e[STEPS], *v = NULL, *before, *kv, norm = 0, top = 0;
     uint64_t seed = 88172645463325252u;
     sfem_status status = SFEM_OK;
@@ -15352,7 +15372,7 @@ static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
         seed ^= seed << 13;
         seed ^= seed >> 7;
         seed ^= seed << 17;
-        v[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : (sfem_real)(seed >> 11) / 9007199254740992.0 - 0.5;
+        v[i] = sfemi_pqr_holds(model, mask, i) ? 0 : (sfem_real)(seed >> 11) / 9007199254740992.0 - 0.5;
         norm += v[i] * v[i] * model->node_mass[i / 3];
     }
     for (k = 0; k < STEPS && norm > 0; ++k) {
@@ -15366,7 +15386,7 @@ static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
         d[k] = dot;
         norm = 0;
         for (i = 0; i < n; ++i) {
-            const int held = b->mask[i / 3] >> (i % 3) & 1;
+            const int held = sfemi_pqr_holds(model, mask, i);
             const sfem_real next = held ? 0 : kv[i] / model->node_mass[i / 3] - dot * v[i] - before[i];
             before[i] = v[i];
             v[i] = next;
@@ -15375,13 +15395,42 @@ static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
         e[k] = sqrt(norm);
         theta = sfemi_pqr_tridiagonal_max(d, e, k + 1);
         top = theta + e[k] * sfemi_pqr_tridiagonal_last(d, e, k + 1, theta);
-        if (top - theta < 1e-4 * theta) break;
+        if (top - theta < tolerance * theta) break;
     }
     if (model->block_mass) top *= 5;
-    b->omega_max = sqrt(top < bound ? top : bound);
+    *out = sqrt(top < bound ? top : bound);
 done:
     sfemi_delete(&b->allocator, v);
     return status;
+}
+
+/* The least p, from 1/12 on, with which a tangent may outgrow that at rest as much as the laws' own p, m, allows in
+ * modes of any frequency: 4 (r + p W^2) >= 4 m W^2 at W = omega_max h, and below. It makes errors smaller,
+ * 12 p - 1 of them in linear bodies. m itself where A serves another purpose as well. */
+static sfem_status sfemi_pqr_keep_margin(const sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
+{
+    const sfem_real m = b->model->margin;
+    sfem_model *model = b->model;
+    sfem_status status = SFEM_OK;
+    sfem_real bound, omega;
+    *p = m;
+    if (!model->turns || b->bonds || b->def.corrections > 0 || b->def.renew_flops > 0 || b->def.q < 1 ||
+        b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT)
+        return SFEM_OK;
+    sfemi_lock(&model->lock);
+    omega = model->omega_max;
+    sfemi_unlock(&model->lock);
+    if (omega == 0) {
+        bound = sfemi_pqr_element_bound(model);
+        if (bound * h * h > 1600 * b->def.r) return SFEM_OK; /* three to four times too large; 1/W^2 is nothing */
+        status = sfemi_pqr_find_omega(b, NULL, bound, 0.01, &omega, err);
+        if (status != SFEM_OK) return status;
+        sfemi_lock(&model->lock);
+        model->omega_max = omega;
+        sfemi_unlock(&model->lock);
+    }
+    if (omega > 0) *p = fmax(1.0 / 12, m - b->def.r / (omega * omega * h * h));
+    return SFEM_OK;
 }
 
 /* The smallest h > 0 at which a h^2 + 2 half h + c, c > 0, turns negative; 0 if none. */
@@ -17906,7 +17955,8 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
 {
     sfem_status status = SFEM_OK;
     sfem_real limit;
-    if (sfemi_pqr_needs_omega(b) && b->omega_max == 0) status = sfemi_pqr_find_omega(b, err);
+    if (sfemi_pqr_needs_omega(b) && b->omega_max == 0)
+        status = sfemi_pqr_find_omega(b, b->mask, sfemi_pqr_element_bound(b->model), 1e-4, &b->omega_max, err);
     if (status != SFEM_OK) return status;
     if (b->def.integrator > SFEM_CENTRAL) {
         *p = b->base ? sfemi_alpha_p(b) : 0;
@@ -17917,7 +17967,8 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
                                              : b->def.p;
     if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
-        *p = !b->model->turns ? 0.25 : b->model->hardens ? 0.5 : 0.27;
+        status = sfemi_pqr_keep_margin(b, h, p, err);
+        if (status != SFEM_OK) return status;
         *p = fmax(*p, sfemi_fracture_least_p(b));
     }
     if (*p < sfemi_fracture_least_p(b))
@@ -18079,6 +18130,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
         sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
     b->state.head->time += b->step;
     b->state.head->h = b->step;
+    b->state.head->p = sfemi_body_coefficients(b, b->p).p;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
     if (b->damage && b->damage->events) sfemi_sleep_rouse(b);
