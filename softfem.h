@@ -12232,31 +12232,6 @@ static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
     return energy;
 }
 
-/* The tangent of sfemi_damage_tet_energy; where it blends, what is positive semidefinite of it. */
-static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet,
-                                     sfem_law law, int kind, const sfem_real zeta[6],
-                                     const sfem_real s_d[36], const sfem_real u[12],
-                                     sfem_tangent tangent, sfem_real k[144])
-{
-    const sfem_damage_def *def = &d->bonds->def;
-    sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
-    int i;
-    memset(k, 0, 144 * sizeof *k);
-    if (kind == SFEMI_LOOSE && !def->closure) return;
-    if (def->closure) {
-        sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
-        sfemi_damage_close(tet, zeta, e, closed);
-        s_d = closed;
-    }
-    sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, tangent, NULL, k);
-    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return;
-    phi = sfemi_damage_blend(def->upright, sfemi_damage_jacobian(tet, u, slope), &dphi);
-    if (phi >= 1) return;
-    sfem_damage_energy(tet, s_d, 0, u, SFEM_TANGENT_PSD, NULL, k);
-    sfem_law_tet(SFEM_COROTATIONAL, tet->lambda, tet->mu, tet->x, u, SFEM_TANGENT_PSD, NULL, whole);
-    for (i = 0; i < 144; ++i) k[i] = phi * k[i] + (1 - phi) * whole[i];
-}
-
 /* val += scale k on K's pattern. */
 static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real scale,
                                  const sfem_real k[144], sfem_real *val)
@@ -12271,28 +12246,6 @@ static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real 
                 for (j = 0; j < 3; ++j)
                     to[3 * i + j] += scale * k[12 * (3 * row + i) + 3 * col + j];
         }
-}
-
-/* As sfem_model_tangent, for a damaged body that turns. */
-SFEMI_UNUSED static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u,
-                                                    sfem_tangent kind, sfem_matrix *tangent,
-                                                    const sfem_exec *exec)
-{
-    const sfem_model *model = d->bonds->model;
-    sfem_int i;
-    SFEM_ASSERT(d->block);
-    sfemi_fem_tangent(model, d->block, u, kind, tangent, exec);
-    for (i = 0; i < d->tets; ++i) {
-        const sfem_int e = d->tet[i];
-        sfem_real local[12], zeta[6], k[144];
-        sfem_damage_tet tet;
-        sfemi_damage_tet(d->bonds, e, &tet);
-        sfemi_damage_gather(u, model->mesh.tet + 4 * (size_t)e, local);
-        sfemi_damage_zetas(d, e, zeta);
-        sfemi_damage_tet_tangent(d, &tet, (sfem_law)model->law[e], d->kind[e], zeta,
-                                 d->s + 36 * (size_t)e, local, kind, k);
-        sfemi_damage_scatter(model, e, 1, k, tangent->val);
-    }
 }
 
 /* val += scale (K_damaged - K) at rest, on K's pattern: what a renewed factor is made of. */
