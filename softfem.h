@@ -10355,8 +10355,8 @@ done:
 static sfem_real sfemi_fem_margin(sfem_law law)
 {
     switch (law) {
-    case SFEM_COROTATIONAL: return 0.27;
-    case SFEM_NEOHOOKEAN: return 0.35;
+    case SFEM_COROTATIONAL: return 0.28;
+    case SFEM_NEOHOOKEAN: return 0.45;
     case SFEM_STVK: return 0.5;
     default: return 0.25;
     }
@@ -13396,6 +13396,7 @@ typedef struct sfemi_state {
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
     sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
     sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
+    sfem_real *spread;     /* [nodes][6] of the tets' rotations about Q, xx yy zz xy xz yz: there, too */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
@@ -13403,10 +13404,10 @@ typedef struct sfemi_state {
     void *damage;          /* [bytes] >>damage's own state */
 } sfemi_state;
 
-/* reals a node: u, w, a and three loads; f, f_past and frame besides; before */
+/* reals a node: u, w, a and three loads; f, f_past, frame and spread besides; before */
 static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
 {
-    return ((turns ? 33 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
+    return ((turns ? 39 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
 }
 
 /* damage: how many bytes of it, 0 where the body cannot break */
@@ -13432,7 +13433,8 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->f = turns ? at + 6 * n : NULL;
     s->f_past = turns ? at + 7 * n : NULL;
     s->frame = turns ? at + 8 * n : NULL;
-    s->before = sleeps ? at + (turns ? 11 : 6) * n : NULL;
+    s->spread = turns ? at + 11 * n : NULL;
+    s->before = sleeps ? at + (turns ? 13 : 6) * n : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
     s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
@@ -13650,6 +13652,9 @@ typedef struct sfemi_turn {
     sfem_real *spin;     /* [copies][12] and of the sums that follow */
     sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
     sfem_real *over;     /* [nodes] 1 / sum V_e */
+    sfem_real *heavy;    /* [nodes] 1/s^2, of >>guard's lengthening */
+    sfem_real *longer;   /* [nodes][3][3] S Q of it */
+    const sfem_real *by; /* what the step under way is solved with: that, or Q */
     sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
     sfem_real *trace;    /* [nodes] and this */
     sfem_real *v;        /* [nodes][3] scratch */
@@ -15382,7 +15387,7 @@ static sfem_status sfemi_pqr_keep_margin(const sfem_body *b, sfem_real h, sfem_r
         model->omega_max = omega;
         sfemi_unlock(&model->lock);
     }
-    if (omega > 0) *p = fmax(1.0 / 12, m - b->def.r / (omega * omega * h * h));
+    if (omega > 0) *p = fmin(m, fmax(1.0 / 12, m + 0.1 - b->def.r / (omega * omega * h * h)));
     return SFEM_OK;
 }
 
@@ -15516,6 +15521,39 @@ static void sfemi_turn_weigh(sfem_body *b)
     }
     for (i = 0; i < b->turn.pieces; ++i)
         if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+}
+
+/* turn.heavy: (lambda + 2 mu)/rho over the mean square, along an axis, of how far the tets of a node are from
+ * their centre: what a spread of their rotations, half a square of angles, says of curvature. */
+static void sfemi_turn_find_heavy(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfem_real *x = model->mesh.x;
+    sfem_real *sum = b->turn.v, *square = b->turn.trace, *heavy = b->turn.heavy;
+    sfem_int e, i;
+    int a, c, pass;
+    memset(sum, 0, 3 * (size_t)model->mesh.nodes * sizeof *sum);
+    memset(square, 0, (size_t)model->mesh.nodes * sizeof *square);
+    memset(heavy, 0, (size_t)model->mesh.nodes * sizeof *heavy);
+    for (pass = 0; pass < 2; ++pass)
+        for (e = 0; e < model->mesh.tets; ++e) {
+            const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+            const sfem_real v = model->volume[e];
+            for (c = 0; c < 3; ++c) {
+                sfem_real centre = 0;
+                for (a = 0; a < 4; ++a) centre += x[3 * (size_t)t[a] + (size_t)c] / 4;
+                for (a = 0; a < 4; ++a) {
+                    const sfem_real d = centre - sum[3 * (size_t)t[a] + (size_t)c] * b->turn.over[t[a]];
+                    if (pass) square[t[a]] += v * d * d / 3;
+                    else sum[3 * (size_t)t[a] + (size_t)c] += v * centre;
+                }
+            }
+            for (a = 0; pass && a < 4; ++a) heavy[t[a]] += v * (model->lambda[e] + 2 * model->mu[e]) / 4;
+        }
+    for (i = 0; i < model->mesh.nodes; ++i) { /* one tet has no spread, a flat heap hardly any */
+        const sfem_real least = 1e-3 * pow(1 / fmax(b->turn.over[i], 1e-300), 5.0 / 3);
+        heavy[i] = square[i] > least ? heavy[i] / (model->node_mass[i] * square[i] * b->turn.over[i]) : 0;
+    }
 }
 
 /* Which pieces are held by pins or handles. */
@@ -15731,9 +15769,27 @@ static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[
 
 typedef struct sfemi_frames {
     sfem_body *body;
-    sfem_real *frame;
+    sfem_real *frame, *spread; /* the latter may be NULL */
     sfemi_polars_kernel kernel;
 } sfemi_frames;
+
+/* Are steps lengthened, see >>guard? */
+static int sfemi_turn_lengthens(const sfem_body *b)
+{
+    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns && !b->model->block_mass;
+}
+
+/* 1 - the symmetric part of sum Q^T / V: of xx yy zz xy xz yz. */
+static void sfemi_turn_find_spread(const sfem_real s[9], const sfem_real q[9], sfem_real over, sfem_real spread[6])
+{
+    const sfem_real half = over / 2;
+    spread[0] = 1 - over * (s[0] * q[0] + s[1] * q[1] + s[2] * q[2]);
+    spread[1] = 1 - over * (s[3] * q[3] + s[4] * q[4] + s[5] * q[5]);
+    spread[2] = 1 - over * (s[6] * q[6] + s[7] * q[7] + s[8] * q[8]);
+    spread[3] = -half * (s[0] * q[3] + s[1] * q[4] + s[2] * q[5] + s[3] * q[0] + s[4] * q[1] + s[5] * q[2]);
+    spread[4] = -half * (s[0] * q[6] + s[1] * q[7] + s[2] * q[8] + s[6] * q[0] + s[7] * q[1] + s[8] * q[2]);
+    spread[5] = -half * (s[3] * q[6] + s[4] * q[7] + s[5] * q[8] + s[6] * q[3] + s[7] * q[4] + s[8] * q[5]);
+}
 
 static void sfemi_turn_some_frames(void *data, sfem_int index)
 {
@@ -15751,6 +15807,9 @@ static void sfemi_turn_some_frames(void *data, sfem_int index)
         if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
         else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
     }
+    for (i = first; job->spread && i < first + count; ++i)
+        sfemi_turn_find_spread(t->sum + 9 * (size_t)i, job->frame + 9 * (size_t)i, t->over[i],
+                               job->spread + 6 * (size_t)i);
 }
 
 /* The same with one rotation for each piece. */
@@ -15778,7 +15837,7 @@ static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
 }
 
 /* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
- * only, it stays as it was. */
+ * only, it stays as it was. Beside the state's the spread about it. */
 static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
 {
     sfemi_frames job;
@@ -15789,6 +15848,7 @@ static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
     }
     job.body = b;
     job.frame = frame;
+    job.spread = frame == b->state.frame && sfemi_turn_lengthens(b) ? b->state.spread : NULL;
     job.kernel = sfemi_polars_pick();
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
 }
@@ -15988,6 +16048,7 @@ static void sfemi_guard_look(sfem_body *b)
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
+        memset(b->state.spread, 0, 6 * (size_t)b->model->mesh.nodes * sizeof *b->state.spread);
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->state.frame);
         head->current = 1;
@@ -16215,6 +16276,45 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
 
+typedef struct sfemi_longer {
+    sfem_body *body;
+    sfem_real most, scale; /* c of the trace, p h^2 */
+} sfemi_longer;
+
+static void sfemi_guard_some_longer(void *data, sfem_int index)
+{
+    const sfemi_longer *job = (const sfemi_longer *)data;
+    const sfem_body *b = job->body;
+    const sfem_int nodes = b->model->mesh.nodes, first = index * SFEMI_NODE_TASK;
+    const sfem_int end = nodes - first < SFEMI_NODE_TASK ? nodes : first + SFEMI_NODE_TASK;
+    sfem_int i;
+    int c;
+    for (i = first; i < end; ++i) {
+        const sfem_real *e = b->state.spread + 6 * (size_t)i, *q = b->state.frame + 9 * (size_t)i;
+        const sfem_real trace = e[0] + e[1] + e[2], raw = job->scale * b->turn.heavy[i];
+        sfem_real *to = b->turn.longer + 9 * (size_t)i, half = raw * trace > job->most ? job->most / trace / 2 : raw / 2;
+        if (b->mask[i] || !(trace > 0)) half = 0;
+        for (c = 0; c < 3; ++c) {
+            to[c] = q[c] + half * (e[0] * q[c] + e[3] * q[3 + c] + e[4] * q[6 + c]);
+            to[3 + c] = q[3 + c] + half * (e[3] * q[c] + e[1] * q[3 + c] + e[5] * q[6 + c]);
+            to[6 + c] = q[6 + c] + half * (e[4] * q[c] + e[5] * q[3 + c] + e[2] * q[6 + c]);
+        }
+    }
+}
+
+/* The frames that a step is solved with: S Q, see above. */
+static const sfem_real *sfemi_guard_lengthen(sfem_body *b)
+{
+    const sfem_real p = b->def.p < 0 ? fmax(b->p, b->model->margin) : b->p;
+    sfemi_longer job;
+    job.body = b;
+    job.most = 2 * fmin(0.03, p - 0.25) / (1 + 2 * b->beta / b->step);
+    job.scale = b->p * b->step * b->step;
+    if (!(job.most > 0) || b->renewal.live || b->zd || !sfemi_turn_lengthens(b)) return b->state.frame;
+    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_guard_some_longer, &job);
+    return b->turn.longer;
+}
+
 static void sfemi_guard_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -16229,14 +16329,15 @@ static void sfemi_guard_solve(sfem_body *b)
     centripetal = sfemi_guard_centripetal(b, b->guard.grad);
     for (i = 0; centripetal && i < n; ++i)
         x[i] -= b->factor->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
-    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->state.frame, x);
+    b->turn.by = sfemi_guard_lengthen(b);
+    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->turn.by, x);
     for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
     if (b->grip.count) {
         for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
-        sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+        sfemi_guard_hold(b, &b->grip, b->turn.by, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
     if (b->base) sfemi_guard_settle_momentum(b);
@@ -16265,7 +16366,7 @@ static void sfemi_guard_hold_correction(sfem_body *b, sfem_real *a)
     if (!g->count) return;
     memcpy(g->place, g->lambda, bytes);
     memset(g->lambda, 0, bytes);
-    sfemi_guard_hold(b, g, b->state.frame, a);
+    sfemi_guard_hold(b, g, b->turn.by, a);
     for (k = 0; k < 3 * g->count; ++k) g->lambda[k] = g->place[k] - g->lambda[k];
 }
 
@@ -16306,7 +16407,7 @@ static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
         for (i = 0; i < n; ++i)
             g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
                           (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
-        sfemi_turn_solve(b, sfemi_body_active(b), s->u, s->frame, g->grad);
+        sfemi_turn_solve(b, sfemi_body_active(b), s->u, b->turn.by, g->grad);
         if (sfemi_turn_projects(b)) {
             sfemi_turn_motion(b, s->u, g->grad, 1);
             sfemi_turn_add_motion(b, s->u, -1, 0, g->grad);
@@ -17704,14 +17805,16 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
     if (!b->model->turns) SFEMI_NEW(sfem_real, b->turn.still, al, n);
     SFEMI_NEW(sfem_real, b->turn.work, al,
-              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + 2 * (n / 3) +
-                  (3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
+              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + n +
+                  (3 + 3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
     b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
     b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
     b->turn.fresh = b->turn.sum + 3 * n;
     b->turn.over = b->turn.fresh + 3 * n;
     b->turn.trace = b->turn.over + n / 3;
-    g->frame = b->turn.trace + n / 3;
+    b->turn.heavy = b->turn.trace + n / 3;
+    b->turn.longer = b->turn.heavy + n / 3;
+    g->frame = b->turn.longer + 3 * n;
     g->unit = g->frame + 3 * n;
     for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
     for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
@@ -17785,7 +17888,10 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
         sfemi_damage_reset(b->damage);
         sfemi_fracture_regroup(b);
     }
-    if (b->turns) sfemi_turn_weigh(b);
+    if (b->turns) {
+        sfemi_turn_weigh(b);
+        sfemi_turn_find_heavy(b);
+    }
     if (b->turns) sfemi_turn_find_held(b);
 done:
     return status;
@@ -19137,7 +19243,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     }
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
-                            2 * (n / 3) + 23 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
+                            27 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
