@@ -15776,7 +15776,8 @@ typedef struct sfemi_frames {
 /* Are steps lengthened, see >>guard? */
 static int sfemi_turn_lengthens(const sfem_body *b)
 {
-    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns && !b->model->block_mass;
+    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns &&
+           !b->model->block_mass && !b->bonds;
 }
 
 /* 1 - the symmetric part of sum Q^T / V: of xx yy zz xy xz yz. */
@@ -16293,7 +16294,7 @@ static void sfemi_guard_some_longer(void *data, sfem_int index)
         const sfem_real *e = b->state.spread + 6 * (size_t)i, *q = b->state.frame + 9 * (size_t)i;
         const sfem_real trace = e[0] + e[1] + e[2], raw = job->scale * b->turn.heavy[i];
         sfem_real *to = b->turn.longer + 9 * (size_t)i, half = raw * trace > job->most ? job->most / trace / 2 : raw / 2;
-        if (b->mask[i] || !(trace > 0)) half = 0;
+        half = b->mask[i] || !(trace > 0 && trace < 0.25) ? 0 : half * (1 - 4 * trace); /* crumpled: not at all */
         for (c = 0; c < 3; ++c) {
             to[c] = q[c] + half * (e[0] * q[c] + e[3] * q[3 + c] + e[4] * q[6 + c]);
             to[3 + c] = q[3 + c] + half * (e[3] * q[c] + e[1] * q[3 + c] + e[5] * q[6 + c]);
