@@ -843,6 +843,35 @@ static void a_point_opens_the_same_way_whatever_its_rounding(void **state)
     }
 }
 
+/* The margin of p is kept by p itself where steps are long, and by the mass where they resolve every mode. */
+static void p_follows_law_and_step(void **state)
+{
+    static const double most[3] = {0.28, 0.5, 0.45}, h[4] = {1e-1, 4e-3, 2.8e-3, 1e-4};
+    sfem_int k, j;
+    (void)state;
+    for (k = 0; k < 3; ++k) {
+        double before = most[k];
+        static const sfem_law law[3] = {SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
+        sfem_material m = rubber(3e4);
+        sfem_body_def def = sfem_default_body_def();
+        scene s;
+        m.law = law[k];
+        s = bar(5, 2, m);
+        add_body(&s, def, 1);
+        for (j = 0; j < 4; ++j) {
+            sfem_error err;
+            double p;
+            assert_ok(sfem_body_prepare(s.body, h[j], &err), err);
+            p = sfem_body_get_info(s.body).p;
+            if (j == 0) assert_near(p, most[k], 0, 0);
+            if (j == 3) assert_near(p, 1.0 / 12, 1e-15, 0);
+            assert_true(p <= before);
+            before = p;
+        }
+        drop(&s);
+    }
+}
+
 /* --------------------------------------------------------------------------------------------
  * what changes while it runs
  * -------------------------------------------------------------------------------------------- */
@@ -1380,6 +1409,7 @@ int main(void)
         cmocka_unit_test(the_majorant_is_a_frame),
         cmocka_unit_test(crushed_bodies_come_back),
         cmocka_unit_test(a_point_opens_the_same_way_whatever_its_rounding),
+        cmocka_unit_test(p_follows_law_and_step),
         cmocka_unit_test(a_changing_step_is_as_good_as_a_fixed_one),
         cmocka_unit_test(changes_make_no_energy),
         cmocka_unit_test(handles_are_where_they_should_be),
