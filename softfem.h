@@ -5014,12 +5014,12 @@ static sfemi_word sfemi_rows_words(sfemi_scan *s)
 static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
 {
     const sfem_allocator *a = &r->m.allocator;
-    const char *slash = strrchr(r->path, '/');
-    size_t folder = slash ? (size_t)(slash + 1 - r->path) : 0, bytes = 0;
+    size_t folder = strlen(r->path), bytes = 0;
     sfem_error *err = r->s.err;
     sfem_status status = SFEM_OK;
-    char *path = NULL, *text = NULL, short_name[25];
+    char *path = NULL, *text = NULL;
     sfemi_scan inner;
+    while (folder && r->path[folder - 1] != '/' && r->path[folder - 1] != '\\') --folder;
     SFEMI_NEW(char, path, a, folder + w.n + 1);
     memcpy(path, r->path, folder);
     memcpy(path + folder, w.p, w.n);
@@ -5027,8 +5027,7 @@ static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
     inner = sfemi_scan_of(text, bytes, err);
     inner.comment = r->s.comment;
     inner.blank = r->s.blank;
-    memcpy(r->file[r->included], sfemi_word_text(w, short_name), 25);
-    inner.file = r->file[r->included];
+    inner.file = sfemi_word_text(w, r->file[r->included]);
     r->text[r->included++] = text;
     r->outer[r->depth++] = r->s;
     r->s = inner;
