@@ -264,8 +264,8 @@ static void put_gmsh2(binary *b)
 {
     /* type, count, tags; tag, physical group, entity, nodes */
     static const int triangle[9] = {2, 1, 2, 1, 0, 2, 90000000, 7, 3};
-    static const int tets[3 + 2 * 7] = {4, 2, 2, 2, 0, 4, 90000000, 7, 3, 2,
-                                        3, 0, 4, 90000000, 7, 3, 8};
+    static const int tets[3 + 2 * 7] = {4, 2, 2, 2, 0,        4, 90000000, 7, 3,
+                                        2, 3, 0, 4, 90000000, 7, 3,        8};
     int i;
     put_format(b, "2.2");
     put_text(b, "$Nodes\n6\n");
@@ -307,7 +307,7 @@ static void put_gmsh4(binary *b)
     put_text(b, "\n$EndElements\n");
 }
 
-#define TEXTS 5
+#define TEXTS   5
 #define SAMPLES (TEXTS + 8)
 
 /* The mesh in its texts, then in bytes: 2.2 with doubles and floats, 4.1 with sizes of 8 and 4, each
@@ -392,9 +392,9 @@ static void the_same_mesh_comes_from_the_two_files_of_tetgen(void **state)
     assert_int_equal(m.region[0], 4);
     assert_int_equal(m.region[1], 4);
     sfem_mesh_free(&m);
-    assert_ok(sfem_mesh_parse_tetgen(node0, sizeof node0 - 1, ele0, sizeof ele0 - 1, NULL, &m,
-                                     &err),
-              err);
+    assert_ok(
+        sfem_mesh_parse_tetgen(node0, sizeof node0 - 1, ele0, sizeof ele0 - 1, NULL, &m, &err),
+        err);
     assert_wanted(&m);
     assert_null(m.region);
     sfem_mesh_free(&m);
@@ -753,10 +753,12 @@ static void malformed_gmsh_2_is_refused_with_its_line(void **state)
         {18, "2", SFEM_FORMAT, 21, "expected $EndElements, found '3'"},
         {18, "-1", SFEM_FORMAT, 18, "the count of elements is -1"},
         {18, "9000000000000000000", SFEM_FORMAT, 22, "expected an element tag"},
-        {20, "2 4 2 0 4 90000000 7 3", SFEM_FORMAT, 20, "expected a node tag of a tet, but the line"},
+        {20, "2 4 2 0 4 90000000 7 3", SFEM_FORMAT, 20,
+         "expected a node tag of a tet, but the line"},
         {20, "2 4 2147483647 0 4 90000000 7 3", SFEM_FORMAT, 20, "expected a tag of an element"},
         {20, "2 4 2 0 4 90000000 7 3 2 1", SFEM_FORMAT, 20, "expected the end of the tet's line"},
-        {20, "2 4 0 90000000 7 3 5", SFEM_BAD_MESH, 20, "tet 0 names node tag 5, which is not there"},
+        {20, "2 4 0 90000000 7 3 5", SFEM_BAD_MESH, 20,
+         "tet 0 names node tag 5, which is not there"},
         {20, "2 11 0 90000000 7 3 5\n$EndElements", SFEM_FORMAT, 21, "expected an element tag"},
         {20, NULL, SFEM_FORMAT, 20, "but the data ends"},
     };
@@ -767,7 +769,8 @@ static void malformed_gmsh_2_is_refused_with_its_line(void **state)
 static void malformed_veg_is_refused_with_its_line(void **state)
 {
     static const malformed table[] = {
-        {2, "*VERTICE", SFEM_FORMAT, 2, "expected *VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION"},
+        {2, "*VERTICE", SFEM_FORMAT, 2,
+         "expected *VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION"},
         {2, NULL, SFEM_FORMAT, 1, "this begins with '#'"},
         {2, "*VERTICES 6", SFEM_FORMAT, 2, "expected the end of the line, found '6'"},
         {3, "6 2 0 0", SFEM_FORMAT, 3, "nodes in 2 dimensions, not 3"},
@@ -879,16 +882,21 @@ static void malformed_bytes_are_refused_with_their_place(void **state)
         {TEXTS, "$Elements\n3\n", 8, 0x7fffffff, SFEM_FORMAT, "expected another element, but", -1},
         {TEXTS, "$Elements\n3\n", 36, 5, SFEM_FORMAT, "expected another element, but", -1},
         {TEXTS, "$Elements\n3\n", 60, 5, SFEM_BAD_MESH, "tet 0 names node tag 5", -1},
-        {TEXTS + 2, "$Nodes\n6\n", 4, 0x7f800000, SFEM_NOT_FINITE, "a coordinate is not finite", -1},
-        {TEXTS + 4, "$Nodes\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data can", -1},
+        {TEXTS + 2, "$Nodes\n6\n", 4, 0x7f800000, SFEM_NOT_FINITE, "a coordinate is not finite",
+         -1},
+        {TEXTS + 4, "$Nodes\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data can",
+         -1},
         {TEXTS + 4, "$Nodes\n", 12, 1, SFEM_FORMAT, "more than the rest of the data can", -1},
         {TEXTS + 4, "$Nodes\n", 32, 4, SFEM_FORMAT, "the dimension of an entity is 4", -1},
         {TEXTS + 4, "$Nodes\n", 44, 7, SFEM_FORMAT, "more than the 6 nodes announced", -1},
         {TEXTS + 4, "$Elements\n", 32 + 12, -1, SFEM_FORMAT, "expected another element, but", -1},
-        {TEXTS + 4, "$Elements\n", 32 + 16, -1, SFEM_FORMAT, "of elements in a block is -4294967", -1},
+        {TEXTS + 4, "$Elements\n", 32 + 16, -1, SFEM_FORMAT, "of elements in a block is -4294967",
+         -1},
         {TEXTS + 4, "$Elements\n", 32 + 8, 99, SFEM_FORMAT, "elements of type 99", -1},
-        {TEXTS + 4, "$Entities\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data", -1},
-        {TEXTS + 4, "$Entities\n", 60, -1, SFEM_FORMAT, "a count of physical groups is 4294967295", -1},
+        {TEXTS + 4, "$Entities\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data",
+         -1},
+        {TEXTS + 4, "$Entities\n", 60, -1, SFEM_FORMAT, "a count of physical groups is 4294967295",
+         -1},
     };
     size_t i, n;
     (void)state;
@@ -956,7 +964,8 @@ static void a_text_cut_anywhere_is_refused(void **state)
             if (sfem_mesh_parse(cut, n, &a, &m, &err) == SFEM_OK)
                 fail_msg("format %d cut after %d bytes is read", (int)i, (int)n);
             assert_true(err.text[0] && (err.line >= 1 || i >= TEXTS));
-            assert_true(err.line >= 1 || strstr(err.text, "byte ") || strstr(err.text, "no 4-node"));
+            assert_true(err.line >= 1 || strstr(err.text, "byte ") ||
+                        strstr(err.text, "no 4-node"));
             assert_no_leak(memory);
             free(cut);
         }
@@ -1032,7 +1041,8 @@ static void files_of_tetgen_cut_anywhere_are_refused(void **state)
         sfem_mesh m;
         memcpy(node_cut + 1, node, a); /* it ends where the sanitizer looks */
         memcpy(ele_cut + 1, ele, b);
-        if (sfem_mesh_parse_tetgen(node_cut + 1, a, ele_cut + 1, b, &allocator, &m, &err) == SFEM_OK)
+        if (sfem_mesh_parse_tetgen(node_cut + 1, a, ele_cut + 1, b, &allocator, &m, &err) ==
+            SFEM_OK)
             fail_msg("%d and %d bytes are read", (int)a, (int)b);
         assert_true(err.line >= 1);
         assert_no_leak(memory);
@@ -1085,8 +1095,9 @@ static void either_file_of_tetgen_names_both(void **state)
 {
     static const char *const name[4] = {"test_meshio_pair.node", "test_meshio_pair.ele",
                                         "test_meshio_PAIR.NODE", "test_meshio_PAIR.ELE"};
-    const char *const texts[2] = {"6 3 0 0\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n4 5 5 5\n5 0 0 -1\n",
-                                  "2 4 1\n0 0 1 2 3 7\n1 0 1 2 5 8\n"};
+    const char *const texts[2] = {
+        "6 3 0 0\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n4 5 5 5\n5 0 0 -1\n",
+        "2 4 1\n0 0 1 2 3 7\n1 0 1 2 5 8\n"};
     sfem_error err;
     sfem_mesh m;
     int i;
@@ -1130,7 +1141,8 @@ static void vega_includes_files_beside_it(void **state)
         sfem_status status;
         const char *words;
     } bad[] = {
-        {"1\n3", SFEM_FORMAT, "test_meshio.veg: line 2 of test_meshio_part.set: the number of a tet"},
+        {"1\n3", SFEM_FORMAT,
+         "test_meshio.veg: line 2 of test_meshio_part.set: the number of a tet"},
         {"\n*INCLUDE test_meshio_part.set", SFEM_TOO_LARGE, "more than 16 files are included"},
         {"*INCLUDE none.veg", SFEM_IO, "none.veg: cannot be opened"},
         {"*INCLUDE /etc/passwd", SFEM_FORMAT, "*INCLUDE /etc/passwd: not a file beside this one"},
