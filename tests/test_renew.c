@@ -41,6 +41,7 @@ static sfem_body_def soft(double flops)
     sfem_body_def def = sfem_default_body_def();
     def.gravity[2] = -9.81;
     def.renew_flops = flops;
+    def.p = 0.27; /* the safe one, whether it renews or not */
     return def;
 }
 
