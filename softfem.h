@@ -23004,45 +23004,65 @@ static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const
     }
 }
 
-/* Returns the number of solves. */
-static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
-                                    sfemi_handle_step *step)
+/* Iterates from p and F; returns what is least in the end, and adds the number of solves to count. */
+static sfem_real sfemi_handle_descend(sfem_modal *b, sfem_int most, sfem_real size,
+                                      sfemi_handle_step *step, sfem_rigid pose, sfem_real frame[6],
+                                      sfem_int *count)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, aim[6], tried[6], most_value, value = 0, part;
+    sfem_real aim[6], tried[6], value = 0, before, part;
     sfem_int it, i, half;
     size_t k;
-    for (k = 0; k < b->m; ++k)
-        b->pull[k] = b->inverse[k] > 0
-                         ? b->b[k] + (b->qp[k] - b->q[k]) / (step->scale * b->inverse[k])
-                         : 0;
     for (i = 0; i < n; ++i) b->l[i] = 0;
     for (it = 0; it < most; ++it) {
-        const sfem_rigid pose = it ? step->to->rigid : b->head->rigid;
         sfem_real change = 0;
         sfemi_handle_linearise(b, step, &pose);
-        most_value = sfemi_handle_try(b, step, b->pull, frame) * (1 + 1e-10); /* rounding */
+        before = sfemi_handle_try(b, step, b->pull, frame);
         sfemi_handle_aim(b, step, frame, &pose, aim);
+        ++*count;
         for (k = 0; k < b->m; ++k) b->way[k] = b->trial[k] - b->pull[k];
         for (part = 1, half = 0; half < SFEMI_HANDLE_HALVINGS; ++half, part /= 2) {
             for (k = 0; k < b->m; ++k) b->trial[k] = b->pull[k] + part * b->way[k];
             for (i = 0; i < 6; ++i) tried[i] = frame[i] + part * (aim[i] - frame[i]);
             value = sfemi_handle_try(b, step, b->trial, tried);
-            if (value <= most_value) break;
+            if (value <= before * (1 + 1e-10)) break; /* more than rounding */
         }
-        if (!(value <= most_value)) { /* nothing better is in sight */
-            sfemi_handle_try(b, step, b->pull, frame);
-            break;
-        }
+        if (half == SFEMI_HANDLE_HALVINGS) /* nothing better is in sight */
+            return sfemi_handle_try(b, step, b->pull, frame);
         memcpy(b->pull, b->trial, b->stride * sizeof *b->pull);
-        memcpy(frame, tried, sizeof frame);
+        memcpy(frame, tried, sizeof tried);
         for (i = 0; i < n; ++i) b->l[i] += part * (b->l_trial[i] - b->l[i]);
         for (i = 0; i < n; ++i)
             if (!b->fixed[i])
                 change = fmax(change, fabs(b->residual[i] - step->give * b->l[i]));
-        if (part == 1 && change <= 1e-10 * size) return it + 1;
+        if (part == 1 && change <= 1e-10 * size) break;
+        pose = step->to->rigid;
     }
-    return it ? it : 1;
+    return value;
+}
+
+/* From the place where the step begins; and where that has not come to an end, but to more than the
+ * hands' letting go would leave, as with nodes wound up beyond pi, from there. Returns the number of
+ * solves. */
+static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
+{
+    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, none[6] = {0, 0, 0, 0, 0, 0}, value;
+    sfem_int count = 0;
+    size_t k;
+    for (k = 0; k < b->m; ++k)
+        b->pull[k] = b->inverse[k] > 0
+                         ? b->b[k] + (b->qp[k] - b->q[k]) / (step->scale * b->inverse[k])
+                         : 0;
+    value = sfemi_handle_descend(b, most, size, step, b->head->rigid, frame, &count);
+    if (count < most) return count;
+    memcpy(b->way, b->pull, b->stride * sizeof *b->way);
+    memset(b->pull, 0, b->stride * sizeof *b->pull);
+    if (value > sfemi_handle_try(b, step, b->pull, none))
+        sfemi_handle_descend(b, most, size, step, step->to->rigid, none, &count);
+    else
+        sfemi_handle_try(b, step, b->way, frame);
+    return count;
 }
 
 /* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
