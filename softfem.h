@@ -23382,12 +23382,12 @@ static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfe
 /* (z/2)/tanh(z/2) for z >= 0 */
 static sfem_real sfemi_oscillator_coth(sfem_real z) { return z > 0 ? z / 2 / tanh(z / 2) : 1; }
 
-/* What Newmark (1/4, 1/2) has to take for mass and damping of q'' + c q' + omega2 q = f, so that its
- * free motion in steps of h decays as the exact one: that recurrence makes (1 + z/2)/(1 - z/2) of the
- * root z/h, so what it is given has the roots 2/h tanh(z/2) where they are real; where they are not,
- * e^-ch/2 times the turn that the recurrence makes of the damped frequency. Stiffness and load stay,
- * and what comes to rest does so where it should. Both are off from 1 and c by O(h^2), and not at all
- * where c = 0 [Liniger, Willoughby 1970: exponential fitting]. */
+/* What Newmark (1/4, 1/2) has to take for mass and damping of q'' + c q' + omega2 q = f, so that
+ * its free motion in steps of h decays as the exact one: that recurrence makes (1 + z/2)/(1 - z/2)
+ * of the root z/h, so what it is given has the roots 2/h tanh(z/2) where they are real; where they
+ * are not, e^-ch/2 times the turn that the recurrence makes of the damped frequency. Stiffness and
+ * load stay, and what comes to rest does so where it should. Both are off from 1 and c by O(h^2),
+ * and not at all where c = 0 [Liniger, Willoughby 1970: exponential fitting]. */
 static void sfemi_oscillator_fit(sfem_real omega2, sfem_real c, sfem_real h, sfem_real *mass,
                                  sfem_real *drag)
 {
@@ -23454,7 +23454,7 @@ struct sfem_modal {
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
     sfem_real *pull, *trial, *way; /* [stride] J^T l: taken, tried, and the difference */
-    sfem_real *mass, *drag, *light; /* [stride] of the oscillators as Newmark is to see them; 1/mass */
+    sfem_real *mass, *drag, *light; /* [stride] oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
     sfem_real *s, *arm, *l, *residual, *l_trial; /* [3H][3H], [3H] each */
     sfem_real *exact;              /* [H][3][stride] G */
@@ -23912,14 +23912,14 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
 
 /* --- handles ---------------------------------------------------------------------------------
  *
- * Rows of handle i, in the world: J_i = dx_i/dq = sum_k weight_k R_frame (T_k Phi_k + dT_k/dw Phi_k q
- * Psi_k), T the rotation that displaces node k; of a free body's frame also the identity and -[arm]x,
- * with mass and inertia in A. With those, S = J A^-1 J^T. A step looks for l with x - target + tau x'
- * = C l at its end. Where nothing warps that is linear in l: (wide S + C) l = what the gap would be
- * without hands, wide = beta h^2 + gamma h tau. Warped, see below. With the source's rows, T_k Phi_k
- * alone, dx = G dq with G the J from above: the body feels rows^T l, and Newton's iteration for l has
- * G A^-1 rows^T for S. (With S it converges slowly where Rt warps, and not at all for a bar that R
- * bends far.) */
+ * Rows of handle i, in the world: J_i = dx_i/dq = sum_k weight_k R_frame (T_k Phi_k + dT_k/dw
+ * Phi_k q Psi_k), T the rotation that displaces node k; of a free body's frame also the identity
+ * and -[arm]x, with mass and inertia in A. With those, S = J A^-1 J^T. A step looks for l with x -
+ * target + tau x' = C l at its end. Where nothing warps that is linear in l: (wide S + C) l = what
+ * the gap would be without hands, wide = beta h^2 + gamma h tau. Warped, see below. With the
+ * source's rows, T_k Phi_k alone, dx = G dq with G the J from above: the body feels rows^T l, and
+ * Newton's iteration for l has G A^-1 rows^T for S. (With S it converges slowly where Rt warps,
+ * and not at all for a bar that R bends far.) */
 
 /* rows += t phi, t 3x3 */
 static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_real t[9],
@@ -24012,9 +24012,9 @@ static void sfemi_handle_ease(const sfem_modal *b, const sfem_real mean[3], sfem
     step->lag = step->h > 0 && mean[1] > 0 ? 2 * sqrt(step->give / mean[1]) : 0;
 }
 
-/* S over all rows in use, with what the hands give added: J A^-1 J^T, or with `left` = G instead of
- * the rows, G A^-1 J^T. Rows that move nothing become zero. With a step, that of its hands, which it
- * sets; else (of velocities and accelerations) compliance times the mean of the diagonal. */
+/* S over all rows in use, with what the hands give added: J A^-1 J^T, or with `left` = G instead
+ * of the rows, G A^-1 J^T. Rows that move nothing become zero. With a step, that of its hands,
+ * which it sets; else (of velocities and accelerations) compliance times the mean of the diagonal. */
 static void sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
                                 const sfem_real r[9], sfemi_handle_step *step)
 {
@@ -24204,8 +24204,8 @@ static void sfemi_handle_locate(sfem_modal *b)
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
 }
 
-/* mass a = f - c v - lambda q, less what the handles hold of it; of oscillators fitted to the present
- * steps. */
+/* mass a = f - c v - lambda q, less what the handles hold of it; of oscillators fitted to the
+ * present steps. */
 static void sfemi_modal_accelerate(sfem_modal *b)
 {
     const sfem_reduced *r = b->reduced;
@@ -24386,8 +24386,8 @@ static void sfemi_handle_velocity(const sfem_modal *b, sfem_int handle, sfem_int
     for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + turn[c];
 }
 
-/* Distance of the handles from where their hands let them be: b->residual, over what an acceleration
- * changes of it; returns the largest, m. */
+/* Distance of the handles from where their hands let them be: b->residual, over what an
+ * acceleration changes of it; returns the largest, m. */
 static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
                                    const sfem_real *q_turn)
 {
@@ -24469,8 +24469,8 @@ static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
     return sfemi_handle_gaps(b, step, b->q);
 }
 
-/* Rows of the source: where Newton's corrections bring the handles no nearer to their targets, as when
- * those contradict one another, the linear answer stands. Returns the number of solves. */
+/* Rows of the source: where Newton's corrections bring the handles no nearer to their targets, as
+ * when those contradict one another, the linear answer stands. Returns the number of solves. */
 static sfem_int sfemi_handle_frozen(sfem_modal *b, sfem_int most, sfem_real size,
                                     sfemi_handle_step *step)
 {
@@ -24493,15 +24493,15 @@ static sfem_int sfemi_handle_frozen(sfem_modal *b, sfem_int most, sfem_real size
  *
  * The hand is then a spring, and its force p = J^T l and F (force and torque on the frame) that of
  *     wide C (p.A^-1 p + F.W F) + |x - target + tau x'|^2,   wide = beta h^2 + gamma h tau,
- * at its least. Gauss-Newton finds it: each step along the line to the least of what is linear about
- * the present place, by a half, a quarter... where the whole way leads up. It starts at the place
- * where the step begins, so that stiff modes cannot be thrown far by a poor first answer. */
+ * at its least. Gauss-Newton finds it: each step along the line to the least of what is linear
+ * about the present place, by a half, a quarter... where the whole way leads up. It starts at the
+ * place where the step begins, so that stiff modes cannot be thrown far by a poor first answer. */
 
 enum { SFEMI_HANDLE_HALVINGS = 8 };
 
 /* Modes and frame under p and F, and what is to be least there. */
-static sfem_real sfemi_handle_try(sfem_modal *b, const sfemi_handle_step *step, const sfem_real *pull,
-                                  const sfem_real frame[6])
+static sfem_real sfemi_handle_try(sfem_modal *b, const sfemi_handle_step *step,
+                                  const sfem_real *pull, const sfem_real frame[6])
 {
     const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
     const sfemi_reduced_head *head = b->reduced->head;
@@ -24537,8 +24537,8 @@ static sfem_real sfemi_handle_try(sfem_modal *b, const sfemi_handle_step *step, 
     return step->give * wide * work + gaps;
 }
 
-/* The forces at the least of what is linear about the present place, where p is b->pull and F frame:
- * (wide S + C) l = gap + wide (J A^-1 p + W F). Leaves l in l_trial, p in trial, F in to. */
+/* The forces at the least of what is linear about the present place, where p is b->pull and F
+ * frame: (wide S + C) l = gap + wide (J A^-1 p + W F). Leaves l in l_trial, p in trial, F in to. */
 static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_real frame[6],
                              const sfem_rigid *pose, sfem_real to[6])
 {
@@ -24587,45 +24587,65 @@ static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const
     }
 }
 
-/* Returns the number of solves. */
-static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
-                                    sfemi_handle_step *step)
+/* Iterates from p and F; returns what is least in the end, and adds the number of solves to count. */
+static sfem_real sfemi_handle_descend(sfem_modal *b, sfem_int most, sfem_real size,
+                                      sfemi_handle_step *step, sfem_rigid pose, sfem_real frame[6],
+                                      sfem_int *count)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, aim[6], tried[6], most_value, value = 0, part;
+    sfem_real aim[6], tried[6], value = 0, before, part;
     sfem_int it, i, half;
     size_t k;
-    for (k = 0; k < b->m; ++k)
-        b->pull[k] = b->inverse[k] > 0
-                         ? b->b[k] + (b->qp[k] - b->q[k]) / (step->scale * b->inverse[k])
-                         : 0;
     for (i = 0; i < n; ++i) b->l[i] = 0;
     for (it = 0; it < most; ++it) {
-        const sfem_rigid pose = it ? step->to->rigid : b->head->rigid;
         sfem_real change = 0;
         sfemi_handle_linearise(b, step, &pose);
-        most_value = sfemi_handle_try(b, step, b->pull, frame) * (1 + 1e-10); /* rounding */
+        before = sfemi_handle_try(b, step, b->pull, frame);
         sfemi_handle_aim(b, step, frame, &pose, aim);
+        ++*count;
         for (k = 0; k < b->m; ++k) b->way[k] = b->trial[k] - b->pull[k];
         for (part = 1, half = 0; half < SFEMI_HANDLE_HALVINGS; ++half, part /= 2) {
             for (k = 0; k < b->m; ++k) b->trial[k] = b->pull[k] + part * b->way[k];
             for (i = 0; i < 6; ++i) tried[i] = frame[i] + part * (aim[i] - frame[i]);
             value = sfemi_handle_try(b, step, b->trial, tried);
-            if (value <= most_value) break;
+            if (value <= before * (1 + 1e-10)) break; /* more than rounding */
         }
-        if (!(value <= most_value)) { /* nothing better is in sight */
-            sfemi_handle_try(b, step, b->pull, frame);
-            break;
-        }
+        if (half == SFEMI_HANDLE_HALVINGS) /* nothing better is in sight */
+            return sfemi_handle_try(b, step, b->pull, frame);
         memcpy(b->pull, b->trial, b->stride * sizeof *b->pull);
-        memcpy(frame, tried, sizeof frame);
+        memcpy(frame, tried, sizeof tried);
         for (i = 0; i < n; ++i) b->l[i] += part * (b->l_trial[i] - b->l[i]);
         for (i = 0; i < n; ++i)
             if (!b->fixed[i])
                 change = fmax(change, fabs(b->residual[i] - step->give * b->l[i]));
-        if (part == 1 && change <= 1e-10 * size) return it + 1;
+        if (part == 1 && change <= 1e-10 * size) break;
+        pose = step->to->rigid;
     }
-    return it ? it : 1;
+    return value;
+}
+
+/* From the place where the step begins; and where that has not come to an end, but to more than
+ * the hands' letting go would leave, as with nodes wound up beyond pi, from there. Returns the
+ * number of solves. */
+static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
+{
+    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, none[6] = {0, 0, 0, 0, 0, 0}, value;
+    sfem_int count = 0;
+    size_t k;
+    for (k = 0; k < b->m; ++k)
+        b->pull[k] = b->inverse[k] > 0
+                         ? b->b[k] + (b->qp[k] - b->q[k]) / (step->scale * b->inverse[k])
+                         : 0;
+    value = sfemi_handle_descend(b, most, size, step, b->head->rigid, frame, &count);
+    if (count < most) return count;
+    memcpy(b->way, b->pull, b->stride * sizeof *b->way);
+    memset(b->pull, 0, b->stride * sizeof *b->pull);
+    if (value > sfemi_handle_try(b, step, b->pull, none))
+        sfemi_handle_descend(b, most, size, step, step->to->rigid, none, &count);
+    else
+        sfemi_handle_try(b, step, b->way, frame);
+    return count;
 }
 
 /* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
