@@ -6,6 +6,7 @@
 #   OPENMP=0|1      without or with OpenMP; by default with it where the compiler links it
 #   MESHES=DIR      meshes from elsewhere, passed to tests and benches as SFEM_MESHES if DIR exists
 #   TESTS=test_mesh only these test programs            FILTER='*patch*'  only these tests in them
+#   JOBS=N          compilers and test programs at a time, all processors by default
 #   BUILD=DIR       where products go: DIR/examples/NAME, DIR/tests/NAME, DIR/bench/NAME
 #
 # Sources are found by pattern: examples/NAME.c, tests/test_NAME.c and bench/NAME.c are programs of
@@ -18,6 +19,10 @@ CXX      ?= c++
 MESHES   ?= ../shared/meshes
 BUILD    ?= build
 FILTER   ?=
+JOBS     ?= $(shell nproc 2>/dev/null || echo 1)
+ifeq ($(MAKELEVEL),0)
+MAKEFLAGS += -j$(JOBS)
+endif
 WARNINGS  = -Wall -Wextra -Wpedantic -Wconversion -Wshadow
 
 FLAGS_test_base = -ffast-math
@@ -135,12 +140,13 @@ coverage: ## lines of softfem.h that the tests reach
 clean: ## remove every product
 	rm -rf $(BUILD)
 
+# Each program writes to a file of its own, so that what several print at a time stays apart.
 check: $(TEST_PROGRAMS)
-	@mkdir -p $(BUILD)/scratch; failed=; \
-	for x in $(TEST_PROGRAMS); do \
-	    echo "== $$x"; $(ENVIRONMENT) $$x 2>&1 || failed="$$failed $$x"; \
-	done; \
-	if [ -n "$$failed" ]; then echo "FAILED:$$failed"; exit 1; fi; \
+	@mkdir -p $(BUILD)/scratch; rm -f $(TEST_PROGRAMS:=.failed); \
+	echo $(TEST_PROGRAMS) | tr ' ' '\n' | $(ENVIRONMENT) xargs -P $(JOBS) -I@ sh -c \
+	    '{ echo "== @"; @; } >@.log 2>&1 || echo @ >@.failed; cat @.log'; \
+	failed=$$(cat $(TEST_PROGRAMS:=.failed) 2>/dev/null); \
+	if [ -n "$$failed" ]; then echo "FAILED:" $$failed; exit 1; fi; \
 	echo "every test passed: $(words $(TEST_PROGRAMS)) programs"
 
 check-examples: $(EXAMPLE_PROGRAMS)
@@ -211,7 +217,7 @@ $(BUILD)/bench/step: bench/step.c examples/support.h softfem.h $(BUILD)/flags
 	    cholmod='-DSFEM_BENCH_CHOLMOD -lcholmod'; \
 	$(CC) $(FLAGS) -DSFEM_BENCH_FLAGS='"$(CC) $(FLAGS)"' -o $@ $< $(LDFLAGS) $$cholmod -lm
 
-$(BUILD)/bench/eigen: bench/eigen.c softfem.h $(BUILD)/softfem.o
+$(BUILD)/bench/eigen: bench/eigen.c bench/bench.h softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)
 	@others=; if printf '#include <arpack/arpack.h>\n#include <suitesparse/cholmod.h>\nint main(void){return 0;}\n' | \
 	    $(CC) -x c - -o /dev/null -larpack -lcholmod >/dev/null 2>&1; \

@@ -8,11 +8,7 @@
  *     bench [--quick] [LARGEST]     sizes up to LARGEST tets, 54880 by default
  */
 #include "../examples/support.h"
-#include "softfem.h"
-
-#ifndef SFEM_BENCH_FLAGS
-#define SFEM_BENCH_FLAGS "not stated"
-#endif
+#include "bench.h"
 
 enum { REPEATS = 31 };
 
@@ -21,23 +17,6 @@ typedef struct result {
     double mesh, model, first, again, predict, solve, finish, step, mixed; /* seconds, medians */
     double nnz, model_mb, factor_mb, body_mb;
 } result;
-
-static int compare(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *t, int count)
-{
-    qsort(t, (size_t)count, sizeof *t, compare);
-    return count % 2 ? t[count / 2] : 0.5 * (t[count / 2 - 1] + t[count / 2]);
-}
-
-static void must(sfem_status status, const sfem_error *err)
-{
-    if (status != SFEM_OK) ex_fail("%s", err->text);
-}
 
 static void *counted(size_t bytes, void *user)
 {
@@ -62,8 +41,8 @@ static sfem_body *make_body(sfem_model *model, sfem_int pin_count, sfem_precisio
     def.pin_count = pin_count;
     def.gravity[2] = -9.81;
     def.precision = precision;
-    must(sfem_body_create(model, &def, &body, &err), &err);
-    must(sfem_body_prepare(body, h, &err), &err);
+    bench_must(sfem_body_create(model, &def, &body, &err), &err);
+    bench_must(sfem_body_prepare(body, h, &err), &err);
     free(pins);
     return body;
 }
@@ -76,11 +55,11 @@ static double time_steps(sfem_body *body, double h, int count, double part[3])
     for (i = -2; i < count; ++i) {
         const double a = ex_seconds();
         double b, c, d;
-        must(sfem_body_predict(body, h, &err), &err);
+        bench_must(sfem_body_predict(body, h, &err), &err);
         b = ex_seconds();
-        must(sfem_body_solve(body, &err), &err);
+        bench_must(sfem_body_solve(body, &err), &err);
         c = ex_seconds();
-        must(sfem_body_finish(body, &err), &err);
+        bench_must(sfem_body_finish(body, &err), &err);
         d = ex_seconds();
         if (i < 0) continue;
         t[0][i] = b - a;
@@ -88,8 +67,8 @@ static double time_steps(sfem_body *body, double h, int count, double part[3])
         t[2][i] = d - c;
         t[3][i] = d - a;
     }
-    for (i = 0; part && i < 3; ++i) part[i] = median(t[i], count);
-    return median(t[3], count);
+    for (i = 0; part && i < 3; ++i) part[i] = bench_median(t[i], count);
+    return bench_median(t[3], count);
 }
 
 static result measure(const sfem_int cells[3], int repeats)
@@ -114,12 +93,12 @@ static result measure(const sfem_int cells[3], int repeats)
     def.allocator.user = &model_bytes;
     for (i = 0; i <= repeats; ++i) {
         double a = ex_seconds();
-        must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+        bench_must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
         if (i) t[0][i - 1] = ex_seconds() - a;
         def.mesh = &mesh;
         model_bytes = 0;
         a = ex_seconds();
-        must(sfem_model_create(&def, &model, &err), &err);
+        bench_must(sfem_model_create(&def, &model, &err), &err);
         if (i) t[1][i - 1] = ex_seconds() - a;
         r.model_mb = (double)model_bytes / 1e6;
         a = ex_seconds();
@@ -134,10 +113,10 @@ static result measure(const sfem_int cells[3], int repeats)
         sfem_model_free(model); /* the body holds it */
         if (i < repeats) sfem_body_free(body);
     }
-    r.mesh = median(t[0], repeats);
-    r.model = median(t[1], repeats);
-    r.first = median(t[2], repeats);
-    r.again = median(t[3], repeats);
+    r.mesh = bench_median(t[0], repeats);
+    r.model = bench_median(t[1], repeats);
+    r.first = bench_median(t[2], repeats);
+    r.again = bench_median(t[3], repeats);
     r.step = time_steps(body, h, 10 * repeats, part);
     r.predict = part[0];
     r.solve = part[1];
@@ -173,7 +152,7 @@ static void print_ceiling(void)
         for (j = 0; j < 16; ++j) sum += x[j];
     }
     printf("ceiling: memory %.1f GB/s, multiply-add as compiled here %.1f GFLOP/s%s\n",
-           24e-9 * (double)n / median(t[0], 5), 32e-9 * 20000000 / median(t[1], 5), sum > 1e300 ? " " : "");
+           24e-9 * (double)n / bench_median(t[0], 5), 32e-9 * 20000000 / bench_median(t[1], 5), sum > 1e300 ? " " : "");
     free(a);
     free(b);
 }

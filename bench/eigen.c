@@ -11,7 +11,7 @@
  * backward errors. All on one core, in turns; medians. Lost: modes below the bound at which the signs
  * of K - tau M were counted, less those that a method returned there. */
 #define _GNU_SOURCE
-#include "softfem.h"
+#include "bench.h"
 #include <math.h>
 #include <sched.h>
 #include <stdio.h>
@@ -38,32 +38,6 @@ typedef struct problem {
     unsigned char *held; /* [nodes] */
 } problem;
 
-static double now(void) /* of the processor: others may be at work on it */
-{
-    struct timespec t;
-    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-static void check(sfem_status status, const sfem_error *err)
-{
-    if (status == SFEM_OK) return;
-    fprintf(stderr, "%s\n", err->text);
-    exit(1);
-}
-
-static int compare(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *v, int n)
-{
-    qsort(v, (size_t)n, sizeof *v, compare);
-    return v[n / 2];
-}
-
 static problem create(const sfem_int cells[3])
 {
     const sfem_real size[3] = {(double)cells[0] / cells[1], 1, (double)cells[2] / cells[1]};
@@ -72,10 +46,10 @@ static problem create(const sfem_int cells[3])
     sfem_mesh mesh;
     problem p;
     sfem_int i;
-    check(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+    bench_must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
     def.mesh = &mesh;
     def.material.poisson = 0.45;
-    check(sfem_model_create(&def, &p.model, &err), &err);
+    bench_must(sfem_model_create(&def, &p.model, &err), &err);
     p.nodes = mesh.nodes;
     p.tets = mesh.tets;
     p.pins = (sfem_int *)malloc((size_t)mesh.nodes * sizeof *p.pins);
@@ -100,9 +74,9 @@ static outcome ours(const problem *p, int modes, double *bound, int *below)
     def.modes = modes;
     def.pins = p->pins;
     def.pin_count = p->pin_count;
-    o.seconds = now();
-    check(sfem_modes_create(p->model, &def, &m, &err), &err);
-    o.seconds = now() - o.seconds;
+    o.seconds = bench_seconds();
+    bench_must(sfem_modes_create(p->model, &def, &m, &err), &err);
+    o.seconds = bench_seconds() - o.seconds;
     o.solves = m.info.solves;
     o.error = 0;
     for (i = 0; i < m.count; ++i) o.error = fmax(o.error, m.error[i]);
@@ -207,7 +181,7 @@ static outcome arpack(const matrices *m, int modes, double bound, cholmod_common
     cholmod_factor *factor;
     outcome o;
     o.solves = 0;
-    o.seconds = now();
+    o.seconds = bench_seconds();
     factor = cholmod_analyze(m->k, common);
     cholmod_factorize(m->k, factor, common);
     for (;;) {
@@ -221,7 +195,7 @@ static outcome arpack(const matrices *m, int modes, double bound, cholmod_common
     }
     dseupd_c(1, "A", select, theta, v, m->n, 0, "I", m->n, "LM", modes, 1e-12, rest, vectors, v, m->n,
              parameters, place, work, large, length, &info);
-    o.seconds = now() - o.seconds;
+    o.seconds = bench_seconds() - o.seconds;
     if (info != 0) fprintf(stderr, "ARPACK: info %d\n", info);
     o.found = 0;
     o.error = 0;
@@ -267,11 +241,11 @@ static void row(const sfem_int cells[3], int modes, int passes)
         t[1][pass] = them.seconds;
 #endif
     }
-    printf("%7d %5d | %9.2f %6d %5d %8.1e", (int)p.tets, modes, 1e3 * median(t[0], passes), us.solves,
+    printf("%7d %5d | %9.2f %6d %5d %8.1e", (int)p.tets, modes, 1e3 * bench_median(t[0], passes), us.solves,
            below - us.found, us.error);
 #ifdef SFEM_BENCH_ARPACK
-    printf(" | %9.2f %6d %5d %8.1e | %5.2f %5.2f%s", 1e3 * median(t[1], passes), them.solves,
-           below - them.found, them.error, median(t[0], passes) / median(t[1], passes),
+    printf(" | %9.2f %6d %5d %8.1e | %5.2f %5.2f%s", 1e3 * bench_median(t[1], passes), them.solves,
+           below - them.found, them.error, bench_median(t[0], passes) / bench_median(t[1], passes),
            p.tets < 6860 ? 1.0
            : modes < 40  ? 0.75
                          : 0.65,

@@ -10,31 +10,9 @@
 #include <string.h>
 #include <time.h>
 
-#include "softfem.h"
+#include "bench.h"
 
-#ifndef SFEM_BENCH_FLAGS
-#define SFEM_BENCH_FLAGS "unknown flags"
-#endif
 #define RUNS 15
-
-static double now(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-static int by_value(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *t)
-{
-    qsort(t, RUNS, sizeof *t, by_value);
-    return t[RUNS / 2];
-}
 
 static double noise(void)
 {
@@ -48,13 +26,6 @@ static void *allocate(size_t bytes)
     void *p = calloc(bytes ? bytes : 1, 1);
     if (!p) exit(1);
     return p;
-}
-
-static void check(sfem_status status, const sfem_error *err)
-{
-    if (status == SFEM_OK) return;
-    fprintf(stderr, "%s\n", err->text);
-    exit(1);
 }
 
 /* ---- a body ---- */
@@ -74,11 +45,11 @@ static scene make_scene(const sfem_int cells[3], sfem_law law, double strain, in
     sfem_error err;
     scene b;
     sfem_int i;
-    check(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+    bench_must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
     def.mesh = &mesh;
     def.material.poisson = 0.45;
     def.material.law = law;
-    check(sfem_model_create(&def, &b.model, &err), &err);
+    bench_must(sfem_model_create(&def, &b.model, &err), &err);
     b.nodes = mesh.nodes;
     b.tets = mesh.tets;
     b.u = (sfem_real *)allocate(3 * (size_t)b.nodes * sizeof *b.u);
@@ -123,13 +94,13 @@ static double time_forces(scene *b, sfem_precision precision, sfem_real *rotatio
     int run, k;
     sfem_model_forces(b->model, b->u, precision, b->force, rotation, inverted, b->work, NULL);
     for (run = 0; run < RUNS; ++run) {
-        t[run] = now();
+        t[run] = bench_seconds();
         for (k = 0; k < repeat; ++k)
             sfem_model_forces(b->model, b->u, precision, b->force, rotation, inverted, b->work,
                               NULL);
-        t[run] = (now() - t[run]) / repeat / b->tets * 1e9;
+        t[run] = (bench_seconds() - t[run]) / repeat / b->tets * 1e9;
     }
-    return median(t);
+    return bench_median(t, RUNS);
 }
 
 static double time_tangent(scene *b, sfem_tangent kind, sfem_matrix *k)
@@ -138,11 +109,11 @@ static double time_tangent(scene *b, sfem_tangent kind, sfem_matrix *k)
     double t[RUNS];
     int run, i;
     for (run = 0; run < RUNS; ++run) {
-        t[run] = now();
+        t[run] = bench_seconds();
         for (i = 0; i < repeat; ++i) sfem_model_tangent(b->model, b->u, kind, k, NULL);
-        t[run] = (now() - t[run]) / repeat / b->tets * 1e9;
+        t[run] = (bench_seconds() - t[run]) / repeat / b->tets * 1e9;
     }
-    return median(t);
+    return bench_median(t, RUNS);
 }
 
 /* largest difference of the forces over the largest force */
@@ -214,7 +185,7 @@ static void tangents(int quick)
         scene b = make_scene(cells, (sfem_law)law, 0.02, 0);
         sfem_matrix k;
         sfem_error err;
-        check(sfem_model_combine(b.model, 1, 0, 0, NULL, &k, &err), &err);
+        bench_must(sfem_model_combine(b.model, 1, 0, 0, NULL, &k, &err), &err);
         printf("  %-18s %10.0f", law_name[law], time_tangent(&b, SFEM_TANGENT_EXACT, &k));
         printf(" %8.0f", time_tangent(&b, SFEM_TANGENT_PSD, &k));
         printf(" %8.0f\n", time_tangent(&b, SFEM_TANGENT_FROZEN, &k));
@@ -236,7 +207,7 @@ static void single(void)
         for (i = 0; i < COUNT; ++i)
             for (k = 0; k < 9; ++k) f[i][k] = what == 1 ? noise() : 0.2 * noise() + (k % 4 == 0);
         for (run = 0; run < RUNS; ++run) {
-            t[run] = now();
+            t[run] = bench_seconds();
             for (i = 0; i < COUNT; ++i) {
                 if (what < 2)
                     sfem_polar(f[i], r, NULL);
@@ -244,9 +215,9 @@ static void single(void)
                     sfem_signed_svd(f[i], u, s, v);
                 sum += what < 2 ? r[0] : s[0];
             }
-            t[run] = (now() - t[run]) / COUNT * 1e9;
+            t[run] = (bench_seconds() - t[run]) / COUNT * 1e9;
         }
-        printf("  %-36s %6.0f\n", name[what], median(t));
+        printf("  %-36s %6.0f\n", name[what], bench_median(t, RUNS));
     }
     if (sum == 1) printf("\n"); /* so that nothing is optimised away */
 }

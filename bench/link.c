@@ -15,33 +15,11 @@
 #include <string.h>
 #include <time.h>
 
-#include "softfem.h"
+#include "bench.h"
 
-#ifndef SFEM_BENCH_FLAGS
-#define SFEM_BENCH_FLAGS "unknown flags"
-#endif
 #define RUNS 15
 
 enum { MOST = 64, DELAY = 2, PACKET = 32 + 24 * MOST };
-
-static double now(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-static int by_value(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *t)
-{
-    qsort(t, RUNS, sizeof *t, by_value);
-    return t[RUNS / 2];
-}
 
 static double uniform(uint64_t *state) /* splitmix64 [Steele, Lea, Flood 2014] */
 {
@@ -49,13 +27,6 @@ static double uniform(uint64_t *state) /* splitmix64 [Steele, Lea, Flood 2014] *
     z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
     z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
     return (double)((z ^ (z >> 31)) >> 11) / 9007199254740992.0;
-}
-
-static void check(sfem_status status, const sfem_error *err)
-{
-    if (status == SFEM_OK) return;
-    fprintf(stderr, "%s\n", err->text);
-    exit(1);
 }
 
 /* ---- a motion ---- */
@@ -131,13 +102,13 @@ static double distortion(const setting *o, double h, int steps, double *bytes_a_
     def.lost = o->lost;
     def.stiffness = s.k;
     def.damping = s.c;
-    check(sfem_sender_create(&def, &sender, &err), &err);
-    check(sfem_receiver_create(&def, &receiver, &err), &err);
+    bench_must(sfem_sender_create(&def, &sender, &err), &err);
+    bench_must(sfem_receiver_create(&def, &receiver, &err), &err);
     memset(ring, 0, sizeof ring);
     for (i = 0; i <= steps; ++i) {
         packet *p = &ring[i % (DELAY + 1)], *old = &ring[(i + 1) % (DELAY + 1)];
         int lost;
-        check(sfem_sender_write(sender, s.q, s.v, s.a, p->byte, sizeof p->byte, &p->bytes, &err),
+        bench_must(sfem_sender_write(sender, s.q, s.v, s.a, p->byte, sizeof p->byte, &p->bytes, &err),
               &err);
         bytes += (double)p->bytes * (o->twice ? 2 : 1);
         lost = i > 0 && 100 * uniform(&losses) < o->percent;
@@ -223,37 +194,37 @@ static void costs(void)
             for (run = 0; run < RUNS; ++run) {
                 sfem_sender *sender;
                 sfem_receiver *receiver;
-                check(sfem_sender_create(&def, &sender, &err), &err);
-                check(sfem_receiver_create(&def, &receiver, &err), &err);
-                t[0][run] = now();
+                bench_must(sfem_sender_create(&def, &sender, &err), &err);
+                bench_must(sfem_receiver_create(&def, &receiver, &err), &err);
+                t[0][run] = bench_seconds();
                 for (i = 0; i <= COUNT; ++i)
-                    check(sfem_sender_write(sender, s.q, s.v, s.a, p[i].byte, sizeof p[i].byte,
+                    bench_must(sfem_sender_write(sender, s.q, s.v, s.a, p[i].byte, sizeof p[i].byte,
                                             &p[i].bytes, &err),
                           &err);
-                t[0][run] = now() - t[0][run];
+                t[0][run] = bench_seconds() - t[0][run];
                 sfem_receiver_read(receiver, p[0].byte, p[0].bytes);
                 t[1][run] = t[2][run] = 0;
                 for (i = 1; i <= COUNT; i += 32) { /* a window full of packets, then their steps */
-                    const double start = now();
+                    const double start = bench_seconds();
                     double middle;
                     int k;
                     for (k = i; k < i + 32 && k <= COUNT; ++k)
                         sfem_receiver_read(receiver, p[k].byte, p[k].bytes);
-                    middle = now();
+                    middle = bench_seconds();
                     for (k = i; k < i + 32 && k <= COUNT; ++k) sfem_receiver_step(receiver);
                     t[1][run] += middle - start;
-                    t[2][run] += now() - middle;
+                    t[2][run] += bench_seconds() - middle;
                 }
-                t[3][run] = now();
+                t[3][run] = bench_seconds();
                 for (i = 0; i < COUNT; ++i) sfem_receiver_step(receiver);
-                t[3][run] = now() - t[3][run];
+                t[3][run] = bench_seconds() - t[3][run];
                 sfem_sender_free(sender);
                 sfem_receiver_free(receiver);
             }
             printf(
                 "  %5d %8s %6lu %6lu %8.0f %8.0f %8.0f %8.0f\n", s.m, single ? "float" : "double",
-                (unsigned long)p[1].bytes, (unsigned long)p[0].bytes, median(t[0]) / COUNT * 1e9,
-                median(t[1]) / COUNT * 1e9, median(t[2]) / COUNT * 1e9, median(t[3]) / COUNT * 1e9);
+                (unsigned long)p[1].bytes, (unsigned long)p[0].bytes, bench_median(t[0], RUNS) / COUNT * 1e9,
+                bench_median(t[1], RUNS) / COUNT * 1e9, bench_median(t[2], RUNS) / COUNT * 1e9, bench_median(t[3], RUNS) / COUNT * 1e9);
         }
     }
 }

@@ -7,24 +7,7 @@
  *     scalar [--quick] [--mixed]
  */
 #include "../examples/support.h"
-#include "softfem.h"
-
-static void must(sfem_status status, const sfem_error *err)
-{
-    if (status != SFEM_OK) ex_fail("%s", err->text);
-}
-
-static int compare(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *t, int count)
-{
-    qsort(t, (size_t)count, sizeof *t, compare);
-    return t[count / 2];
-}
+#include "bench.h"
 
 enum { MAKE = 5, SOLVE = 101 };
 
@@ -52,8 +35,8 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
     sfem_error err;
     size_t i;
     int which, r, c;
-    must(sfem_model_combine(model, 1, 0, 0, NULL, &k, &err), &err);
-    must(sfem_model_combine(model, 0, 1, 0, NULL, &m, &err), &err);
+    bench_must(sfem_model_combine(model, 1, 0, 0, NULL, &k, &err), &err);
+    bench_must(sfem_model_combine(model, 0, 1, 0, NULL, &m, &err), &err);
     a[0] = a[1] = k;
     a[0].val = (sfem_real *)ex_new((size_t)k.row[k.n], sizeof(sfem_real));
     a[1].val = (sfem_real *)ex_new(9 * (size_t)k.row[k.n], sizeof(sfem_real));
@@ -66,7 +49,7 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
             def.scalar = which == 0;
             def.mixed = mixed;
             sfem_ldl_free(ldl[which]);
-            must(sfem_ldl_create(&def, &a[which], &ldl[which], &err), &err);
+            bench_must(sfem_ldl_create(&def, &a[which], &ldl[which], &err), &err);
             make[which][r] = ex_seconds() - t;
         }
     for (which = 0; which < 2; ++which) {
@@ -93,10 +76,10 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
         }
     printf("%8d %9.2f %9.2f %6.2f  %9.2f %9.2f %6.2f  %9.1f %9.1f %6.2f  %.1e\n", (int)mesh->tets,
            (double)info[1].bytes / 1e6, (double)info[0].bytes / 1e6,
-           (double)info[1].bytes / (double)info[0].bytes, median(make[1], MAKE) * 1e3,
-           median(make[0], MAKE) * 1e3, median(make[1], MAKE) / median(make[0], MAKE),
-           median(solve[1], SOLVE) * 1e6, median(solve[0], SOLVE) * 1e6,
-           median(solve[1], SOLVE) / median(solve[0], SOLVE), far / size);
+           (double)info[1].bytes / (double)info[0].bytes, bench_median(make[1], MAKE) * 1e3,
+           bench_median(make[0], MAKE) * 1e3, bench_median(make[1], MAKE) / bench_median(make[0], MAKE),
+           bench_median(solve[1], SOLVE) * 1e6, bench_median(solve[0], SOLVE) * 1e6,
+           bench_median(solve[1], SOLVE) / bench_median(solve[0], SOLVE), far / size);
     for (which = 0; which < 2; ++which) {
         sfem_ldl_free(ldl[which]);
         free(x[which]);
@@ -129,11 +112,11 @@ int main(int argc, char **argv)
         sfem_mesh mesh;
         sfem_model *model;
         sfem_error err;
-        must(sfem_mesh_block(count, length, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+        bench_must(sfem_mesh_block(count, length, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
         def.mesh = &mesh;
         def.material.young = 1;
         def.material.density = 1;
-        must(sfem_model_create(&def, &model, &err), &err);
+        bench_must(sfem_model_create(&def, &model, &err), &err);
         measure(&mesh, model, mixed);
         sfem_model_free(model);
         sfem_mesh_free(&mesh);

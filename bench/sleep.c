@@ -8,18 +8,7 @@
  *     sleep [--quick]
  */
 #include "../examples/support.h"
-#include "softfem.h"
-
-static void must(sfem_status status, const sfem_error *err)
-{
-    if (status != SFEM_OK) ex_fail("%s", err->text);
-}
-
-static int compare(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
+#include "bench.h"
 
 enum { STEPS = 301 };
 
@@ -27,7 +16,7 @@ static double step(sfem_body *body)
 {
     sfem_error err;
     const double t = ex_seconds();
-    must(sfem_body_step(body, 1.0 / 60, &err), &err);
+    bench_must(sfem_body_step(body, 1.0 / 60, &err), &err);
     return ex_seconds() - t;
 }
 
@@ -41,13 +30,13 @@ static void awake(sfem_model *model, sfem_body_def def, double tolerance, double
     for (i = 0; i < 2; ++i) {
         def.sleep_tolerance = i ? tolerance : 0;
         def.sleep_time = 1e9;
-        must(sfem_body_create(model, &def, &body[i], &err), &err);
+        bench_must(sfem_body_create(model, &def, &body[i], &err), &err);
         (void)step(body[i]);
     }
     for (k = 0; k < STEPS; ++k)
         for (i = 0; i < 2; ++i) time[i][k] = step(body[i]);
     for (i = 0; i < 2; ++i) {
-        qsort(time[i], STEPS, sizeof(double), compare);
+        qsort(time[i], STEPS, sizeof(double), bench_compare);
         out[i] = time[i][STEPS / 2];
         sfem_body_free(body[i]);
     }
@@ -62,10 +51,10 @@ static double asleep(sfem_model *model, sfem_body_def def, int steps)
     def.sleep_tolerance = 1e9; /* any speed will do, */
     def.sleep_time = 0;        /* at once, */
     def.gravity[1] = 0;        /* for velocities that do not change */
-    must(sfem_body_create(model, &def, &body, &err), &err);
+    bench_must(sfem_body_create(model, &def, &body, &err), &err);
     for (k = 0; !sfem_body_is_asleep(body); ++k) (void)step(body);
     t = ex_seconds();
-    for (k = 0; k < steps; ++k) must(sfem_body_step(body, 1.0 / 60, &err), &err);
+    for (k = 0; k < steps; ++k) bench_must(sfem_body_step(body, 1.0 / 60, &err), &err);
     t = ex_seconds() - t;
     sfem_body_free(body);
     return t / steps;
@@ -89,13 +78,13 @@ int main(int argc, char **argv)
             sfem_model *model;
             sfem_error err;
             double moving[2], calm[2], still;
-            must(sfem_mesh_block(count, length, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+            bench_must(sfem_mesh_block(count, length, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
             for (i = 0; i < mesh.nodes && def.pin_count < 512; ++i)
                 if (mesh.x[3 * i] < 1e-9) pins[def.pin_count++] = i;
             model_def.mesh = &mesh;
             model_def.material.young = 1e6;
             model_def.material.law = (sfem_law)law;
-            must(sfem_model_create(&model_def, &model, &err), &err);
+            bench_must(sfem_model_create(&model_def, &model, &err), &err);
             def.pins = pins;
             def.gravity[1] = -9.8;
             awake(model, def, 1e-3, moving);

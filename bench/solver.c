@@ -10,7 +10,7 @@
  * solves that follow.
  */
 #define _GNU_SOURCE
-#include "softfem.h"
+#include "bench.h"
 #include "../tests/block_fem.h"
 #include <sched.h>
 #include <stdio.h>
@@ -24,23 +24,11 @@
 
 enum { MOST = 400 };
 
-static double now(void)
+static double now(void) /* on the clock: threads share the work */
 {
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-static int compare(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *v, int n)
-{
-    qsort(v, (size_t)n, sizeof *v, compare);
-    return n ? v[n / 2] : 0;
 }
 
 static void machine(void)
@@ -328,17 +316,17 @@ static void row_one(const char *name, const block_fem *f, int passes)
             if (k % 3 == 0) take(&solve8, solve_time(ldl, 8, x, b, work, NULL));
         }
         printf("%-9s %8.3f %8.3f %9.1f %9.1f %6.2f %8.2f %7.1f %8.3g %-5s", name,
-               1e3 * median(factor.v, factor.n), 1e3 * median(factor32.v, factor32.n),
-               1e6 * median(solve.v, solve.n), 1e6 * median(solve32.v, solve32.n),
-               median(solve8.v, solve8.n) / median(solve.v, solve.n), 1e3 * analyse,
+               1e3 * bench_median(factor.v, factor.n), 1e3 * bench_median(factor32.v, factor32.n),
+               1e6 * bench_median(solve.v, solve.n), 1e6 * bench_median(solve32.v, solve32.n),
+               bench_median(solve8.v, solve8.n) / bench_median(solve.v, solve.n), 1e3 * analyse,
                1e-6 * (double)info.bytes, info.flops,
                info.ordering == SFEM_ORDER_AMD ? "AMD" : "cuts");
 #ifdef SFEM_BENCH_CHOLMOD
         printf(" | %8.3f %9.1f %8.2f | %5.2f %5.2f %5.2f %5.2f %5.2f  %s\n",
-               1e3 * median(rfactor.v, rfactor.n), 1e6 * median(rsolve.v, rsolve.n), 1e3 * amd,
-               median(factor.v, factor.n) / median(rfactor.v, rfactor.n),
-               median(solve.v, solve.n) / median(rsolve.v, rsolve.n),
-               median(solve32.v, solve32.n) / median(rsolve.v, rsolve.n), analyse / amd,
+               1e3 * bench_median(rfactor.v, rfactor.n), 1e6 * bench_median(rsolve.v, rsolve.n), 1e3 * amd,
+               bench_median(factor.v, factor.n) / bench_median(rfactor.v, rfactor.n),
+               bench_median(solve.v, solve.n) / bench_median(rsolve.v, rsolve.n),
+               bench_median(solve32.v, solve32.n) / bench_median(rsolve.v, rsolve.n), analyse / amd,
                info.flops / metis_flops(f),
                best_factor == best_solve ? way[best_factor].name : "factor and solve differ");
         rival_close(&r);
@@ -384,10 +372,10 @@ static void row_two(const char *name, const block_fem *f, int passes)
             take(&solve[p], solve_time(ldl[p], 1, x[p], b, work[p], &exec));
         }
     printf("%-9s %8.3f %8.3f %6.2f   %9.1f %9.1f %6.2f   %s\n", name,
-           1e3 * median(factor[0].v, factor[0].n), 1e3 * median(factor[1].v, factor[1].n),
-           median(factor[0].v, factor[0].n) / median(factor[1].v, factor[1].n),
-           1e6 * median(solve[0].v, solve[0].n), 1e6 * median(solve[1].v, solve[1].n),
-           median(solve[0].v, solve[0].n) / median(solve[1].v, solve[1].n),
+           1e3 * bench_median(factor[0].v, factor[0].n), 1e3 * bench_median(factor[1].v, factor[1].n),
+           bench_median(factor[0].v, factor[0].n) / bench_median(factor[1].v, factor[1].n),
+           1e6 * bench_median(solve[0].v, solve[0].n), 1e6 * bench_median(solve[1].v, solve[1].n),
+           bench_median(solve[0].v, solve[0].n) / bench_median(solve[1].v, solve[1].n),
            memcmp(x[0], x[1], n * sizeof **x) ? "BITS DIFFER" : "same bits");
     fflush(stdout);
     for (p = 0; p < 2; ++p) {
@@ -431,8 +419,8 @@ static void dense_rows(void)
             for (j = 0; j < 20; ++j) sfem_dense_cholesky_solve((sfem_int)n, a, 1, x);
             t[3][k] = (now() - start) / 20;
         }
-        printf("          %7d  %13.2f  %5.2f  %12.2f  %5.2f\n", (int)n, 1e6 * median(t[0], 100),
-               1e6 * median(t[1], 100), 1e6 * median(t[2], 100), 1e6 * median(t[3], 100));
+        printf("          %7d  %13.2f  %5.2f  %12.2f  %5.2f\n", (int)n, 1e6 * bench_median(t[0], 100),
+               1e6 * bench_median(t[1], 100), 1e6 * bench_median(t[2], 100), 1e6 * bench_median(t[3], 100));
         sfem_ldl_free(ldl);
         block_fem_free(&f);
         free(a);

@@ -8,32 +8,11 @@
  *     warp [--quick]        writes build/bench/warp.csv
  */
 #include "../examples/support.h"
-#include "softfem.h"
-
-#ifndef SFEM_BENCH_FLAGS
-#define SFEM_BENCH_FLAGS "not stated"
-#endif
+#include "bench.h"
 
 enum { REPEATS = 2001, MODES = 60, CLAMPED = 16 };
 
 static const char *const warp_name[3] = {"linear", "R", "Rt"};
-
-static void must(sfem_status status, const sfem_error *err)
-{
-    if (status != SFEM_OK) ex_fail("%s", err->text);
-}
-
-static int compare(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *t, int count)
-{
-    qsort(t, (size_t)count, sizeof *t, compare);
-    return t[count / 2];
-}
 
 typedef struct bar {
     sfem_mesh mesh;
@@ -50,11 +29,11 @@ static bar make_bar(void)
     sfem_error err;
     bar b;
     int i;
-    must(sfem_mesh_block(cells, size, SFEM_CELL_6_TETS, NULL, &b.mesh, &err), &err);
+    bench_must(sfem_mesh_block(cells, size, SFEM_CELL_6_TETS, NULL, &b.mesh, &err), &err);
     def.mesh = &b.mesh;
     def.material.law = SFEM_STVK;
     def.material.beta = 0.002;
-    must(sfem_model_create(&def, &b.model, &err), &err);
+    bench_must(sfem_model_create(&def, &b.model, &err), &err);
     for (i = 0; i < CLAMPED; ++i) b.pins[i] = i;
     b.force = (double *)ex_new(9 * (size_t)b.mesh.nodes, sizeof(double));
     b.exact = b.force + 3 * (size_t)b.mesh.nodes;
@@ -74,9 +53,9 @@ static sfem_reduced *reduce(const bar *b, sfem_int count, sfem_reduced_view **vi
     modes_def.pins = b->pins;
     modes_def.pin_count = CLAMPED;
     def.beta = 0.002;
-    must(sfem_modes_create(b->model, &modes_def, &modes, &err), &err);
-    must(sfem_reduced_create(b->model, &modes, &def, &reduced, &err), &err);
-    must(sfem_reduced_view_create(reduced, 0, NULL, SFEM_DOUBLE, view, &err), &err);
+    bench_must(sfem_modes_create(b->model, &modes_def, &modes, &err), &err);
+    bench_must(sfem_reduced_create(b->model, &modes, &def, &reduced, &err), &err);
+    bench_must(sfem_reduced_view_create(reduced, 0, NULL, SFEM_DOUBLE, view, &err), &err);
     sfem_modes_free(&modes);
     return reduced;
 }
@@ -89,7 +68,7 @@ static sfem_body *make_body(const bar *b)
     def.integrator = SFEM_NEWMARK;
     def.pins = b->pins;
     def.pin_count = CLAMPED;
-    must(sfem_body_create(b->model, &def, &body, &err), &err);
+    bench_must(sfem_body_create(b->model, &def, &body, &err), &err);
     return body;
 }
 
@@ -100,7 +79,7 @@ static sfem_modal *make_modal(sfem_reduced *reduced, int warp, sfem_modal_integr
     sfem_error err;
     def.warp = (sfem_warp)warp;
     def.integrator = integrator;
-    must(sfem_modal_create(reduced, &def, &modal, &err), &err);
+    bench_must(sfem_modal_create(reduced, &def, &modal, &err), &err);
     return modal;
 }
 
@@ -132,9 +111,9 @@ static void statics(bar *b, FILE *csv)
     for (l = 0; l < 3; ++l) {
         sfem_body *body = make_body(b);
         set_weight(b, weight[l]);
-        must(sfem_body_set_force(body, b->force, &err), &err);
+        bench_must(sfem_body_set_force(body, b->force, &err), &err);
         t[0] = ex_seconds();
-        must(sfem_body_solve_static(body, &err), &err);
+        bench_must(sfem_body_solve_static(body, &err), &err);
         t[0] = ex_seconds() - t[0];
         memcpy(exact[l], sfem_body_displacement(body), 3 * (size_t)b->mesh.nodes * sizeof(double));
         for (drop[l] = 0, i = 0; i < CLAMPED; ++i)
@@ -151,7 +130,7 @@ static void statics(bar *b, FILE *csv)
             for (l = 0; l < 3; ++l) {
                 sfem_modal *modal = make_modal(reduced, w, SFEM_MODAL_NEWMARK);
                 set_weight(b, weight[l]);
-                must(sfem_modal_set_force(modal, b->force, &err), &err);
+                bench_must(sfem_modal_set_force(modal, b->force, &err), &err);
                 t[1] = ex_seconds();
                 if (sfem_modal_solve_static(modal, NULL, &err) == SFEM_OK) {
                     t[1] = ex_seconds() - t[1];
@@ -184,10 +163,10 @@ static void swing(bar *b, FILE *csv, int quick)
     sfem_error err;
     int i, k, w;
     set_weight(b, 2000);
-    must(sfem_body_set_force(body, b->force, &err), &err);
+    bench_must(sfem_body_set_force(body, b->force, &err), &err);
     start = ex_seconds();
     for (i = 0; i < steps * fine; ++i) {
-        must(sfem_body_step(body, h / fine, &err), &err);
+        bench_must(sfem_body_step(body, h / fine, &err), &err);
         if (i % fine == fine - 1)
             memcpy(exact + (size_t)(i / fine) * size, sfem_body_displacement(body),
                    size * sizeof(double));
@@ -211,15 +190,15 @@ static void swing(bar *b, FILE *csv, int quick)
                 sfem_modal *modal = make_modal(reduced, w, (sfem_modal_integrator)kind);
                 const sfem_real g[3] = {0, 0, -2000 / sfem_model_total_mass(b->model)};
                 double sum = 0, spent[600], cost;
-                must(sfem_modal_set_gravity(modal, g, &err), &err);
+                bench_must(sfem_modal_set_gravity(modal, g, &err), &err);
                 for (i = 0; i < steps; ++i) {
                     start = ex_seconds();
-                    must(sfem_modal_step(modal, h, &err), &err);
+                    bench_must(sfem_modal_step(modal, h, &err), &err);
                     sfem_modal_displacements(modal, view, b->u);
                     spent[i] = ex_seconds() - start;
                     sum += pow(rms(b->u, exact + (size_t)i * size, b->mesh.nodes), 2);
                 }
-                cost = median(spent, steps);
+                cost = bench_median(spent, steps);
                 printf(" %9.4f %8.2f", sqrt(sum / steps) / amplitude, 1e6 * cost);
                 fprintf(csv, "swing %s,%s,%d,%g,%g,%g\n", kind ? "exact" : "newmark", warp_name[w],
                         (int)counts[k], amplitude, sqrt(sum / steps) / amplitude, cost);
@@ -250,7 +229,7 @@ static double ceiling(size_t bytes) /* reading as much again and again: bytes a 
         sink += s[0] + s[1] + s[2] + s[3] + s[4] + s[5] + s[6] + s[7];
     }
     free(a);
-    return sink == 0 ? (double)bytes / median(t, 101) : 0;
+    return sink == 0 ? (double)bytes / bench_median(t, 101) : 0;
 }
 
 /* A step of a larger body, its surface reconstructed as floats. */
@@ -270,15 +249,15 @@ static void speed(FILE *csv)
     sfem_error err;
     float *x;
     int p, w, load;
-    must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+    bench_must(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
     def.mesh = &mesh;
-    must(sfem_model_create(&def, &model, &err), &err);
+    bench_must(sfem_model_create(&def, &model, &err), &err);
     for (i = 0; i < 121; ++i) pins[i] = i;
     modes_def.modes = 20;
     modes_def.pins = pins;
     modes_def.pin_count = 121;
-    must(sfem_modes_create(model, &modes_def, &modes, &err), &err);
-    must(sfem_reduced_create(model, &modes, &reduced_def, &reduced, &err), &err);
+    bench_must(sfem_modes_create(model, &modes_def, &modes, &err), &err);
+    bench_must(sfem_reduced_create(model, &modes, &reduced_def, &reduced, &err), &err);
     x = (float *)ex_new(3 * (size_t)mesh.nodes, sizeof *x);
     printf("\n%d tets, 20 modes, %d of %d nodes on the surface: us. Reading %.0f kB takes this "
            "machine at %.0f GB/s\n"
@@ -289,24 +268,24 @@ static void speed(FILE *csv)
     for (w = 0; w < 3; ++w)
         for (p = 0; p < 2; ++p) {
             sfem_reduced_view *view;
-            must(sfem_reduced_view_surface(reduced, p ? SFEM_MIXED : SFEM_DOUBLE, &view, &err),
+            bench_must(sfem_reduced_view_surface(reduced, p ? SFEM_MIXED : SFEM_DOUBLE, &view, &err),
                  &err);
             for (load = 0; load < 2; ++load) {
                 sfem_modal *modal = make_modal(reduced, w, SFEM_MODAL_NEWMARK);
                 const double nodes = sfem_reduced_view_count(view);
                 double reads;
-                if (load) must(sfem_modal_set_gravity(modal, g, &err), &err);
-                must(sfem_modal_add_node_force(modal, mesh.nodes - 1, f, &err), &err);
+                if (load) bench_must(sfem_modal_set_gravity(modal, g, &err), &err);
+                bench_must(sfem_modal_add_node_force(modal, mesh.nodes - 1, f, &err), &err);
                 for (i = -50; i < REPEATS; ++i) {
                     double a = ex_seconds(), b, c;
-                    must(sfem_modal_step(modal, 1 / 60.0, &err), &err);
+                    bench_must(sfem_modal_step(modal, 1 / 60.0, &err), &err);
                     b = ex_seconds();
                     sfem_modal_to_floats(modal, view, x, 3 * sizeof *x);
                     c = ex_seconds();
                     if (i < 0) continue;
                     t[0][i] = b - a, t[1][i] = c - b, t[2][i] = c - a;
                 }
-                for (i = 0; i < 3; ++i) t[i][0] = median(t[i], REPEATS);
+                for (i = 0; i < 3; ++i) t[i][0] = bench_median(t[i], REPEATS);
                 reads = nodes * 20 * (w ? 6 : 3) * (p ? 4 : 8);
                 printf("%-8s %-7s %-22s %7.2f %9.2f %7.2f %8.2f %6.0f\n", warp_name[w],
                        p ? "float" : "double", load ? "a node and gravity" : "a node",
