@@ -2,7 +2,6 @@
 #include "support.h"
 #include "../bench/stress.h"
 
-
 /* scenes of the fixed list whose family it is, every third, with at most so many steps */
 static void survive(stress_family family, stress_form form, int steps)
 {
