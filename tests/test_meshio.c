@@ -737,6 +737,186 @@ static void malformed_vtk_is_refused_with_its_line(void **state)
     assert_refused(vtk5_lines, table5, TEST_COUNT(table5));
 }
 
+static void malformed_gmsh_2_is_refused_with_its_line(void **state)
+{
+    static const malformed table[] = {
+        {2, "2.3 0 8", SFEM_FORMAT, 2, "Gmsh 2.3: only 2.0 to 2.2 and 4.1"},
+        {9, "99999999999", SFEM_FORMAT, 9, "more than the rest of the data can hold"},
+        {9, "5", SFEM_FORMAT, 15, "expected $EndNodes, found '8'"},
+        {9, "7", SFEM_FORMAT, 16, "expected a node tag, found '$EndNodes'"},
+        {10, "90000000 0 0", SFEM_FORMAT, 10, "expected a coordinate, but the line ends"},
+        {11, "90000000 0 0 0", SFEM_FORMAT, 11, "node tag 90000000 a second time"},
+        {11, "-7 1 0 0", SFEM_FORMAT, 11, "a node tag is -7"},
+        {12, "3 0 inf 0", SFEM_NOT_FINITE, 12, "not finite"},
+        {14, "1 5 5 5 5", SFEM_FORMAT, 14, "expected the end of the line, found '5'"},
+        {18, "4", SFEM_FORMAT, 22, "expected an element tag, found '$EndElements'"},
+        {18, "2", SFEM_FORMAT, 21, "expected $EndElements, found '3'"},
+        {18, "-1", SFEM_FORMAT, 18, "the count of elements is -1"},
+        {18, "9000000000000000000", SFEM_FORMAT, 22, "expected an element tag"},
+        {20, "2 4 2 0 4 90000000 7 3", SFEM_FORMAT, 20, "expected a node tag of a tet, but the line"},
+        {20, "2 4 2147483647 0 4 90000000 7 3", SFEM_FORMAT, 20, "expected a tag of an element"},
+        {20, "2 4 2 0 4 90000000 7 3 2 1", SFEM_FORMAT, 20, "expected the end of the tet's line"},
+        {20, "2 4 0 90000000 7 3 5", SFEM_BAD_MESH, 20, "tet 0 names node tag 5, which is not there"},
+        {20, "2 11 0 90000000 7 3 5\n$EndElements", SFEM_FORMAT, 21, "expected an element tag"},
+        {20, NULL, SFEM_FORMAT, 20, "but the data ends"},
+    };
+    (void)state;
+    assert_refused(gmsh2_lines, table, TEST_COUNT(table));
+}
+
+static void malformed_veg_is_refused_with_its_line(void **state)
+{
+    static const malformed table[] = {
+        {2, "*VERTICE", SFEM_FORMAT, 2, "expected *VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION"},
+        {2, NULL, SFEM_FORMAT, 1, "this begins with '#'"},
+        {2, "*VERTICES 6", SFEM_FORMAT, 2, "expected the end of the line, found '6'"},
+        {3, "6 2 0 0", SFEM_FORMAT, 3, "nodes in 2 dimensions, not 3"},
+        {3, "600000 3 0 0", SFEM_FORMAT, 3, "more than the rest of the data can hold"},
+        {3, "5 3 0 0", SFEM_FORMAT, 9, "expected *VERTICES, *ELEMENTS"},
+        {3, "7 3 0 0", SFEM_FORMAT, 10, "expected the number of a node, found '*ELEMENTS'"},
+        {3, "6 3 1 0", SFEM_FORMAT, 4, "expected an attribute or marker, but the line ends"},
+        {6, "2 0 1 0", SFEM_FORMAT, 6, "the number of a node is 2, not in 3 .. 3"},
+        {6, "3 0 1", SFEM_FORMAT, 6, "expected a coordinate, but the line ends"},
+        {6, "3 0 1 0 0", SFEM_FORMAT, 6, "expected the end of the node's line, found '0'"},
+        {6, "3 0 1 NaN", SFEM_NOT_FINITE, 6, "not finite"},
+        {6, "*INCLUDE /etc/passwd", SFEM_FORMAT, 6, "there is no file to include from"},
+        {6, "*INCLUDE", SFEM_FORMAT, 6, "expected the name of a file, but the line ends"},
+        {10, "*VERTICES", SFEM_FORMAT, 10, "*VERTICES a second time"},
+        {10, NULL, SFEM_FORMAT, 10, "there are no *ELEMENTS"},
+        {11, "CUBIC", SFEM_FORMAT, 11, "*ELEMENTS CUBIC: only TET is read"},
+        {12, "2 8 0", SFEM_FORMAT, 12, "elements of 8 nodes, not 4"},
+        {12, "0 4 0", SFEM_FORMAT, 13, "expected *VERTICES"},
+        {12, "3 4 0", SFEM_FORMAT, 15, "expected the number of a tet, found '*MATERIAL'"},
+        {12, "2 4 1", SFEM_FORMAT, 13, "expected the region of a tet, but the line ends"},
+        {13, "1 0 2 3 4", SFEM_BAD_MESH, 13, "tet 0 names node 0, the nodes are 1 .. 6"},
+        {14, "2 1 2 3 7", SFEM_BAD_MESH, 14, "tet 1 names node 7, the nodes are 1 .. 6"},
+        {14, NULL, SFEM_FORMAT, 14, "expected the number of a tet, but the data ends"},
+        {15, "*MATERIAL", SFEM_FORMAT, 15, "expected a name, but the line ends"},
+        {16, NULL, SFEM_FORMAT, 16, "expected the law of a material, but the data ends"},
+        {16, "", SFEM_FORMAT, 17, "expected the law of a material, found '*MATERIAL'"},
+        {20, "3", SFEM_FORMAT, 20, "the number of a tet in a set is 3, not in 1 .. 2"},
+        {20, "1 x", SFEM_FORMAT, 20, "expected the number of a tet in a set, found 'x'"},
+        {22, "all, soft", SFEM_FORMAT, 22, "there is no *SET 'all' above"},
+        {22, "allElements, sof", SFEM_FORMAT, 22, "there is no *MATERIAL 'sof' above"},
+        {22, "allElements", SFEM_FORMAT, 22, "there is no *MATERIAL '' above"},
+        {22, "allElements, soft, 3", SFEM_FORMAT, 22, "expected the end of the line, found '3'"},
+        {22, NULL, SFEM_FORMAT, 22, "expected a set and a material, but the data ends"},
+        {10, "*SET s", SFEM_FORMAT, 10, "*SET comes before *ELEMENTS"},
+        {10, "*REGION", SFEM_FORMAT, 10, "*REGION comes before *ELEMENTS"},
+        {2, "*ELEMENTS\nTET", SFEM_FORMAT, 3, "*ELEMENTS come before *VERTICES"},
+    };
+    (void)state;
+    assert_refused(veg_lines, table, TEST_COUNT(table));
+}
+
+static void malformed_tetgen_is_refused_with_file_and_line(void **state)
+{
+    static const struct {
+        int ele; /* the line is in the .ele */
+        malformed row;
+    } table[] = {
+        {0, {1, NULL, SFEM_FORMAT, 1, "of .node: expected the count of nodes, but the data ends"}},
+        {0, {2, "6 2 1 1", SFEM_FORMAT, 2, "nodes in 2 dimensions"}},
+        {0, {2, "5 3 1 1", SFEM_FORMAT, 9, "line 9 of .node: expected the end of the file"}},
+        {0, {2, "7 3 1 1", SFEM_FORMAT, 10, "expected the number of a node, but the data ends"}},
+        {0, {2, "6 3 0 1", SFEM_FORMAT, 3, "expected the end of the node's line, found '1'"}},
+        {0, {4, "3 1 0 0 .5 0", SFEM_FORMAT, 4, "the number of a node is 3, not in 2 .. 2"}},
+        {0, {9, "6 0 0 1e999 0 0", SFEM_NOT_FINITE, 9, "too large for a double"}},
+        {1, {1, "2 10 0", SFEM_FORMAT, 1, "line 1 of .ele: elements of 10 nodes, not 4"}},
+        {1, {1, "2 4 0", SFEM_FORMAT, 2, "expected the end of the tet's line, found '4'"}},
+        {1, {1, "0 4 0", SFEM_FORMAT, 2, "expected the end of the file"}},
+        {1, {1, "9999999 4 0", SFEM_FORMAT, 1, "more than the rest of the data can hold"}},
+        {1, {2, "1 1 2 3 0 4", SFEM_BAD_MESH, 2, "tet 0 names node 0, the nodes are 1 .. 6"}},
+        {1, {2, "1 1 2 3 4 4.5", SFEM_FORMAT, 2, "the region 4.5 of a tet is not a whole number"}},
+        {1, {2, "1 1 2 3 4 1e10", SFEM_FORMAT, 2, "not a whole number"}},
+        {1, {3, "3 1 2 3 6 4", SFEM_FORMAT, 3, "the number of a tet is 3, not in 2 .. 2"}},
+        {1, {3, NULL, SFEM_FORMAT, 3, "expected the number of a tet, but the data ends"}},
+    };
+    size_t i;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(table); ++i) {
+        const malformed *row = &table[i].row;
+        char *node = join(node_lines, table[i].ele ? -1 : row->line, row->text, "\n");
+        char *ele = join(ele_lines, table[i].ele ? row->line : -1, row->text, "\n");
+        sfem_status status;
+        sfem_error err;
+        sfem_mesh m;
+        status = sfem_mesh_parse_tetgen(node, strlen(node), ele, strlen(ele), NULL, &m, &err);
+        if (status != row->status || err.line != row->err_line || !strstr(err.text, row->words))
+            fail_msg("'%s': status %d, line %d, \"%s\"; wanted %d, %d, \"%s\"", row->text, status,
+                     err.line, err.text, row->status, row->err_line, row->words);
+        free(node);
+        free(ele);
+    }
+}
+
+/* The first place of bits in data that is not a text. */
+static size_t find_bits(const char *data, size_t n, const void *bits, size_t count, int which)
+{
+    size_t i;
+    for (i = 0; i + count <= n; ++i)
+        if (!memcmp(data + i, bits, count) && !which--) return i;
+    fail_msg("these bits are not there");
+    return 0;
+}
+
+static void malformed_bytes_are_refused_with_their_place(void **state)
+{
+    static const struct {
+        size_t which;       /* sample */
+        const char *before; /* the text in front */
+        int offset, value;  /* bytes behind it, and the int that is put there */
+        sfem_status status;
+        const char *words;
+        int place; /* that is told, behind the int, or -1 */
+    } table[] = {
+        {TEXTS, "2.2 1 8\n", 0, 2, SFEM_FORMAT, "order of bytes is not 1", 4},
+        {TEXTS, "$Nodes\n6\n", 0, 7, SFEM_FORMAT, "node tag 7 a second time", 32},
+        {TEXTS, "$Nodes\n6\n", 0, -7, SFEM_FORMAT, "a node tag is -7", 0},
+        {TEXTS, "$Nodes\n6\n", 8, 0x7ff00000, SFEM_NOT_FINITE, "coordinate is not finite", -1},
+        {TEXTS, "$Elements\n3\n", 0, 77, SFEM_FORMAT, "elements of type 77, of unknown length", -1},
+        {TEXTS, "$Elements\n3\n", 4, 4, SFEM_FORMAT, "the count of elements in a block is 4", -1},
+        {TEXTS, "$Elements\n3\n", 8, 0x7fffffff, SFEM_FORMAT, "expected another element, but", -1},
+        {TEXTS, "$Elements\n3\n", 36, 5, SFEM_FORMAT, "expected another element, but", -1},
+        {TEXTS, "$Elements\n3\n", 60, 5, SFEM_BAD_MESH, "tet 0 names node tag 5", -1},
+        {TEXTS + 2, "$Nodes\n6\n", 4, 0x7f800000, SFEM_NOT_FINITE, "a coordinate is not finite", -1},
+        {TEXTS + 4, "$Nodes\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data can", -1},
+        {TEXTS + 4, "$Nodes\n", 12, 1, SFEM_FORMAT, "more than the rest of the data can", -1},
+        {TEXTS + 4, "$Nodes\n", 32, 4, SFEM_FORMAT, "the dimension of an entity is 4", -1},
+        {TEXTS + 4, "$Nodes\n", 44, 7, SFEM_FORMAT, "more than the 6 nodes announced", -1},
+        {TEXTS + 4, "$Elements\n", 32 + 12, -1, SFEM_FORMAT, "expected another element, but", -1},
+        {TEXTS + 4, "$Elements\n", 32 + 16, -1, SFEM_FORMAT, "of elements in a block is -4294967", -1},
+        {TEXTS + 4, "$Elements\n", 32 + 8, 99, SFEM_FORMAT, "elements of type 99", -1},
+        {TEXTS + 4, "$Entities\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data", -1},
+        {TEXTS + 4, "$Entities\n", 60, -1, SFEM_FORMAT, "a count of physical groups is 4294967295", -1},
+    };
+    size_t i, n;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(table); ++i) {
+        char *data = sample(table[i].which, &n), wanted[40];
+        size_t at = find_bits(data, n, table[i].before, strlen(table[i].before), 0) +
+                    strlen(table[i].before) + (size_t)table[i].offset;
+        test_memory memory = {0};
+        sfem_allocator a = test_allocator(&memory);
+        sfem_error err = {SFEM_OK, -1, -1, -1, ""};
+        sfem_status status;
+        sfem_mesh m;
+        int k;
+        for (k = 0; k < 4; ++k) data[at + (size_t)k] = (char)(table[i].value >> 8 * k);
+        status = sfem_mesh_parse(data, n, &a, &m, &err);
+        if (status != table[i].status || !strstr(err.text, table[i].words) ||
+            strncmp(err.text, "byte ", 5))
+            fail_msg("row %d: status %d, \"%s\", wanted \"%s\"", (int)i, status, err.text,
+                     table[i].words);
+        if (table[i].place >= 0) {
+            snprintf(wanted, sizeof wanted, "byte %d: ", (int)at + table[i].place);
+            assert_memory_equal(err.text, wanted, strlen(wanted));
+        }
+        assert_no_leak(memory);
+        free(data);
+    }
+}
+
 static void other_data_is_refused(void **state)
 {
     static const char tetgen[] = "4 3 0 0\n";
@@ -835,6 +1015,150 @@ static void damaged_texts_do_no_harm(void **state)
         free(text);
     }
     assert_true(read > 300); /* some damage changes a coordinate only */
+}
+
+static void files_of_tetgen_cut_anywhere_are_refused(void **state)
+{
+    char *node = join(node_lines, -1, NULL, "\n"), *ele = join(ele_lines, -1, NULL, "\n");
+    const size_t nodes = strlen(node) - 1, tets = (size_t)(strchr(ele, '#') - ele) - 1;
+    size_t n;
+    (void)state;
+    for (n = 0; n < nodes + tets; ++n) {
+        const size_t a = n < nodes ? n : nodes, b = n < nodes ? tets : n - nodes;
+        char *node_cut = (char *)malloc(a + 1), *ele_cut = (char *)malloc(b + 1);
+        test_memory memory = {0};
+        sfem_allocator allocator = test_allocator(&memory);
+        sfem_error err;
+        sfem_mesh m;
+        memcpy(node_cut + 1, node, a); /* it ends where the sanitizer looks */
+        memcpy(ele_cut + 1, ele, b);
+        if (sfem_mesh_parse_tetgen(node_cut + 1, a, ele_cut + 1, b, &allocator, &m, &err) == SFEM_OK)
+            fail_msg("%d and %d bytes are read", (int)a, (int)b);
+        assert_true(err.line >= 1);
+        assert_no_leak(memory);
+        free(node_cut);
+        free(ele_cut);
+    }
+    free(node);
+    free(ele);
+}
+
+/* ---- regions and names ---- */
+
+static void physical_groups_of_gmsh_2_become_regions(void **state)
+{
+    char *text = join(gmsh2_lines, 21, "3 4 2 -5 4 90000000 7 3 8", "\n");
+    sfem_mesh m;
+    (void)state;
+    m = parse(text);
+    assert_int_equal(m.region[0], 0); /* in none, while others are in one */
+    assert_int_equal(m.region[1], 5);
+    sfem_mesh_free(&m);
+    free(text);
+}
+
+static void materials_of_vega_become_regions(void **state)
+{
+    sfem_mesh m;
+    char *text;
+    (void)state;
+    text = join(veg_lines, 21, NULL, "\n"); /* no *REGION */
+    m = parse(text);
+    assert_null(m.region);
+    sfem_mesh_free(&m);
+    free(text);
+    text = join(veg_lines, 22, "one, soft\n*REGION\none, very hard\n*SET two\n1 2\n2 1", "\n");
+    m = parse(text); /* the later one wins, and tet 0 is in none */
+    assert_int_equal(m.region[0], -1);
+    assert_int_equal(m.region[1], 1);
+    sfem_mesh_free(&m);
+    free(text);
+    m = parse("*VERTICES\n4 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n*ELEMENTS\nTETS\n2 4\n"
+              "0 0 1 2 3\n1 0 1 2 3\n*SET first\n0\n*MATERIAL a b\nMOONEYRIVLIN, 1, 2, 3, 4\n"
+              "*REGION\n first , a b\n");
+    assert_int_equal(m.region[0], 0); /* numbers from 0 */
+    assert_int_equal(m.region[1], -1);
+    sfem_mesh_free(&m);
+}
+
+static void either_file_of_tetgen_names_both(void **state)
+{
+    static const char *const name[4] = {"test_meshio_pair.node", "test_meshio_pair.ele",
+                                        "test_meshio_PAIR.NODE", "test_meshio_PAIR.ELE"};
+    const char *const texts[2] = {"6 3 0 0\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n4 5 5 5\n5 0 0 -1\n",
+                                  "2 4 1\n0 0 1 2 3 7\n1 0 1 2 5 8\n"};
+    sfem_error err;
+    sfem_mesh m;
+    int i;
+    (void)state;
+    for (i = 0; i < 4; ++i) scratch_write(scratch_path(name[i]), texts[i % 2]);
+    for (i = 0; i < 4; ++i) {
+        assert_ok(sfem_mesh_read(scratch_path(name[i]), NULL, &m, &err), err);
+        assert_wanted(&m);
+        assert_int_equal(m.region[0], 7);
+        assert_int_equal(m.region[1], 8);
+        sfem_mesh_free(&m);
+    }
+    scratch_write(scratch_path(name[1]), "2 4 1\n0 0 1 2 3 7\n1 0 1 2 x 8\n");
+    assert_status(sfem_mesh_read(scratch_path(name[0]), NULL, &m, &err), SFEM_FORMAT);
+    assert_names(err, "test_meshio_pair.node: line 3 of .ele: expected a node of a tet, found 'x'");
+    assert_int_equal(err.line, 3);
+    remove(scratch_path(name[1]));
+    assert_status(sfem_mesh_read(scratch_path(name[0]), NULL, &m, &err), SFEM_IO);
+    assert_names(err, "test_meshio_pair.ele: cannot be opened");
+    for (i = 0; i < 4; ++i) remove(scratch_path(name[i]));
+}
+
+static const char veg_with_parts[] = "*VERTICES\n*INCLUDE test_meshio_part.node\n*ELEMENTS\nTET\n"
+                                     "*include test_meshio_part.ele\n*MATERIAL a\nENU, 1, 1, 0\n"
+                                     "*SET s\n1\n*INCLUDE test_meshio_part.set\n*REGION\ns, a\n";
+
+static void write_parts(const char *set)
+{
+    char *node = join(node_lines, -1, NULL, "\n");
+    scratch_write(scratch_path("test_meshio.veg"), veg_with_parts);
+    scratch_write(scratch_path("test_meshio_part.node"), node);
+    scratch_write(scratch_path("test_meshio_part.ele"), "2 4\n1 1 2 3 4\n2 1 2 3 6");
+    scratch_write(scratch_path("test_meshio_part.set"), set);
+    free(node);
+}
+
+static void vega_includes_files_beside_it(void **state)
+{
+    static const struct {
+        const char *set;
+        sfem_status status;
+        const char *words;
+    } bad[] = {
+        {"1\n3", SFEM_FORMAT, "test_meshio.veg: line 2 of test_meshio_part.set: the number of a tet"},
+        {"\n*INCLUDE test_meshio_part.set", SFEM_TOO_LARGE, "more than 16 files are included"},
+        {"*INCLUDE none.veg", SFEM_IO, "none.veg: cannot be opened"},
+        {"*INCLUDE /etc/passwd", SFEM_FORMAT, "*INCLUDE /etc/passwd: not a file beside this one"},
+        {"*INCLUDE ../x", SFEM_FORMAT, "*INCLUDE ../x: not a file beside this one"},
+        {"*INCLUDE a\\x", SFEM_FORMAT, "*INCLUDE a\\x: not a file beside this one"},
+    };
+    const char *path;
+    sfem_error err;
+    sfem_mesh m;
+    size_t i;
+    (void)state;
+    write_parts("2");
+    path = scratch_path("test_meshio.veg");
+    assert_ok(sfem_mesh_read(path, NULL, &m, &err), err);
+    assert_wanted(&m);
+    assert_int_equal(m.region[0], 0);
+    assert_int_equal(m.region[1], 0);
+    sfem_mesh_free(&m);
+    for (i = 0; i < TEST_COUNT(bad); ++i) {
+        write_parts(bad[i].set);
+        path = scratch_path("test_meshio.veg");
+        assert_status(sfem_mesh_read(path, NULL, &m, &err), bad[i].status);
+        assert_names(err, bad[i].words);
+    }
+    remove(scratch_path("test_meshio.veg"));
+    remove(scratch_path("test_meshio_part.node"));
+    remove(scratch_path("test_meshio_part.ele"));
+    remove(scratch_path("test_meshio_part.set"));
 }
 
 /* ---- writing ---- */
@@ -1099,11 +1423,16 @@ static sfem_status do_each(sfem_allocator allocator, void *user, sfem_error *err
     const int which = *(const int *)user;
     sfem_status status;
     sfem_mesh m;
-    if (which < 3) {
-        char *text = join(all_lines[which], -1, NULL, "\n");
-        status = sfem_mesh_parse(text, strlen(text), &allocator, &m, err);
-        free(text);
-    } else if (which == 3) {
+    if (which < SAMPLES) {
+        size_t n;
+        char *data = sample((size_t)which, &n);
+        status = sfem_mesh_parse(data, n, &allocator, &m, err);
+        free(data);
+    } else if (which == SAMPLES + 2) {
+        status = sfem_mesh_read(scratch_path("test_meshio.veg"), &allocator, &m, err);
+    } else if (which == SAMPLES + 3) {
+        status = sfem_mesh_read(scratch_path("test_meshio_part.node"), &allocator, &m, err);
+    } else if (which == SAMPLES) {
         status = sfem_mesh_read(scratch_path("test_meshio_memory.msh"), &allocator, &m, err);
     } else {
         m = test_ball();
@@ -1126,7 +1455,13 @@ static void every_allocation_may_fail(void **state)
     assert_ok(sfem_mesh_ball(1, 12, NULL, &m, &err), err); /* its file outgrows the first buffer */
     assert_ok(sfem_write_msh(scratch_path("test_meshio_memory.msh"), &m, &err), err);
     sfem_mesh_free(&m);
-    for (which = 0; which < 5; ++which) assert_true(fail_every_allocation(do_each, &which) >= 3);
+    write_parts("2");
+    for (which = 0; which < SAMPLES + 4; ++which)
+        assert_true(fail_every_allocation(do_each, &which) >= 3);
+    remove(scratch_path("test_meshio.veg"));
+    remove(scratch_path("test_meshio_part.node"));
+    remove(scratch_path("test_meshio_part.ele"));
+    remove(scratch_path("test_meshio_part.set"));
     remove(scratch_path("test_meshio_memory.msh"));
     remove(scratch_path("test_meshio_memory.obj"));
 }
@@ -1139,8 +1474,17 @@ static void real_meshes_are_read(void **state)
         const char *name;
         sfem_int nodes, tets, euler;
     } real[] = {{"mj_cube_41_ascii.msh", 14, 24, 2},
+                {"mj_cube_41_binary.msh", 14, 24, 2},
+                {"mj_shark_ascii22.msh", 425, 1070, 1},
+                {"mj_shark_binary22.msh", 429, 1073, 1},
+                {"vega_beam3.veg", 208, 450, 2},
+                {"vega_comb.veg", 1623, 5844, 2},
+                {"vega_simpleBridge.veg", 4000, 12827, -50},
+                {"vega_helix.veg", 4532, 16226, 0},
                 {"bullet_torus.vtk", 1036, 4436, 0},
-                {"ipc_rod300x33.msh", 13333, 50511, 2}};
+                {"ipc_rod300x33.msh", 13333, 50511, 2},
+                {"vega_yeahright.veg", 21122, 71577, -363}};
+    sfem_real shark = 0;
     size_t i, found = 0;
     (void)state;
     for (i = 0; i < TEST_COUNT(real); ++i) {
@@ -1157,8 +1501,12 @@ static void real_meshes_are_read(void **state)
         assert_int_equal(r.euler, real[i].euler);
         assert_int_equal(r.components, 1);
         assert_int_equal(r.unused + r.overlapping + r.coincident, 0);
-        if (i == 0) assert_near(r.volume, 1, 1e-14, 0); /* a cube of side 1 */
-        if (i > 0) {
+        if (i < 2) assert_near(r.volume, 1, 1e-14, 0); /* a cube of side 1 */
+        if (i == 2) shark = r.volume;
+        if (i == 3) assert_near(r.volume, shark, 1e-3, 0); /* meshed anew */
+        if (i == 4) assert_near(r.volume, .12 * .04 * 1, 1e-12, 0);
+        if (strstr(path, ".veg")) assert_int_equal(m.region[m.tets - 1], 0);
+        if (m.nodes > 1000 && m.nodes != 1623) { /* the comb is well numbered as it is */
             sfem_int before = sfem_mesh_bandwidth(&m);
             sfem_real volume = r.volume;
             assert_ok(sfem_mesh_renumber(&m, NULL, &err), err);
@@ -1186,9 +1534,18 @@ int main(void)
         cmocka_unit_test(numbers_that_are_none_are_refused),
         cmocka_unit_test(malformed_gmsh_is_refused_with_its_line),
         cmocka_unit_test(malformed_vtk_is_refused_with_its_line),
+        cmocka_unit_test(malformed_gmsh_2_is_refused_with_its_line),
+        cmocka_unit_test(malformed_veg_is_refused_with_its_line),
+        cmocka_unit_test(malformed_tetgen_is_refused_with_file_and_line),
+        cmocka_unit_test(malformed_bytes_are_refused_with_their_place),
         cmocka_unit_test(other_data_is_refused),
         cmocka_unit_test(a_text_cut_anywhere_is_refused),
         cmocka_unit_test(damaged_texts_do_no_harm),
+        cmocka_unit_test(files_of_tetgen_cut_anywhere_are_refused),
+        cmocka_unit_test(physical_groups_of_gmsh_2_become_regions),
+        cmocka_unit_test(materials_of_vega_become_regions),
+        cmocka_unit_test(either_file_of_tetgen_names_both),
+        cmocka_unit_test(vega_includes_files_beside_it),
         cmocka_unit_test(a_mesh_comes_back_as_it_was_written),
         cmocka_unit_test(the_locale_changes_nothing),
         cmocka_unit_test(vtu_holds_positions_cells_and_fields),
