@@ -6,8 +6,8 @@
  *     build/bench/stress --list | --help
  *
  * The default goes through all scenes; the others, which the default is compared with, through the fixed
- * ones (every Nth of them), with a quarter of the steps where they iterate. NAME is of the fixed list, or a family: then
- * the sampled scene of the seed, or the fixed ones of the family. Status 1 if the default fails. */
+ * ones (every Nth of them), with a quarter of the steps where they iterate. NAME is of the fixed list, or a
+ * family: then the sampled scene of the seed, or the fixed ones of the family. Status 1 if the default fails. */
 #define _DEFAULT_SOURCE
 #include "stress.h"
 
@@ -244,7 +244,8 @@ static int print_default(const board *b)
         ++count[f];
         failed += !b->job[k].done || (r->verdict != STRESS_IS_PASSED && r->verdict != STRESS_IS_LOCKED);
     }
-    printf("\nThe default: worst in each family (linear: change of what linear bodies\nconserve; modal: of energy; stream, eigen: error, see stress.h)\n");
+    printf("\nThe default: worst in each family (linear: change of what linear bodies conserve; modal: of\n"
+           "energy; stream, eigen: error, see stress.h)\n");
     printf("%-8s %9s %9s %9s %9s %9s %9s\n", "", "Ec/S", "linear", "momentum", "angular", "lost", "redone");
     for (k = 0; k < STRESS_FAMILY_COUNT; ++k)
         if (count[k])

@@ -18,8 +18,8 @@
  *   motion     some node moves by a hundredth of the body's size, or else at least half as far as the same body of
  *              linear law does by the same method; a linear one, half as far as by the trapezoidal rule. (Where
  *              a step spans periods, so does the method's inertia: a mode of frequency omega that is kicked
- *              by v swings by v/omega / sqrt(1 + (p - 1/4) h^2 omega^2), of (p,1,1).) What starts in equilibrium, all
- *              at one point, or as its own mirror image by StVK, which cannot tell, is LOCKED.
+ *              by v swings by v/omega / sqrt(1 + (p - 1/4) h^2 omega^2), of (p,1,1).) What starts in
+ *              equilibrium, all at one point, or as its own mirror image by StVK, which cannot tell, is LOCKED.
  * Then damped, with a fortieth of the slowest period for a step or the scene's own where that is larger, and
  * without gravity:
  *   shape      back at rest within a hundredth of the body's length, wherever it is by then. What has come to
@@ -753,8 +753,8 @@ STRESS_STATIC sfem_status stress_damage(stress_body *s, int step, uint64_t *rand
     return SFEM_OK;
 }
 
-/* How far the farthest node of the same body goes if it is of linear law, whole, by the same method and p; of a body
- * that is linear itself, by the trapezoidal rule. */
+/* How far the farthest node of the same body goes if it is of linear law, whole, by the same method and p;
+ * of a body that is linear itself, by the trapezoidal rule. */
 STRESS_STATIC double stress_twin(const stress_body *s, stress_form form, double h, int steps)
 {
     const stress_form by = s->scene->law == SFEM_LINEAR ? STRESS_FORM_NEWMARK : form;
@@ -827,11 +827,10 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
         if (stress_is_newton(form)) iterations += sfem_body_newton(s->body).iterations;
         if (k < wield) {
             stress_held_where(s, &deed, r);
-            if (k + 1 == wield) { /* from here on it is left alone */
-                w.start = stress_measure(s, sfem_body_displacement(s->body), s->before, h, &w,
-                                         w.p0, w.l0);
-                w.largest = w.scale;
-            }
+            /* from the last of these on it is left alone; S is what it was while it was dragged, forgotten over a
+             * second, as the guard has it */
+            w.start = stress_measure(s, sfem_body_displacement(s->body), s->before, h, &w, w.p0, w.l0);
+            w.largest = fmax(w.largest * exp(-h), w.scale);
             continue;
         }
         /* momenta from the first step that no hand touched: in the implicit methods' first one their
@@ -868,8 +867,9 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
         stress_note(r, STRESS_IS_LOSSY, why);
     }
     if (r->verdict == STRESS_IS_PASSED && !(w.moved >= 0.01 * s->size)) {
-        const double least = w.still ? 0.01 * s->size : fmin(0.01 * s->size, 0.5 * stress_twin(s, form, h, r->steps));
-        char why[96];
+        const double far = 0.01 * s->size;
+        const double least = w.still ? far : fmin(far, 0.5 * stress_twin(s, form, h, r->steps));
+        char why[128];
         snprintf(why, sizeof why, "moved by %.3g m, at least %.3g wanted%s", w.moved, least,
                  w.still ? ", of a body that starts in equilibrium" : "");
         if (!(w.moved >= least)) stress_note(r, w.still ? STRESS_IS_LOCKED : STRESS_IS_STILL, why);

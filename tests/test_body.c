@@ -509,8 +509,8 @@ static void rest_momentum(const block *b, const double *u0, const double *u1, do
         }
 }
 
-/* A body at h omega = 1e5, which goes fifty of its lengths: its momenta change by what its loads give, though rounding
- * of internal forces adds up to more than that. By hand: the force comes through sfem_body_rhs. */
+/* A body at h omega = 1e5, which goes fifty of its lengths: its momenta change by what its loads give, though
+ * rounding of internal forces adds up to more. By hand: the force comes through sfem_body_rhs. */
 static void check_momenta(sfem_mass mass, sfem_body_def def, double load, int by_hand)
 {
     const double h = 300, speed = 1e-3;
@@ -518,7 +518,8 @@ static void check_momenta(sfem_mass mass, sfem_body_def def, double load, int by
     const size_t n = 3 * (size_t)b.nodes;
     const double brake = 1 + def.alpha * h / 2, m = sfem_model_total_mass(b.model);
     test_random random = {5};
-    double v[3 * 64], f[3 * 64], before[3 * 64], zero[3 * 64] = {0}, p[6], last[6] = {0}, push[6], size[2] = {0, 0};
+    double v[3 * 64], f[3 * 64], before[3 * 64], zero[3 * 64] = {0};
+    double p[6], last[6] = {0}, push[6], size[2] = {0, 0};
     sfem_body *body;
     sfem_error err;
     size_t i;
