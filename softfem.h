@@ -968,7 +968,7 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 
 /* linear body: 1/12 where every mode is resolved (omega_max h < 2), else 1/4; others as SFEM_P_SAFE */
 #define SFEM_P_AUTO (-1.0)
-/* 1/4 for a linear body; for others m = .28 if corotational, .45 neo-Hookean, 1/2 StVK, the largest of their tets':
+/* 1/4 for a linear body; for others m = .28 if corotational (.27 if it may break), 1/2 if it hardens:
  * margins for tangents that outgrow that at rest. Where a step resolves every mode or nearly, the mass is margin
  * enough, and p falls with W = h omega_max (of the free body at rest; found by the first body of a model that
  * may need it, the time of some 20 products with K) as m + .1 - 1/W^2, from m at W = 3.2 to 1/12 at W = 1.8: errors
@@ -10361,8 +10361,8 @@ done:
 static sfem_real sfemi_fem_margin(sfem_law law)
 {
     switch (law) {
-    case SFEM_COROTATIONAL: return 0.28;
-    case SFEM_NEOHOOKEAN: return 0.45;
+    case SFEM_COROTATIONAL: return 0.27;
+    case SFEM_NEOHOOKEAN: return 0.5;
     case SFEM_STVK: return 0.5;
     default: return 0.25;
     }
@@ -15373,13 +15373,26 @@ static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
     return sfemi_pqr_estimate_omega(b, b->mask, sfemi_pqr_element_bound(b->model), 1e-4, &b->omega_max, err);
 }
 
+/* Are steps lengthened, see >>guard? */
+static int sfemi_pqr_lengthens(const sfem_body *b)
+{
+    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns &&
+           !b->model->block_mass && !b->bonds;
+}
+
+/* The laws' own p, and a little for what lengthening takes. */
+static sfem_real sfemi_pqr_margin(const sfem_body *b)
+{
+    return sfemi_pqr_lengthens(b) ? fmin(0.5, b->model->margin + 0.01) : b->model->margin;
+}
+
 /* See SFEM_P_SAFE. Of 4 A >= h^2 K(u) the mass gives 4 r/W^2 to a mode of W: p may fall by as much, and the tangent
  * still outgrow that at rest as the laws' own p, m, allows where W is large. .1 is kept in hand, because slower
  * modes of turned bodies fail first: without it bars were redone at W = 6. Errors go with 12 p - 1. m itself
  * where A serves another purpose, too. */
 static sfem_status sfemi_pqr_keep_margin(const sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
 {
-    const sfem_real m = b->model->margin;
+    const sfem_real m = sfemi_pqr_margin(b);
     sfem_model *model = b->model;
     sfem_status status = SFEM_OK;
     sfem_real bound, omega;
@@ -15785,13 +15798,6 @@ typedef struct sfemi_frames {
     sfemi_polars_kernel kernel;
 } sfemi_frames;
 
-/* Are steps lengthened, see >>guard? */
-static int sfemi_turn_lengthens(const sfem_body *b)
-{
-    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns &&
-           !b->model->block_mass && !b->bonds;
-}
-
 /* 1 - the symmetric part of sum Q^T / V: of xx yy zz xy xz yz. */
 static void sfemi_turn_find_spread(const sfem_real s[9], const sfem_real q[9], sfem_real over, sfem_real spread[6])
 {
@@ -15861,7 +15867,7 @@ static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
     }
     job.body = b;
     job.frame = frame;
-    job.spread = frame == b->state.frame && sfemi_turn_lengthens(b) ? b->state.spread : NULL;
+    job.spread = frame == b->state.frame && sfemi_pqr_lengthens(b) ? b->state.spread : NULL;
     job.kernel = sfemi_polars_pick();
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
 }
@@ -16334,12 +16340,12 @@ static void sfemi_guard_some_longer(void *data, sfem_int index)
  * is 0; of damping of single tets the bound is not known. */
 static const sfem_real *sfemi_guard_lengthen(sfem_body *b)
 {
-    const sfem_real p = b->def.p < 0 ? fmax(b->p, b->model->margin) : b->p;
+    const sfem_real p = b->def.p < 0 ? fmax(b->p, sfemi_pqr_margin(b)) : b->p;
     sfemi_longer job;
     job.body = b;
     job.most = 2 * fmin(0.03, p - 0.25) / (1 + 2 * b->beta / b->step);
     job.scale = b->p * b->step * b->step;
-    if (!(job.most > 0) || b->renewal.live || b->zd || !sfemi_turn_lengthens(b)) return b->state.frame;
+    if (!(job.most > 0) || b->renewal.live || b->zd || !sfemi_pqr_lengthens(b)) return b->state.frame;
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_guard_some_longer, &job);
     return b->turn.longer;
 }
