@@ -13402,7 +13402,7 @@ typedef struct sfemi_state {
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
     sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
     sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
-    sfem_real *spread;     /* [nodes][6] of the tets' rotations about Q, xx yy zz xy xz yz: there, too */
+    sfem_real *spread;     /* [nodes][3][3] Q - sum V_e R_e / V: there, too */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
@@ -13413,7 +13413,7 @@ typedef struct sfemi_state {
 /* reals a node: u, w, a and three loads; f, f_past, frame and spread besides; before */
 static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
 {
-    return ((turns ? 39 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
+    return ((turns ? 42 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
 }
 
 /* damage: how many bytes of it, 0 where the body cannot break */
@@ -13440,7 +13440,7 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->f_past = turns ? at + 7 * n : NULL;
     s->frame = turns ? at + 8 * n : NULL;
     s->spread = turns ? at + 11 * n : NULL;
-    s->before = sleeps ? at + (turns ? 13 : 6) * n : NULL;
+    s->before = sleeps ? at + (turns ? 14 : 6) * n : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
     s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
@@ -15798,18 +15798,6 @@ typedef struct sfemi_frames {
     sfemi_polars_kernel kernel;
 } sfemi_frames;
 
-/* 1 - the symmetric part of sum Q^T / V: of xx yy zz xy xz yz. */
-static void sfemi_turn_find_spread(const sfem_real s[9], const sfem_real q[9], sfem_real over, sfem_real spread[6])
-{
-    const sfem_real half = over / 2;
-    spread[0] = 1 - over * (s[0] * q[0] + s[1] * q[1] + s[2] * q[2]);
-    spread[1] = 1 - over * (s[3] * q[3] + s[4] * q[4] + s[5] * q[5]);
-    spread[2] = 1 - over * (s[6] * q[6] + s[7] * q[7] + s[8] * q[8]);
-    spread[3] = -half * (s[0] * q[3] + s[1] * q[4] + s[2] * q[5] + s[3] * q[0] + s[4] * q[1] + s[5] * q[2]);
-    spread[4] = -half * (s[0] * q[6] + s[1] * q[7] + s[2] * q[8] + s[6] * q[0] + s[7] * q[1] + s[8] * q[2]);
-    spread[5] = -half * (s[3] * q[6] + s[4] * q[7] + s[5] * q[8] + s[6] * q[3] + s[7] * q[4] + s[8] * q[5]);
-}
-
 static void sfemi_turn_some_frames(void *data, sfem_int index)
 {
     const sfemi_frames *job = (const sfemi_frames *)data;
@@ -15819,6 +15807,7 @@ static void sfemi_turn_some_frames(void *data, sfem_int index)
     const sfem_int count = nodes - first < SFEMI_NODE_TASK ? nodes - first : SFEMI_NODE_TASK;
     const size_t at = 9 * (size_t)first;
     sfem_int i;
+    int c;
     job->kernel(count, t->sum + at, t->over + first, t->fresh + at, t->trace + first);
     for (i = first; i < first + count; ++i) {
         const size_t k = 9 * (size_t)i;
@@ -15826,9 +15815,11 @@ static void sfemi_turn_some_frames(void *data, sfem_int index)
         if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
         else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
     }
-    for (i = first; job->spread && i < first + count; ++i)
-        sfemi_turn_find_spread(t->sum + 9 * (size_t)i, job->frame + 9 * (size_t)i, t->over[i],
-                               job->spread + 6 * (size_t)i);
+    for (i = first; job->spread && i < first + count; ++i) {
+        const sfem_real *q = job->frame + 9 * (size_t)i, *sum = t->sum + 9 * (size_t)i, over = t->over[i];
+        sfem_real *spread = job->spread + 9 * (size_t)i;
+        for (c = 0; c < 9; ++c) spread[c] = q[c] - over * sum[c];
+    }
 }
 
 /* The same with one rotation for each piece. */
@@ -15994,13 +15985,13 @@ done:
  * (lambda + 2 mu) |G a|^2 a volume, as if the body were heavier by p h^2 times that. (With K = sum R k R^T of the
  * tets' own rotations in A, which knows no such thing, soft bars were measured at 1.04 to 1.08 of the error of
  * the trapezoidal rule, with the turned one at 1.4 to 2.2.) So A^-1 is taken in frames S Q, S = 1 + p h^2 c E/2:
- * E = 1 - sym(sum V_e R_e Q^T)/V, half a square of the angles between Q and the node's tets, about the axis
- * about which these differ, and c = (lambda + 2 mu)/rho over the mean square of the distance, along an axis, of
+ * E = 1 - sum V_e R_e Q^T/V, symmetric, half a square of the angles between Q and the node's tets, across the
+ * axis about which these differ, and c = (lambda + 2 mu)/rho over the mean square of the distance, along an axis, of
  * these tets from their centre (half of what the estimate says, which is measured to be best: unlike axes and
  * lateral strain). It is a function of the positions, which keeps the step the same backward in time and so makes
- * no energy: the same made of the last step's velocity or acceleration did, and cost 10 to 40 redone steps in
- * 480. It takes its part of the margin of p over 1/4, at most .03 (halves of S^2 - 1; of damping by K, that
- * A just bounds, less), fades where E tells of crumpling, and costs 1 to 2 % of a step. Mean error over that of
+ * no energy; what was tried with the last step's velocity or acceleration made errors up to ten times larger.
+ * It takes its part of the margin of p over 1/4, at most .03 (halves of S^2 - 1; of damping by K, that
+ * A just bounds, less), fades where E tells of crumpling, and costs 4 to 6 % of a step. Mean error over that of
  * the trapezoidal rule, seven bars of 7e4 to 1e6 Pa: at h = 1/60 1.77 without, 1.45 with it, at 1/120 1.57
  * and 1.21 (p as it was). A step of conjugate gradients toward sum R k R^T gains as much, for 15 %.
  * ============================================================================================ */
@@ -16081,7 +16072,7 @@ static void sfemi_guard_look(sfem_body *b)
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
-        memset(b->state.spread, 0, 6 * (size_t)b->model->mesh.nodes * sizeof *b->state.spread);
+        memset(b->state.spread, 0, 9 * (size_t)b->model->mesh.nodes * sizeof *b->state.spread);
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->state.frame);
         head->current = 1;
@@ -16323,16 +16314,14 @@ static void sfemi_guard_some_longer(void *data, sfem_int index)
     sfem_int i;
     int c;
     for (i = first; i < end; ++i) {
-        const sfem_real *e = b->state.spread + 6 * (size_t)i, *q = b->state.frame + 9 * (size_t)i;
-        const sfem_real trace = e[0] + e[1] + e[2], raw = job->scale * b->turn.heavy[i];
+        const sfem_real *e = b->state.spread + 9 * (size_t)i, *q = b->state.frame + 9 * (size_t)i;
+        const sfem_real trace = q[0] * e[0] + q[1] * e[1] + q[2] * e[2] + q[3] * e[3] + q[4] * e[4] + q[5] * e[5] +
+                                q[6] * e[6] + q[7] * e[7] + q[8] * e[8];
+        const sfem_real raw = job->scale * b->turn.heavy[i];
         sfem_real *to = b->turn.longer + 9 * (size_t)i, half;
         half = raw * trace > job->most ? job->most / trace / 2 : raw / 2;
         half = b->mask[i] || !(trace > 0 && trace < 0.25) ? 0 : half * (1 - 4 * trace); /* crumpled: not at all */
-        for (c = 0; c < 3; ++c) {
-            to[c] = q[c] + half * (e[0] * q[c] + e[3] * q[3 + c] + e[4] * q[6 + c]);
-            to[3 + c] = q[3 + c] + half * (e[3] * q[c] + e[1] * q[3 + c] + e[5] * q[6 + c]);
-            to[6 + c] = q[6 + c] + half * (e[4] * q[c] + e[5] * q[3 + c] + e[2] * q[6 + c]);
-        }
+        for (c = 0; c < 9; ++c) to[c] = q[c] + half * e[c];
     }
 }
 
