@@ -149,7 +149,10 @@ typedef struct sfem_allocator {
 /* Threads. All zero means the calling thread alone. With threads > 1, loops are split with OpenMP
  * where it is compiled in, or with parallel_for where that is given: it has to call
  * task(data, i) once for each i in [0, count), in any order, on any threads, and return when all are
- * done. Results have the same bits for any number of threads. */
+ * done. Results have the same bits for any number of threads. Small bodies take one
+ * thread whatever is asked for. OpenMP's threads spin while they wait: where processors have other work to do
+ * a step may take a hundred times as long, unless OMP_WAIT_POLICY=passive is set. Many bodies are better
+ * stepped in parallel, each by one thread. */
 typedef void (*sfem_task)(void *data, sfem_int index);
 typedef struct sfem_exec {
     sfem_int threads;
@@ -310,16 +313,27 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  * >>api-meshio   files
  * ============================================================================================ */
 
-/* READING. Which format it is shows in the data itself:
- *   Gmsh 4.1 ASCII (.msh)    node tags in any order and with gaps; 4-node tets (type 4); region is
- *                            the volume's first physical group (0 without one) if any volume has
- *                            one, else the number of its entity
+/* READING. Which format it is shows in the data itself, TetGen's in the name:
+ *   Gmsh 2.0 to 2.2 and 4.1 (.msh)  ASCII and binary, in either order of bytes, 2.2 with doubles or
+ *                            floats; node tags in any order and with gaps; 4-node tets (type 4);
+ *                            region is the first physical group of the tet, in 4.1 of its volume (0
+ *                            without one), if any has one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
- * Cells of other types are skipped. Nodes stand in the file's order, numbered from 0, with those
- * that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are turned, as by
- * sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find. Numbers are read
- * exactly, whatever the locale: the double nearest to the text.
- *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line
+ *   Vega (.veg)              *ELEMENTS TET; region is the material's number, from 0 in the order of
+ *                            *MATERIAL, by the last *REGION with the tet in its *SET (-1 if none
+ *                            has; NULL without any); its constants are not read. sfem_mesh_read
+ *                            follows *INCLUDE to files beside this one or below it, 16 at most; a
+ *                            count has to stand in one file with what it counts
+ *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number; attributes
+ *                            and markers of nodes are passed over
+ * The last two are numbered from 0, from 1 or from elsewhere, without gaps, and may have comments
+ * (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh and VTK files, and
+ * refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from
+ * 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are
+ * turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
+ * Numbers are read exactly, whatever the locale: the double nearest to the text.
+ *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line, in
+ *                            binary files -1, while the text tells the byte
  *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
  *           SFEM_NOT_FINITE  a coordinate that is NaN or infinite, or overflows; err->line
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY, and for a file SFEM_IO
@@ -330,8 +344,13 @@ SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      const sfem_allocator *allocator, sfem_mesh *out,
                                      sfem_error *err);
 
+/* From the contents of TetGen's two files, of which the messages speak as .node and .ele. */
+SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
+                                            size_t ele_bytes, const sfem_allocator *allocator,
+                                            sfem_mesh *out, sfem_error *err);
+
 #ifndef SFEM_NO_STDIO
-/* From a file, which is read whole. */
+/* From a file, which is read whole; with x.node or x.ele, from both of them. */
 SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
                                     sfem_mesh *out, sfem_error *err);
 
@@ -761,8 +780,10 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
-/* Cauchy stress of the displacement u [nodes][3] under small strain, constant in a tet:
- * stress [tets][6] in the order xx yy zz xy xz yz, von_mises [tets], Pa; either may be NULL. */
+/* Cauchy stress of the displacement u [nodes][3], constant in a tet, by the law of each: of linear ones that of
+ * the small strain, of others P F^T / J, where J = det F below .1 counts as .1, for flat and inverted tets have
+ * none. Of the undamaged body. stress [tets][6] in the order xx yy zz xy xz yz (a file wants yz before xz, see
+ * sfem_field), von_mises [tets], Pa; either may be NULL. .1 us a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
 /* 1/2 u.K u, J, summed from the tets' own strains. */
@@ -939,6 +960,8 @@ typedef struct sfem_piece {
  *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
  *                 body is nonlinear or its load changes.)
  * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
+ * In these, and in Newmark's of linear bodies, the momenta of a free piece are changed by its loads alone, to
+ * rounding of the velocities: however stiff the body and long the step, internal forces are not asked.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
  * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
  * unconditionally stable for linear bodies, and second order but for the first:
@@ -1103,7 +1126,8 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* The same in three parts, for callers who put forces and constraints of their own (contact) between
- * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps.
+ * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps. (Where a
+ * changed load wakes it in a whole step, that step goes without the caller's forces.)
  * predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
  * during this step, as F at its start does. solve leaves the step's acceleration where
  * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step
@@ -1524,12 +1548,23 @@ SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *reduced, sfem_preci
 SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed */
 SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
 
-/* A MODAL BODY. Two integrators:
- *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]
+/* A MODAL BODY. Three integrators:
+ *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]. Of modes faster
+ *                       than the step it hardly sees the damping: its free motion changes sign at
+ *                       each step, and dies by e^(-4 ratio/(omega h)) where the exact one is dead
  *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: exact
- *                       at any h and any damping. With handles it steps as the other does, by
- *                       handle_beta and handle_gamma. */
-typedef enum sfem_modal_integrator { SFEM_MODAL_NEWMARK, SFEM_MODAL_EXACT } sfem_modal_integrator;
+ *                       at any h and any damping. With handles it steps as the first does, by
+ *                       handle_beta and handle_gamma
+ *   SFEM_MODAL_FITTED   the same formulas as the first for oscillators whose mass and damping are
+ *                       fitted to the step: under (1/4, 1/2) free motion then dies as the exact one
+ *                       at any h [Liniger, Willoughby 1970]. Of second order, rests exact, modes
+ *                       without damping as the first has them to the bit. Its q'' are those of the
+ *                       fitted oscillators: what a link has to send. The default */
+typedef enum sfem_modal_integrator {
+    SFEM_MODAL_NEWMARK,
+    SFEM_MODAL_EXACT,
+    SFEM_MODAL_FITTED
+} sfem_modal_integrator;
 
 typedef struct sfem_modal sfem_modal;
 
@@ -1539,12 +1574,16 @@ typedef struct sfem_modal_def {
     sfem_real beta, gamma;  /* > 0, >= 1/2 */
     sfem_real handle_beta;  /* while a handle is held: constraints on positions ring under */
     sfem_real handle_gamma; /* (1/4, 1/2), with growing amplitude */
-    sfem_real compliance;   /* eps >= 0 of handles, times the mean of the diagonal of J A^-1 J^T:
-                             * what noisy targets and dependent handles need */
+    sfem_real compliance;   /* eps >= 0: a hand gives so much of what the body gives at rest, which
+                             * noisy targets and dependent handles need; see HANDLES */
+    int frozen_turns;           /* handles pull by J = H Rt Phi, as the source has it: without how the
+                                 * nodes' rotations follow q */
     sfem_int handle_iterations; /* at most so many corrections a step bring warped handles to their
                                  * targets, >= 1 */
     sfem_int max_handles;       /* at a time, and nodes in all their regions */
     sfem_int max_handle_nodes;
+    sfem_real h;          /* s, >= 0: the steps that sfem_modal_start is to fit q'' to before there
+                           * was one, for whoever sends it; 0: the first step fits it */
     sfem_real tolerance;  /* m, >= 0: modes that can be left out of a step without moving any node
                            * by more than this, all together, are; see sfem_modal_info */
     sfem_real gravity[3]; /* m/s^2 */
@@ -1552,12 +1591,12 @@ typedef struct sfem_modal_def {
     sfem_exec exec; /* threads for reconstruction */
 } sfem_modal_def;
 
-/* Newmark (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
+/* Fitted, (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
  * handles of 64 nodes in all; tolerance 0; no gravity. */
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
 
 /* A body at rest. Everything that it will ever need is allocated here: about 32 bytes a node and
- * 200 a mode, 72 a mode more for each handle.
+ * 250 a mode, 72 a mode more for each handle.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE, SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def,
                                        sfem_modal **out, sfem_error *err);
@@ -1597,6 +1636,10 @@ SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_re
 /* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for
  * that. */
 SFEM_DEF void sfem_modal_start(sfem_modal *modal);
+/* omega^2 and c, [modes], of what Newmark sees in steps of h, per unit of its mass: those of the
+ * reduced model, or fitted ones. SFEM_LOST_PREDICTED wants them. h > 0. */
+SFEM_DEF void sfem_modal_oscillators(const sfem_modal *modal, sfem_real h, sfem_real *stiffness,
+                                     sfem_real *damping);
 
 /* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs
  * the nodes whose force is not zero.
@@ -1655,13 +1698,22 @@ SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *modal, const sfem_rigid *r
 SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
                                   sfem_real angular[3]);
 
-/* HANDLES hold a node, or the mean of a region's displacement, at a target by Lagrange multipliers:
- *     [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi (R Phi, Phi)
- * [A.14-A.17].
+/* HANDLES hold a node, or the mean of a region's places x, at a target by multipliers [A.14-A.17]:
+ *     A q'' = b - J^T l,   x - target = C l - tau x',   J = dx/dq
+ * where the hand is a spring and a damper on the target's place:
+ *     C = eps mean diag J Lambda^-1 J^T   1/eps times as stiff as the body is at rest,
+ *     tau = 2 sqrt(C/mean diag J M^-1 J^T)   critically damped; 0 in statics
+ * (a free body's C at least that of A). So what noise, jumps and contradictions make of a body does
+ * not grow as steps shrink, and with C the least of q.Lambda q/2 + sum |x - target|^2/2C is where it
+ * rests. A hand that moves at v lags by tau v, at most .02 v/omega_1 at eps = 1e-4. With eps = 0 they
+ * are the source's constraints: exact, but 1 mm of noise in targets is v = 1 mm/h, times what the modes
+ * need to follow it, and on release that is what the body flies with. Under SFEM_WARP_ROTATION and
+ * _PATH J contains how the rotations follow q: the hand's work goes into the body (with the source's
+ * J = H R Phi, frozen_turns, 15-20 % of it do not, and targets that contradict one another can pump).
  * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it.
  * Nodes that do not move in any mode carry no force. Handles that contradict or repeat one
  * another, or that are more than the modes can follow, share what is left by least squares,
- * weighted by the compliance.
+ * weighted by C.
  *   weight  [count] shares of the nodes of a region, that sum to 1, or NULL: equal
  *   target  a position, m (of a region: the weighted mean of its nodes')
  *   errors  SFEM_BAD_ARGUMENT (node, weights), SFEM_FULL (max_handles, max_handle_nodes),
@@ -1677,7 +1729,7 @@ SFEM_DEF void sfem_modal_release_handle(sfem_modal *modal, sfem_int handle);
 SFEM_DEF void sfem_modal_handle_position(const sfem_modal *modal, sfem_int handle, sfem_real x[3]);
 /* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The
  * hand, and so a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in
- * modes it is J^T (-l) = Phi^T Rt^T f, [modes], with the rotations that it was computed with. */
+ * modes it is J^T (-l), [modes], of the q that it was computed with. */
 SFEM_DEF void sfem_modal_handle_force(const sfem_modal *modal, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *modal, sfem_int handle,
                                             sfem_real *force);
@@ -1768,7 +1820,8 @@ typedef struct sfem_link_def {
     sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory: 48
                           * bytes a step and mode */
     const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised
-                          * modes, >= 0, for SFEM_LOST_PREDICTED; copied; damping NULL: none */
+                          * modes, >= 0, for SFEM_LOST_PREDICTED, as sfem_modal_oscillators gives
+                          * them; copied; damping NULL: none */
     sfem_allocator allocator;
 } sfem_link_def;
 
@@ -3587,7 +3640,8 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file format, version 4.1. The VTK file formats, for VTK 4.2 and later. */
+ * manual, MSH file formats 2.2 and 4.1. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. */
 
 /* ---- numbers as text, the same in any locale ---- */
 
@@ -3728,10 +3782,29 @@ static const char *sfemi_text_real(const char *p, const char *end, sfem_real *ou
 
 typedef struct sfemi_scan {
     const char *p, *end;
-    sfem_int line; /* of p, from 1 */
-    int in_row;    /* numbers are looked for up to the end of the line only */
+    sfem_int line;       /* of p, from 1 */
+    int in_row;          /* numbers are looked for up to the end of the line only */
+    char blank, comment; /* counts as a blank, too; begins a comment: ' ' and '\n' are none */
+    int order;      /* numbers are binary, low bytes first (1) or high bytes first (2); 0 = text */
+    int size, real; /* bytes of a count and of a real in binary; other integers have 4 */
+    const char *start; /* of binary data, whose places are told in bytes from here; or NULL */
+    const char *file;  /* which of several files this is, or NULL */
     sfem_error *err;
 } sfemi_scan;
+
+static sfemi_scan sfemi_scan_of(const void *data, size_t bytes, sfem_error *err)
+{
+    sfemi_scan s;
+    memset(&s, 0, sizeof s);
+    s.p = bytes ? (const char *)data : "";
+    s.end = s.p + bytes;
+    s.line = 1;
+    s.blank = ' ';
+    s.comment = '\n';
+    s.err = err;
+    if (bytes >= 3 && !memcmp(s.p, "\xef\xbb\xbf", 3)) s.p += 3; /* a byte order mark */
+    return s;
+}
 
 SFEMI_PRINTF(3, 4)
 static sfem_status sfemi_scan_fail(const sfemi_scan *s, sfem_status status, const char *format, ...)
@@ -3741,30 +3814,48 @@ static sfem_status sfemi_scan_fail(const sfemi_scan *s, sfem_status status, cons
     va_start(list, format);
     vsnprintf(text, sizeof text, format, list);
     va_end(list);
-    sfemi_fail(s->err, status, "line %ld: %s", (long)s->line, text);
+    if (s->start)
+        return sfemi_fail(s->err, status, "byte %lld: %s", (long long)(s->p - s->start), text);
+    if (s->file)
+        sfemi_fail(s->err, status, "line %ld of %.40s: %s", (long)s->line, s->file, text);
+    else
+        sfemi_fail(s->err, status, "line %ld: %s", (long)s->line, text);
     if (s->err) s->err->line = s->line;
     return status;
 }
 
 static int sfemi_is_blank(char c) { return c == ' ' || (c >= '\t' && c <= '\r' && c != '\n'); }
 
-static void sfemi_scan_space(sfemi_scan *s)
+/* Goes to the end of the line, or of the data. */
+static void sfemi_scan_rest(sfemi_scan *s)
 {
-    for (; s->p < s->end; ++s->p) {
-        if (*s->p == '\n') {
-            if (s->in_row) return;
-            if (s->line < INT32_MAX) ++s->line;
-        } else if (!sfemi_is_blank(*s->p))
-            return;
-    }
+    const char *p =
+        s->p < s->end ? (const char *)memchr(s->p, '\n', (size_t)(s->end - s->p)) : NULL;
+    s->p = p ? p : s->end;
 }
 
 static void sfemi_scan_skip_line(sfemi_scan *s)
 {
-    const char *p =
-        s->p < s->end ? (const char *)memchr(s->p, '\n', (size_t)(s->end - s->p)) : NULL;
-    s->p = p ? p + 1 : s->end;
-    if (p && s->line < INT32_MAX) ++s->line;
+    sfemi_scan_rest(s);
+    if (s->p == s->end) return;
+    ++s->p;
+    if (s->line < INT32_MAX) ++s->line;
+}
+
+static void sfemi_scan_space(sfemi_scan *s)
+{
+    if (s->order) return; /* binary data has no space */
+    for (; s->p < s->end; ++s->p) {
+        if (*s->p != '\n' && *s->p == s->comment) {
+            sfemi_scan_rest(s);
+            if (s->p == s->end) return;
+        }
+        if (*s->p == '\n') {
+            if (s->in_row) return;
+            if (s->line < INT32_MAX) ++s->line;
+        } else if (!sfemi_is_blank(*s->p) && *s->p != s->blank)
+            return;
+    }
 }
 
 /* The next word, of no letters at the end of the data (or of the line, in a row). */
@@ -3778,8 +3869,8 @@ static sfemi_word sfemi_scan_peek(sfemi_scan *s)
     sfemi_word w;
     const char *q;
     sfemi_scan_space(s);
-    for (q = s->p; q < s->end && *q != '\n' && !sfemi_is_blank(*q); ++q) {
-    }
+    for (q = s->p; q < s->end && *q != s->blank && *q != s->comment; ++q)
+        if ((unsigned char)*q <= ' ' && (*q == '\n' || sfemi_is_blank(*q))) break;
     w.p = s->p;
     w.n = (size_t)(q - s->p);
     return w;
@@ -3825,13 +3916,60 @@ static sfem_status sfemi_scan_expected(sfemi_scan *s, const char *what, sfemi_wo
                            sfemi_word_text(found, text));
 }
 
+/* Goes past binary data. */
+static sfem_status sfemi_scan_skip_bytes(sfemi_scan *s, uint64_t bytes, const char *what)
+{
+    if (bytes > (uint64_t)(s->end - s->p))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "expected %s, but the data ends", what);
+    s->p += (size_t)bytes;
+    return SFEM_OK;
+}
+
+/* The bits of a binary number of 4 or 8 bytes. */
+static sfem_status sfemi_scan_bits(sfemi_scan *s, int bytes, const char *what, uint64_t *out)
+{
+    const unsigned char *p = (const unsigned char *)s->p;
+    sfem_status status = sfemi_scan_skip_bytes(s, (uint64_t)bytes, what);
+    int i;
+    if (status != SFEM_OK) return status;
+    for (*out = 0, i = 0; i < bytes; ++i) *out = *out << 8 | p[s->order == 1 ? bytes - 1 - i : i];
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_scan_range(sfemi_scan *s, int64_t v, int64_t low, int64_t high,
+                                    const char *what)
+{
+    if (v >= low && v <= high) return SFEM_OK;
+    return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %lld, not in %lld .. %lld", what, (long long)v,
+                           (long long)low, (long long)high);
+}
+
+static sfem_status sfemi_scan_binary(sfemi_scan *s, int bytes, int64_t low, int64_t high,
+                                     const char *what, int64_t *out)
+{
+    const char *before = s->p;
+    uint64_t bits = 0;
+    sfem_status status = sfemi_scan_bits(s, bytes, what, &bits);
+    if (status != SFEM_OK) return status;
+    *out = bytes == 4 ? (int64_t)(int32_t)(uint32_t)bits : (int64_t)bits;
+    s->p = before; /* the place of the fault */
+    status = sfemi_scan_range(s, *out, low, high, what);
+    if (status == SFEM_OK) s->p += bytes;
+    return status;
+}
+
 static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, const char *what,
                                       int64_t *out)
 {
-    sfemi_word w = sfemi_scan_peek(s);
-    size_t i = w.n && (w.p[0] == '-' || w.p[0] == '+');
-    int negative = w.n && w.p[0] == '-';
+    sfemi_word w;
+    size_t i;
+    int negative;
     int64_t v = 0;
+    sfem_status status;
+    if (s->order) return sfemi_scan_binary(s, 4, low, high, what, out);
+    w = sfemi_scan_peek(s);
+    i = w.n && (w.p[0] == '-' || w.p[0] == '+');
+    negative = w.n && w.p[0] == '-';
     if (i == w.n) return sfemi_scan_expected(s, what, w);
     for (; i < w.n; ++i) {
         if (w.p[i] < '0' || w.p[i] > '9') return sfemi_scan_expected(s, what, w);
@@ -3840,35 +3978,66 @@ static sfem_status sfemi_scan_integer(sfemi_scan *s, int64_t low, int64_t high, 
         v = 10 * v + (w.p[i] - '0');
     }
     if (negative) v = -v;
-    if (v < low || v > high)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %lld, not in %lld .. %lld", what,
-                               (long long)v, (long long)low, (long long)high);
+    status = sfemi_scan_range(s, v, low, high, what);
+    if (status != SFEM_OK) return status;
     s->p += w.n;
     *out = v;
     return SFEM_OK;
 }
 
+/* An integer that has the width of a count in binary. */
+static sfem_status sfemi_scan_size(sfemi_scan *s, int64_t low, int64_t high, const char *what,
+                                   int64_t *out)
+{
+    return s->order ? sfemi_scan_binary(s, s->size, low, high, what, out)
+                    : sfemi_scan_integer(s, low, high, what, out);
+}
+
+static sfem_status sfemi_scan_binary_real(sfemi_scan *s, const char *what, sfem_real *out)
+{
+    const char *before = s->p;
+    uint64_t bits = 0;
+    uint32_t low;
+    float f;
+    sfem_status status = sfemi_scan_bits(s, s->real, what, &bits);
+    if (status != SFEM_OK) return status;
+    low = (uint32_t)bits;
+    memcpy(&f, &low, sizeof f);
+    if (s->real == 8)
+        memcpy(out, &bits, sizeof *out);
+    else
+        *out = (low & 0x7f800000u) == 0x7f800000u ? HUGE_VAL : (sfem_real)f;
+    if (sfemi_finite(*out)) return SFEM_OK;
+    s->p = before;
+    return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is not finite", what);
+}
+
 static sfem_status sfemi_scan_real(sfemi_scan *s, const char *what, sfem_real *out)
 {
-    sfemi_word w = sfemi_scan_peek(s);
-    const char *q = sfemi_text_real(w.p, w.p + w.n, out);
-    size_t sign = w.n && (w.p[0] == '-' || w.p[0] == '+');
-    sfemi_word name;
+    sfemi_word w, name;
+    const char *q;
+    size_t sign;
+    if (s->order) return sfemi_scan_binary_real(s, what, out);
+    w = sfemi_scan_peek(s);
+    q = sfemi_text_real(w.p, w.p + w.n, out);
+    if (q && q == w.p + w.n && sfemi_finite(*out)) {
+        s->p += w.n;
+        return SFEM_OK;
+    }
+    sign = w.n && (w.p[0] == '-' || w.p[0] == '+');
     name.p = w.p + sign;
     name.n = w.n - sign;
     if (sfemi_word_is(name, "nan") || sfemi_word_is(name, "inf") || sfemi_word_is(name, "infinity"))
         return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is not finite", what);
-    if (q != w.p + w.n || !w.n) return sfemi_scan_expected(s, what, w);
-    if (!sfemi_finite(*out))
-        return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is too large for a double", what);
-    s->p += w.n;
-    return SFEM_OK;
+    if (!q || q != w.p + w.n) return sfemi_scan_expected(s, what, w);
+    return sfemi_scan_fail(s, SFEM_NOT_FINITE, "%s is too large for a double", what);
 }
 
 /* Nothing more on this line? */
 static sfem_status sfemi_scan_end_of_row(sfemi_scan *s, const char *what)
 {
     sfemi_word w;
+    if (s->order) return SFEM_OK;
     s->in_row = 1;
     w = sfemi_scan_peek(s);
     s->in_row = 0;
@@ -3880,7 +4049,7 @@ static sfem_status sfemi_scan_end_of_row(sfemi_scan *s, const char *what)
 static sfem_status sfemi_scan_count(sfemi_scan *s, size_t each, const char *what, sfem_int *out)
 {
     int64_t n;
-    sfem_status status = sfemi_scan_integer(s, 0, INT64_MAX, what, &n);
+    sfem_status status = sfemi_scan_size(s, 0, INT64_MAX, what, &n);
     if (status != SFEM_OK) return status;
     if ((uint64_t)n > ((uint64_t)(s->end - s->p) + 1) / each)
         return sfemi_scan_fail(s, SFEM_FORMAT,
@@ -3892,13 +4061,84 @@ static sfem_status sfemi_scan_count(sfemi_scan *s, size_t each, const char *what
     return SFEM_OK;
 }
 
-/* ---- Gmsh 4.1 ASCII ---- */
+static sfem_status sfemi_scan_skip_words(sfemi_scan *s, int64_t count, const char *what)
+{
+    for (; count > 0; --count) {
+        sfemi_word w = sfemi_scan_word(s);
+        if (!w.n) return sfemi_scan_expected(s, what, w);
+    }
+    return SFEM_OK;
+}
+
+#ifndef SFEM_NO_STDIO
+
+/* ---- whole files ---- */
+
+/* "path: text", with the system's reason if there is one. */
+static sfem_status sfemi_file_fail(const char *path, const char *text, sfem_error *err)
+{
+    const char *reason = errno ? strerror(errno) : "no reason given";
+    return sfemi_fail(err, SFEM_IO, "%.120s: %s (%.60s)", path, text, reason);
+}
+
+/* The whole file, in a buffer that doubles. */
+static sfem_status sfemi_file_read(const char *path, const sfem_allocator *a, char **out,
+                                   size_t *bytes, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    char *buffer = NULL, *larger = NULL;
+    size_t size = 65536, n = 0, got;
+    FILE *f;
+    errno = 0;
+    f = fopen(path, "rb");
+    if (!f) return sfemi_file_fail(path, "cannot be opened", err);
+    SFEMI_NEW(char, buffer, a, size);
+    while ((got = fread(buffer + n, 1, size - n, f)) > 0) {
+        n += got;
+        if (n < size) continue;
+        if (size > (size_t)-1 / 2) {
+            status = sfemi_fail(err, SFEM_TOO_LARGE, "%.120s: too large a file", path);
+            goto done;
+        }
+        SFEMI_NEW(char, larger, a, 2 * size);
+        memcpy(larger, buffer, n);
+        sfemi_delete(a, buffer);
+        buffer = larger;
+        larger = NULL;
+        size *= 2;
+    }
+    if (ferror(f)) {
+        status = sfemi_file_fail(path, "cannot be read", err);
+        goto done;
+    }
+    *out = buffer;
+    *bytes = n;
+    buffer = NULL;
+done:
+    sfemi_delete(a, buffer);
+    fclose(f);
+    return status;
+}
+
+/* Puts the path in front of what is wrong with the file. */
+static void sfemi_file_blame(const char *path, sfem_error *err)
+{
+    sfem_error e;
+    if (!err) return;
+    e = *err;
+    sfemi_fail_at(err, e.status, e.node, e.tet, "%.100s: %.135s", path, e.text);
+    err->line = e.line;
+}
+
+#endif
+
+/* ---- Gmsh 2.2 and 4.1 ---- */
 
 /* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
 typedef struct sfemi_tags {
-    int64_t *tag;    /* [count] */
+    int64_t *tag;    /* [count] of which `used` are in */
     sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
-    size_t mask;
+    size_t mask, used;
 } sfemi_tags;
 
 static sfem_status sfemi_tags_new(sfemi_tags *g, sfem_int count, const sfem_allocator *a,
@@ -3929,71 +4169,166 @@ static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
     return g->table + i;
 }
 
+/* The place of a tag, or -1. */
+static sfem_int sfemi_tags_find(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t k;
+    if (!g->used) return -1;
+    k = (uint64_t)tag - (uint64_t)g->tag[0]; /* most files count on by one */
+    if (k < g->used && g->tag[k] == tag) return (sfem_int)k;
+    return *sfemi_tags_slot(g, tag) - 1;
+}
+
+/* Puts a tag in, at the place `used`; 0 if it is there already. */
+static int sfemi_tags_add(sfemi_tags *g, int64_t tag)
+{
+    sfem_int *slot = sfemi_tags_slot(g, tag);
+    if (*slot) return 0;
+    g->tag[g->used++] = tag;
+    *slot = (sfem_int)g->used;
+    return 1;
+}
+
 typedef struct sfemi_gmsh {
     sfemi_scan s;
     sfem_mesh m;
     sfemi_tags node, volume;
-    sfem_int volumes, *group; /* [volumes] first physical group, or 0 */
+    sfem_int *group; /* [volume] first physical group, or 0 */
+    int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
     int any_group, has_format, has_nodes, has_elements;
 } sfemi_gmsh;
 
+/* From here on numbers are binary, if the file is. */
+static sfem_status sfemi_gmsh_begin(sfemi_gmsh *g)
+{
+    sfem_status status;
+    if (!g->order) return SFEM_OK;
+    status = sfemi_scan_end_of_row(&g->s, "the end of the line");
+    if (status != SFEM_OK) return status;
+    sfemi_scan_skip_line(&g->s);
+    g->s.order = g->order;
+    return SFEM_OK;
+}
+
 static sfem_status sfemi_gmsh_end(sfemi_gmsh *g, const char *end)
 {
-    sfemi_word w = sfemi_scan_peek(&g->s);
+    sfemi_word w;
+    g->s.order = 0;
+    w = sfemi_scan_peek(&g->s);
     if (!sfemi_word_is(w, end)) return sfemi_scan_expected(&g->s, end, w);
     g->s.p += w.n;
     return SFEM_OK;
 }
 
-static sfem_status sfemi_gmsh_format(sfemi_gmsh *g)
+/* In text: is this no section's end, nor that of the data? */
+static sfem_status sfemi_gmsh_more(sfemi_gmsh *g, const char *what)
+{
+    sfemi_scan_space(&g->s);
+    if (g->s.order || (g->s.p < g->s.end && *g->s.p != '$')) return SFEM_OK;
+    return sfemi_scan_expected(&g->s, what, sfemi_scan_peek(&g->s));
+}
+
+/* Binary files tell by an integer 1 in which order its bytes are. */
+static sfem_status sfemi_gmsh_order(sfemi_gmsh *g, int data_size)
 {
     sfemi_scan *s = &g->s;
-    sfemi_word w = sfemi_scan_peek(s);
+    sfem_status status;
+    uint64_t one = 0;
+    g->order = 1;
+    SFEMI_TRY(sfemi_gmsh_begin(g));
+    SFEMI_TRY(sfemi_scan_bits(s, 4, "an integer 1 that tells the order of bytes", &one));
+    if (one == 0x01000000)
+        g->order = 2;
+    else if (one != 1)
+        status = sfemi_scan_fail(s, SFEM_FORMAT,
+                                 "the integer that tells the order of bytes is "
+                                 "not 1");
+    s->size = g->version == 2 ? 4 : data_size;
+    s->real = g->version == 2 ? data_size : 8;
+done:
+    return status;
+}
+
+static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
+{
+    sfemi_scan *s = &g->s;
+    sfemi_word w;
     sfem_status status;
     sfem_real version;
     int64_t binary, size;
     char text[25];
+    if (g->has_format) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $MeshFormat section");
+    w = sfemi_scan_peek(s);
     if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
-    if (!sfemi_word_is(w, "4.1"))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 4.1 ASCII is read",
+    g->version = version >= 2 && version <= 2.2 ? 2 : 4;
+    if (g->version == 4 && !sfemi_word_is(w, "4.1"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 2.0 to 2.2 and 4.1 are read",
                                sfemi_word_text(w, text));
     s->p += w.n;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "the file type (0 ASCII, 1 binary)", &binary));
-    if (binary) return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh 4.1 binary: only 4.1 ASCII is read");
     SFEMI_TRY(sfemi_scan_integer(s, 1, 64, "the data size", &size));
+    if (binary) {
+        if (size != 4 && size != 8)
+            return sfemi_scan_fail(s, SFEM_FORMAT,
+                                   "the data size of a binary file is %ld, not 4 "
+                                   "or 8",
+                                   (long)size);
+        s->start = start;
+        SFEMI_TRY(sfemi_gmsh_order(g, (int)size));
+    }
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndMeshFormat"));
     g->has_format = 1;
 done:
     return status;
 }
 
-/* One volume: tag, box, physical groups, bounding surfaces. */
-static sfem_status sfemi_gmsh_volume(sfemi_gmsh *g, sfem_int i)
+/* What is left of an entity behind its box and first physical group: in text the line, in binary
+ * the other groups and the entities that bound it. */
+static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t groups)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int *slot;
+    int64_t bounds = 0;
+    if (!s->order) {
+        sfemi_scan_skip_line(s);
+        return SFEM_OK;
+    }
+    SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)groups, "a physical group"));
+    if (dimension == 0) goto done;
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of bounding entities", &bounds));
+    SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)bounds, "a bounding entity"));
+done:
+    return status;
+}
+
+/* One entity: tag, place or box, physical groups, what bounds it. Only volumes are kept. */
+static sfem_status sfemi_gmsh_entity(sfemi_gmsh *g, int dimension)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
     sfem_real x;
     int64_t v, groups, group = 0;
+    sfem_int at;
     int k;
     sfemi_scan_space(s);
     s->in_row = 1;
-    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a volume tag", &v));
-    for (k = 0; k < 6; ++k) SFEMI_TRY(sfemi_scan_real(s, "a bound of the volume", &x));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of physical groups", &groups));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &v));
+    for (k = 0; k < (dimension ? 6 : 3); ++k)
+        SFEMI_TRY(sfemi_scan_real(s, "a bound of the entity", &x));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of physical groups", &groups));
     if (groups > 0)
         SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
-    g->volume.tag[i] = v;
-    slot = sfemi_tags_slot(&g->volume, v);
-    if (*slot) {
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
-        goto done;
+    if (dimension == 3) {
+        at = (sfem_int)g->volume.used;
+        if (!sfemi_tags_add(&g->volume, v)) {
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
+            goto done;
+        }
+        g->group[at] = (sfem_int)(group < 0 ? -group : group); /* a sign tells the orientation */
+        if (groups > 0) g->any_group = 1;
     }
-    *slot = i + 1;
-    g->group[i] = (sfem_int)(group < 0 ? -group : group); /* a sign only tells the orientation */
-    if (groups > 0) g->any_group = 1;
-    sfemi_scan_skip_line(s);
+    SFEMI_TRY(sfemi_gmsh_entity_end(g, dimension, groups - (groups > 0)));
 done:
     s->in_row = 0;
     return status;
@@ -4009,63 +4344,72 @@ static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
     sfem_int count[4], i;
     int k;
     if (g->group) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Entities section");
-    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, 8, what[k], &count[k]));
+    SFEMI_TRY(sfemi_gmsh_begin(g));
+    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
     SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
     SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
-    g->volumes = count[3];
-    for (k = 0; k < 3; ++k)
+    for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
-            sfemi_word w = sfemi_scan_peek(s);
-            if (!w.n || *w.p == '$') return sfemi_scan_expected(s, "another entity", w);
-            sfemi_scan_skip_line(s);
+            SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
+            if (!s->order && k < 3)
+                sfemi_scan_skip_line(s);
+            else
+                SFEMI_TRY(sfemi_gmsh_entity(g, k));
         }
-    for (i = 0; i < count[3]; ++i) SFEMI_TRY(sfemi_gmsh_volume(g, i));
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
 done:
     return status;
 }
 
-/* One block of nodes: all their tags, then all their places. */
-static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g, sfem_int first, sfem_int *n)
+static sfem_status sfemi_gmsh_node_tag(sfemi_gmsh *g)
+{
+    sfem_status status;
+    int64_t v = 0;
+    status = sfemi_scan_size(&g->s, 1, INT64_MAX, "a node tag", &v);
+    if (status == SFEM_OK && !sfemi_tags_add(&g->node, v))
+        status = sfemi_scan_fail(&g->s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
+    return status;
+}
+
+/* The place of node i, and so many more numbers that are not needed, to the end of the row. */
+static sfem_status sfemi_gmsh_point(sfemi_gmsh *g, sfem_int i, int more)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
+    sfem_real ignored;
+    int k;
+    s->in_row = 1;
+    for (k = 0; k < 3; ++k)
+        SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
+    for (k = 0; k < more; ++k) SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+done:
+    s->in_row = 0;
+    return status;
+}
+
+/* 4.1: one block of nodes: all their tags, then all their places. */
+static sfem_status sfemi_gmsh_node_block(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int i, count = 0;
+    sfem_int i, first = (sfem_int)g->node.used, count = 0;
     int64_t dimension, v, parametric;
-    int k;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
     SFEMI_TRY(sfemi_scan_integer(s, INT32_MIN, INT32_MAX, "the tag of an entity", &v));
     SFEMI_TRY(sfemi_scan_integer(s, 0, 1, "'parametric' (0 or 1)", &parametric));
-    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes in a block", &count));
+    SFEMI_TRY(sfemi_scan_count(s, s->order ? 28 : 8, "the count of nodes in a block", &count));
     if (count > g->m.nodes - first) {
         status = sfemi_scan_fail(
             s, SFEM_FORMAT, "the blocks have more than the %ld nodes announced", (long)g->m.nodes);
         goto done;
     }
+    for (i = 0; i < count; ++i) SFEMI_TRY(sfemi_gmsh_node_tag(g));
     for (i = first; i < first + count; ++i) {
-        sfem_int *slot;
-        SFEMI_TRY(sfemi_scan_integer(s, 1, INT64_MAX, "a node tag", &v));
-        g->node.tag[i] = v;
-        slot = sfemi_tags_slot(&g->node, v);
-        if (*slot) {
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "node tag %lld a second time", (long long)v);
-            goto done;
-        }
-        *slot = i + 1;
-    }
-    for (i = first; i < first + count; ++i) {
-        sfem_real ignored;
         sfemi_scan_space(s);
-        s->in_row = 1;
-        for (k = 0; k < 3; ++k)
-            SFEMI_TRY(sfemi_scan_real(s, "a coordinate", g->m.x + 3 * (size_t)i + k));
-        for (k = 0; k < (parametric ? (int)dimension : 0); ++k)
-            SFEMI_TRY(sfemi_scan_real(s, "a parametric coordinate", &ignored));
-        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+        SFEMI_TRY(sfemi_gmsh_point(g, i, parametric ? (int)dimension : 0));
     }
-    *n = count;
 done:
-    s->in_row = 0;
     return status;
 }
 
@@ -4074,24 +4418,33 @@ static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
     sfemi_scan *s = &g->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    sfem_int nodes = 0, n = 0, filled = 0;
-    int64_t blocks, v;
+    sfem_int nodes = 0;
+    int64_t blocks = 0, v;
     if (g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Nodes section");
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of node blocks", &blocks));
-    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of nodes", &nodes));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest node tag", &v));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest node tag", &v));
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_gmsh_begin(g));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of node blocks", &blocks));
+    }
+    SFEMI_TRY(sfemi_scan_count(s, g->order ? (size_t)(4 + 3 * s->real) : 8, "the count of nodes",
+                               &nodes));
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the lowest node tag", &v));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the highest node tag", &v));
+    } else
+        SFEMI_TRY(sfemi_gmsh_begin(g));
     SFEMI_NEW(sfem_real, g->m.x, &g->m.allocator, 3 * (size_t)nodes);
     SFEMI_TRY(sfemi_tags_new(&g->node, nodes, &g->m.allocator, err));
     g->m.nodes = nodes;
-    for (; blocks > 0; --blocks) {
-        SFEMI_TRY(sfemi_gmsh_node_block(g, filled, &n));
-        filled += n;
-    }
+    for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_node_block(g));
+    if (g->version == 2)
+        for (v = 0; v < nodes; ++v) {
+            SFEMI_TRY(sfemi_gmsh_node_tag(g));
+            SFEMI_TRY(sfemi_gmsh_point(g, (sfem_int)v, 0));
+        }
     SFEMI_TRY(sfemi_gmsh_end(g, "$EndNodes"));
-    if (filled != nodes) {
+    if (g->node.used != (size_t)nodes) {
         status = sfemi_scan_fail(s, SFEM_FORMAT, "%ld nodes announced, %ld found", (long)nodes,
-                                 (long)filled);
+                                 (long)g->node.used);
         goto done;
     }
     g->has_nodes = 1;
@@ -4099,68 +4452,167 @@ done:
     return status;
 }
 
-/* Tet number t from its row: tag and four node tags. */
-static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g, sfem_int t)
+/* The nodes of the next tet, in the rest of its row. */
+static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
-    sfem_status status;
+    const sfem_int t = g->m.tets;
+    sfem_status status = SFEM_OK;
     int64_t v;
     int k;
-    s->in_row = 1;
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "an element tag", &v));
     for (k = 0; k < 4; ++k) {
-        sfem_int slot;
-        SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
-        slot = *sfemi_tags_slot(&g->node, v);
-        if (!slot) {
+        sfem_int node;
+        SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
+        node = sfemi_tags_find(&g->node, v);
+        if (node < 0) {
             status =
                 sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node tag %lld, which is not there",
                                 (long)t, (long long)v);
             if (s->err) s->err->tet = t;
             goto done;
         }
-        g->m.tet[4 * (size_t)t + (size_t)k] = slot - 1;
+        g->m.tet[4 * (size_t)t + (size_t)k] = node;
     }
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+    ++g->m.tets;
+done:
+    return status;
+}
+
+/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past
+ * the rest of the row of one. */
+static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
+                                            int64_t count)
+{
+    /* nodes of the types 1 .. 31, the second to fourth order of lines to pyramids among them */
+    static const unsigned char nodes[32] = {0,  2,  3,  4,  4, 8, 6,  5,  3,  6, 9,
+                                            10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10,
+                                            12, 15, 15, 21, 4, 5, 6,  20, 35, 56};
+    sfemi_scan *s = &g->s;
+    uint64_t each;
+    if (!s->order) {
+        sfemi_scan_skip_line(s);
+        return SFEM_OK;
+    }
+    if (type != 92 && type != 93 && (type > 31 || !nodes[type]))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
+                               (long long)type);
+    each = (uint64_t)s->size * (1 + (uint64_t)more +
+                                (type == 92   ? 64u
+                                 : type == 93 ? 125u
+                                              : nodes[type]));
+    if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
+    return sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
+}
+
+static sfem_status sfemi_gmsh_count_tets(sfemi_scan *s, int64_t more, sfem_int *tets)
+{
+    if (more > INT32_MAX - *tets)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+    *tets += (sfem_int)more;
+    return SFEM_OK;
+}
+
+/* 4.1: one block of elements. First they are only counted: g->m.tet is NULL then. */
+static sfem_status sfemi_gmsh_block(sfemi_gmsh *g, int64_t *elements, sfem_int *tets)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    sfem_int place, region;
+    int64_t dimension, entity, type, count, i, v;
+    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements in a block", &count));
+    region = (sfem_int)entity;
+    if (g->any_group) {
+        place = sfemi_tags_find(&g->volume, entity);
+        region = place < 0 ? 0 : g->group[place];
+    }
+    for (i = 0; i < count; ++i) {
+        SFEMI_TRY(sfemi_gmsh_more(g, "another element"));
+        if (type == 4 && g->m.tet) {
+            g->m.region[g->m.tets] = region;
+            s->in_row = 1;
+            SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "an element tag", &v));
+            SFEMI_TRY(sfemi_gmsh_tet(g));
+            s->in_row = 0;
+        } else if (s->order) {
+            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));
+            break;
+        } else
+            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, 1));
+    }
+    *elements += count;
+    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
 done:
     s->in_row = 0;
     return status;
 }
 
-/* One block of elements. First they are only counted: g->m.tet is NULL then. */
-static sfem_status sfemi_gmsh_element_block(sfemi_gmsh *g, int64_t *elements, sfem_int *tets)
+/* 2.2: the tags of an element: its physical group, its entity, and others. */
+static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, sfem_int *group, sfem_int *entity)
+{
+    sfem_status status = SFEM_OK;
+    int64_t k, v;
+    *group = *entity = 0;
+    for (k = 0; k < tags; ++k) {
+        SFEMI_TRY(sfemi_scan_integer(&g->s, -INT32_MAX, INT32_MAX, "a tag of an element", &v));
+        if (k == 0) *group = (sfem_int)(v < 0 ? -v : v);
+        if (k == 1) *entity = (sfem_int)v;
+    }
+    if (*group) g->any_group = 1;
+done:
+    return status;
+}
+
+/* 2.2: in text one element, in binary a block of at most `left` elements of one type. */
+static sfem_status sfemi_gmsh_tagged(sfemi_gmsh *g, int64_t left, int64_t *elements, sfem_int *tets)
 {
     sfemi_scan *s = &g->s;
-    sfem_status status;
-    sfem_int slot, region;
-    int64_t dimension, entity, type, count, i;
-    SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
-    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
+    sfem_status status = SFEM_OK;
+    sfem_int group, entity;
+    int64_t v, type, tags, count = 1, i;
+    sfemi_scan_space(s);
+    s->in_row = 1;
+    if (!s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "an element tag", &v));
     SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements in a block", &count));
-    region = (sfem_int)entity;
-    if (g->any_group) {
-        slot = *sfemi_tags_slot(&g->volume, entity);
-        region = slot ? g->group[slot - 1] : 0;
-    }
-    for (i = 0; i < count; ++i) {
-        sfemi_word w = sfemi_scan_peek(s);
-        if (!w.n || *w.p == '$') {
-            status = sfemi_scan_expected(s, "another element", w);
-            goto done;
-        }
-        if (type == 4 && *tets == INT32_MAX) {
-            status = sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
-            goto done;
-        }
-        if (type == 4 && g->m.tet) {
-            SFEMI_TRY(sfemi_gmsh_tet(g, *tets));
-            g->m.region[*tets] = region;
-        } else
+    if (s->order)
+        SFEMI_TRY(sfemi_scan_integer(s, 0, left, "the count of elements in a block", &count));
+    SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tags", &tags));
+    if (type != 4) SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, tags, count));
+    for (i = 0; type == 4 && i < count; ++i) {
+        if (s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "an element tag", &v));
+        SFEMI_TRY(sfemi_gmsh_tags(g, tags, &group, &entity));
+        if (g->m.tet) {
+            g->m.region[g->m.tets] = g->any_group ? group : entity;
+            SFEMI_TRY(sfemi_gmsh_tet(g));
+        } else if (s->order)
+            SFEMI_TRY(sfemi_scan_skip_bytes(s, 16, "a node tag of a tet"));
+        else
             sfemi_scan_skip_line(s);
-        *tets += type == 4;
     }
     *elements += count;
+    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
+done:
+    s->in_row = 0;
+    return status;
+}
+
+/* All elements, once: they are counted while g->m.tet is NULL, and the tets read if it is not. */
+static sfem_status sfemi_gmsh_pass(sfemi_gmsh *g, int64_t blocks, int64_t elements, sfem_int *tets)
+{
+    sfem_status status = SFEM_OK;
+    int64_t found = 0;
+    if (g->version == 4)
+        for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_block(g, &found, tets));
+    else
+        while (found < elements) SFEMI_TRY(sfemi_gmsh_tagged(g, elements - found, &found, tets));
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    if (found != elements)
+        status = sfemi_scan_fail(&g->s, SFEM_FORMAT, "%lld elements announced, %lld found",
+                                 (long long)elements, (long long)found);
 done:
     return status;
 }
@@ -4171,44 +4623,48 @@ static sfem_status sfemi_gmsh_elements(sfemi_gmsh *g)
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
     sfem_int tets = 0;
-    int64_t blocks, elements, v, b, found = 0;
+    int64_t blocks = 0, elements, v;
     if (g->has_elements) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Elements section");
     if (!g->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "$Elements come before $Nodes");
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of element blocks", &blocks));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the count of elements", &elements));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the lowest element tag", &v));
-    SFEMI_TRY(sfemi_scan_integer(s, 0, INT64_MAX, "the highest element tag", &v));
-    start = *s;
-    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &tets));
-    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
-    if (found != elements) {
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "%lld elements announced, %lld found",
-                                 (long long)elements, (long long)found);
-        goto done;
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_gmsh_begin(g));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of element blocks", &blocks));
     }
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements", &elements));
+    if (g->version == 4) {
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the lowest element tag", &v));
+        SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the highest element tag", &v));
+    } else
+        SFEMI_TRY(sfemi_gmsh_begin(g));
+    start = *s;
+    SFEMI_TRY(sfemi_gmsh_pass(g, blocks, elements, &tets));
     SFEMI_NEW(sfem_int, g->m.tet, &g->m.allocator, 4 * (size_t)tets);
     SFEMI_NEW(sfem_int, g->m.region, &g->m.allocator, tets);
     *s = start;
-    for (b = 0; b < blocks; ++b) SFEMI_TRY(sfemi_gmsh_element_block(g, &found, &g->m.tets));
-    SFEMI_TRY(sfemi_gmsh_end(g, "$EndElements"));
+    SFEMI_TRY(sfemi_gmsh_pass(g, blocks, elements, &tets));
     g->has_elements = 1;
 done:
     return status;
 }
 
-/* Goes past the line $End<name> of section $<name>. */
+/* Goes past $End<name> of section $<name>: a line in ASCII files, anywhere in binary ones. */
 static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
 {
     sfemi_scan *s = &g->s;
     sfemi_word w;
     while (s->p < s->end) {
+        const char *p = g->order ? (const char *)memchr(s->p, '$', (size_t)(s->end - s->p)) : NULL;
+        if (p) s->p = p;
         w = sfemi_scan_peek(s);
         if (w.n == name.n + 3 && !memcmp(w.p, "$End", 4) &&
             !memcmp(w.p + 4, name.p + 1, name.n - 1)) {
             s->p += w.n;
             return SFEM_OK;
         }
-        sfemi_scan_skip_line(s);
+        if (p)
+            ++s->p;
+        else
+            sfemi_scan_skip_line(s);
     }
     w.n = 0;
     return sfemi_scan_expected(s, "the end of the section", w);
@@ -4217,12 +4673,13 @@ static sfem_status sfemi_gmsh_skip(sfemi_gmsh *g, sfemi_word name)
 static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
+    const char *start = s->p;
     sfem_status status = SFEM_OK;
     sfemi_word w;
     while (status == SFEM_OK && (w = sfemi_scan_word(s)).n) {
         if (*w.p != '$') return sfemi_scan_expected(s, "a section like $Nodes", w);
         if (sfemi_word_is(w, "$MeshFormat"))
-            status = sfemi_gmsh_format(g);
+            status = sfemi_gmsh_format(g, start);
         else if (!g->has_format)
             return sfemi_scan_expected(s, "$MeshFormat", w);
         else if (sfemi_word_is(w, "$Entities"))
@@ -4277,15 +4734,6 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     return SFEM_OK;
 }
 
-static sfem_status sfemi_vtk_skip_words(sfemi_scan *s, int64_t count, const char *what)
-{
-    for (; count > 0; --count) {
-        sfemi_word w = sfemi_scan_word(s);
-        if (!w.n) return sfemi_scan_expected(s, what, w);
-    }
-    return SFEM_OK;
-}
-
 static sfem_status sfemi_vtk_points(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
@@ -4295,7 +4743,7 @@ static sfem_status sfemi_vtk_points(sfemi_vtk *r)
     size_t i;
     if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
-    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of the points"));
+    SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of the points"));
     SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
     for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + i));
     r->m.nodes = n;
@@ -4318,7 +4766,7 @@ static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of numbers in CELLS", &r->numbers));
     if (sfemi_word_is(sfemi_scan_peek(s), "OFFSETS")) {
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the offsets"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the offsets"));
         SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, n);
         for (i = 0; i < n; ++i) {
             SFEMI_TRY(sfemi_scan_integer(s, before, i ? r->numbers : 0, "an offset", &v));
@@ -4334,12 +4782,12 @@ static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
             status = sfemi_scan_expected(s, "CONNECTIVITY", sfemi_scan_peek(s));
             goto done;
         }
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 2, "the type of the connectivity"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the connectivity"));
         n -= n > 0;
     }
     r->cells = n;
     r->cell_scan = *s;
-    SFEMI_TRY(sfemi_vtk_skip_words(s, r->numbers, "another number of a cell"));
+    SFEMI_TRY(sfemi_scan_skip_words(s, r->numbers, "another number of a cell"));
     r->has_cells = 1;
 done:
     return status;
@@ -4375,14 +4823,14 @@ static sfem_status sfemi_vtk_field(sfemi_scan *s)
 {
     sfem_status status;
     int64_t arrays, components, tuples;
-    SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of a field"));
+    SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of a field"));
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "the count of arrays in a field", &arrays));
     for (; arrays > 0; --arrays) {
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the name of an array"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of an array"));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
-        SFEMI_TRY(sfemi_vtk_skip_words(s, 1, "the type of an array"));
-        SFEMI_TRY(sfemi_vtk_skip_words(s, components * tuples, "another value of an array"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of an array"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, components * tuples, "another value of an array"));
     }
 done:
     return status;
@@ -4438,7 +4886,7 @@ static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
         }
         left -= (sfem_int)nodes;
         if (r->type[i] != 10) {
-            SFEMI_TRY(sfemi_vtk_skip_words(s, nodes, "another number of a cell"));
+            SFEMI_TRY(sfemi_scan_skip_words(s, nodes, "another number of a cell"));
             continue;
         }
         for (; nodes > 0; --nodes) {
@@ -4499,7 +4947,440 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
     return sfemi_vtk_tets(r);
 }
 
-/* ---- either ---- */
+/* ---- Vega .veg, TetGen .node and .ele ---- */
+
+#define SFEMI_INCLUDES 16 /* files that one .veg may include */
+
+/* A material or a set of tets, by its name. */
+typedef struct sfemi_rows_name {
+    sfemi_word name;
+    sfem_int material;    /* its number, or -1: it is a set */
+    size_t first, behind; /* its tets in member[] */
+} sfemi_rows_name;
+
+/* Both are rows of numbers, with comments from # on and commas as good as blanks. */
+typedef struct sfemi_rows {
+    sfemi_scan s;
+    sfem_mesh m;
+    sfem_int node_base, tet_base; /* the numbers of the first node and tet, mostly 0 or 1 */
+    int has_nodes, has_tets;
+    /* .veg: */
+    sfemi_rows_name *name; /* [names of names_room] */
+    sfem_int *member;      /* [members of members_room] tets of all sets, from 0 */
+    size_t names, names_room, members, members_room;
+    sfem_int materials;
+    const char *path; /* of the file, or NULL: there is nothing to include from */
+    int included, depth;
+    char *text[SFEMI_INCLUDES];       /* [included] the names are in there */
+    char file[SFEMI_INCLUDES][25];    /* [included] */
+    sfemi_scan outer[SFEMI_INCLUDES]; /* [depth] */
+} sfemi_rows;
+
+static void sfemi_rows_free(sfemi_rows *r, const sfem_allocator *a)
+{
+    int i;
+    for (i = 0; i < r->included; ++i) sfemi_delete(a, r->text[i]);
+    sfemi_delete(a, r->name);
+    sfemi_delete(a, r->member);
+}
+
+/* Room for one thing more behind `used` of them; NULL if there is no memory. */
+static void *sfemi_rows_grow(const sfem_allocator *a, void *old, size_t used, size_t *room,
+                             size_t size)
+{
+    size_t more = *room ? 2 * *room : 16;
+    void *p;
+    if (used < *room) return old;
+    p = sfemi_new(a, more, size);
+    if (!p) return NULL;
+    if (used) memcpy(p, old, used * size);
+    sfemi_delete(a, old);
+    *room = more;
+    return p;
+}
+
+/* The words up to the end of the row, or to a comma. */
+static sfemi_word sfemi_rows_words(sfemi_scan *s)
+{
+    sfemi_word w;
+    sfemi_scan_space(s);
+    w.p = s->p;
+    while (s->p < s->end && *s->p != '\n' && *s->p != s->comment && *s->p != s->blank) ++s->p;
+    for (w.n = (size_t)(s->p - w.p); w.n && sfemi_is_blank(w.p[w.n - 1]);) --w.n;
+    return w;
+}
+
+#ifndef SFEM_NO_STDIO
+static sfem_status sfemi_rows_open(sfemi_rows *r, sfemi_word w)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    size_t folder = strlen(r->path), bytes = 0;
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    char *path = NULL, *text = NULL;
+    sfemi_scan inner;
+    while (folder && r->path[folder - 1] != '/' && r->path[folder - 1] != '\\') --folder;
+    SFEMI_NEW(char, path, a, folder + w.n + 1);
+    memcpy(path, r->path, folder);
+    memcpy(path + folder, w.p, w.n);
+    SFEMI_TRY(sfemi_file_read(path, a, &text, &bytes, err));
+    inner = sfemi_scan_of(text, bytes, err);
+    inner.comment = r->s.comment;
+    inner.blank = r->s.blank;
+    inner.file = sfemi_word_text(w, r->file[r->included]);
+    r->text[r->included++] = text;
+    r->outer[r->depth++] = r->s;
+    r->s = inner;
+done:
+    sfemi_delete(a, path);
+    return status;
+}
+#endif
+
+/* *INCLUDE name: goes on in that file, then behind this row. A name that could lead out of the
+ * folder of the first file is refused: meshes come from strangers. */
+static sfem_status sfemi_rows_include(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfemi_word w;
+    char text[25];
+    size_t i;
+    w = sfemi_rows_words(s);
+    if (!w.n) return sfemi_scan_expected(s, "the name of a file", w);
+    if (!r->path)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: there is no file to include from",
+                               sfemi_word_text(w, text));
+    for (i = 0; i < w.n; ++i)
+        if (w.p[i] == '\\' || w.p[i] == ':' || !w.p[i] || (w.p[i] == '/' && i == 0) ||
+            (w.p[i] == '.' && i + 1 < w.n && w.p[i + 1] == '.'))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: not a file beside this one",
+                                   sfemi_word_text(w, text));
+    if (r->included == SFEMI_INCLUDES)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than %d files are included",
+                               SFEMI_INCLUDES);
+#ifndef SFEM_NO_STDIO
+    return sfemi_rows_open(r, w);
+#else
+    return SFEM_OK;
+#endif
+}
+
+/* To the first word of the next row, or of the one that it is at; `any` is 0 at the end. */
+static sfem_status sfemi_rows_next(sfemi_rows *r, int *any)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    for (;;) {
+        s->in_row = 0;
+        sfemi_scan_space(s);
+        if (s->p == s->end && r->depth > 0) {
+            *s = r->outer[--r->depth];
+            continue;
+        }
+        *any = s->p < s->end;
+        s->in_row = 1;
+        if (!sfemi_word_is(sfemi_scan_peek(s), "*INCLUDE")) return SFEM_OK;
+        sfemi_scan_word(s);
+        SFEMI_TRY(sfemi_rows_include(r));
+    }
+done:
+    return status;
+}
+
+/* To the next row, which has to be there. */
+static sfem_status sfemi_rows_need(sfemi_rows *r, const char *what)
+{
+    int any;
+    sfem_status status = sfemi_rows_next(r, &any);
+    if (status != SFEM_OK || any) return status;
+    r->s.in_row = 0;
+    return sfemi_scan_expected(&r->s, what, sfemi_scan_peek(&r->s));
+}
+
+/* The row in front of a table: a count, then up to three small numbers, which have defaults. */
+static sfem_status sfemi_rows_header(sfemi_rows *r, const char *what, sfem_int *count,
+                                     int64_t small[3])
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status;
+    int i;
+    SFEMI_TRY(sfemi_rows_need(r, what));
+    SFEMI_TRY(sfemi_scan_count(s, 8, what, count));
+    for (i = 0; i < 3 && sfemi_scan_peek(s).n; ++i)
+        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a number behind a count", &small[i]));
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+done:
+    return status;
+}
+
+/* The number in front of row i, which counts on by one from any `base`. */
+static sfem_status sfemi_rows_number(sfemi_rows *r, sfem_int i, const char *what, sfem_int *base)
+{
+    int64_t v;
+    sfem_status status;
+    SFEMI_TRY(sfemi_rows_need(r, what));
+    if (i == 0) {
+        SFEMI_TRY(sfemi_scan_integer(&r->s, 0, INT32_MAX, what, &v));
+        *base = (sfem_int)v;
+    } else {
+        v = (int64_t)*base + i;
+        SFEMI_TRY(sfemi_scan_integer(&r->s, v, v, what, &v));
+    }
+done:
+    return status;
+}
+
+/* The count, 3, attributes and markers; rows of number, place, attributes and markers. */
+static sfem_status sfemi_rows_nodes(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    int64_t small[3] = {3, 0, 0};
+    sfem_int n = 0, i;
+    int k;
+    if (r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*VERTICES a second time");
+    SFEMI_TRY(sfemi_rows_header(r, "the count of nodes", &n, small));
+    if (small[0] != 3)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "nodes in %ld dimensions, not 3", (long)small[0]);
+    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_rows_number(r, i, "the number of a node", &r->node_base));
+        for (k = 0; k < 3; ++k)
+            SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + 3 * (size_t)i + k));
+        SFEMI_TRY(sfemi_scan_skip_words(s, small[1] + small[2], "an attribute or marker"));
+        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the node's line"));
+    }
+    r->m.nodes = n;
+    r->has_nodes = 1;
+done:
+    return status;
+}
+
+static sfem_status sfemi_rows_tet(sfemi_rows *r, sfem_int t)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    int64_t v;
+    int k;
+    for (k = 0; k < 4; ++k) {
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a node of a tet", &v));
+        if (v < r->node_base || v - r->node_base >= r->m.nodes) {
+            status = sfemi_scan_fail(
+                s, SFEM_BAD_MESH, "tet %ld names node %lld, the nodes are %ld .. %lld", (long)t,
+                (long long)v, (long)r->node_base, (long long)r->node_base + r->m.nodes - 1);
+            if (s->err) s->err->tet = t;
+            goto done;
+        }
+        r->m.tet[4 * (size_t)t + (size_t)k] = (sfem_int)v - r->node_base;
+    }
+done:
+    return status;
+}
+
+/* The count, 4 and attributes; rows of number, nodes and attributes, the first of them the region. */
+static sfem_status sfemi_rows_tets(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    int64_t small[3] = {4, 0, 0};
+    sfem_real region;
+    sfem_int n = 0, i;
+    if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS a second time");
+    if (!r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS come before *VERTICES");
+    SFEMI_TRY(sfemi_rows_header(r, "the count of tets", &n, small));
+    if (small[0] != 4)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of %ld nodes, not 4", (long)small[0]);
+    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
+    if (small[1]) SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_rows_number(r, i, "the number of a tet", &r->tet_base));
+        SFEMI_TRY(sfemi_rows_tet(r, i));
+        if (small[1]) {
+            SFEMI_TRY(sfemi_scan_real(s, "the region of a tet", &region));
+            if (!(fabs(region) <= INT32_MAX) || region != floor(region))
+                return sfemi_scan_fail(s, SFEM_FORMAT,
+                                       "the region %g of a tet is not a whole number "
+                                       "below 2^31",
+                                       region);
+            r->m.region[i] = (sfem_int)region;
+            SFEMI_TRY(sfemi_scan_skip_words(s, small[1] - 1, "an attribute of a tet"));
+        }
+        SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+    }
+    r->m.tets = n;
+    r->has_tets = 1;
+done:
+    return status;
+}
+
+/* The material or set of that name that came first, or NULL. */
+static const sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+{
+    size_t i;
+    for (i = 0; i < r->names; ++i)
+        if ((r->name[i].material < 0) == set && r->name[i].name.n == name.n &&
+            !memcmp(r->name[i].name.p, name.p, name.n))
+            return r->name + i;
+    return NULL;
+}
+
+static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_word w = sfemi_rows_words(&r->s);
+    sfemi_rows_name *p;
+    if (!w.n) return sfemi_scan_expected(&r->s, "a name", w);
+    p = (sfemi_rows_name *)sfemi_rows_grow(a, r->name, r->names, &r->names_room, sizeof *p);
+    if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: names");
+    r->name = p;
+    p += r->names++;
+    p->name = w;
+    p->material = material;
+    p->first = p->behind = r->members;
+    return sfemi_scan_end_of_row(&r->s, "the end of the line");
+}
+
+/* *MATERIAL name, then a law with its constants, which are the caller's business. */
+static sfem_status sfemi_veg_material(sfemi_rows *r)
+{
+    sfem_status status;
+    SFEMI_TRY(sfemi_rows_new_name(r, r->materials));
+    ++r->materials;
+    SFEMI_TRY(sfemi_rows_need(r, "the law of a material"));
+    if (*r->s.p == '*')
+        return sfemi_scan_expected(&r->s, "the law of a material", sfemi_scan_peek(&r->s));
+    sfemi_scan_rest(&r->s);
+done:
+    return status;
+}
+
+/* *SET name, then numbers of tets up to the next row that begins with a *. */
+static sfem_status sfemi_veg_set(sfemi_rows *r)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfem_int *p;
+    int64_t v;
+    int any;
+    if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*SET comes before *ELEMENTS");
+    SFEMI_TRY(sfemi_rows_new_name(r, -1));
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        while (sfemi_scan_peek(s).n) {
+            SFEMI_TRY(sfemi_scan_integer(s, r->tet_base, (int64_t)r->tet_base + r->m.tets - 1,
+                                         "the number of a tet in a set", &v));
+            p = (sfem_int *)sfemi_rows_grow(a, r->member, r->members, &r->members_room, sizeof *p);
+            if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: sets");
+            r->member = p;
+            p[r->members++] = (sfem_int)v - r->tet_base;
+        }
+    }
+    r->name[r->names - 1].behind = r->members;
+done:
+    return status;
+}
+
+/* *REGION, then a row "set, material", where the set allElements is always there. */
+static sfem_status sfemi_veg_region(sfemi_rows *r)
+{
+    const sfemi_rows_name *set, *material;
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfemi_word a, b;
+    char text[25];
+    size_t k;
+    if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*REGION comes before *ELEMENTS");
+    SFEMI_TRY(sfemi_rows_need(r, "a set and a material"));
+    a = sfemi_rows_words(s);
+    b = sfemi_rows_words(s);
+    SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
+    set = sfemi_rows_find(r, a, 1);
+    material = sfemi_rows_find(r, b, 0);
+    if (!set && !sfemi_word_is(a, "allElements"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *SET '%s' above",
+                               sfemi_word_text(a, text));
+    if (!material)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *MATERIAL '%s' above",
+                               sfemi_word_text(b, text));
+    if (!r->m.region) {
+        SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
+        for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
+    }
+    for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = material->material;
+    for (k = set ? set->first : 0; set && k < set->behind; ++k)
+        r->m.region[r->member[k]] = material->material;
+done:
+    return status;
+}
+
+static sfem_status sfemi_veg_elements(sfemi_rows *r)
+{
+    sfem_status status;
+    sfemi_word w;
+    char text[25];
+    SFEMI_TRY(sfemi_rows_need(r, "TET"));
+    w = sfemi_scan_peek(&r->s);
+    if (!sfemi_word_is(w, "TET") && !sfemi_word_is(w, "TETS"))
+        return sfemi_scan_fail(&r->s, SFEM_FORMAT, "*ELEMENTS %s: only TET is read",
+                               sfemi_word_text(w, text));
+    r->s.p += w.n;
+    SFEMI_TRY(sfemi_scan_end_of_row(&r->s, "the end of the line"));
+    SFEMI_TRY(sfemi_rows_tets(r));
+done:
+    return status;
+}
+
+static sfem_status sfemi_veg_read(sfemi_rows *r)
+{
+    static const char *const word[5] = {"*VERTICES", "*ELEMENTS", "*REGION", "*MATERIAL", "*SET"};
+    static sfem_status (*const reader[5])(sfemi_rows *) = {
+        sfemi_rows_nodes, sfemi_veg_elements, sfemi_veg_region, sfemi_veg_material, sfemi_veg_set};
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    int any, k;
+    s->comment = '#';
+    s->blank = ',';
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any) break;
+        w = sfemi_scan_peek(s);
+        for (k = 0; k < 5 && !sfemi_word_is(w, word[k]);) ++k;
+        if (k == 5)
+            return sfemi_scan_expected(s, "*VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION", w);
+        s->p += w.n;
+        if (k < 3) SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line")); /* no name */
+        SFEMI_TRY(reader[k](r));
+    }
+    if (!r->has_tets)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
+                                 r->has_nodes ? "*ELEMENTS" : "*VERTICES");
+done:
+    return status;
+}
+
+/* One of the two files of TetGen, to its end. */
+static sfem_status sfemi_tetgen_file(sfemi_rows *r, const sfemi_scan *s, const char *file)
+{
+    sfem_status status;
+    int any;
+    r->s = *s;
+    r->s.comment = '#';
+    r->s.blank = ',';
+    r->s.file = file;
+    SFEMI_TRY(r->has_nodes ? sfemi_rows_tets(r) : sfemi_rows_nodes(r));
+    SFEMI_TRY(sfemi_rows_next(r, &any));
+    if (any) status = sfemi_scan_expected(&r->s, "the end of the file", sfemi_scan_peek(&r->s));
+done:
+    return status;
+}
+
+/* ---- any of them ---- */
 
 static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, const sfem_allocator *a,
                                          sfem_mesh *out)
@@ -4532,6 +5413,38 @@ static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, const sfem_allocato
     return status;
 }
 
+/* A .veg; with a second text, the .node and the .ele file of TetGen. */
+static sfem_status sfemi_mesh_parse_rows(const sfemi_scan *s, const sfemi_scan *ele,
+                                         const char *path, const sfem_allocator *a, sfem_mesh *out)
+{
+    sfemi_rows r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.path = path;
+    r.m.allocator = *a;
+    status = ele ? sfemi_tetgen_file(&r, s, ".node") : sfemi_veg_read(&r);
+    if (status == SFEM_OK && ele) status = sfemi_tetgen_file(&r, ele, ".ele");
+    sfemi_rows_free(&r, a);
+    *out = r.m;
+    return status;
+}
+
+/* What every reader ends with. */
+static sfem_status sfemi_mesh_parsed(sfem_status status, sfem_mesh *m, sfem_mesh *out,
+                                     sfem_error *err)
+{
+    if (status == SFEM_OK && m->tets < 1)
+        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
+                            (long)m->nodes);
+    if (status == SFEM_OK) {
+        sfem_mesh_orient(m);
+        *out = *m;
+    } else
+        sfem_mesh_free(m);
+    return status;
+}
+
 static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
 {
     sfemi_word w;
@@ -4540,95 +5453,85 @@ static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
     return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
 }
 
-SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
-                                     const sfem_allocator *allocator, sfem_mesh *out,
-                                     sfem_error *err)
+/* Of the file at path, which is NULL if there is none. */
+static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *path,
+                                    const sfem_allocator *a, sfem_mesh *out, sfem_error *err)
 {
     sfem_status status;
     char begin[25];
-    sfem_allocator a;
     sfem_mesh m;
-    sfemi_scan s;
-    SFEM_ASSERT(out && (data || !bytes));
-    memset(&a, 0, sizeof a);
+    sfemi_scan s = sfemi_scan_of(data, bytes, err), veg;
     memset(&m, 0, sizeof m);
-    memset(&s, 0, sizeof s);
-    if (allocator) a = *allocator;
-    s.p = bytes ? (const char *)data : "";
-    s.end = s.p + bytes;
-    s.line = 1;
-    s.err = err;
-    if (sfemi_scan_begins(&s, "\xef\xbb\xbf")) s.p += 3; /* a byte order mark */
     sfemi_scan_space(&s);
+    veg = s;
+    veg.comment = '#';
+    sfemi_scan_space(&veg);
     if (sfemi_scan_begins(&s, "$"))
-        status = sfemi_mesh_parse_gmsh(&s, &a, &m);
+        status = sfemi_mesh_parse_gmsh(&s, a, &m);
     else if (sfemi_scan_begins(&s, "# vtk DataFile Version"))
-        status = sfemi_mesh_parse_vtk(&s, &a, &m);
+        status = sfemi_mesh_parse_vtk(&s, a, &m);
+    else if (sfemi_scan_begins(&veg, "*"))
+        status = sfemi_mesh_parse_rows(&s, NULL, path, a, &m);
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
     else
         status = sfemi_scan_fail(&s, SFEM_FORMAT,
-                                 "only Gmsh 4.1 ASCII and VTK legacy ASCII are read, this begins "
-                                 "with '%s'",
+                                 "only Gmsh 2.2 and 4.1, VTK legacy ASCII and Vega .veg are read, "
+                                 "this begins with '%s'",
                                  sfemi_word_text(sfemi_scan_peek(&s), begin));
-    if (status == SFEM_OK && m.tets < 1)
-        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
-                            (long)m.nodes);
-    if (status == SFEM_OK) {
-        sfem_mesh_orient(&m);
-        *out = m;
-    } else
-        sfem_mesh_free(&m);
-    return status;
+    return sfemi_mesh_parsed(status, &m, out, err);
+}
+
+SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
+                                     const sfem_allocator *allocator, sfem_mesh *out,
+                                     sfem_error *err)
+{
+    sfem_allocator a;
+    SFEM_ASSERT(out && (data || !bytes));
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    return sfemi_mesh_parse(data, bytes, NULL, &a, out, err);
+}
+
+SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
+                                            size_t ele_bytes, const sfem_allocator *allocator,
+                                            sfem_mesh *out, sfem_error *err)
+{
+    sfem_allocator a;
+    sfem_status status;
+    sfem_mesh m;
+    sfemi_scan s, t;
+    SFEM_ASSERT(out && (node || !node_bytes) && (ele || !ele_bytes));
+    memset(&a, 0, sizeof a);
+    memset(&m, 0, sizeof m);
+    if (allocator) a = *allocator;
+    s = sfemi_scan_of(node, node_bytes, err);
+    t = sfemi_scan_of(ele, ele_bytes, err);
+    status = sfemi_mesh_parse_rows(&s, &t, NULL, &a, &m);
+    return sfemi_mesh_parsed(status, &m, out, err);
 }
 
 #ifndef SFEM_NO_STDIO
 
-/* ---- files ---- */
-
-/* "path: text", with the system's reason if there is one. */
-static sfem_status sfemi_file_fail(const char *path, const char *text, sfem_error *err)
-{
-    const char *reason = errno ? strerror(errno) : "no reason given";
-    return sfemi_fail(err, SFEM_IO, "%.120s: %s (%.60s)", path, text, reason);
-}
-
-/* The whole file, in a buffer that doubles. */
-static sfem_status sfemi_file_read(const char *path, const sfem_allocator *a, char **out,
-                                   size_t *bytes, sfem_error *err)
+/* The two files of TetGen, of which one was named: stem is its name's length up to the point. */
+static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const sfem_allocator *a,
+                                          sfem_mesh *out, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    char *buffer = NULL, *larger = NULL;
-    size_t size = 65536, n = 0, got;
-    FILE *f;
-    errno = 0;
-    f = fopen(path, "rb");
-    if (!f) return sfemi_file_fail(path, "cannot be opened", err);
-    SFEMI_NEW(char, buffer, a, size);
-    while ((got = fread(buffer + n, 1, size - n, f)) > 0) {
-        n += got;
-        if (n < size) continue;
-        if (size > (size_t)-1 / 2) {
-            status = sfemi_fail(err, SFEM_TOO_LARGE, "%.120s: too large a file", path);
-            goto done;
-        }
-        SFEMI_NEW(char, larger, a, 2 * size);
-        memcpy(larger, buffer, n);
-        sfemi_delete(a, buffer);
-        buffer = larger;
-        larger = NULL;
-        size *= 2;
+    char *data[2] = {NULL, NULL}, *name = NULL;
+    size_t bytes[2] = {0, 0};
+    int i, capital = path[stem + 1] >= 'A' && path[stem + 1] <= 'Z';
+    SFEMI_NEW(char, name, a, stem + 6);
+    memcpy(name, path, stem);
+    for (i = 0; i < 2; ++i) {
+        strcpy(name + stem, i ? (capital ? ".ELE" : ".ele") : capital ? ".NODE" : ".node");
+        SFEMI_TRY(sfemi_file_read(name, a, &data[i], &bytes[i], err));
     }
-    if (ferror(f)) {
-        status = sfemi_file_fail(path, "cannot be read", err);
-        goto done;
-    }
-    *out = buffer;
-    *bytes = n;
-    buffer = NULL;
+    status = sfem_mesh_parse_tetgen(data[0], bytes[0], data[1], bytes[1], a, out, err);
+    if (status != SFEM_OK) sfemi_file_blame(path, err);
 done:
-    sfemi_delete(a, buffer);
-    fclose(f);
+    for (i = 0; i < 2; ++i) sfemi_delete(a, data[i]);
+    sfemi_delete(a, name);
     return status;
 }
 
@@ -4637,22 +5540,34 @@ SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allo
 {
     sfem_allocator a;
     sfem_status status;
+    sfemi_word tail;
     char *data = NULL;
-    size_t bytes = 0;
+    size_t bytes = 0, length;
     SFEM_ASSERT(path && out);
     memset(&a, 0, sizeof a);
     if (allocator) a = *allocator;
+    length = strlen(path);
+    for (tail.n = 0; tail.n < length && tail.n < 5; ++tail.n) {
+        tail.p = path + length - tail.n - 1;
+        if (*tail.p != '.') continue;
+        ++tail.n;
+        if (sfemi_word_is(tail, ".node") || sfemi_word_is(tail, ".ele"))
+            return sfemi_mesh_read_tetgen(path, length - tail.n, &a, out, err);
+        break;
+    }
     status = sfemi_file_read(path, &a, &data, &bytes, err);
     if (status != SFEM_OK) return status;
-    status = sfem_mesh_parse(data, bytes, &a, out, err);
+    status = sfemi_mesh_parse(data, bytes, path, &a, out, err);
     sfemi_delete(&a, data);
-    if (status != SFEM_OK && err) { /* put the path in front */
-        sfem_error e = *err;
-        sfemi_fail_at(err, status, e.node, e.tet, "%.100s: %.135s", path, e.text);
-        err->line = e.line;
-    }
+    if (status != SFEM_OK) sfemi_file_blame(path, err);
     return status;
 }
+
+#endif
+
+#ifndef SFEM_NO_STDIO
+
+/* ---- writing ---- */
 
 /* Closes a file that was written; tells if any of it failed. */
 static sfem_status sfemi_file_close(FILE *f, const char *path, sfem_error *err)
@@ -10866,6 +11781,23 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
+/* P F^T / J of a tet. */
+static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
+                             sfem_real s[6])
+{
+    static const int row[6] = {0, 1, 2, 0, 0, 1}, col[6] = {0, 1, 2, 1, 2, 2};
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_real f[9], p[9], n[3], j;
+    int a, i, k;
+    for (i = 0; i < 9; ++i)
+        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
+    (void)sfem_law_stress((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, p);
+    sfemi_cross(f, f + 3, n);
+    j = sfemi_dot3(n, f + 6);
+    for (k = 0; k < 6; ++k)
+        s[k] = sfemi_dot3(p + 3 * row[k], f + 3 * col[k]) / fmax(j, 0.1);
+}
+
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises)
 {
@@ -10873,8 +11805,12 @@ SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfe
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6];
         sfemi_element_gradients(&model->mesh, e, g);
-        sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
-        sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
+        if (model->law[e] == SFEM_LINEAR) {
+            sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
+            sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
+        } else {
+            sfemi_fem_cauchy(model, e, g, u, s);
+        }
         if (stress) memcpy(stress + 6 * (size_t)e, s, sizeof s);
         if (von_mises)
             von_mises[e] =
@@ -12238,6 +13174,31 @@ static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
     return energy;
 }
 
+/* The tangent of sfemi_damage_tet_energy; where it blends, what is positive semidefinite of it. */
+static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet,
+                                     sfem_law law, int kind, const sfem_real zeta[6],
+                                     const sfem_real s_d[36], const sfem_real u[12],
+                                     sfem_tangent tangent, sfem_real k[144])
+{
+    const sfem_damage_def *def = &d->bonds->def;
+    sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
+    int i;
+    memset(k, 0, 144 * sizeof *k);
+    if (kind == SFEMI_LOOSE && !def->closure) return;
+    if (def->closure) {
+        sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
+        sfemi_damage_close(tet, zeta, e, closed);
+        s_d = closed;
+    }
+    sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, tangent, NULL, k);
+    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return;
+    phi = sfemi_damage_blend(def->upright, sfemi_damage_jacobian(tet, u, slope), &dphi);
+    if (phi >= 1) return;
+    sfem_damage_energy(tet, s_d, 0, u, SFEM_TANGENT_PSD, NULL, k);
+    sfem_law_tet(SFEM_COROTATIONAL, tet->lambda, tet->mu, tet->x, u, SFEM_TANGENT_PSD, NULL, whole);
+    for (i = 0; i < 144; ++i) k[i] = phi * k[i] + (1 - phi) * whole[i];
+}
+
 /* val += scale k on K's pattern. */
 static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real scale,
                                  const sfem_real k[144], sfem_real *val)
@@ -12252,6 +13213,27 @@ static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real 
                 for (j = 0; j < 3; ++j)
                     to[3 * i + j] += scale * k[12 * (3 * row + i) + 3 * col + j];
         }
+}
+
+/* As sfem_model_tangent, for a damaged body that turns. */
+static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind,
+                                       sfem_matrix *tangent, const sfem_exec *exec)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_int i;
+    SFEM_ASSERT(d->block);
+    sfemi_fem_tangent(model, d->block, u, kind, tangent, exec);
+    for (i = 0; i < d->tets; ++i) {
+        const sfem_int e = d->tet[i];
+        sfem_real local[12], zeta[6], k[144];
+        sfem_damage_tet tet;
+        sfemi_damage_tet(d->bonds, e, &tet);
+        sfemi_damage_gather(u, model->mesh.tet + 4 * (size_t)e, local);
+        sfemi_damage_zetas(d, e, zeta);
+        sfemi_damage_tet_tangent(d, &tet, (sfem_law)model->law[e], d->kind[e], zeta,
+                                 d->s + 36 * (size_t)e, local, kind, k);
+        sfemi_damage_scatter(model, e, 1, k, tangent->val);
+    }
 }
 
 /* val += scale (K_damaged - K) at rest, on K's pattern: what a renewed factor is made of. */
@@ -13376,7 +14358,8 @@ typedef struct sfemi_state_head {
     int64_t steps, redone, descents;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
-    sfem_real energy;                   /* and what it conserves */
+    sfem_real energy;                   /* and what it conserves; the part of psi that is locked in, not in */
+    sfem_real locked;                   /* motion */
     sfem_real calm;     /* s */
 } sfemi_state_head;
 
@@ -13647,6 +14630,8 @@ typedef struct sfemi_piece {
     sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
+    sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
     sfem_real sum[4][3];          /* scratch of the energies */
 } sfemi_piece;
 
@@ -13664,7 +14649,10 @@ typedef struct sfemi_turn {
     sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
     sfem_real *trace;    /* [nodes] and this */
     sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *still;    /* [nodes][3] zeros where no law turns, else NULL */
+    sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
+    int still;           /* no law turns: rigid motions are those of the rest pose */
+    int twists;          /* of laws that turn and linear ones: internal forces have a torque */
+    int by_hand;         /* the caller may add to the right side of the step under way */
 } sfemi_turn;
 
 /* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
@@ -13674,14 +14662,22 @@ typedef struct sfemi_redo {
     sfemi_grip grip; /* the handles' columns for it */
 } sfemi_redo;
 
-enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_REDOS };
+enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_TANGENT, SFEMI_REDOS };
 
 /* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
 enum { SFEMI_MEMORY = 6 };
 
 typedef struct sfemi_guard_energies {
     sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+    sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
 } sfemi_guard_energies;
+
+/* A matrix that changes, and its factor. */
+typedef struct sfemi_system {
+    sfem_factor *factor;
+    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
+    sfem_int *source;   /* [blocks] their places in K's pattern */
+} sfemi_system;
 
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
@@ -13690,10 +14686,13 @@ typedef struct sfemi_guard {
     sfem_real *added;      /* what the caller added to the right side */
     sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
     sfem_real *unit;       /* frames that do not turn */
-    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, and with the isotropic majorant */
+    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, with the isotropic majorant, and with K(z), which is */
+    sfemi_system system;   /* this; made when first needed, as is */
+    sfem_matrix tangent;   /* K(z) itself, on K's pattern */
     sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
     int pairs;             /* so many so far in this redo */
     sfem_real psi;         /* at u */
+    sfem_real gain;        /* by how much the redo has lowered Phi */
     sfemi_guard_energies energies; /* of the step, if measured */
     int measured;
     int redone;            /* u, w, f come from the redo */
@@ -13708,12 +14707,6 @@ typedef struct sfemi_stage {
     sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
     sfem_real end; /* where in the step it ends, in h */
 } sfemi_stage;
-
-typedef struct sfemi_system {
-    sfem_factor *factor;
-    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
-    sfem_int *source;   /* [blocks] their places in K's pattern */
-} sfemi_system;
 
 typedef struct sfemi_implicit {
     sfem_newton_info info;
@@ -13788,6 +14781,8 @@ struct sfem_body {
     size_t work_size;
     /* the step under way */
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
+    int begun;           /* not finished, nor undone: before holds */
+    sfemi_state_head before; /* what was when it began */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
@@ -15472,11 +16467,20 @@ static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real in
     for (i = 0; i < 9; ++i) inverse[i] = det > 0 && rest > 0 && m[0] + m[4] + m[8] > 1e-20 * rest ? c[i] / det : 0;
 }
 
-/* Where rigid motions are taken: at X + u, or at X where all laws are linear. What costs no energy there,
- * and what K does not see, are the infinitesimal rotations of the rest pose. */
+/* Where rigid motions are taken: at X + u, or at X (NULL) where all laws are linear. What costs no energy
+ * there, and what K does not see, are the infinitesimal rotations of the rest pose. */
 static const sfem_real *sfemi_turn_pose(const sfem_body *b, const sfem_real *u)
 {
-    return b->turn.still ? b->turn.still : u;
+    return b->turn.still ? NULL : u;
+}
+
+/* r = X + u - centre of node i. */
+static void sfemi_turn_arm(const sfem_body *b, const sfem_real *u, sfem_int i, const sfem_real centre[3],
+                           sfem_real r[3])
+{
+    const sfem_real *x = b->model->mesh.x + 3 * (size_t)i;
+    int c;
+    for (c = 0; c < 3; ++c) r[c] = (u ? x[c] + u[3 * (size_t)i + (size_t)c] : x[c]) - centre[c];
 }
 
 /* Mass, centre and inertia of every piece at X + u. */
@@ -15499,21 +16503,21 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         sfemi_piece *p = t->piece + t->piece_of[i];
         if (t->piece_of[i] < 0) continue;
         p->mass += model->node_mass[i];
-        for (c = 0; c < 3; ++c)
-            p->centre[c] += model->node_mass[i] *
-                            (model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c]);
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            p->centre[c] += model->node_mass[i] * (u ? model->mesh.x[at] + u[at] : model->mesh.x[at]);
+        }
     }
     for (k = 0; k < t->pieces; ++k)
         for (c = 0; c < 3; ++c) t->piece[k].centre[c] /= t->piece[k].mass;
     for (i = 0; i < nodes; ++i) {
-        sfem_real r[3], m = model->node_mass[i], *in;
+        sfem_real r[3], q[3], m = model->node_mass[i], *in;
         if (t->piece_of[i] < 0 || t->piece[t->piece_of[i]].held) continue;
         in = t->piece[t->piece_of[i]].inertia_inverse;
-        for (c = 0; c < 3; ++c)
-            r[c] = model->mesh.x[3 * (size_t)i + (size_t)c] + u[3 * (size_t)i + (size_t)c] -
-                   t->piece[t->piece_of[i]].centre[c];
+        sfemi_turn_arm(b, u, i, t->piece[t->piece_of[i]].centre, r);
+        sfemi_turn_arm(b, t->lever ? t->lever : u, i, t->piece[t->piece_of[i]].centre, q);
         for (c = 0; c < 9; ++c)
-            in[c] += m * ((c % 4 == 0 ? sfemi_dot3(r, r) : 0) - r[c / 3] * r[c % 3]);
+            in[c] += m * ((c % 4 == 0 ? sfemi_dot3(q, r) : 0) - r[c / 3] * q[c % 3]);
     }
     for (k = 0; k < t->pieces; ++k)
         if (!t->piece[k].held) {
@@ -15523,29 +16527,37 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         }
 }
 
-/* The pieces' sum m |X - centre|^2, and 1 / sum V_e of the nodes. */
+/* The pieces' sum m |X - centre|^2, from their places at rest. */
+static void sfemi_turn_size(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_int i;
+    sfemi_turn_locate(b, NULL);
+    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real r[3];
+        if (b->turn.piece_of[i] < 0) continue;
+        sfemi_turn_arm(b, NULL, i, p->centre, r);
+        p->rest += model->node_mass[i] * sfemi_dot3(r, r);
+        p->sum[0][0] += 1;
+    }
+    for (i = 0; i < b->turn.pieces; ++i)
+        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+}
+
+/* The same, 1 / sum V_e of the nodes, and whether some laws of a body that turns are linear. */
 static void sfemi_turn_weigh(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
-    int c;
     memset(b->turn.over, 0, (size_t)model->mesh.nodes * sizeof *b->turn.over);
     for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += model->volume[i / 4];
     for (i = 0; i < model->mesh.nodes; ++i)
         if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
-    memset(b->turn.v, 0, 3 * (size_t)model->mesh.nodes * sizeof *b->turn.v);
-    sfemi_turn_locate(b, b->turn.v);
-    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-        for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
-            const sfem_real r = model->mesh.x[3 * (size_t)i + (size_t)c] - p->centre[c];
-            p->rest += model->node_mass[i] * r * r;
-        }
-        if (b->turn.piece_of[i] >= 0) p->sum[0][0] += 1;
-    }
-    for (i = 0; i < b->turn.pieces; ++i)
-        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+    b->turn.twists = 0;
+    for (i = 0; model->turns && i < model->mesh.tets; ++i) b->turn.twists |= model->law[i] == SFEM_LINEAR;
+    sfemi_turn_size(b);
 }
 
 /* turn.heavy: (lambda + 2 mu)/rho over the mean square, along an axis, of how far the tets of a node are from
@@ -15595,30 +16607,54 @@ static void sfemi_turn_find_held(sfem_body *b)
                 b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
 }
 
-/* Each free piece's momentum N^T x, x a force or momentum [nodes][3]; of M x where x is a velocity. */
-static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+/* The nodes [first, end) that follow each other in one free piece: from first on, or *end is the number of nodes. */
+static sfem_int sfemi_turn_run(const sfem_body *b, sfem_int first, sfem_int *end)
 {
-    const sfem_model *model = b->model;
-    sfemi_turn *t = &b->turn;
-    sfem_int i, k;
-    int c;
-    u = sfemi_turn_pose(b, u);
-    for (k = 0; k < t->pieces; ++k) memset(t->piece[k].motion, 0, sizeof t->piece[k].motion);
-    for (i = 0; i < model->mesh.nodes; ++i) {
-        sfemi_piece *p = t->piece + t->piece_of[i];
-        const size_t at = 3 * (size_t)i;
-        sfem_real r[3], force[3], torque[3];
-        if (t->piece_of[i] < 0 || p->held) continue;
-        for (c = 0; c < 3; ++c) {
-            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
-            force[c] = velocity ? model->node_mass[i] * x[at + (size_t)c] : x[at + (size_t)c];
+    const sfem_int nodes = b->model->mesh.nodes, *of = b->turn.piece_of;
+    sfem_int i = first;
+    while (i < nodes && (of[i] < 0 || b->turn.piece[of[i]].held)) ++i;
+    for (*end = i; *end < nodes && of[*end] == of[i];) ++*end;
+    return i;
+}
+
+/* Adds to each free piece's motion its momentum scale N^T x, x a force or momentum [nodes][3]; of M x where
+ * x is a velocity. */
+static void sfemi_turn_collect(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity,
+                               sfem_real scale)
+{
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x;
+    const sfem_real *pose = velocity && b->turn.lever ? b->turn.lever : sfemi_turn_pose(b, u);
+    sfem_int i, end;
+    for (i = sfemi_turn_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_turn_run(b, end, &end)) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const sfem_real c0 = p->centre[0], c1 = p->centre[1], c2 = p->centre[2];
+        sfem_real f[3] = {0, 0, 0}, t[3] = {0, 0, 0};
+        size_t at;
+        for (at = 3 * (size_t)i; at < 3 * (size_t)end; at += 3) {
+            const sfem_real s = velocity ? scale * mass[at / 3] : scale;
+            const sfem_real f0 = s * x[at], f1 = s * x[at + 1], f2 = s * x[at + 2];
+            const sfem_real r0 = (pose ? rest[at] + pose[at] : rest[at]) - c0;
+            const sfem_real r1 = (pose ? rest[at + 1] + pose[at + 1] : rest[at + 1]) - c1;
+            const sfem_real r2 = (pose ? rest[at + 2] + pose[at + 2] : rest[at + 2]) - c2;
+            f[0] += f0;
+            f[1] += f1;
+            f[2] += f2;
+            t[0] += r1 * f2 - r2 * f1;
+            t[1] += r2 * f0 - r0 * f2;
+            t[2] += r0 * f1 - r1 * f0;
         }
-        sfemi_cross(r, force, torque);
-        for (c = 0; c < 3; ++c) {
-            p->motion[c] += force[c];
-            p->motion[3 + c] += torque[c];
+        for (at = 0; at < 3; ++at) {
+            p->motion[at] += f[at];
+            p->motion[3 + at] += t[at];
         }
     }
+}
+
+static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+{
+    sfem_int k;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
+    sfemi_turn_collect(b, u, x, velocity, 1);
 }
 
 /* The motion that has this momentum: (N^T M N)^-1. */
@@ -15648,20 +16684,23 @@ static void sfemi_turn_motion(sfem_body *b, const sfem_real *u, const sfem_real 
 static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real scale, int force,
                                   sfem_real *x)
 {
-    const sfem_model *model = b->model;
-    sfem_int i;
-    int c;
-    u = sfemi_turn_pose(b, u);
-    for (i = 0; i < model->mesh.nodes; ++i) {
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *pose = sfemi_turn_pose(b, u);
+    sfem_int i, end;
+    for (i = sfemi_turn_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_turn_run(b, end, &end)) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-        const size_t at = 3 * (size_t)i;
-        sfem_real r[3], v[3], s;
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
-        s = force ? scale * model->node_mass[i] : scale;
-        for (c = 0; c < 3; ++c)
-            r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
-        sfemi_cross(p->motion + 3, r, v);
-        for (c = 0; c < 3; ++c) x[at + (size_t)c] += s * (p->motion[c] + v[c]);
+        const sfem_real c0 = p->centre[0], c1 = p->centre[1], c2 = p->centre[2];
+        const sfem_real v0 = p->motion[0], v1 = p->motion[1], v2 = p->motion[2];
+        const sfem_real w0 = p->motion[3], w1 = p->motion[4], w2 = p->motion[5];
+        size_t at;
+        for (at = 3 * (size_t)i; at < 3 * (size_t)end; at += 3) {
+            const sfem_real s = force ? scale * mass[at / 3] : scale;
+            const sfem_real r0 = (pose ? rest[at] + pose[at] : rest[at]) - c0;
+            const sfem_real r1 = (pose ? rest[at + 1] + pose[at + 1] : rest[at + 1]) - c1;
+            const sfem_real r2 = (pose ? rest[at + 2] + pose[at + 2] : rest[at + 2]) - c2;
+            x[at] += s * (v0 + (w1 * r2 - w2 * r1));
+            x[at + 1] += s * (v1 + (w2 * r0 - w0 * r2));
+            x[at + 2] += s * (v2 + (w0 * r1 - w1 * r0));
+        }
     }
 }
 
@@ -15687,9 +16726,55 @@ static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, 
 static int sfemi_turn_projects(const sfem_body *b)
 {
     sfem_int k;
-    for (k = 0; b->def.frame != SFEM_FRAME_REST && k < b->turn.pieces; ++k)
+    if (b->turns && b->def.frame == SFEM_FRAME_REST) return 0;
+    for (k = 0; k < b->turn.pieces; ++k)
         if (!b->turn.piece[k].held) return 1;
     return 0;
+}
+
+/* The momentum that a step gives a free piece is that of its loads, load[0] F+ + load[1] F + load[2] F- + their
+ * sum M g, less brake M v: internal forces add up to nothing, but where modes are not resolved (h omega of 1e4 and
+ * more), or the body has gone far, what rounding leaves of their sum is much more than that. So their sum is
+ * never taken: this is, as an acceleration times the mass part of A. */
+static void sfemi_turn_push(sfem_body *b, const sfem_real *u, const sfem_real load[3], const sfem_real *v,
+                            sfem_real brake)
+{
+    const sfemi_state_head *head = b->state.head;
+    const sfem_real all = load[0] + load[1] + load[2];
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
+    if (head->loaded && head->load_age >= 2) sfemi_turn_collect(b, u, b->state.force[0], 0, all);
+    for (c = 0; head->loaded && head->load_age < 2 && c < 3; ++c)
+        if (load[c] != 0) sfemi_turn_collect(b, u, b->state.force[c], 0, load[c]);
+    if (brake != 0) sfemi_turn_collect(b, u, v, 1, -brake);
+    sfemi_turn_divide(b);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].push[c] = b->turn.piece[k].motion[c] + (c < 3 ? all * head->gravity[c] : 0);
+}
+
+/* The same of forces x that the caller has added, times scale. */
+static void sfemi_turn_push_more(sfem_body *b, const sfem_real *u, const sfem_real *x, sfem_real scale)
+{
+    sfem_int k;
+    int c;
+    sfemi_turn_motion(b, u, x, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].push[c] += scale * b->turn.piece[k].motion[c];
+}
+
+/* Of a body of linear laws: gives the acceleration the rigid part that the loads give it. What A^-1 has
+ * made of it differs by rounding, times the condition of A. */
+static void sfemi_turn_settle(sfem_body *b, sfem_real cm, sfem_real *a)
+{
+    sfem_int k;
+    int c;
+    sfemi_turn_motion(b, NULL, a, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] = b->turn.piece[k].push[c] / cm - b->turn.piece[k].motion[c];
+    sfemi_turn_add_motion(b, NULL, 1, 0, a);
 }
 
 /* x = Q A0^-1 Q^T x, held axes becoming 0. */
@@ -15731,11 +16816,12 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
     }
 }
 
-/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. */
-static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
-                             const sfem_real *frame, sfem_real *x)
+/* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. Pushed, rigid motion is
+ * that of the pieces' push; but that of laws which have a torque, so that theirs counts. */
+static void sfemi_turn_solve_pushed(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                                    const sfem_real *frame, int pushed, sfem_real *x)
 {
-    const int projects = u && sfemi_turn_projects(b);
+    const int projects = u && sfemi_turn_projects(b), given = pushed ? b->turn.twists ? 3 : 6 : 0;
     sfem_int k;
     int c;
     if (projects) {
@@ -15745,12 +16831,19 @@ static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real
     sfemi_turn_apply(b, f, frame, x);
     if (!projects) return;
     for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
-        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].kept[c] = c < given ? b->turn.piece[k].push[c] : b->turn.piece[k].motion[c];
     sfemi_turn_motion(b, u, x, 1);
     for (k = 0; k < b->turn.pieces; ++k)
         for (c = 0; c < 6; ++c)
             b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] / f->key.cm - b->turn.piece[k].motion[c];
     sfemi_turn_add_motion(b, u, 1, 0, x);
+}
+
+static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                             const sfem_real *frame, sfem_real *x)
+{
+    sfemi_turn_solve_pushed(b, f, u, frame, 0, x);
 }
 
 /* y = P^T Q (K Q^T P z + rest of D Q^T P zd); zd may be NULL. z and zd are overwritten. */
@@ -16006,7 +17099,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfem_real weight = b->def.corrections > 0 ? 0.25 : b->p; /* corrections lead to Newmark(1/4, 1/2) */
     sfemi_guard_energies e;
     sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
-    sfem_real stretch[3] = {0, 0, 0};
+    sfem_real stretch[3] = {0, 0, 0}, terms[3] = {0, 0, 0};
     sfem_int i, k;
     int c, held;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
@@ -16026,6 +17119,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
             mid[c] -= load * (s->u[at] + u1[at]);
             end[c] -= load * u1[at];
             stretch[c] += (u1[at] - s->u[at]) * (f1[at] - s->f[at]);
+            terms[c] += m * w1[at] * w1[at] + fabs(load) * (fabs(s->u[at]) + fabs(u1[at]));
             if (held) continue;
             sum[0][c] += m * w1[at];
             sum[1][c] += load;
@@ -16044,6 +17138,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     }
     e.kinetic = r / 2 * (kinetic[0] + kinetic[1] + kinetic[2]);
     e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
+    e.rounding = 1e-12 * (terms[0] + terms[1] + terms[2]);
     e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
            (weight - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
     e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
@@ -16089,8 +17184,10 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     sfemi_guard_look(b);
     if (head->rebase == SFEMI_LEDGER) return;
     e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
-    head->budget = head->last = e.ec;
+    head->last = e.ec;
+    head->budget = e.ec + e.rounding;
     if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
+    head->locked = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
     head->rebase = SFEMI_LEDGER;
@@ -16222,7 +17319,16 @@ static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
     sfem_int i;
     int c;
     if (b->base || b->turn.still || !b->factor || !sfemi_turn_projects(b)) return 0;
-    sfemi_turn_motion(b, s->u, s->w, 1);
+    sfemi_turn_momentum(b, s->u, s->w, 1);
+    for (i = 0; i < b->turn.pieces; ++i)
+        memcpy(b->turn.piece[i].curl, b->turn.piece[i].motion + 3, sizeof b->turn.piece[i].curl);
+    sfemi_turn_divide(b);
+    for (i = 0; i < b->turn.pieces; ++i) { /* sum m r x (omega x (omega x r)) = omega x L */
+        sfemi_piece *p = b->turn.piece + i;
+        sfem_real torque[3];
+        sfemi_cross(p->motion + 3, p->curl, torque);
+        for (c = 0; c < 3; ++c) p->curl[c] = sfemi_dot3(p->inertia_inverse + 3 * c, torque);
+    }
     memset(a, 0, 3 * (size_t)model->mesh.nodes * sizeof *a);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
@@ -16255,6 +17361,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         t.ck = 0; /* forces at the end of the last step are at hand */
     } else {
         t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
+        if (sfemi_turn_projects(b)) sfemi_turn_push(b, s->u, t.load, s->w, b->alpha * t.cd);
     }
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
     memset(b->acc, 0, n * sizeof *b->acc);
@@ -16344,17 +17451,25 @@ static void sfemi_guard_solve(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
     const sfem_real h = b->step, *base = sfemi_pqr_base(b);
+    const sfem_factor *f = sfemi_body_active(b);
     sfem_real *x = b->zm;
-    int centripetal;
+    int centripetal, c, more = 0;
+    sfem_int k;
     size_t i;
     memcpy(x, b->rhs, n * sizeof *x);
-    for (i = 0; i < n; ++i) b->guard.added[i] += b->rhs[i];
+    for (i = 0; i < n; ++i) {
+        b->guard.added[i] += b->rhs[i];
+        more |= b->guard.added[i] != 0;
+    }
+    if (more && !b->base && sfemi_turn_projects(b)) sfemi_turn_push_more(b, b->state.u, b->guard.added, 1);
     for (i = 0; b->def.corrections > 0 && i < n; ++i) b->guard.external[i] += b->rhs[i]; /* L, user's included */
     centripetal = sfemi_guard_centripetal(b, b->guard.grad);
     for (i = 0; centripetal && i < n; ++i)
-        x[i] -= b->factor->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
+        x[i] -= f->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
+    for (k = 0; centripetal && k < b->turn.pieces; ++k)
+        for (c = 0; c < 3; ++c) b->turn.piece[k].push[3 + c] -= f->key.cm * b->turn.piece[k].curl[c];
     b->turn.by = sfemi_guard_lengthen(b);
-    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->turn.by, x);
+    sfemi_turn_solve_pushed(b, f, b->state.u, b->turn.by, !b->base, x);
     for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
@@ -16595,7 +17710,7 @@ static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int count = kind == SFEMI_TURNED ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
+    const int count = kind != SFEMI_ISOTROPIC ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
     sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
     size_t i;
     int k;
@@ -16630,33 +17745,45 @@ static void sfemi_guard_remember(sfemi_guard *g, size_t n)
     if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n))) ++g->pairs;
 }
 
-/* One step of descent with Armijo's rule; 0 if there is none left to take. */
-static int sfemi_guard_descend(sfem_body *b, int kind, sfem_real *phi, sfem_real *psi)
+enum { SFEMI_STUCK, SFEMI_LOWER, SFEMI_LOWEST };
+
+/* One step of descent with Armijo's rule, its length halved at most so often. Where what there is to gain drowns
+ * in rounding, which slivers feel as a large force, the slope alone tells [Hager and Zhang 2005]; LOWEST where
+ * that does not fall either. */
+static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi, sfem_real *psi)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real slope = sfemi_guard_direction(b, kind);
+    const int drowned = -slope <= 1e-12 * fabs(*phi);
     sfem_real length = 1;
     size_t i;
     int halvings;
+    if (!(slope < 0)) return slope == 0 ? SFEMI_LOWEST : SFEMI_STUCK;
+    if (drowned) most = 1;
     if (kind == SFEMI_ISOTROPIC) {
         sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
         memcpy(s, g->u, n * sizeof *s);
         memcpy(s + n, g->grad, n * sizeof *s);
     }
-    for (halvings = 0; halvings < (kind == SFEMI_TURNED ? 4 : 20) && slope < 0; ++halvings, length /= 2) {
+    /* Phi is not negative: on a parabola of this slope there is nothing to be had beyond. Stretched a thousandfold
+     * tets are 1e12 times as stiff as at rest. */
+    if (kind != SFEMI_TURNED && -slope > 2 * *phi) length = 2 * *phi / -slope;
+    for (halvings = 0; halvings <= most; ++halvings, length /= 2) {
         sfem_real value;
         for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
         value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
-        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope)) continue;
+        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope) &&
+            !(drowned && value <= *phi + 1e-12 * fabs(*phi) && fabs(sfemi_guard_dot(g->grad, g->dir, n)) <= -.5 * slope))
+            continue;
         *phi = value;
         memcpy(g->u, g->trial_u, n * sizeof *g->u);
         memcpy(g->f, g->trial_f, n * sizeof *g->f);
         if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
-        return 1;
+        return SFEMI_LOWER;
     }
     *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
-    return 0;
+    return drowned ? SFEMI_LOWEST : SFEMI_STUCK;
 }
 
 /* Gives free pieces the momentum that h L adds to M w. The angular one takes energy: a step's mean velocity,
@@ -16746,15 +17873,45 @@ static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
     for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
 }
 
-/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there, and
- * that of the caller's forces. */
+/* The work along part (u' - u) + back w of what the caller added to the right side, and of so much of the newer
+ * and the older loads' difference to those in the energies; less what moves the centres of mass of free
+ * pieces, for their energy is not watched. */
+static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem_real back, sfem_real newer,
+                                        sfem_real older)
+{
+    const sfemi_state *s = &b->state;
+    const int loads = newer != 0 || older != 0;
+    sfem_real work = 0;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        if (b->turn.piece_of[i] < 0) continue;
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)i + (size_t)c;
+            const sfem_real way = part * (b->guard.u[at] - s->u[at]) + back * s->w[at];
+            sfem_real f = b->guard.added[at];
+            if (loads)
+                f += newer * (s->force[0][at] - s->force[1][at]) + older * (s->force[2][at] - s->force[1][at]);
+            work += f * way;
+            p->sum[0][c] += f;
+            p->sum[1][c] += b->model->node_mass[i] * way;
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
+            work -= b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
+    return work;
+}
+
+/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
 static sfem_real sfemi_guard_work(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
     const sfem_real r = sfemi_body_coefficients(b, b->p).r;
     sfem_real work = 0;
-    size_t i;
     sfem_int k;
     int l, c;
     for (k = 0; k < b->pin_count; ++k)
@@ -16771,8 +17928,48 @@ static sfem_real sfemi_guard_work(sfem_body *b)
                 work += (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
             }
     }
-    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) work += g->added[i] * (g->u[i] - b->state.u[i]);
     return work;
+}
+
+/* Room for K(z), and a factor of the body's own. */
+static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    sfemi_redo *redo = &g->redo[SFEMI_TANGENT];
+    sfemi_factor_key key = b->factor->key;
+    sfem_status status = SFEM_OK;
+    if (redo->factor) return SFEM_OK;
+    sfemi_system_close(b, &g->system);
+    key.majorant = 0;
+    key.ck = b->h * b->h;
+    key.cm = sfemi_body_coefficients(b, b->p).r;
+    key.cd = 0;
+    if (!g->tangent.val) {
+        sfem_real *val = NULL;
+        SFEMI_NEW(sfem_real, val, &b->allocator, 9 * (size_t)model->row[model->mesh.nodes]);
+        g->tangent = model->stiffness;
+        g->tangent.val = val;
+    }
+    SFEMI_TRY(sfemi_system_open(b, &key, &g->system, err));
+    redo->factor = g->system.factor;
+done:
+    return status;
+}
+
+/* What that takes. */
+static size_t sfemi_guard_bytes(const sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    size_t bytes = 0;
+    if (g->tangent.val) bytes += 9 * (size_t)g->tangent.row[g->tangent.n] * sizeof(sfem_real);
+    if (!g->redo[SFEMI_TANGENT].factor) return bytes;
+    bytes += 76 * (size_t)g->system.matrix.row[g->system.matrix.n];
+    if (g->system.factor->ldl) {
+        const sfem_ldl_info info = sfem_ldl_get_info(g->system.factor->ldl);
+        bytes += info.factor_bytes + info.work_bytes;
+    }
+    return bytes;
 }
 
 /* The factor of the redo, and the handles' columns for it. */
@@ -16784,7 +17981,8 @@ static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *
     sfemi_factor_key key;
     sfem_status status = SFEM_OK;
     sfem_int i;
-    if (!g->factor || g->h != h) {
+    if (kind == SFEMI_TANGENT) SFEMI_TRY(sfemi_guard_open_system(b, err));
+    else if (!g->factor || g->h != h) {
         key = b->factor->key;
         key.majorant = kind == SFEMI_ISOTROPIC;
         key.ck = kind == SFEMI_TURNED ? h * h + h * b->beta : h * h;
@@ -16803,7 +18001,7 @@ static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *
     g->grip.count = b->grip.count;
     for (i = 0; i < b->grip.count; ++i) {
         const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
-        if (!g->grip.ready[slot])
+        if (!g->grip.ready[slot] && kind != SFEMI_TANGENT) /* else they change all the time */
             sfemi_grip_columns(g->factor, b->state.handle + slot, b->model->mesh.nodes, 1, g->grip.y[slot],
                                b->work, &b->exec);
         g->grip.ready[slot] = 1;
@@ -16812,18 +18010,99 @@ done:
     return status;
 }
 
-/* Lowers Phi, by the turned factor, or where that needs short steps, by the isotropic majorant, until Ec is
- * in order and a step of descent gains little. */
+/* A factor of (r + shift) M + h^2 K(z) with the projected K(z) that is in guard.tangent. */
+static sfem_status sfemi_guard_factor_tangent(sfem_body *b, sfem_real shift)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    const sfemi_system *y = &g->system;
+    const sfem_real h2 = b->step * b->step, cm = sfemi_body_coefficients(b, b->p).r + shift;
+    sfem_int k, at = 0;
+    int r, c;
+    for (k = 0; k < y->matrix.n; ++k) {
+        const sfem_int i = y->factor->node[k];
+        for (; at < y->matrix.row[k + 1]; ++at) {
+            const size_t from = 9 * (size_t)y->source[at];
+            const sfem_int j = model->col[y->source[at]];
+            const int mask_i = y->factor->mask[i], mask_j = y->factor->mask[j];
+            sfem_real *to = y->matrix.val + 9 * (size_t)at;
+            for (c = 0; c < 9; ++c) to[c] = h2 * g->tangent.val[from + (size_t)c];
+            for (c = 0; c < 9 && i == j; c += 4) to[c] += cm * model->node_mass[i];
+            for (r = 0; (mask_i | mask_j) && r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    if (((mask_i >> r & 1) || (mask_j >> c & 1)) && !(i == j && r == c)) to[3 * r + c] = 0;
+        }
+    }
+    return sfem_ldl_refactor(y->factor->ldl, &y->matrix, NULL);
+}
+
+/* K(z), each tet's projected to be positive semidefinite, and its factor; where rounding has eaten the mass, with
+ * more of that. 0 if there is none. */
+static int sfemi_guard_linearise(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    sfemi_grip *grip = &g->redo[SFEMI_TANGENT].grip;
+    const sfem_factor *f = g->redo[SFEMI_TANGENT].factor;
+    sfem_real fastest = 0;
+    sfem_status status;
+    sfem_int i;
+    int c, tries;
+    if (!f->ldl) return 0;
+    if (b->damage) sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    else sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    status = sfemi_guard_factor_tangent(b, 0);
+    if (status != SFEM_OK) { /* the largest (h omega)^2 of a node alone */
+        for (i = 0; i < model->mesh.nodes; ++i)
+            for (c = 0; c < 9 && model->node_mass[i] > 0; c += 4)
+                fastest = fmax(fastest, g->tangent.val[9 * (size_t)(model->row[i + 1] - 1) + (size_t)c] /
+                                            model->node_mass[i]);
+        fastest *= b->step * b->step;
+        for (tries = 0; status != SFEM_OK && tries < 4; ++tries)
+            status = sfemi_guard_factor_tangent(b, fastest * pow(10, 2.0 * tries - 12));
+    }
+    if (status != SFEM_OK) return 0;
+    for (i = 0; i < grip->count; ++i)
+        sfemi_grip_columns(f, b->state.handle + grip->slot[i], model->mesh.nodes, 1, grip->y[grip->slot[i]], b->work,
+                           &b->exec);
+    return 1;
+}
+
+/* Is Phi as low as it gets but for part of the scale, by the measure of the turned factor? That of the isotropic
+ * majorant cannot tell: it is far too stiff. */
+static int sfemi_guard_is_near(sfem_body *b, sfem_real part)
+{
+    return -sfemi_guard_direction(b, SFEMI_TURNED) <= 2 * part * b->state.head->scale;
+}
+
+/* How many factors of tangents a redo may make: so many as take the time of a hundred descents by the majorant,
+ * by what processors do of either; one of a large body, ten of a small one. */
+static int sfemi_guard_allowance(const sfem_body *b)
+{
+    const sfem_ldl *ldl = b->guard.redo[SFEMI_TANGENT].factor->ldl;
+    sfem_ldl_info info;
+    double count;
+    if (!ldl) return 0;
+    info = sfem_ldl_get_info(ldl);
+    count = 2000 * (double)info.nnz / info.flops;
+    return count < 1 ? 1 : count > 10 ? 10 : (int)count;
+}
+
+/* Lowers Phi until Ec is in order and a step of descent gains little: by the turned factor; where that needs
+ * short steps, by the isotropic majorant; where that is stuck, or creeps, by Newton's iteration, with the last
+ * of its factors once they are used up. */
 static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
                                         sfem_error *err)
 {
     enum { LIMIT = 100 };
+    static const sfem_real small[SFEMI_REDOS] = {.01, .001, .001};
+    static const int enough[SFEMI_REDOS] = {1, 10, 1};
     sfemi_guard *g = &b->guard;
     const sfem_real scale = b->state.head->scale;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real first = 0;
     sfem_status status = SFEM_OK;
-    int k, kind = SFEMI_TURNED, poor = 0;
+    int k, kind = SFEMI_TURNED, next, poor = 0, factors = 0, end;
     g->pairs = 0;
     for (k = 0; k < LIMIT; ++k) {
         sfem_real norm = 0, before = phi;
@@ -16831,19 +18110,29 @@ static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real t
         for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
         if (k == 0) first = norm;
         if (norm == 0 || norm < 1e-6 * first) break;
-        if (sfemi_guard_descend(b, kind, &phi, psi)) {
-            const int turned = kind == SFEMI_TURNED;
+        if (kind == SFEMI_TANGENT && --factors >= 0 && !sfemi_guard_linearise(b)) break;
+        end = sfemi_guard_descend(b, kind, kind == SFEMI_TURNED || factors < 0 ? 3 : 19, &phi, psi);
+        if (end == SFEMI_LOWEST) break;
+        next = end == SFEMI_LOWER ? kind : kind + 1;
+        if (end == SFEMI_LOWER) {
             ++b->state.head->descents;
-            poor = before - phi <= (turned ? .01 : .001) * scale ? poor + 1 : 0;
-            if (poor >= (turned ? 1 : 10) && sfemi_guard_at(b, *psi).ec <= target) break;
-        } else if (kind == SFEMI_TURNED) {
-            kind = SFEMI_ISOTROPIC;
-            g->crumpled = 1;
-            SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
-        } else {
-            break;
+            poor = before - phi <= small[kind] * scale ? poor + 1 : 0;
+            if (poor >= enough[kind] &&
+                sfemi_guard_at(b, *psi).ec <= target + sfemi_guard_outer_work(b, 1, 0, 0, 0)) {
+                if (kind != SFEMI_ISOTROPIC || sfemi_guard_is_near(b, small[SFEMI_TURNED])) break;
+                next = SFEMI_TANGENT;
+            }
         }
+        if (next == SFEMI_REDOS) break;
+        if (next == kind) continue;
+        kind = next;
+        g->crumpled = 1;
+        poor = 0;
+        SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
+        if (kind == SFEMI_TANGENT) factors = sfemi_guard_allowance(b);
+        if (kind == SFEMI_TANGENT && !factors) break;
     }
+    g->gain -= phi;
 done:
     return status;
 }
@@ -16855,7 +18144,8 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real psi, phi, target;
+    const sfem_real h1 = head->started == SFEMI_RUNNING ? head->h : 0;
+    sfem_real psi, phi, target, outer;
     sfem_status status;
     size_t i;
     g->crumpled = 0;
@@ -16867,18 +18157,21 @@ static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
     }
     memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
     phi = sfemi_guard_choose_start(b, &psi);
-    head->budget += sfemi_guard_work(b);
+    head->budget += sfemi_guard_work(b) + sfemi_guard_outer_work(b, 0, h1 / 2, 0, 0); /* from mid-step on */
     target = head->budget + .01 * head->scale;
     if (head->last > target) target = head->last;
+    g->gain = phi;
     status = sfemi_guard_minimise(b, phi, target, &psi, err);
     if (status != SFEM_OK) return status;
     if (b->grip.count) { /* what rounding has left of the handles' gaps after so many steps */
         sfemi_guard_constrain(b, g->u);
         (void)sfemi_guard_potential(b, g->u, g->f, &psi);
     }
+    outer = sfemi_guard_outer_work(b, 1, 0, 0, 0);
+    head->budget += outer;
     (void)sfemi_guard_at(b, psi);
     sfemi_guard_restore_momentum(b, psi);
-    sfemi_guard_slow_down(b, psi, target);
+    sfemi_guard_slow_down(b, psi, target + outer);
     g->psi = psi;
     return SFEM_OK;
 }
@@ -16918,8 +18211,8 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
     const sfemi_guard *g = &b->guard;
     const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real work = 0;
+    const int loads = s->head->loaded && s->head->load_age < 2;
+    sfem_real work = sfemi_guard_outer_work(b, .5, h1 / 2, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
     sfem_int k;
     size_t i;
     int l, c;
@@ -16937,11 +18230,6 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             work += s->f[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
         }
-    if (s->head->loaded && s->head->load_age < 2)
-        for (i = 0; i < n; ++i)
-            work += (t.load[0] * (s->force[0][i] - s->force[1][i]) + t.load[2] * (s->force[2][i] - s->force[1][i])) *
-                    (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
-    for (i = 0; i < n; ++i) work += g->added[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
     return work;
 }
 
@@ -16975,6 +18263,8 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real budget = head->budget;
+    const int64_t descents = head->descents;
+    sfem_real slack;
     sfemi_guard_energies e;
     sfem_status status = SFEM_OK;
     g->corrections = 0;
@@ -16985,20 +18275,32 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
         head->budget += sfemi_guard_step_work(b);
         e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
         g->measured = 1;
-        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= head->budget + .02 * head->scale &&
-                    e.ec <= head->budget + .3 * head->scale);
+        slack = head->budget + e.rounding;
+        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= slack + .02 * head->scale &&
+                    e.ec <= slack + .3 * head->scale);
     }
     if (g->redone) {
         head->budget = budget;
         status = sfemi_guard_redo(b, err);
         if (status != SFEM_OK) {
             head->budget = budget;
+            head->descents = descents;
             return status;
         }
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
     head->budget = budget;
     return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to an energy that is not finite");
+}
+
+/* What rounding of the places makes of Psi. */
+static sfem_real sfemi_guard_rounding(const sfem_body *b)
+{
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        sum += fabs(b->guard.f[i]) * fabs(b->model->mesh.x[i] + b->guard.u[i]);
+    return 1e-15 * sum;
 }
 
 static void sfemi_guard_finish(sfem_body *b)
@@ -17010,7 +18312,7 @@ static void sfemi_guard_finish(sfem_body *b)
     const sfem_real psi = g->psi;
     const int redone = g->redone;
     sfemi_guard_energies e;
-    sfem_real energy, moving;
+    sfem_real energy, least, moving;
     sfem_int k;
     size_t i;
     int c;
@@ -17022,16 +18324,21 @@ static void sfemi_guard_finish(sfem_body *b)
     e = g->measured && !redone ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
     energy = head->energy = redone ? e.ec : e.eb;
     /* what damping takes may not come back, as it would where shards spin too fast for the frames of D */
-    if (b->damage && energy < head->budget) head->budget = fmax(energy, head->budget - g->damped);
-    if (energy < head->budget) head->budget = energy + (head->budget - energy) * exp(-b->step / .5);
-    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2);
-    head->scale *= exp(-b->step);
+    least = energy + e.rounding;
+    if (b->damage && least < head->budget) head->budget = fmax(least, head->budget - g->damped);
+    if (least < head->budget) head->budget = least + (head->budget - least) * exp(-b->step / .5);
+    /* what a redo could not reach, by far, is not in motion */
+    if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
+    else if (psi < head->locked) head->locked = psi;
+    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-12);
+    head->scale *= exp(-b->step) * (redone ? .9 : 1);
     if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
         head->scale = 0;
         head->budget = energy;
     }
     if (moving > head->scale) head->scale = moving;
     if (e.floor > head->scale) head->scale = e.floor;
+    if (redone) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
     head->last = e.ec;
     head->psi = psi;
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
@@ -17782,6 +19089,21 @@ static void sfemi_body_place_pins(sfem_body *b)
     }
 }
 
+/* A body of linear laws that steps by one solve has the momentum of its free pieces set right, see >>turn; not
+ * where its tets are damped each in its own way, which makes no rule for it. */
+static int sfemi_body_settles(const sfem_body *b)
+{
+    return !b->turns && !sfemi_implicit_serves(b) && !b->model->damping;
+}
+
+/* Which pieces are held; a body that does not turn has them in their places for good. */
+static void sfemi_body_find_held(sfem_body *b)
+{
+    if (!b->turn.pieces) return;
+    sfemi_turn_find_held(b);
+    if (!b->turns) sfemi_turn_locate(b, NULL);
+}
+
 static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
 {
     const sfem_allocator *al = &b->allocator;
@@ -17814,7 +19136,26 @@ done:
     return status;
 }
 
-/* What only a body that turns needs. */
+/* Where a consistent mass matrix puts the nodes' masses, and the sizes of the pieces, of a body that does not turn. */
+static sfem_status sfemi_body_allocate_lever(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    if (model->block_mass) {
+        SFEMI_NEW(sfem_real, b->turn.lever, &b->allocator, n);
+        sfem_model_multiply_mass(model, model->mesh.x, b->turn.lever, &b->exec);
+        for (i = 0; i < n; ++i)
+            b->turn.lever[i] = model->node_mass[i / 3] > 0
+                                   ? b->turn.lever[i] / model->node_mass[i / 3] - model->mesh.x[i] : 0;
+    }
+    sfemi_turn_size(b);
+done:
+    return status;
+}
+
+/* The pieces, and what only a body that turns needs. */
 static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
@@ -17827,7 +19168,8 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
-    if (!b->model->turns) SFEMI_NEW(sfem_real, b->turn.still, al, n);
+    b->turn.still = !b->model->turns;
+    if (!b->turns) return sfemi_body_allocate_lever(b, err);
     SFEMI_NEW(sfem_real, b->turn.work, al,
               sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + n +
                   (3 + 3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
@@ -17860,11 +19202,13 @@ static void sfemi_body_destroy(sfem_body *b)
         sfemi_factor_release(b->model, b->guard.redo[k].factor);
         sfemi_body_free_grip(b, &b->guard.redo[k].grip);
     }
+    sfemi_system_close(b, &b->guard.system);
+    sfemi_delete(&al, b->guard.tangent.val);
     sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.work);
-    sfemi_delete(&al, b->turn.still);
+    sfemi_delete(&al, b->turn.lever);
     sfemi_damage_free(b->damage);
     sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
@@ -17904,7 +19248,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
-    if (b->turns) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (b->turns || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
     if (b->bonds) {
         SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
@@ -17916,7 +19260,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
         sfemi_turn_weigh(b);
         sfemi_turn_find_heavy(b);
     }
-    if (b->turns) sfemi_turn_find_held(b);
+    sfemi_body_find_held(b);
 done:
     return status;
 }
@@ -17977,9 +19321,9 @@ static void sfemi_body_held_changed(sfem_body *b)
 {
     sfem_int k;
     int changed = 0;
-    if (!b->turns) return;
     for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
-    sfemi_turn_find_held(b);
+    sfemi_body_find_held(b);
+    if (!b->turns) return;
     for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
@@ -18016,9 +19360,10 @@ done:
 static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
+    int k;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    for (i = 0; b->turns && i < b->def.max_handles; ++i)
-        b->guard.redo[SFEMI_TURNED].grip.ready[i] = b->guard.redo[SFEMI_ISOTROPIC].grip.ready[i] = 0;
+    for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
+        for (i = 0; i < b->def.max_handles; ++i) b->guard.redo[k].grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
@@ -18088,6 +19433,12 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     return sfemi_body_prepare_handles(b, err);
 }
 
+static sfem_status sfemi_body_check_step(sfem_real h, sfem_error *err)
+{
+    if (sfemi_finite(h) && h > 0) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
+}
+
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfemi_coefficients k;
@@ -18096,8 +19447,8 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     sfem_real p;
     sfem_status status;
     SFEM_ASSERT(b);
-    if (!(sfemi_finite(h) && h > 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the time step is %g s, must be > 0", h);
+    status = sfemi_body_check_step(h, err);
+    if (status != SFEM_OK) return status;
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
     b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
@@ -18128,16 +19479,69 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     return sfemi_body_prepare_handles(b, err);
 }
 
-SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
+/* Of a linear body: the momentum that the step's loads give its free pieces; by hand, less that of the right
+ * side, which the solve will add when the caller has added to it what he likes. */
+static void sfemi_body_push(sfem_body *b)
 {
-    SFEM_ASSERT(b);
+    static const sfem_real end[3] = {1, 0, 0};
+    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_pqr_terms t;
+    size_t i;
+    if (!sfemi_turn_projects(b)) return;
+    t = sfemi_pqr_weigh(b, b->step);
+    if (b->base && b->state.head->started != SFEMI_RUNNING) { /* at a start base comes from a solve, too */
+        for (i = 0; i < n; ++i) b->zk[i] = b->state.w[i] - b->base[i];
+        sfemi_turn_motion(b, NULL, b->zk, 1);
+        sfemi_turn_add_motion(b, NULL, 1, 0, b->base);
+    }
+    sfemi_turn_push(b, NULL, newmark ? end : t.load, b->zm, b->alpha != 0 || t.am != 0);
+    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, -1);
+}
+
+static void sfemi_body_settle(sfem_body *b)
+{
+    if (!sfemi_turn_projects(b)) return;
+    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, 1);
+    sfemi_turn_settle(b, b->factor->key.cm, b->acc);
+}
+
+/* Takes out of a body's head what a step has changed before its end: it failed, or was given up. What the
+ * caller has done since it began stays done. */
+static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
+{
+    const sfemi_state_head *before = &b->before;
+    if (!b->begun) return;
+    head->budget = before->budget;
+    head->scale = before->scale;
+    head->last = before->last;
+    head->descents = before->descents;
+    if (head->load_age > before->load_age) head->load_age = before->load_age;
+    if (head->rebase < before->rebase) head->rebase = before->rebase;
+    if (head->current && !before->current) head->rebase = SFEMI_NEW_LEDGER;
+}
+
+static void sfemi_body_undo(sfem_body *b)
+{
+    sfemi_body_take_back(b, b->state.head);
+    b->begun = 0;
+    b->phase = SFEMI_IDLE;
+}
+
+static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
+{
+    sfem_status status;
+    status = sfemi_body_check_step(h, err); /* what Newton has prepared would serve any */
+    if (status != SFEM_OK) return status;
     if (!sfemi_body_is_prepared(b, h)) {
-        sfem_status status;
         if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
     }
+    sfemi_body_undo(b);
+    b->before = *b->state.head;
+    b->begun = 1;
     b->step = h;
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
     sfemi_sleep_compare_load(b);
@@ -18145,8 +19549,16 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
+    if (!b->turns) sfemi_body_push(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
+{
+    SFEM_ASSERT(b);
+    b->turn.by_hand = 1;
+    return sfemi_body_predict(b, h, err);
 }
 
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
@@ -18155,17 +19567,20 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
     if (sfemi_implicit_serves(b)) {
         const sfem_status status = sfemi_implicit_solve(b, err);
-        b->phase = status == SFEM_OK ? SFEMI_SOLVED : SFEMI_IDLE;
+        if (status == SFEM_OK) b->phase = SFEMI_SOLVED;
+        else sfemi_body_undo(b);
         return status;
     }
     if (!b->turns)
         sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    if (!b->turns) sfemi_body_settle(b);
     if (b->turns) sfemi_guard_solve(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
-    b->phase = SFEMI_IDLE;
-    if (!sfemi_all_finite(b->acc, n))
+    if (!sfemi_all_finite(b->acc, n)) {
+        sfemi_body_undo(b);
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+    }
     b->phase = SFEMI_SOLVED;
     return SFEM_OK;
 }
@@ -18203,8 +19618,12 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         const sfem_status status = sfemi_guard_judge_step(b, err);
-        if (status != SFEM_OK) return status;
+        if (status != SFEM_OK) {
+            sfemi_body_undo(b);
+            return status;
+        }
     }
+    b->begun = 0;
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
     if (b->turns) sfemi_guard_finish(b);
@@ -18226,11 +19645,15 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
 SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status;
+    sfem_int sleep;
     SFEM_ASSERT(b);
+    sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
-    status = sfem_body_predict(b, h, err);
+    b->turn.by_hand = 0;
+    status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
+    if (status != SFEM_OK) b->state.head->sleep = sleep; /* what has woken it will do so again */
     return status;
 }
 
@@ -18293,9 +19716,13 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
                                               sfem_error *err)
 {
     const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
+    sfem_real *at, sum[3];
     int c;
     if (status != SFEM_OK) return status;
-    for (c = 0; c < 3; ++c) b->state.force[0][3 * (size_t)node + (size_t)c] += f[c];
+    at = b->state.force[0] + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = at[c] + f[c];
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
+    memcpy(at, sum, sizeof sum);
     sfemi_body_load_changed(b);
     return SFEM_OK;
 }
@@ -18363,6 +19790,7 @@ static void sfemi_body_restart(sfem_body *b)
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
+    b->begun = 0;
 }
 
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const sfem_real *v,
@@ -18387,10 +19815,50 @@ SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->sta
 SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
 {
     const size_t bytes = sfem_body_state_size(b);
+    sfemi_state_head head = *b->state.head;
     uint32_t sum;
+    sfemi_body_take_back(b, &head);
     memcpy(memory, b->state.head, bytes);
+    memcpy(memory, &head, sizeof head);
     sum = sfemi_state_checksum(memory, bytes);
     memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
+}
+
+/* Would a body be safe with this block of its own size? A checksum is no signature. */
+static int sfemi_body_state_sound(const sfem_body *b, const sfemi_state_head *head, const char *memory)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const char *at = memory + sizeof *head;
+    sfem_int k;
+    size_t i;
+    int c;
+    if (!sfemi_finite(head->time) || !(head->h >= 0 && sfemi_finite(head->h)) || !sfemi_all_finite(head->gravity, 3) ||
+        head->started < SFEMI_NOT_STARTED || head->started > SFEMI_RUNNING ||
+        (head->started == SFEMI_RUNNING && head->h == 0) || head->rebase < SFEMI_LEDGER ||
+        head->rebase > SFEMI_NEW_LEDGER || head->sleep < SFEMI_AWAKE || head->sleep > SFEMI_ASLEEP)
+        return 0;
+    for (i = 0; i < 9 * (size_t)nodes; ++i) { /* u, w, a; the block may stand at any address */
+        sfem_real x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    at += sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real) + (size_t)b->pin_count * sizeof(sfemi_hold);
+    for (k = 0; k < b->def.max_handles; ++k, at += sizeof(sfemi_handle)) {
+        sfemi_handle h;
+        memcpy(&h, at, sizeof h);
+        if (!h.used) continue;
+        if (!sfemi_all_finite(h.weight, 4) || !sfemi_all_finite(h.hold.target, 3) || !sfemi_all_finite(h.hold.past, 3))
+            return 0;
+        for (c = 0; c < 4; ++c) /* a handle does not hold what is in no tet */
+            if (h.node[c] < 0 || h.node[c] >= nodes || b->model->node_mass[h.node[c]] == 0) return 0;
+    }
+    if (b->bonds) at += sizeof(sfemi_books) + SFEMI_ACCOUNTS * sizeof(sfem_real);
+    for (k = 0; b->bonds && k < b->bonds->edges; ++k) {
+        sfem_real zeta;
+        memcpy(&zeta, at + (size_t)k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    return 1;
 }
 
 SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size_t bytes,
@@ -18409,16 +19877,19 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
     if (head.size != b->state.head->size || head.key != b->state.head->key)
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
+    if (!sfemi_body_state_sound(b, &head, (const char *)memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the saved state holds numbers out of their ranges");
     memcpy(b->state.head, memory, bytes);
     b->state.head->checksum = 0;
     if (b->damage) {
         sfemi_damage_refresh(b->damage);
         sfemi_fracture_regroup(b);
     }
-    if (b->turns) sfemi_turn_find_held(b);
+    sfemi_body_find_held(b);
     sfemi_renew_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
+    b->begun = 0;
     return SFEM_OK;
 }
 
@@ -18515,6 +19986,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     sfem_body_handle_position(b, k, h->hold.target);
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
+    for (c = 0; b->turns && c < SFEMI_REDOS; ++c) b->guard.redo[c].grip.ready[k] = 0;
     b->grip.dirty = 1;
     sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
@@ -19268,7 +20740,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
                             27 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b) + sfemi_guard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
@@ -21902,6 +23374,35 @@ static sfemi_oscillator sfemi_oscillator_make(sfem_real omega2, sfem_real c, sfe
     return r;
 }
 
+/* (z/2)/tanh(z/2) for z >= 0 */
+static sfem_real sfemi_oscillator_coth(sfem_real z) { return z > 0 ? z / 2 / tanh(z / 2) : 1; }
+
+/* What Newmark (1/4, 1/2) has to take for mass and damping of q'' + c q' + omega2 q = f, so that its
+ * free motion in steps of h decays as the exact one: that recurrence makes (1 + z/2)/(1 - z/2) of the
+ * root z/h, so what it is given has the roots 2/h tanh(z/2) where they are real; where they are not,
+ * e^-ch/2 times the turn that the recurrence makes of the damped frequency. Stiffness and load stay,
+ * and what comes to rest does so where it should. Both are off from 1 and c by O(h^2), and not at all
+ * where c = 0 [Liniger, Willoughby 1970: exponential fitting]. */
+static void sfemi_oscillator_fit(sfem_real omega2, sfem_real c, sfem_real h, sfem_real *mass,
+                                 sfem_real *drag)
+{
+    const sfem_real x = c * h / 2, y = omega2 * h * h, d = y - x * x;
+    *mass = 1;
+    *drag = c;
+    if (c == 0 || !(h > 0)) return;
+    if (d > 0) { /* e = e^-x; the turn is 2 atan t; S and E the trace and determinant wanted */
+        const sfem_real e = exp(-x), lost = expm1(-x) * expm1(-x), t = d / 4;
+        const sfem_real plus = lost + 4 * e / (1 + t);      /* 1 + S + E */
+        const sfem_real minus = lost + 4 * e * t / (1 + t); /* 1 - S + E */
+        *mass = y / 4 * (plus / minus);
+        *drag = -expm1(-2 * x) * (y / minus) / h;
+    } else {
+        const sfem_real fast = x + sqrt(-d), slow = y / fast;
+        *mass = sfemi_oscillator_coth(slow) * sfemi_oscillator_coth(fast);
+        *drag = *mass * 2 / h * (tanh(slow / 2) + tanh(fast / 2));
+    }
+}
+
 /* --- modal bodies: the state ----------------------------------------------------------------- */
 
 typedef struct sfemi_modal_head {
@@ -21909,6 +23410,7 @@ typedef struct sfemi_modal_head {
     uint32_t version, unused;
     uint64_t size, key, checksum;
     sfem_real time, beta, gamma; /* of the last step */
+    sfem_real h;                 /* the step that a is fitted to; 0: to none; -1: a was given */
     sfem_real gravity[3];
     sfem_rigid rigid;            /* rigid.w is not kept: it follows from */
     sfem_real momentum[3];       /* the angular momentum, world */
@@ -21946,8 +23448,10 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
+    sfem_real *pull, *trial, *way; /* [stride] J^T l: taken, tried, and the difference */
+    sfem_real *mass, *drag, *light; /* [stride] of the oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
-    sfem_real *s, *arm, *l, *residual; /* [3H][3H], [3H] each */
+    sfem_real *s, *arm, *l, *residual, *l_trial; /* [3H][3H], [3H] each */
     sfem_real *exact;              /* [H][3][stride] G */
     sfem_int *column, *fixed;      /* [3H]; fixed: rows that carry nothing */
     sfem_int *place;               /* [nodes] a node's place in force_node + 1, or 0 */
@@ -21956,13 +23460,14 @@ struct sfem_modal {
     float *drawn_q32;              /* [stride] */
     sfem_int drawn_count;
     sfem_real h, beta, gamma;      /* what inverse is for; h = 0: nothing */
+    sfem_real fit_h;               /* what mass and drag are for */
     sfem_real exact_h;
     sfem_real pose_force[3], pose_torque[3]; /* of the loads at the end of the step */
     double turn[2 * SFEMI_TURN_TERMS + 1];
     float turn32[2 * SFEMI_TURN_TERMS32 + 1];
 };
 
-enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 1 };
+enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 2 };
 
 static int sfemi_modal_path_kind(const sfem_modal *b)
 {
@@ -22014,6 +23519,7 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 {
     sfem_modal_def def;
     memset(&def, 0, sizeof def);
+    def.integrator = SFEM_MODAL_FITTED;
     def.warp = SFEM_WARP_PATH;
     def.beta = 0.25;
     def.gamma = 0.5;
@@ -22028,25 +23534,26 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 
 static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
 {
-    const sfem_real number[9] = {d->beta,         d->gamma,      d->handle_beta,
-                                 d->handle_gamma, d->compliance, d->tolerance,
-                                 d->gravity[0],   d->gravity[1], d->gravity[2]};
-    if (!sfemi_all_finite(number, 9))
+    const sfem_real number[10] = {d->beta,         d->gamma,      d->handle_beta,
+                                  d->handle_gamma, d->compliance, d->tolerance,
+                                  d->gravity[0],   d->gravity[1], d->gravity[2],
+                                  d->h};
+    if (!sfemi_all_finite(number, 10))
         return sfemi_fail(err, SFEM_NOT_FINITE,
                           "a number of the definition of a modal body is not finite");
     if (!(d->beta > 0 && d->handle_beta > 0 && d->gamma >= 0.5 && d->handle_gamma >= 0.5))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "Newmark %g, %g and with handles %g, %g: beta > 0, gamma >= 1/2", d->beta,
                           d->gamma, d->handle_beta, d->handle_gamma);
-    if (!(d->compliance >= 0) || !(d->tolerance >= 0))
+    if (!(d->compliance >= 0) || !(d->tolerance >= 0) || !(d->h >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "compliance %g and tolerance %g must be 0 or more", d->compliance,
-                          d->tolerance);
+                          "compliance %g, tolerance %g and step %g must be 0 or more",
+                          d->compliance, d->tolerance, d->h);
     if (d->max_handles < 0 || d->max_handle_nodes < 0 || d->handle_iterations < 1 ||
         d->max_handles > 10000)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "%d handles of %d nodes, %d iterations",
                           (int)d->max_handles, (int)d->max_handle_nodes, (int)d->handle_iterations);
-    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_EXACT)
+    if ((unsigned)d->warp > SFEM_WARP_PATH || (unsigned)d->integrator > SFEM_MODAL_FITTED)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "warp %d or integrator %d is not one of them",
                           (int)d->warp, (int)d->integrator);
     return SFEM_OK;
@@ -22102,6 +23609,22 @@ static uint64_t sfemi_modal_key(const sfem_modal *b)
     return sfemi_state_hash(b->reduced->head->checksum, sizes, sizeof sizes);
 }
 
+/* The oscillators for steps of h; 0: as they are. */
+static void sfemi_modal_fit(sfem_modal *b, sfem_real h)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    if (b->fit_h == h) return;
+    for (k = 0; k < b->m; ++k) {
+        sfemi_oscillator_fit(r->lambda[k], r->damping[k],
+                             b->def.integrator == SFEM_MODAL_FITTED ? h : 0, b->mass + k,
+                             b->drag + k);
+        b->light[k] = 1 / b->mass[k];
+    }
+    b->fit_h = h;
+    b->h = 0;
+}
+
 static void sfemi_modal_series(sfem_modal *b)
 {
     const int kind = sfemi_modal_path_kind(b);
@@ -22154,30 +23677,39 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(char, block, al, b->state_bytes);
     sfemi_modal_lay_out(b, block);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
-    SFEMI_NEW(sfem_real, b->next, al, 7 * b->stride + 1);
+    SFEMI_NEW(sfem_real, b->next, al, 13 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
     b->inverse = b->vp + b->stride;
     b->from = b->inverse + b->stride;
-    b->drawn_q = b->from + b->stride;
+    b->mass = b->from + b->stride;
+    b->drag = b->mass + b->stride;
+    b->light = b->drag + b->stride;
+    b->pull = b->light + b->stride;
+    b->trial = b->pull + b->stride;
+    b->way = b->trial + b->stride;
+    b->drawn_q = b->way + b->stride;
     SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
-    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 3 + b->stride) + 1);
+    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 4 + b->stride) + 1);
     SFEMI_NEW(sfem_int, b->column, al, 2 * rows + 1);
     b->fixed = b->column + rows;
     b->arm = b->s + rows * rows;
     b->l = b->arm + rows;
     b->residual = b->l + rows;
-    b->exact = b->residual + rows;
+    b->l_trial = b->residual + rows;
+    b->exact = b->l_trial + rows;
     SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
     b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
-               b->stride * (7 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
-               rows * ((rows + 3 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
+               rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
     sfemi_modal_series(b);
+    b->fit_h = -1;
+    sfemi_modal_fit(b, def->h);
     memcpy(b->head->magic, "sfemmod", 8);
     b->head->version = SFEMI_MODAL_VERSION;
     b->head->size = b->state_bytes;
@@ -22375,13 +23907,14 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
 
 /* --- handles ---------------------------------------------------------------------------------
  *
- * Rows of handle i: J_i = sum_k weight_k T_k Phi_k, in the world R_frame T_k Phi_k, T the rotation
- * that displaces node k; of a free body's frame also the identity and -[arm]x, with mass and
- * inertia in A. With those, S = J A^-1 J^T. A step looks for l with  x(l) - target = beta h^2 eps
- * d l, d the mean of S's diagonal, by (S + eps d) dl = (x - target)/(beta h^2) - eps d l: exact at
- * once where nothing warps. Else x is not linear in q, and dx = G dq with G = J + H (dRt/dw Phi q)
- * Psi: the body feels J^T l, and Newton's iteration for l has G A^-1 J^T for S. (With S it
- * converges slowly where Rt warps, and not at all for a bar that R bends far.) */
+ * Rows of handle i, in the world: J_i = dx_i/dq = sum_k weight_k R_frame (T_k Phi_k + dT_k/dw Phi_k q
+ * Psi_k), T the rotation that displaces node k; of a free body's frame also the identity and -[arm]x,
+ * with mass and inertia in A. With those, S = J A^-1 J^T. A step looks for l with x - target + tau x'
+ * = C l at its end. Where nothing warps that is linear in l: (wide S + C) l = what the gap would be
+ * without hands, wide = beta h^2 + gamma h tau. Warped, see below. With the source's rows, T_k Phi_k
+ * alone, dx = G dq with G the J from above: the body feels rows^T l, and Newton's iteration for l has
+ * G A^-1 rows^T for S. (With S it converges slowly where Rt warps, and not at all for a bar that R
+ * bends far.) */
 
 /* rows += t phi, t 3x3 */
 static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_real t[9],
@@ -22396,12 +23929,19 @@ static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_re
     }
 }
 
+/* Do the rows contain how the rotations follow q? */
+static int sfemi_handle_turning(const sfem_modal *b)
+{
+    return b->def.warp != SFEM_WARP_NONE && !b->def.frozen_turns;
+}
+
 /* x and, unless NULL, J and (also unless NULL) G at q in the given pose, nodes turned as at
  * q_turn; arm is x - the frame's place, in the world. */
 static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, const sfem_real *q,
                               const sfem_real *q_turn, const sfem_rigid *frame, sfem_real x[3],
                               sfem_real arm[3], sfem_real *rows, sfem_real *exact)
 {
+    const int turning = sfemi_handle_turning(b);
     const sfem_reduced *r = b->reduced;
     const size_t stride = b->stride;
     const int loose = r->head->free;
@@ -22431,12 +23971,14 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
             memcpy(t, turned, sizeof t);
         }
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, rows);
-        if (!exact) continue;
+        if (!exact && !turning) continue;
         sfemi_turn_derivative(sfemi_modal_path_kind(b), w, linear, d);
         if (loose) {
             sfemi_mul3(frame->r, d, turned);
             memcpy(d, turned, sizeof d);
         }
+        if (turning) sfemi_handle_add_rows(stride, b->weight[p], d, psi, rows);
+        if (!exact) continue;
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, exact);
         sfemi_handle_add_rows(stride, b->weight[p], d, psi, exact);
     }
@@ -22451,16 +23993,32 @@ static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
     return slot;
 }
 
-/* S over all rows in use, with the compliance added: J A^-1 J^T, or with `exact` G A^-1 J^T;
- * inverse NULL: A = I. Rows that move nothing become zero. Returns eps times the mean diagonal of
- * J A^-1 J^T. */
-static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
-                                     const sfem_real r[9])
+typedef struct sfemi_handle_step {
+    sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
+    sfemi_modal_head *to;
+    sfem_real give, lag;             /* C and tau of the hands, of the present rows */
+} sfemi_handle_step;
+
+/* C and tau of the hands from means over rows that move: of J A^-1 J^T and of J M^-1 J^T, both with
+ * the frame, and of J Lambda^-1 J^T. */
+static void sfemi_handle_ease(const sfem_modal *b, const sfem_real mean[3], sfemi_handle_step *step)
+{
+    step->give = b->def.compliance * fmax(step->scale * mean[0], mean[2]);
+    step->lag = step->h > 0 && mean[1] > 0 ? 2 * sqrt(step->give / mean[1]) : 0;
+}
+
+/* S over all rows in use, with what the hands give added: J A^-1 J^T, or with `left` = G instead of
+ * the rows, G A^-1 J^T. Rows that move nothing become zero. With a step, that of its hands, which it
+ * sets; else (of velocities and accelerations) compliance times the mean of the diagonal. */
+static void sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
+                                const sfem_real r[9], sfemi_handle_step *step)
 {
     const sfemi_reduced_head *head = b->reduced->head;
+    const sfem_real *lambda = b->reduced->lambda;
     const sfem_int n = 3 * b->head->handles;
     sfem_int hi, hj, i = 0, j, c, d, rows = 0;
-    sfem_real *s = b->s, *diagonal = b->residual, most = 0, mean = 0, world[9], half[9];
+    sfem_real *s = b->s, *diagonal = b->residual, most = 0, mean[3] = {0, 0, 0}, world[9], half[9];
+    sfem_real give;
     size_t k;
     if (head->free) {
         sfemi_mul3(r, head->inverse, half);
@@ -22472,12 +24030,10 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
              hj = sfemi_handle_next(b, hj + 1), j += 3) {
             for (c = 0; c < 3; ++c) {
                 const sfem_real *x = left + (3 * (size_t)hi + (size_t)c) * b->stride;
-                const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)c) * b->stride;
                 for (d = 0; d < 3; ++d) {
                     const sfem_real *y = b->rows + (3 * (size_t)hj + (size_t)d) * b->stride;
                     sfem_real sum = 0, own = 0, frame = 0;
-                    for (k = 0; k < b->m; ++k)
-                        sum += inverse ? x[k] * inverse[k] * y[k] : x[k] * y[k];
+                    for (k = 0; k < b->m; ++k) sum += x[k] * inverse[k] * y[k];
                     if (head->free) { /* I/mass + [ai]x^T W [aj]x */
                         sfem_real e[3] = {0, 0, 0}, g[3] = {0, 0, 0}, p[3], w[3];
                         e[c] = g[d] = 1;
@@ -22488,24 +24044,36 @@ static sfem_real sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, co
                     }
                     s[(i + c) * n + j + d] = sum + frame;
                     if (i != j || c != d) continue;
-                    for (k = 0; k < b->m; ++k)
-                        own += inverse ? z[k] * inverse[k] * z[k] : z[k] * z[k];
+                    for (k = 0; k < b->m; ++k) own += y[k] * inverse[k] * y[k];
                     diagonal[i + c] = own + frame;
                     most = fmax(most, diagonal[i + c]);
                 }
             }
         }
     }
-    for (i = 0; i < n; ++i)
-        if (diagonal[i] > 1e-12 * most) mean += diagonal[i], ++rows;
-    mean = rows ? b->def.compliance * mean / rows : 0;
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; ++i) {
+        const sfem_real *z = b->rows + (3 * (size_t)hi + (size_t)(i % 3)) * b->stride;
+        if (diagonal[i] > 1e-12 * most) {
+            mean[0] += diagonal[i];
+            mean[1] += diagonal[i];
+            for (k = 0; step && k < b->m; ++k) {
+                mean[1] += z[k] * z[k] * (b->light[k] - inverse[k]);
+                if (lambda[k] > 0) mean[2] += z[k] * z[k] / lambda[k];
+            }
+            ++rows;
+        }
+        if (i % 3 == 2) hi = sfemi_handle_next(b, hi + 1);
+    }
+    for (c = 0; c < 3; ++c) mean[c] /= rows ? rows : 1;
+    if (step) sfemi_handle_ease(b, mean, step);
+    give = step ? step->give / (step->scale + step->gamma * step->h * step->lag)
+                : b->def.compliance * mean[0];
     for (i = 0; i < n; ++i) {
         if (diagonal[i] > 1e-12 * most)
-            s[i * n + i] += mean;
+            s[i * n + i] += give;
         else
             for (j = 0; j < n; ++j) s[i * n + j] = s[j * n + i] = 0;
     }
-    return mean;
 }
 
 /* x = S^-1 x by elimination with complete pivoting; what depends on the rest is left at 0. Returns
@@ -22593,8 +24161,9 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     sfem_real *angular = accelerations ? head->torque : head->momentum, w[3];
     const sfem_int n = 3 * head->handles;
     sfem_int hi, i = 0;
+    size_t k;
     int c;
-    sfemi_handle_matrix(b, NULL, b->rows, head->rigid.r);
+    sfemi_handle_matrix(b, b->light, b->rows, head->rigid.r, NULL);
     sfemi_grip_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
@@ -22608,7 +24177,9 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
         for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
     }
     sfemi_grip_solve(b->s, n, n, b->l, 1);
-    sfemi_handle_subtract(b, b->l, y);
+    memset(b->b, 0, b->stride * sizeof *b->b);
+    sfemi_handle_subtract(b, b->l, b->b);
+    for (k = 0; k < b->m; ++k) y[k] += b->light[k] * b->b[k];
     for (i = 0; loose && i < n; i += 3) {
         sfem_real t[3];
         sfemi_cross(b->arm + i, b->l + i, t);
@@ -22628,14 +24199,16 @@ static void sfemi_handle_locate(sfem_modal *b)
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
 }
 
-/* a = f - c v - lambda q, less what the handles hold of it. */
+/* mass a = f - c v - lambda q, less what the handles hold of it; of oscillators fitted to the present
+ * steps. */
 static void sfemi_modal_accelerate(sfem_modal *b)
 {
     const sfem_reduced *r = b->reduced;
     sfem_int hi, i = 0;
     size_t k;
     int c;
-    for (k = 0; k < b->m; ++k) b->a[k] = b->f[k] - r->damping[k] * b->v[k] - r->lambda[k] * b->q[k];
+    for (k = 0; k < b->m; ++k)
+        b->a[k] = b->light[k] * (b->f[k] - b->drag[k] * b->v[k] - r->lambda[k] * b->q[k]);
     for (c = 0; c < 3; ++c) b->head->accel[c] = b->pose_force[c] / r->head->mass;
     memcpy(b->head->torque, b->pose_torque, sizeof b->pose_torque);
     if (b->head->handles == 0) return;
@@ -22648,6 +24221,8 @@ static void sfemi_modal_accelerate(sfem_modal *b)
 
 SFEM_DEF void sfem_modal_start(sfem_modal *b)
 {
+    if (!(b->head->h > 0)) b->head->h = b->def.h;
+    sfemi_modal_fit(b, b->head->h);
     sfemi_modal_load_at(b, b->q, b->f);
     sfemi_modal_accelerate(b);
     b->head->started = 1;
@@ -22684,6 +24259,7 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
     ++b->head->handles;
     sfemi_handle_rows(b, h, b->q, b->q, &b->head->rigid, h->target, arm, NULL, NULL);
     sfemi_modal_wake(b);
+    sfemi_modal_fit(b, b->head->h > 0 ? b->head->h : b->def.h);
     sfemi_handle_locate(b);
     sfemi_handle_project(b, slot, 0);
     memcpy(b->mean, b->v, b->stride * sizeof *b->mean);
@@ -22748,6 +24324,8 @@ SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
     if (b->head->started) {
         sfemi_modal_load_at(b, b->q,
                             b->next); /* the frame's forces; f stays that of the last step */
+        sfemi_modal_fit(b, b->head->h > 0 ? b->head->h : b->def.h);
+        if (b->head->h < 0) b->head->h = b->fit_h;
         sfemi_modal_accelerate(b);
     }
 }
@@ -22783,37 +24361,49 @@ static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta,
     size_t k;
     if (b->h == h && b->beta == beta && b->gamma == gamma) return;
     for (k = 0; k < b->m; ++k)
-        b->inverse[k] = 1 / (1 + gamma * h * r->damping[k] + beta * h * h * r->lambda[k]);
+        b->inverse[k] =
+            1 / (b->mass[k] + gamma * h * b->drag[k] + beta * h * h * r->lambda[k]);
     b->h = h;
     b->beta = beta;
     b->gamma = gamma;
 }
 
-/* Distance of the handles from where they are to be, less what the compliance lets them:
- * b->residual, over scale; returns the largest, m. */
-static sfem_real sfemi_handle_gaps(sfem_modal *b, sfem_real scale, sfem_real eps,
-                                   const sfem_real *q_turn, const sfemi_modal_head *to)
+/* J q' at the end of the step, of the present rows. */
+static void sfemi_handle_velocity(const sfem_modal *b, sfem_int handle, sfem_int row,
+                                  const sfemi_modal_head *to, sfem_real v[3])
+{
+    sfem_real w[3], turn[3];
+    int c;
+    b->kernels->dot3(b->stride, b->rows + 3 * (size_t)handle * b->stride, b->v, v);
+    if (!b->reduced->head->free) return;
+    sfemi_frame_velocity(b, to->rigid.r, to->momentum, w);
+    sfemi_cross(w, b->arm + row, turn);
+    for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + turn[c];
+}
+
+/* Distance of the handles from where their hands let them be: b->residual, over what an acceleration
+ * changes of it; returns the largest, m. */
+static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
+                                   const sfem_real *q_turn)
 {
     const sfem_int n = 3 * b->head->handles;
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
     sfem_real worst = 0;
     sfem_int hi, i;
     int c;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        sfem_real x[3], arm[3];
-        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &to->rigid, x, arm, NULL, NULL);
+        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
+        sfemi_handle_rows(b, b->handle + hi, b->q, q_turn, &step->to->rigid, x, arm, NULL, NULL);
+        if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
         for (c = 0; c < 3; ++c) {
-            const sfem_real gap = x[c] - b->handle[hi].target[c] - scale * eps * b->l[i + c];
-            b->residual[i + c] = gap / scale;
+            const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c] -
+                                  step->give * b->l[i + c];
+            b->residual[i + c] = gap / wide;
             if (!b->fixed[i + c]) worst = fmax(worst, sfemi_finite(gap) ? fabs(gap) : HUGE_VAL);
         }
     }
     return worst;
 }
-
-typedef struct sfemi_handle_step {
-    sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
-    sfemi_modal_head *to;
-} sfemi_handle_step;
 
 /* q = qp + scale inverse (b - J^T l), and of a free body the pose at the end of the step. */
 static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
@@ -22824,6 +24414,7 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
     for (k = 0; k < b->m; ++k) {
         b->a[k] *= b->inverse[k];
         b->q[k] = b->qp[k] + step->scale * b->a[k];
+        if (step->h > 0) b->v[k] = b->vp[k] + step->gamma * step->h * b->a[k];
     }
     if (b->reduced->head->free) {
         sfem_real force[3], torque[3];
@@ -22833,19 +24424,18 @@ static void sfemi_handle_respond(sfem_modal *b, const sfemi_handle_step *step)
 }
 
 /* The multipliers of [A.14]: nodes turned as they are when the step begins, so that all is
- * linear. Returns eps d. */
-static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *step)
+ * linear. */
+static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real eps;
     sfem_int i;
     memcpy(b->q, b->from, b->stride * sizeof *b->q);
     sfemi_handle_locate(b);
-    eps = sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r);
+    sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r, step);
     sfemi_grip_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step->scale, eps, b->from, step->to);
+    sfemi_handle_gaps(b, step, b->from);
     sfemi_grip_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
@@ -22853,42 +24443,36 @@ static sfem_real sfemi_handle_linear(sfem_modal *b, const sfemi_handle_step *ste
         b->l[i] = b->residual[i];
     }
     sfemi_handle_respond(b, step);
-    return eps;
 }
 
 /* One correction of Newton's; returns the gap that is left. */
-static sfem_real sfemi_handle_correct(sfem_modal *b, const sfemi_handle_step *step)
+static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real *exact = b->def.warp != SFEM_WARP_NONE ? b->exact : NULL, eps, x[3];
+    sfem_real *exact = b->def.warp != SFEM_WARP_NONE && b->def.frozen_turns ? b->exact : NULL, x[3];
     sfem_int hi, i;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, b->arm + i,
                           b->rows + 3 * (size_t)hi * b->stride,
                           exact ? exact + 3 * (size_t)hi * b->stride : NULL);
-    eps = sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r);
+    sfemi_handle_matrix(b, b->inverse, exact ? exact : b->rows, step->to->rigid.r, step);
     sfemi_handle_respond(b, step);
-    sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    sfemi_handle_gaps(b, step, b->q);
     sfemi_handle_eliminate(b->s, n, b->residual, b->column);
     for (i = 0; i < n; ++i) b->l[i] += b->residual[i];
     sfemi_handle_respond(b, step);
-    return sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    return sfemi_handle_gaps(b, step, b->q);
 }
 
-/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
- * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. Where
- * Newton's corrections bring them no nearer, as with targets that contradict one another, the
- * linear answer stands: it is bounded whatever the targets. */
-static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_step *step)
+/* Rows of the source: where Newton's corrections bring the handles no nearer to their targets, as when
+ * those contradict one another, the linear answer stands. Returns the number of solves. */
+static sfem_int sfemi_handle_frozen(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
 {
-    const sfemi_reduced_head *r = b->reduced->head;
-    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
-    sfem_real worst, eps;
-    sfem_int it, hi, i;
-    int c;
-    memcpy(b->from, b->q, b->stride * sizeof *b->q);
-    eps = sfemi_handle_linear(b, step);
-    worst = sfemi_handle_gaps(b, step->scale, eps, b->q, step->to);
+    sfem_real worst;
+    sfem_int it;
+    sfemi_handle_linear(b, step);
+    worst = sfemi_handle_gaps(b, step, b->q);
     for (it = 1; it < most && worst > 1e-10 * size; ++it) {
         const sfem_real left = sfemi_handle_correct(b, step);
         if (!(left < worst)) {
@@ -22897,7 +24481,159 @@ static void sfemi_handle_solve(sfem_modal *b, sfem_int most, const sfemi_handle_
         }
         worst = left;
     }
-    step->to->iterations = it;
+    return it;
+}
+
+/* --- handles whose rows are the derivative of x
+ *
+ * The hand is then a spring, and its force p = J^T l and F (force and torque on the frame) that of
+ *     wide C (p.A^-1 p + F.W F) + |x - target + tau x'|^2,   wide = beta h^2 + gamma h tau,
+ * at its least. Gauss-Newton finds it: each step along the line to the least of what is linear about
+ * the present place, by a half, a quarter... where the whole way leads up. It starts at the place
+ * where the step begins, so that stiff modes cannot be thrown far by a poor first answer. */
+
+enum { SFEMI_HANDLE_HALVINGS = 8 };
+
+/* Modes and frame under p and F, and what is to be least there. */
+static sfem_real sfemi_handle_try(sfem_modal *b, const sfemi_handle_step *step, const sfem_real *pull,
+                                  const sfem_real frame[6])
+{
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
+    const sfemi_reduced_head *head = b->reduced->head;
+    sfem_real work = 0, gaps = 0;
+    sfem_int hi, i;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) {
+        b->a[k] = b->inverse[k] * (b->b[k] - pull[k]);
+        b->q[k] = b->qp[k] + step->scale * b->a[k];
+        if (step->h > 0) b->v[k] = b->vp[k] + step->gamma * step->h * b->a[k];
+        work += b->inverse[k] * pull[k] * pull[k];
+    }
+    if (head->free) {
+        sfem_real force[3], torque[3], w[3];
+        for (c = 0; c < 3; ++c)
+            force[c] = b->pose_force[c] - frame[c], torque[c] = b->pose_torque[c] - frame[3 + c];
+        sfemi_frame_step(b, step->h, step->beta, step->gamma, force, torque, step->to);
+        sfemi_frame_velocity(b, step->to->rigid.r, frame + 3, w);
+        work += sfemi_dot3(frame, frame) / head->mass + sfemi_dot3(frame + 3, w);
+    }
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < 3 * b->head->handles;
+         hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real x[3], arm[3], v[3] = {0, 0, 0};
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, arm, NULL, NULL);
+        if (step->lag > 0) sfemi_handle_velocity(b, hi, i, step->to, v);
+        for (c = 0; c < 3; ++c) {
+            const sfem_real gap = x[c] - b->handle[hi].target[c] + step->lag * v[c];
+            b->residual[i + c] = gap;
+            if (!b->fixed[i + c]) gaps += gap * gap;
+        }
+    }
+    return step->give * wide * work + gaps;
+}
+
+/* The forces at the least of what is linear about the present place, where p is b->pull and F frame:
+ * (wide S + C) l = gap + wide (J A^-1 p + W F). Leaves l in l_trial, p in trial, F in to. */
+static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_real frame[6],
+                             const sfem_rigid *pose, sfem_real to[6])
+{
+    const sfem_int n = 3 * b->head->handles;
+    const sfem_real wide = step->scale + step->gamma * step->h * step->lag;
+    sfem_int hi, i;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) b->way[k] = b->inverse[k] * b->pull[k];
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
+        sfem_real back[3], w[3], turn[3];
+        b->kernels->dot3(b->stride, b->rows + 3 * (size_t)hi * b->stride, b->way, back);
+        if (b->reduced->head->free) {
+            sfemi_frame_velocity(b, pose->r, frame + 3, w);
+            sfemi_cross(w, b->arm + i, turn);
+            for (c = 0; c < 3; ++c) back[c] += frame[c] / b->reduced->head->mass + turn[c];
+        }
+        for (c = 0; c < 3; ++c) b->l_trial[i + c] = b->residual[i + c] / wide + back[c];
+    }
+    sfemi_grip_solve(b->s, n, n, b->l_trial, 1);
+    memset(b->trial, 0, b->stride * sizeof *b->trial);
+    sfemi_handle_subtract(b, b->l_trial, b->trial);
+    for (k = 0; k < b->m; ++k) b->trial[k] = -b->trial[k];
+    memset(to, 0, 6 * sizeof *to);
+    for (i = 0; i < n; i += 3) {
+        sfem_real t[3];
+        sfemi_cross(b->arm + i, b->l_trial + i, t);
+        for (c = 0; c < 3; ++c) to[c] += b->l_trial[i + c], to[3 + c] += t[c];
+    }
+}
+
+/* S of the rows at the present place. */
+static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const sfem_rigid *pose)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_int hi, i;
+    sfem_real x[3];
+    for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
+        sfemi_handle_rows(b, b->handle + hi, b->q, b->q, pose, x, b->arm + i,
+                          b->rows + 3 * (size_t)hi * b->stride, NULL);
+    sfemi_handle_matrix(b, b->inverse, b->rows, pose->r, step);
+    sfemi_grip_factor(b->s, n, n);
+    for (step->to->rows_left = 0, i = 0; i < n; ++i) {
+        b->fixed[i] = !(b->s[i * n + i] > 0);
+        step->to->rows_left += b->fixed[i];
+    }
+}
+
+/* Returns the number of solves. */
+static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
+                                    sfemi_handle_step *step)
+{
+    const sfem_int n = 3 * b->head->handles;
+    sfem_real frame[6] = {0, 0, 0, 0, 0, 0}, aim[6], tried[6], most_value, value = 0, part;
+    sfem_int it, i, half;
+    size_t k;
+    for (k = 0; k < b->m; ++k)
+        b->pull[k] = b->inverse[k] > 0
+                         ? b->b[k] + (b->qp[k] - b->q[k]) / (step->scale * b->inverse[k])
+                         : 0;
+    for (i = 0; i < n; ++i) b->l[i] = 0;
+    for (it = 0; it < most; ++it) {
+        const sfem_rigid pose = it ? step->to->rigid : b->head->rigid;
+        sfem_real change = 0;
+        sfemi_handle_linearise(b, step, &pose);
+        most_value = sfemi_handle_try(b, step, b->pull, frame) * (1 + 1e-10); /* rounding */
+        sfemi_handle_aim(b, step, frame, &pose, aim);
+        for (k = 0; k < b->m; ++k) b->way[k] = b->trial[k] - b->pull[k];
+        for (part = 1, half = 0; half < SFEMI_HANDLE_HALVINGS; ++half, part /= 2) {
+            for (k = 0; k < b->m; ++k) b->trial[k] = b->pull[k] + part * b->way[k];
+            for (i = 0; i < 6; ++i) tried[i] = frame[i] + part * (aim[i] - frame[i]);
+            value = sfemi_handle_try(b, step, b->trial, tried);
+            if (value <= most_value) break;
+        }
+        if (!(value <= most_value)) { /* nothing better is in sight */
+            sfemi_handle_try(b, step, b->pull, frame);
+            break;
+        }
+        memcpy(b->pull, b->trial, b->stride * sizeof *b->pull);
+        memcpy(frame, tried, sizeof frame);
+        for (i = 0; i < n; ++i) b->l[i] += part * (b->l_trial[i] - b->l[i]);
+        for (i = 0; i < n; ++i)
+            if (!b->fixed[i])
+                change = fmax(change, fabs(b->residual[i] - step->give * b->l[i]));
+        if (part == 1 && change <= 1e-10 * size) return it + 1;
+    }
+    return it ? it : 1;
+}
+
+/* Finds the multipliers that bring the handles to their targets; leaves q and a = inverse (b - J^T
+ * l) of the end of the step, l in the handles, and J, in rows, that of the last solve. */
+static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *step)
+{
+    const sfemi_reduced_head *r = b->reduced->head;
+    const sfem_real size = sqrt((r->inertia[0] + r->inertia[4] + r->inertia[8]) / (2 * r->mass));
+    sfem_int hi, i;
+    int c;
+    memcpy(b->from, b->q, b->stride * sizeof *b->q);
+    step->to->iterations = sfemi_handle_turning(b) ? sfemi_handle_spring(b, most, size, step)
+                                                   : sfemi_handle_frozen(b, most, size, step);
     step->to->residual = 0;
     for (i = 0, hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
          hi = sfemi_handle_next(b, hi + 1), i += 3) {
@@ -22923,7 +24659,7 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
             if (b->asleep[k]) continue;
             q = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
             v = b->v[k] + (1 - gamma) * h * b->a[k];
-            a = b->inverse[k] * (b->next[k] - r->damping[k] * v - r->lambda[k] * q);
+            a = b->inverse[k] * (b->next[k] - b->drag[k] * v - r->lambda[k] * q);
             b->q[k] = q + beta * h * h * a;
             b->v[k] = v + gamma * h * a;
             b->a[k] = a;
@@ -22934,16 +24670,16 @@ static void sfemi_modal_newmark(sfem_modal *b, sfem_real h, sfem_real beta, sfem
     for (k = 0; k < b->m; ++k) {
         b->qp[k] = b->q[k] + h * b->v[k] + h * h * (0.5 - beta) * b->a[k];
         b->vp[k] = b->v[k] + (1 - gamma) * h * b->a[k];
-        b->b[k] = b->next[k] - r->damping[k] * b->vp[k] - r->lambda[k] * b->qp[k];
+        b->b[k] = b->next[k] - b->drag[k] * b->vp[k] - r->lambda[k] * b->qp[k];
     }
     step.scale = beta * h * h;
     step.h = h;
     step.beta = beta;
     step.gamma = gamma;
     step.to = to;
+    step.give = step.lag = 0;
     sfemi_handle_solve(
         b, b->def.warp != SFEM_WARP_NONE || r->head->free ? b->def.handle_iterations : 1, &step);
-    for (k = 0; k < b->m; ++k) b->v[k] = b->vp[k] + gamma * h * b->a[k];
 }
 
 static void sfemi_modal_exact(sfem_modal *b, sfem_real h, sfemi_modal_head *to)
@@ -23020,6 +24756,23 @@ static sfem_int sfemi_modal_not_finite(const sfem_modal *b, const sfemi_modal_he
     return -1;
 }
 
+/* Steps of h begin: accelerations of the same forces, as oscillators fitted to h have them. */
+static void sfemi_modal_refit(sfem_modal *b, sfem_real h)
+{
+    const sfem_real before = b->head->h;
+    size_t k;
+    if (b->head->started && before >= 0 && before != h && b->def.integrator == SFEM_MODAL_FITTED) {
+        sfemi_modal_fit(b, before);
+        for (k = 0; k < b->m; ++k) b->b[k] = b->mass[k] * b->a[k] + b->drag[k] * b->v[k];
+        sfemi_modal_fit(b, h);
+        for (k = 0; k < b->m; ++k)
+            if (b->reduced->damping[k] != 0)
+                b->a[k] = b->light[k] * (b->b[k] - b->drag[k] * b->v[k]);
+    }
+    sfemi_modal_fit(b, h);
+    b->head->h = h;
+}
+
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
 {
     const int held = b->head->handles > 0;
@@ -23035,6 +24788,7 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     memcpy(b->backup, b->head, b->small_bytes);
     before =
         (const sfem_real *)(const void *)((char *)b->backup + ((char *)b->q - (char *)b->head));
+    sfemi_modal_refit(b, h);
     if (!b->head->started) {
         sfemi_modal_load_at(b, b->q, b->f);
         sfemi_modal_accelerate(b);
@@ -23072,6 +24826,21 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     return SFEM_OK;
 }
 
+SFEM_DEF void sfem_modal_oscillators(const sfem_modal *b, sfem_real h, sfem_real *stiffness,
+                                     sfem_real *damping)
+{
+    const sfem_reduced *r = b->reduced;
+    size_t k;
+    SFEM_ASSERT(h > 0);
+    for (k = 0; k < b->m; ++k) {
+        sfem_real mass;
+        sfemi_oscillator_fit(r->lambda[k], r->damping[k],
+                             b->def.integrator == SFEM_MODAL_FITTED ? h : 0, &mass, damping + k);
+        stiffness[k] = r->lambda[k] / mass;
+        damping[k] /= mass;
+    }
+}
+
 SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *acceleration, sfem_real h,
                                           sfem_real beta, sfem_real gamma, sfem_error *err)
 {
@@ -23099,6 +24868,7 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *accele
         sfemi_frame_step(b, h, beta, gamma, none, none, b->head);
     }
     b->head->time += h;
+    b->head->h = h;
     ++b->head->steps;
     b->head->beta = beta;
     b->head->gamma = gamma;
@@ -23124,6 +24894,7 @@ SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *
     if (v) memcpy(b->v, v, bytes);
     memcpy(b->mean, b->v, bytes);
     if (a) memcpy(b->a, a, bytes);
+    if (a) b->head->h = -1;
     b->head->started = a != NULL;
     sfemi_modal_wake(b);
     sfemi_modal_pack(b);
@@ -23163,7 +24934,7 @@ static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_
         b->qp[k] = r->lambda[k] > 0 ? 0 : b->q[k];
     }
     if (b->head->handles > 0) {
-        sfemi_handle_step step = {1, 0, 0, 0, NULL};
+        sfemi_handle_step step = {1, 0, 0, 0, NULL, 0, 0};
         step.to = to;
         sfemi_handle_solve(b, 1, &step);
     } else
@@ -23466,6 +25237,45 @@ SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
     memcpy(memory, &head, sizeof head);
 }
 
+/* Would a body be safe with this block of its own size? A checksum is no signature. */
+static int sfemi_modal_state_sound(const sfem_modal *b, const sfemi_modal_head *head, const char *memory)
+{
+    const char *base = (const char *)b->head;
+    const char *at = memory + ((const char *)b->q - base), *held = memory + ((const char *)b->handle_node - base);
+    const char *loaded = memory + ((const char *)b->force_node - base);
+    const sfem_int nodes = b->reduced->head->nodes;
+    sfem_int i, used = 0, node;
+    size_t k;
+    if (head->forces < 0 || head->forces > nodes || head->handle_nodes < 0 ||
+        head->handle_nodes > b->def.max_handle_nodes || !sfemi_all_finite(&head->time, 6) ||
+        !sfemi_all_finite(head->rigid.x, sizeof head->rigid / sizeof(sfem_real)) ||
+        !sfemi_all_finite(head->momentum, 9))
+        return 0;
+    for (k = 0; k < 3 * b->stride; ++k) { /* q, q', q'', one after the other but for what aligns them */
+        sfem_real x;
+        memcpy(&x, at + k / b->stride * (size_t)((const char *)b->v - (const char *)b->q) + k % b->stride * sizeof x,
+               sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    at = memory + ((const char *)b->handle - base);
+    for (i = 0; i < b->def.max_handles; ++i) {
+        sfemi_modal_handle h;
+        memcpy(&h, at + (size_t)i * sizeof h, sizeof h);
+        if (!h.used) continue;
+        ++used;
+        if (h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
+            !sfemi_all_finite(h.target, 3))
+            return 0;
+    }
+    if (used != head->handles) return 0;
+    for (i = 0; i < head->handle_nodes + head->forces; ++i) {
+        memcpy(&node, i < head->handle_nodes ? held + (size_t)i * sizeof node
+                                             : loaded + (size_t)(i - head->handle_nodes) * sizeof node, sizeof node);
+        if (node < 0 || node >= nodes) return 0;
+    }
+    return 1;
+}
+
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes,
                                            sfem_error *err)
 {
@@ -23481,6 +25291,8 @@ SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, si
         return sfemi_fail(err, SFEM_FORMAT, "the state is damaged: its checksum does not fit");
     if (head.key != b->head->key || head.size != b->state_bytes)
         return sfemi_fail(err, SFEM_MISMATCH, "the state is of another body");
+    if (!sfemi_modal_state_sound(b, &head, (const char *)memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the state holds numbers out of their ranges");
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
     memcpy(b->head, memory, bytes);
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = i + 1;

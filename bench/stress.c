@@ -3,7 +3,7 @@
  *
  *     build/bench/stress [--jobs N] [--fixed N] [--sampled N] [--first SEED] [--quick] [--every N]
  *     build/bench/stress --scene NAME [--seed N] [--form FORM]
- *     build/bench/stress --list
+ *     build/bench/stress --list | --help
  *
  * The default goes through all scenes; the others, which the default is compared with, through the fixed
  * ones (every Nth of them), with a quarter of the steps where they iterate. NAME is of the fixed list, or a family: then
@@ -27,6 +27,38 @@ typedef struct board {
     job job[];
 } board;
 
+static const char *const usage =
+    "usage: stress [--jobs N, 2] [--fixed N, all] [--sampled N, 200] [--first SEED, 1000]\n"
+    "              [--form FORM] [--every N, 1] [--quick]\n"
+    "       stress --scene NAME [--seed N] [--form FORM, default | all]\n"
+    "       stress --list | --help\n"
+    "  --every N   other forms than the default: every Nth of the fixed scenes only\n"
+    "  --quick     40 fixed scenes, 20 sampled\n";
+
+/* Is every argument an option that there is, with a value that it takes? */
+static int understood(int argc, char **argv)
+{
+    static const char *const counts[] = {"--jobs", "--fixed", "--sampled", "--first", "--every", "--seed"};
+    static const char *const alone[] = {"--quick", "--list", "--help"};
+    int i, k, f;
+    for (i = 1; i < argc; ++i) {
+        const char *value = i + 1 < argc ? argv[i + 1] : "";
+        int known = !strcmp(argv[i], "--scene") && *value ? 2 : 0;
+        for (k = 0; k < 3; ++k)
+            if (!strcmp(argv[i], alone[k])) known = 1;
+        for (k = 0; k < 6; ++k)
+            if (!strcmp(argv[i], counts[k]) && *value && strspn(value, "0123456789") == strlen(value)) known = 2;
+        for (f = 0; f <= STRESS_FORM_COUNT && !strcmp(argv[i], "--form"); ++f)
+            if (!strcmp(value, f < STRESS_FORM_COUNT ? stress_form_name(f) : "all")) known = 2;
+        if (!known) {
+            fprintf(stderr, "stress: %s%s%s\n", argv[i], *value ? " " : "", value);
+            return 0;
+        }
+        i += known - 1;
+    }
+    return 1;
+}
+
 static int option(int argc, char **argv, const char *name, const char **value)
 {
     int i;
@@ -45,6 +77,12 @@ static uint64_t number(int argc, char **argv, const char *name, uint64_t otherwi
     return text ? strtoull(text, NULL, 10) : otherwise;
 }
 
+static int at_least_one(int argc, char **argv, const char *name, uint64_t otherwise)
+{
+    const uint64_t n = number(argc, argv, name, otherwise);
+    return n < 1 ? 1 : (int)n;
+}
+
 /* ---- one scene ---- */
 
 static void report(const stress_scene *s, stress_form form, const stress_result *r)
@@ -52,8 +90,8 @@ static void report(const stress_scene *s, stress_form form, const stress_result 
     printf("%-34s seed %-6llu %-12s %c %5d+%-5d steps %.2f s\n", s->name, (unsigned long long)s->seed,
            stress_form_name((int)form), stress_letter((int)r->verdict), r->steps, r->damped_steps,
            r->seconds);
-    printf("    energy +%.3g S, momenta %.1e %.1e, shape %.3g, lost a swing %.3g, redone %.3g\n",
-           r->excess, r->linear, r->angular, r->shape, r->lost, r->redo);
+    printf("    energy +%.3g S, form %.1e, momenta %.1e %.1e, shape %.3g, lost a swing %.3g, redone %.3g\n",
+           r->excess, r->drift, r->linear, r->angular, r->shape, r->lost, r->redo);
     if (r->why[0]) printf("    %s: %s\n", stress_verdict_about((int)r->verdict), r->why);
     fflush(stdout);
 }
@@ -124,9 +162,12 @@ static void print_table(const board *b)
                                                                       : STRESS_IS_ERROR];
     printf("\nSurvival: passed of all; after a slash those that are locked (k) or refused (r)\n%-12s", "");
     for (k = 0; k < STRESS_FAMILY_COUNT; ++k) printf(" %8s", stress_family_name(k));
-    printf("      all  failed\n");
+    printf("      all  failed  seconds\n");
     for (f = 0; f < STRESS_FORM_COUNT; ++f) {
         int all = 0, passed = 0, other = 0;
+        double seconds = 0;
+        for (k = 0; k < b->count; ++k)
+            if ((int)b->job[k].form == f) seconds += b->job[k].result.seconds;
         printf("%-12s", stress_form_name(f));
         for (k = 0; k < STRESS_FAMILY_COUNT; ++k) {
             char cell[32];
@@ -141,8 +182,16 @@ static void print_table(const board *b)
             passed += c[STRESS_IS_PASSED];
             other += c[STRESS_IS_LOCKED] + c[STRESS_IS_REFUSED];
         }
-        printf("  %3d/%-3d %4d\n", passed, all, all - passed - other);
+        printf("  %3d/%-3d %4d %10.1f\n", passed, all, all - passed - other, seconds);
     }
+    printf("%-12s", "seconds");
+    for (k = 0; k < STRESS_FAMILY_COUNT; ++k) {
+        double seconds = 0;
+        for (f = 0; f < b->count; ++f)
+            if ((int)b->job[f].scene.family == k) seconds += b->job[f].result.seconds;
+        printf(" %8.1f", seconds);
+    }
+    printf("   of the processor\n");
 }
 
 static void print_failures(const board *b)
@@ -177,7 +226,7 @@ static int print_default(const board *b)
 {
     double excess[STRESS_FAMILY_COUNT] = {0}, linear[STRESS_FAMILY_COUNT] = {0},
            angular[STRESS_FAMILY_COUNT] = {0}, redo[STRESS_FAMILY_COUNT] = {0},
-           lost[STRESS_FAMILY_COUNT] = {0}, seconds = 0;
+           lost[STRESS_FAMILY_COUNT] = {0}, drift[STRESS_FAMILY_COUNT] = {0}, seconds = 0;
     int64_t steps = 0;
     int k, failed = 0, count[STRESS_FAMILY_COUNT] = {0};
     for (k = 0; k < b->count; ++k) {
@@ -187,6 +236,7 @@ static int print_default(const board *b)
         steps += r->steps + r->damped_steps;
         if (b->job[k].form != STRESS_FORM_DEFAULT) continue;
         excess[f] = fmax(excess[f], r->excess);
+        drift[f] = fmax(drift[f], r->drift);
         linear[f] = fmax(linear[f], r->linear);
         angular[f] = fmax(angular[f], r->angular);
         lost[f] = fmax(lost[f], r->lost);
@@ -194,12 +244,12 @@ static int print_default(const board *b)
         ++count[f];
         failed += !b->job[k].done || (r->verdict != STRESS_IS_PASSED && r->verdict != STRESS_IS_LOCKED);
     }
-    printf("\nThe default: worst in each family (modal: change of energy; stream, eigen: error, see stress.h)\n");
-    printf("%-8s %9s %9s %9s %9s %9s\n", "", "Ec/S", "momentum", "angular", "lost", "redone");
+    printf("\nThe default: worst in each family (linear: change of what linear bodies\nconserve; modal: of energy; stream, eigen: error, see stress.h)\n");
+    printf("%-8s %9s %9s %9s %9s %9s %9s\n", "", "Ec/S", "linear", "momentum", "angular", "lost", "redone");
     for (k = 0; k < STRESS_FAMILY_COUNT; ++k)
         if (count[k])
-            printf("%-8s %9.2g %9.1e %9.1e %9.2g %9.2g   %s\n", stress_family_name(k), excess[k],
-                   linear[k], angular[k], lost[k], redo[k] / count[k], stress_family_about(k));
+            printf("%-8s %9.2g %9.1e %9.1e %9.1e %9.2g %9.2g   %s\n", stress_family_name(k), excess[k],
+                   drift[k], linear[k], angular[k], lost[k], redo[k] / count[k], stress_family_about(k));
     printf("\n%d runs, %lld steps, %.0f s of processor time; the default fails %d\n", b->count,
            (long long)steps, seconds, failed);
     return failed;
@@ -211,11 +261,16 @@ int main(int argc, char **argv)
     const int fixed = (int)number(argc, argv, "--fixed", quick ? 40 : 100000);
     const int sampled = (int)number(argc, argv, "--sampled", quick ? 20 : 200);
     const uint64_t first = number(argc, argv, "--first", 1000);
-    const int jobs = (int)number(argc, argv, "--jobs", 2), every = (int)number(argc, argv, "--every", 1);
+    const int jobs = at_least_one(argc, argv, "--jobs", 2), every = at_least_one(argc, argv, "--every", 1);
     const char *scene = NULL, *form = stress_form_name(STRESS_FORM_DEFAULT);
     stress_scene s;
     board *b;
     int k, f, total;
+    if (!understood(argc, argv) || option(argc, argv, "--help", NULL)) {
+        const int asked = option(argc, argv, "--help", NULL);
+        fputs(usage, asked ? stdout : stderr);
+        return asked ? 0 : 2;
+    }
     option(argc, argv, "--form", &form);
     if (option(argc, argv, "--list", NULL)) {
         for (k = 0; stress_fixed(k, &s); ++k) printf("%s\n", s.name);
@@ -229,7 +284,7 @@ int main(int argc, char **argv)
     if (b == MAP_FAILED) return 1;
     for (f = STRESS_FORM_COUNT - 1; f >= 0; --f) { /* the slow ones first: they end together */
         const int only = option(argc, argv, "--form", NULL);
-        if (only && strcmp(form, stress_form_name(f))) continue;
+        if (only && strcmp(form, "all") && strcmp(form, stress_form_name(f))) continue;
         for (k = 0; k < total; ++k)
             if ((f == STRESS_FORM_DEFAULT || k % every == 0) && stress_fixed(k, &s) &&
                 stress_applies(s.family, (stress_form)f))

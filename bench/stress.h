@@ -9,9 +9,17 @@
  *              of mass of a free body, computed here from positions alone. It may pass its start by half
  *              of S, the largest energy in motion so far: the guard lets Ec pass its ledger by .3 S, its S
  *              being taken in the middle of steps. With pieces and blades, the same of the whole body.
+ *              Linear bodies by methods that conserve a quadratic form, (p,1,1), Newmark, central difference:
+ *              1/2 w.M w + (Psi + Psi-)/2 + (p - 1/2)(u - u-).(f - f-)/2 - F.(u + u-)/2, up or down, by no more
+ *              than 1e-9 of its largest so far and what rounding makes: see stress_conserve.
  *   momentum   of free bodies, linear always, angular until a step is done again and for laws and methods that
- *              keep it at all, within 1e-8 of the largest that a body with the energy S can have.
- *   motion     some node moves by a hundredth of the body's size, or as far as the time allows.
+ *              keep it at all, within 1e-8 of the largest that a body with the energy S can have, and what
+ *              rounding of positions makes of a velocity.
+ *   motion     some node moves by a hundredth of the body's size, or else at least half as far as the same body of
+ *              linear law does by the same method; a linear one, half as far as by the trapezoidal rule. (Where
+ *              a step spans periods, so does the method's inertia: a mode of frequency omega that is kicked
+ *              by v swings by v/omega / sqrt(1 + (p - 1/4) h^2 omega^2), of (p,1,1).) What starts in equilibrium, all
+ *              at one point, or as its own mirror image by StVK, which cannot tell, is LOCKED.
  * Then damped, with a fortieth of the slowest period for a step or the scene's own where that is larger, and
  * without gravity:
  *   shape      back at rest within a hundredth of the body's length, wherever it is by then. What has come to
@@ -123,7 +131,8 @@ typedef struct stress_scene {
 
 typedef struct stress_result {
     stress_verdict verdict;
-    double excess;            /* most that Ec was above its start, in S */
+    double excess;            /* most that Ec was above its start, in S, of what conserves no form; */
+    double drift;             /* most that the form has changed, of its largest terms */
     double linear, angular;   /* momenta, relative, at worst */
     double shape;             /* of its length, at last */
     double lost, redo;        /* energy a swing, of S; share of steps done again */
@@ -134,6 +143,8 @@ typedef struct stress_result {
 } stress_result;
 
 #define STRESS_ENERGY_TOLERANCE 0.5
+#define STRESS_DRIFT_TOLERANCE 1e-9
+#define STRESS_NEWMARK_TOLERANCE 1e-6 /* that of u, v and a: accelerations round more */
 #define STRESS_MOMENTUM_TOLERANCE 1e-8
 #define STRESS_SHAPE_TOLERANCE 0.01
 #define STRESS_LOSS_TOLERANCE 0.01 /* of S, a swing */
@@ -460,8 +471,10 @@ STRESS_STATIC void stress_state(stress_body *s, uint64_t *random)
 typedef struct stress_watch {
     double start, scale, largest; /* Ec at the start; kinetic + elastic: now, at most */
     double p0[3], l0[3];          /* momenta at the start */
-    double moved, speed;          /* of any node, at most; at the start */
-    int begun;
+    double moved;                 /* of any node, at most */
+    double form, terms, rounding; /* of stress_conserve: at first, its largest terms, a step's rounding */
+    int counted;                  /* steps, of the same */
+    int still;                    /* it starts at rest in equilibrium */
 } stress_watch;
 
 /* Ec and both momenta of mean velocity (u - before)/h at u. */
@@ -511,17 +524,71 @@ STRESS_STATIC void stress_begin(stress_body *s, stress_watch *w, double h)
 {
     const double *mass = sfem_model_node_mass(s->model);
     sfem_int i;
+    double most = 0;
     memset(w, 0, sizeof *w);
-    for (i = 0; i < 3 * s->mesh.nodes; ++i) {
-        s->before[i] = s->u0[i] - h * s->v0[i];
-        w->speed = fmax(w->speed, fabs(s->v0[i]));
-    }
+    for (i = 0; i < 3 * s->mesh.nodes; ++i) s->before[i] = s->u0[i] - h * s->v0[i];
     memcpy(s->start, s->u0, sizeof s->start);
     w->start = stress_measure(s, s->u0, s->before, h, w, w->p0, w->l0);
     w->largest = w->scale;
+    (void)sfem_model_forces(s->model, s->u0, SFEM_DOUBLE, s->f, NULL, NULL, s->work, NULL);
+    for (i = 0; i < 3 * s->mesh.nodes; ++i)
+        most = fmax(most, fmax(fabs(s->f[i]) / (s->scene->young * 0.01), fabs(s->v0[i])));
+    w->still = most < 1e-9 && s->gravity == 0 && s->scene->family != STRESS_HANDLE;
     for (i = 0; s->held && i < s->mesh.nodes; ++i)
         w->largest += h * h / 2 * mass[i] * s->gravity * s->gravity;
-    w->begun = 1;
+}
+
+/* Does it conserve a quadratic form exactly? */
+STRESS_STATIC int stress_conserves(const stress_body *s, stress_form form)
+{
+    return s->scene->law == SFEM_LINEAR && !s->broken &&
+           (form <= STRESS_FORM_MAJORANT || form == STRESS_FORM_NEWMARK || form == STRESS_FORM_SEMI ||
+            form == STRESS_FORM_CENTRAL || form == STRESS_FORM_BEYOND);
+}
+
+/* The quadratic form that (p,1,1), which is Newmark(p, 1/2), conserves, from two positions and the forces there;
+ * of a free body without the motion of its centre. Rounding of u and w to eps changes it in a step by some
+ *   eps (sum |u| (m |w|/h + 2 |f|) + p h^2 sum |w| |K| |w|),   |K| by its diagonal,
+ * the latter since A w is that large in the solve, and in n steps by sqrt(n) of that, or eight times as much:
+ * 1e-15 of the whole in most scenes, 1e-6 where slivers or moduli make h omega 1e5. */
+STRESS_STATIC void stress_conserve(stress_body *s, stress_form form, const double *u, double h,
+                                   stress_watch *w, stress_result *r)
+{
+    const double *mass = sfem_model_node_mass(s->model), p = sfem_body_get_info(s->body).p;
+    const sfem_matrix *k = sfem_model_stiffness(s->model);
+    double at[2][3 * STRESS_NODES], f[2][3 * STRESS_NODES], psi[2], c[2][3] = {{0}};
+    double now = 0, load = 0, rounding = 0, allowed;
+    const size_t n = 3 * (size_t)s->mesh.nodes;
+    size_t i;
+    int t;
+    memcpy(at[0], s->before, n * sizeof(double));
+    memcpy(at[1], u, n * sizeof(double));
+    for (t = 0; t < 2; ++t) {
+        for (i = 0; !s->held && i < n; ++i) c[t][i % 3] += mass[i / 3] * at[t][i] / s->mass;
+        for (i = 0; i < n; ++i) at[t][i] -= c[t][i % 3];
+        psi[t] = sfem_model_forces(s->model, at[t], SFEM_DOUBLE, f[t], NULL, NULL, s->work, NULL);
+        now += psi[t] / 2;
+    }
+    for (i = 0; i < n; ++i) {
+        const double d = at[1][i] - at[0][i], m = mass[i / 3], v = (u[i] - s->before[i]) / h;
+        const double kii = k->val[9 * ((size_t)k->row[i / 3 + 1] - 1) + i % 3 * 4];
+        now += m * d * d / (2 * h * h) + (p - 0.5) / 2 * d * (f[1][i] - f[0][i]);
+        if (s->held && i % 3 == 1) load += m * s->gravity * (u[i] + s->before[i]) / 2;
+        rounding += fabs(u[i]) * (m * fabs(v) / h + 2 * fabs(f[1][i])) + p * h * h * kii * v * v;
+    }
+    if (!w->counted++) w->form = now + load;
+    w->terms = fmax(w->terms, now);
+    w->rounding = fmax(w->rounding, 2.3e-16 * rounding);
+    allowed = (form <= STRESS_FORM_MAJORANT || form >= STRESS_FORM_CENTRAL ? STRESS_DRIFT_TOLERANCE
+                                                                           : STRESS_NEWMARK_TOLERANCE) *
+                  w->terms + 8 * sqrt(w->counted) * w->rounding;
+    if (w->terms > 0) r->drift = fmax(r->drift, fabs(now + load - w->form) / w->terms);
+    if (!(fabs(now + load - w->form) <= allowed)) {
+        char why[128];
+        snprintf(why, sizeof why, "what a linear body conserves is off by %.3g of it after %d steps", r->drift,
+                 r->steps);
+        stress_note(r, STRESS_IS_ENERGY, why);
+    }
 }
 
 /* Angular momentum is kept: of laws that know rotations, by methods that take forces where they are. */
@@ -537,7 +604,7 @@ STRESS_STATIC int stress_check(stress_body *s, stress_form form, stress_watch *w
                                stress_result *r)
 {
     const double *u = sfem_body_displacement(s->body);
-    double p[3], l[3], e, allowed, reach = 0, push;
+    double p[3], l[3], e, allowed, reach = 0, push, noise;
     sfem_int i;
     e = stress_measure(s, u, s->before, h, w, p, l);
     if (!isfinite(e)) {
@@ -546,7 +613,8 @@ STRESS_STATIC int stress_check(stress_body *s, stress_form form, stress_watch *w
     }
     /* a run that grows is compared with what it had, not with itself */
     if (e - w->start <= w->largest) w->largest = fmax(w->largest, fmin(w->scale, 2 * w->largest));
-    if (w->largest > 0) r->excess = fmax(r->excess, (e - w->start) / w->largest);
+    if (stress_conserves(s, form)) stress_conserve(s, form, u, h, w, r);
+    else if (w->largest > 0) r->excess = fmax(r->excess, (e - w->start) / w->largest);
     if (r->excess > STRESS_ENERGY_TOLERANCE) {
         snprintf(r->why, sizeof r->why, "%.3g S above its start after %d steps", r->excess, r->steps);
         if (r->verdict == STRESS_IS_PASSED) r->verdict = STRESS_IS_ENERGY;
@@ -557,11 +625,12 @@ STRESS_STATIC int stress_check(stress_body *s, stress_form form, stress_watch *w
         reach = fmax(reach, fabs(s->mesh.x[i] + u[i]));
     }
     if (s->held || s->gravity > 0) return 1;
-    push = sqrt(2 * s->mass * w->largest) + stress_norm3(w->p0, (const double[3]){0, 0, 0});
+    noise = 4.5e-16 * s->mass * reach / h;
+    push = sqrt(2 * s->mass * w->largest) + stress_norm3(w->p0, (const double[3]){0, 0, 0}) + noise;
     allowed = STRESS_MOMENTUM_TOLERANCE;
-    r->linear = fmax(r->linear, stress_norm3(p, w->p0) / push);
+    r->linear = fmax(r->linear, (stress_norm3(p, w->p0) - noise) / push);
     if (stress_keeps_angular(s, form) && sfem_body_get_info(s->body).redone == 0)
-        r->angular = fmax(r->angular, stress_norm3(l, w->l0) / (push * (reach + s->size)));
+        r->angular = fmax(r->angular, (stress_norm3(l, w->l0) / (reach + s->size) - noise) / push);
     if (!(r->linear <= allowed && r->angular <= allowed)) {
         char why[96];
         snprintf(why, sizeof why, "off by %.2g (linear), %.2g (angular) after %d steps", r->linear,
@@ -684,6 +753,39 @@ STRESS_STATIC sfem_status stress_damage(stress_body *s, int step, uint64_t *rand
     return SFEM_OK;
 }
 
+/* How far the farthest node of the same body goes if it is of linear law, whole, by the same method and p; of a body
+ * that is linear itself, by the trapezoidal rule. */
+STRESS_STATIC double stress_twin(const stress_body *s, stress_form form, double h, int steps)
+{
+    const stress_form by = s->scene->law == SFEM_LINEAR ? STRESS_FORM_NEWMARK : form;
+    stress_scene scene = *s->scene;
+    uint64_t random = scene.seed * 0x9e3779b97f4a7c15u + 12345;
+    double moved = 0;
+    stress_body twin;
+    sfem_body_def def;
+    sfem_error err;
+    sfem_status status;
+    int k, i;
+    scene.law = SFEM_LINEAR;
+    status = stress_build(&scene, by, &random, &twin, &err);
+    twin.broken = 0;
+    if (!status) {
+        stress_state(&twin, &random);
+        def = stress_def(&twin, by, h);
+        def.gravity[1] = -twin.gravity;
+        if (def.integrator == SFEM_PQR) def.p = sfem_body_get_info(s->body).p;
+        status = sfem_body_create(twin.model, &def, &twin.body, &err);
+    }
+    if (!status) status = sfem_body_set_state(twin.body, twin.u0, twin.v0, &err);
+    for (k = 0; k < steps && !status && moved < 0.02 * s->size; ++k) {
+        status = sfem_body_step(twin.body, h, &err);
+        for (i = 0; i < 3 * twin.mesh.nodes; ++i)
+            moved = fmax(moved, fabs(sfem_body_displacement(twin.body)[i] - twin.u0[i]));
+    }
+    stress_free(&twin);
+    return status ? INFINITY : moved;
+}
+
 /* Work in all is bounded, by the forces that it takes: a run of the implicit methods, or one that does all its
  * steps again, may be shorter. */
 #define STRESS_ITERATIONS 2500
@@ -694,6 +796,7 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
                                    stress_result *r)
 {
     const int wield = s->scene->family == STRESS_HANDLE ? s->scene->steps / 4 : 0;
+    const int alone = wield + stress_is_newton(form);
     stress_watch w;
     stress_deed deed;
     sfem_error err;
@@ -731,10 +834,14 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
             }
             continue;
         }
-        if (wield && k == wield) { /* momenta from the first step that no hand touched */
-            const double e = w.start;
-            stress_measure(s, sfem_body_displacement(s->body), s->before, h, &w, w.p0, w.l0);
-            w.start = e;
+        /* momenta from the first step that no hand touched: in the implicit methods' first one their
+         * acceleration at its start is still that of the hand */
+        if (wield && k <= alone) stress_measure(s, sfem_body_displacement(s->body), s->before, h, &w, w.p0, w.l0);
+        if (wield && k < alone) continue;
+        /* what is linear and damped by the method may swing higher than when it was let go */
+        if (wield && k < wield + 100 && s->scene->law == SFEM_LINEAR && !stress_conserves(s, form)) {
+            double p[3], l[3];
+            w.start = fmax(w.start, stress_measure(s, sfem_body_displacement(s->body), s->before, h, &w, p, l));
         }
         if (!stress_check(s, form, &w, h, r)) break;
         if (per_swing < s->scene->steps / 4) { /* mean energies in motion of the first and last swings */
@@ -760,17 +867,12 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
                  r->redo);
         stress_note(r, STRESS_IS_LOSSY, why);
     }
-    {
-        const double t = h * r->steps, sag = s->gravity * pow(s->period / 6.28, 2);
-        double least = 0.01 * s->size;
-        if (w.speed > 0) least = fmin(least, 0.01 * w.speed * fmin(t, s->period));
-        if (s->gravity > 0) least = fmin(least, 0.1 * fmin(sag, s->gravity * t * t / 2));
-        if (r->verdict == STRESS_IS_PASSED && !(w.moved >= least)) {
-            char why[96];
-            snprintf(why, sizeof why, "moved by %.3g m, at least %.3g wanted", w.moved, least);
-            stress_note(r, s->scene->family == STRESS_POINT && s->scene->law >= SFEM_STVK
-                               ? STRESS_IS_LOCKED : STRESS_IS_STILL, why);
-        }
+    if (r->verdict == STRESS_IS_PASSED && !(w.moved >= 0.01 * s->size)) {
+        const double least = w.still ? 0.01 * s->size : fmin(0.01 * s->size, 0.5 * stress_twin(s, form, h, r->steps));
+        char why[96];
+        snprintf(why, sizeof why, "moved by %.3g m, at least %.3g wanted%s", w.moved, least,
+                 w.still ? ", of a body that starts in equilibrium" : "");
+        if (!(w.moved >= least)) stress_note(r, w.still ? STRESS_IS_LOCKED : STRESS_IS_STILL, why);
     }
 }
 
@@ -957,16 +1059,13 @@ STRESS_STATIC sfem_status stress_modal_build(const stress_scene *scene, stress_f
     return status;
 }
 
-STRESS_STATIC double stress_modal_farthest(const stress_modal *m)
+/* Root mean square over the mass of the displacement Phi q, m. */
+STRESS_STATIC double stress_modal_mean(const stress_modal *m, const double *q)
 {
-    double most = 0, x[3];
-    sfem_int i;
-    for (i = 0; i < m->full.mesh.nodes; ++i) {
-        sfem_modal_node(m->body[0], i, x, NULL, NULL);
-        x[0] = stress_norm3(x, m->full.mesh.x + 3 * i);
-        if (!(x[0] <= most)) most = x[0]; /* NaN, too */
-    }
-    return most;
+    double sum = 0;
+    int k;
+    for (k = 0; k < STRESS_MODES; ++k) sum += q[k] * q[k];
+    return sqrt(sum / m->full.mass);
 }
 
 /* Seven neighbours at the end and some of them twice, or any nodes; targets follow a smooth path, up to a tenth of
@@ -974,8 +1073,125 @@ STRESS_STATIC double stress_modal_farthest(const stress_modal *m)
 typedef struct stress_hands {
     sfem_int handle[16], node[16];
     int count;
-    double phase[3];
+    double phase[3], to[16][3];
+    double phi[16][3][STRESS_MODES], psi[16][3][STRESS_MODES];
+    double give, rest[STRESS_MODES]; /* C, see stress_hands_rest; where they would have it at rest */
 } stress_hands;
+
+/* C = 1e-4 of the mean of diag J Lambda^-1 J^T at rest, over axes that move. */
+STRESS_STATIC void stress_hands_measure(const stress_modal *m, stress_hands *g)
+{
+    const sfem_real *lambda = sfem_reduced_get_info(m->reduced[0]).lambda;
+    double of[48], most = 0, sum = 0;
+    int k, c, j, count = 0;
+    for (k = 0; k < g->count; ++k) {
+        sfem_reduced_node_modes(m->reduced[0], g->node[k], &g->phi[k][0][0], &g->psi[k][0][0]);
+        for (c = 0; c < 3; ++c) {
+            of[3 * k + c] = 0;
+            for (j = 0; j < STRESS_MODES; ++j)
+                of[3 * k + c] += g->phi[k][c][j] * g->phi[k][c][j] / lambda[j];
+            most = fmax(most, of[3 * k + c]);
+        }
+    }
+    for (k = 0; k < 3 * g->count; ++k)
+        if (of[k] > 1e-12 * most) sum += of[k], ++count;
+    g->give = count ? 1e-4 * sum / count : 1;
+    memset(g->rest, 0, sizeof g->rest);
+}
+
+/* gaps = x - target of warped nodes; returns q.Lambda q + sum gap^2/C. */
+STRESS_STATIC double stress_hands_energy(const stress_modal *m, const stress_hands *g, const double *q,
+                                         double *gap)
+{
+    const sfem_real *lambda = sfem_reduced_get_info(m->reduced[0]).lambda;
+    double sum = 0;
+    int k, c, j;
+    for (j = 0; j < STRESS_MODES; ++j) sum += lambda[j] * q[j] * q[j];
+    for (k = 0; k < g->count; ++k) {
+        double u[3] = {0, 0, 0}, w[3] = {0, 0, 0}, wu[3], wwu[3], t, a, b;
+        for (c = 0; c < 3; ++c)
+            for (j = 0; j < STRESS_MODES; ++j) u[c] += g->phi[k][c][j] * q[j], w[c] += g->psi[k][c][j] * q[j];
+        t = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
+        a = t < 1e-3 ? 0.5 - t * t / 24 : (1 - cos(t)) / (t * t);
+        b = t < 1e-3 ? 1.0 / 6 - t * t / 120 : (1 - sin(t) / t) / (t * t);
+        stress_cross(w, u, wu);
+        stress_cross(w, wu, wwu);
+        for (c = 0; c < 3; ++c) {
+            const double d = u[c] + a * wu[c] + b * wwu[c] + m->full.mesh.x[3 * g->node[k] + c] - g->to[k][c];
+            gap[3 * k + c] = d;
+            sum += d * d / g->give;
+        }
+    }
+    return sum;
+}
+
+/* x = A^-1 x, symmetric and positive, by Cholesky. */
+STRESS_STATIC void stress_solve(double a[STRESS_MODES][STRESS_MODES], double *x)
+{
+    int i, j, k;
+    for (j = 0; j < STRESS_MODES; ++j)
+        for (i = j; i < STRESS_MODES; ++i) {
+            double sum = a[i][j];
+            for (k = 0; k < j; ++k) sum -= a[i][k] * a[j][k];
+            a[i][j] = i == j ? sqrt(fmax(sum, 1e-300)) : sum / a[j][j];
+        }
+    for (i = 0; i < STRESS_MODES; ++i) {
+        for (k = 0; k < i; ++k) x[i] -= a[i][k] * x[k];
+        x[i] /= a[i][i];
+    }
+    for (i = STRESS_MODES - 1; i >= 0; --i) {
+        for (k = i + 1; k < STRESS_MODES; ++k) x[i] -= a[k][i] * x[k];
+        x[i] /= a[i][i];
+    }
+}
+
+/* One step of Levenberg and Marquardt's towards that energy's least, J by differences. */
+STRESS_STATIC int stress_hands_descend(const stress_modal *m, stress_hands *g, double *damping)
+{
+    const sfem_real *lambda = sfem_reduced_get_info(m->reduced[0]).lambda;
+    double gap[48], two[2][48], jacobian[48][STRESS_MODES], a[STRESS_MODES][STRESS_MODES];
+    double x[STRESS_MODES], q[STRESS_MODES];
+    const double energy = stress_hands_energy(m, g, g->rest, gap);
+    int i, j, k, tries;
+    for (j = 0; j < STRESS_MODES; ++j) {
+        const double d = 1e-6 * (0.01 + fabs(g->rest[j]));
+        for (k = 0; k < 2; ++k) {
+            memcpy(q, g->rest, sizeof q);
+            q[j] += k ? d : -d;
+            stress_hands_energy(m, g, q, two[k]);
+        }
+        for (i = 0; i < 3 * g->count; ++i) jacobian[i][j] = (two[1][i] - two[0][i]) / (2 * d);
+    }
+    for (tries = 0; tries < 12; ++tries, *damping = *damping * 10 + 1e-8) {
+        double now;
+        for (j = 0; j < STRESS_MODES; ++j) {
+            x[j] = -lambda[j] * g->rest[j];
+            for (i = 0; i < 3 * g->count; ++i) x[j] -= jacobian[i][j] * gap[i] / g->give;
+            for (k = 0; k < STRESS_MODES; ++k) {
+                a[j][k] = j == k ? lambda[j] : 0;
+                for (i = 0; i < 3 * g->count; ++i) a[j][k] += jacobian[i][j] * jacobian[i][k] / g->give;
+            }
+            a[j][j] *= 1 + *damping;
+        }
+        stress_solve(a, x);
+        for (j = 0; j < STRESS_MODES; ++j) q[j] = g->rest[j] + x[j];
+        now = stress_hands_energy(m, g, q, two[0]);
+        if (!(now < energy)) continue;
+        memcpy(g->rest, q, sizeof q);
+        *damping *= 0.1;
+        return energy - now > 1e-10 * energy;
+    }
+    return 0;
+}
+
+/* Where the present targets would have the body at rest, sought from where the last ones had it: the least of
+ * q.Lambda q/2 + sum |x - target|^2/2C, found here by another way than the library's. */
+STRESS_STATIC void stress_hands_rest(const stress_modal *m, stress_hands *g)
+{
+    double damping = 1e-8;
+    int k;
+    for (k = 0; k < 60 && stress_hands_descend(m, g, &damping); ++k) continue;
+}
 
 STRESS_STATIC sfem_status stress_modal_grab(stress_modal *m, stress_hands *g, uint64_t *random,
                                             sfem_error *err)
@@ -993,10 +1209,11 @@ STRESS_STATIC sfem_status stress_modal_grab(stress_modal *m, stress_hands *g, ui
         if (status) g->count = k;
     }
     for (k = 0; k < 3; ++k) g->phase[k] = stress_uniform(random, 0, 6.28);
+    stress_hands_measure(m, g);
     return status;
 }
 
-STRESS_STATIC sfem_status stress_modal_move(stress_modal *m, const stress_hands *g, double time,
+STRESS_STATIC sfem_status stress_modal_move(stress_modal *m, stress_hands *g, double time,
                                             uint64_t *random, sfem_error *err)
 {
     const double size = 0.1 * m->full.size;
@@ -1004,7 +1221,7 @@ STRESS_STATIC sfem_status stress_modal_move(stress_modal *m, const stress_hands 
     int k, c;
     for (k = 0; k < g->count && !status; ++k) {
         const double *x = m->full.mesh.x + 3 * g->node[k];
-        double to[3];
+        double *to = g->to[k];
         for (c = 0; c < 3; ++c)
             to[c] = x[c] + size * (sin(0.3 * m->lowest * time + g->phase[c]) / 1.733 +
                                    0.01 * stress_normal(random));
@@ -1020,14 +1237,21 @@ STRESS_STATIC void stress_modal_release(stress_modal *m, stress_hands *g)
     g->count = 0;
 }
 
-/* Left alone, the undamped body keeps its energy to rounding; the damped one comes to rest. */
+/* Left alone, the undamped body keeps its energy to rounding; the damped one comes to rest. One held by its pinned
+ * nodes alone has not moved: that is plucked. */
 STRESS_STATIC void stress_modal_settle(stress_modal *m, double h, int steps, stress_result *r)
 {
     const sfem_modal *b = m->body[0];
-    double first, now, sum = 0, whole = 0;
+    double first, now, sum = 0, whole = 0, zero[STRESS_MODES] = {0}, pluck[STRESS_MODES];
     sfem_error err;
     int k;
     memset(&err, 0, sizeof err);
+    for (k = 0; k < STRESS_MODES; ++k) {
+        whole += pow(sfem_modal_coordinates(b)[k], 2) + pow(sfem_modal_velocities(b)[k] / m->lowest, 2);
+        pluck[k] = 0.1 / (1 + k);
+    }
+    if (whole == 0) sfem_modal_set_coordinates(m->body[0], pluck, zero, NULL, &err);
+    whole = 0;
     if (sfem_modal_set_coordinates(m->body[1], sfem_modal_coordinates(b), sfem_modal_velocities(b),
                                    NULL, &err))
         stress_failed(r, &err);
@@ -1056,12 +1280,15 @@ STRESS_STATIC void stress_modal_settle(stress_modal *m, double h, int steps, str
     if (!(r->shape < STRESS_SHAPE_TOLERANCE)) stress_note(r, STRESS_IS_SHAPE, "damped modes remain");
 }
 
-/* While held, no node further from its rest than .16 m, three times the path of a target. Least squares of targets
- * that contradict (pinned nodes, too, are asked to move) overshoot elsewhere, many of them by more. */
+/* While held, a body is no further from its place, in the mean over its mass, than 2/(1 - .3^2) times the farthest
+ * that the targets so far would have it at rest. Body and hands are oscillators: in each of their normal coordinates
+ * the answer to targets that set out at once is at most twice where these end, and where they go on as a sine of .3
+ * of the lowest frequency, 1/(1 - .3^2) times that; the coordinates are orthogonal in the mass. Targets that
+ * contradict one another, or move nodes beside the pins, legitimately throw others far: that rest knows how far. */
 STRESS_STATIC void stress_run_modal(const stress_scene *scene, stress_form form, stress_result *r)
 {
     uint64_t random = scene->seed * 0x9e3779b97f4a7c15u + 777;
-    const double allowed = 0.16;
+    double allowed = 0;
     stress_modal m;
     stress_hands hands;
     sfem_error err;
@@ -1076,17 +1303,20 @@ STRESS_STATIC void stress_run_modal(const stress_scene *scene, stress_form form,
             sfem_modal_set_coordinates(m.body[0], zero, zero, NULL, NULL);
             status = stress_modal_grab(&m, &hands, &random, &err);
             held = k;
+            allowed = 0;
         }
         if (!status && hands.count) status = stress_modal_move(&m, &hands, (k - held) * scene->h, &random, &err);
         if (!status) status = sfem_modal_step(m.body[0], scene->h, &err);
         if (status) break;
         r->steps = k + 1;
-        if (hands.count && k % 5 == 0) {
-            const double far = stress_modal_farthest(&m);
+        if (hands.count && (k - held < 5 || k % 5 == 0)) {
+            const double far = stress_modal_mean(&m, sfem_modal_coordinates(m.body[0]));
+            stress_hands_rest(&m, &hands);
+            allowed = fmax(allowed, 2 / (1 - 0.09) * stress_modal_mean(&m, hands.rest));
             if (!(far <= most)) most = far;
             if (!(far <= allowed) && r->verdict == STRESS_IS_PASSED) {
                 r->verdict = isfinite(far) ? STRESS_IS_WRONG : STRESS_IS_NOT_FINITE;
-                snprintf(r->why, sizeof r->why, "%d handles: a node %.3g m away, %.2g is in order (step %d)",
+                snprintf(r->why, sizeof r->why, "%d handles: %.3g m away, %.3g is in order (step %d)",
                          hands.count, far, allowed, k);
             }
         }
@@ -1094,7 +1324,7 @@ STRESS_STATIC void stress_run_modal(const stress_scene *scene, stress_form form,
             stress_modal_release(&m, &hands);
     }
     if (status) stress_failed(r, &err);
-    if (!status && most < 0.01) stress_note(r, STRESS_IS_STILL, "");
+    if (!status && most < 0.005) stress_note(r, STRESS_IS_STILL, ""); /* the tip by a hundredth */
     if (!status) {
         stress_modal_release(&m, &hands);
         stress_modal_settle(&m, scene->h, scene->steps / 4, r);

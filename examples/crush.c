@@ -6,7 +6,7 @@
  * A corotational body under the default step, which no violence makes explode: (p,q,r) with a factor
  * turned node by node, guarded [softfem.h, >>guard]. A contact sheet is left in the --out directory.
  *
- *     cc -O2 -I. examples/crush.c softfem.o -lm          (softfem.o: see README)
+ *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/crush.c softfem.o -lm
  *
  * The last lines on stdout are `key value`: shape_error is the largest distance from the rest shape
  * at the end, best turned and moved, over the length of the bar.
@@ -33,7 +33,7 @@ typedef struct run {
     sfem_surface surface;
     sfem_model *model;
     sfem_body *body;
-    double h, mu;
+    double h;
     int64_t steps, redone; /* before the state was last set */
     double *frame[FRAMES];
     char caption[FRAMES][48];
@@ -65,7 +65,6 @@ static void make(run *r)
     model.material.poisson = ex_real(&r->o, "--poisson");
     model.material.alpha = 0.5;
     model.material.beta = 0.004;
-    r->mu = model.material.young / (2 + 2 * model.material.poisson);
     must(sfem_model_create(&model, &r->model, &err), &err);
     must(sfem_body_create(r->model, &body, &r->body, &err), &err);
 }
@@ -97,7 +96,7 @@ static void go(run *r, double seconds)
 /* 2. The right end turns about the bar's axis, in a second. */
 static void twist(run *r, double turns)
 {
-    const sfem_int steps = (sfem_int)(1 / r->h + 0.5);
+    const sfem_int steps = ex_steps(1, r->h);
     char caption[48];
     sfem_int i, k;
     sfem_error err;
@@ -170,7 +169,7 @@ static void draw(const run *r)
     style.high = 0;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
-        value[k] = ex_strain_stress(&r->mesh, r->frame[k], 1, r->mu);
+        value[k] = ex_node_stress(r->model, &r->mesh, r->frame[k]);
         ex_range(value[k], r->mesh.nodes, &low, &high);
         if (k <= 2) style.high = fmax(style.high, high);
     }
@@ -195,7 +194,7 @@ int main(int argc, char **argv)
     int k;
     memset(&r, 0, sizeof r);
     r.o = ex_parse(argc, argv, "Twists a soft bar, crushes it to a point, and waits.", table);
-    r.h = ex_real(&r.o, "--dt");
+    r.h = ex_positive(&r.o, "--dt");
     ex_make_directory(ex_text(&r.o, "--out"));
     start = ex_seconds();
     make(&r);

@@ -365,8 +365,8 @@ static void play(const ex_options *o, int scene)
     r.scene = scene;
     r.quick = ex_given(o, "--quick") > 0;
     r.h = r.quick ? 2 * step[scene] : step[scene];
-    if (ex_given(o, "--dt")) r.h = ex_real(o, "--dt");
-    r.steps = (sfem_int)(seconds[scene] / r.h + 0.5);
+    if (ex_given(o, "--dt")) r.h = ex_positive(o, "--dt");
+    r.steps = ex_steps(seconds[scene], r.h);
     memcpy(r.shot, shot[scene], sizeof r.shot);
     r.time = (double *)ex_new(8 * (size_t)r.steps, sizeof *r.time);
     r.way = r.time + r.steps;

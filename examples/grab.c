@@ -1,6 +1,6 @@
 /* grab - a hand takes a bar by its end, bends it, holds it and lets go:
  *
- *                  ,-> hand          [A J^T; J 0] [q''; l] = [b; (target - X - J q~)/(beta h^2)],  J = H Rt Phi
+ *                  ,-> hand          A q'' = b - J^T l,  x - target = C l - tau x',  J = dx/dq
  *             ,---'
  *     //|====' warped modes         the hand feels l, the source's sign; the plots show the pull on it
  *
@@ -9,7 +9,7 @@
  * pull over time), curve.svg (over how far the hand is: there, and back), grab.png and force.csv to the --out
  * directory.
  *
- *     cc -O2 -I. examples/grab.c softfem.o -lm          (softfem.o: see README)
+ *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/grab.c softfem.o -lm
  *
  * The last lines on stdout are `key value`.
  */
@@ -222,8 +222,9 @@ int main(int argc, char **argv)
     run r;
     memset(&r, 0, sizeof r);
     r.o = ex_parse(argc, argv, "A hand takes a bar by its end, bends it, and lets go.", table);
-    r.h = ex_real(&r.o, "--dt");
-    r.steps = (sfem_int)(ex_real(&r.o, "--seconds") / r.h + 0.5);
+    if (ex_integer(&r.o, "--modes") < 1) ex_fail("--modes must be at least 1");
+    r.h = ex_positive(&r.o, "--dt");
+    r.steps = ex_steps(ex_positive(&r.o, "--seconds"), r.h);
     if (r.steps < 9) ex_fail("--seconds over --dt must be at least 9 steps");
     r.held = r.steps * 2 / 3;
     ex_make_directory(ex_text(&r.o, "--out"));

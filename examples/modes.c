@@ -7,13 +7,13 @@
  * missing [softfem.h, >>api-modes]. Prints `mode K HZ ERROR`, and leaves a contact sheet of the shapes in
  * the --out directory, with --vtu also modes.vtu for ParaView.
  *
- *     cc -O2 -I. examples/modes.c softfem.o -lm          (softfem.o: see README)
+ *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/modes.c softfem.o -lm
  */
 #include "support.h"
 #include "softfem.h"
 
 static const ex_option table[] = {
-    {"MESH", "FILE", NULL, "mesh file, .msh or .vtk; without one a bar of 4 x 1 x 1 m"},
+    {"MESH", "FILE", NULL, ".msh, .vtk, .veg, .node or .ele; without it a bar of 4 x 1 x 1 m"},
     {"--modes", "N", "12", "how many"},
     {"--below", "HZ", "0", "instead, all below this frequency"},
     {"--young", "E", "1e6", "Young's modulus, Pa"},

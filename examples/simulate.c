@@ -15,7 +15,7 @@
 enum { FRAMES = 6, MAX_LOADS = 16 };
 
 static const ex_option table[] = {
-    {"MESH", "FILE", NULL, "Gmsh 4.1 ASCII or VTK legacy ASCII; without it a bar of 1 x 0.2 x 0.2 m"},
+    {"MESH", "FILE", NULL, "Gmsh, VTK legacy, Vega or TetGen; without it a bar of 1 x 0.2 x 0.2 m"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational", "the law of the material"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
@@ -144,6 +144,7 @@ static void make_modal(run *r, const sfem_body_def *body)
     sfem_error err;
     ex_reals(&r->o, "--rayleigh", 2, rayleigh);
     modes.modes = (sfem_int)ex_integer(&r->o, "--modes");
+    if (modes.modes < 1) ex_fail("--modes must be at least 1");
     modes.pins = body->pins;
     modes.pin_count = body->pin_count;
     modes.exec = body->exec;
@@ -424,10 +425,11 @@ static void record(run *r, sfem_int step)
 
 static void write_step(run *r, const char *path)
 {
-    double *x = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *x);
-    double *stress = (double *)ex_new((size_t)r->mesh.tets, sizeof *stress);
+    double *x = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *x), *stress;
     sfem_field field[2];
     sfem_error err;
+    positions(r, x);
+    stress = ex_tet_stress(r->model, &r->mesh, x);
     memset(field, 0, sizeof field);
     field[0].name = "displacement";
     field[0].values = displacement(r);
@@ -436,8 +438,6 @@ static void write_step(run *r, const char *path)
     field[1].values = stress;
     field[1].components = 1;
     field[1].per_tet = 1;
-    positions(r, x);
-    sfem_model_stress(r->model, displacement(r), NULL, stress);
     must(sfem_write_vtu(path, &r->mesh, x, field, 2, &err), &err);
     free(stress);
     free(x);
@@ -484,14 +484,13 @@ static void draw(const run *r)
     const int across = r->frames > 1 ? 3 : 1, down = (r->frames + across - 1) / across;
     ex_picture *p = ex_picture_new(across > 1 ? 1500 : 1000, across > 1 ? 420 * down : 700);
     ex_style style = ex_default_style();
-    const double mu = ex_real(&r->o, "--young") / (2 + 2 * ex_real(&r->o, "--poisson"));
     double lower[3], upper[3], low, high;
     double *value[FRAMES];
     int k;
     p->bar = !r->breaks;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
-        value[k] = ex_strain_stress(&r->mesh, r->frame[k], ex_choice(&r->o, "--material") > 0, mu);
+        value[k] = ex_node_stress(r->model, &r->mesh, r->frame[k]);
         ex_range(value[k], r->mesh.nodes, &low, &high);
         style.high = fmax(style.high * (k > 0), high);
     }

@@ -10,7 +10,7 @@
  * itself [softfem.h, >>api-link]. Both ends are in this program, but talk through real sockets where
  * there are any. Which packets are lost follows from --seed, so that every run is the same.
  *
- *     cc -O2 -I. examples/stream.c softfem.o -lm          (softfem.o: see README)
+ *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/stream.c softfem.o -lm
  *
  * stream-time.svg shows the distortion against time, stream-loss.svg against the rate of loss,
  * stream.png the received bodies, coloured by how far they are from the true one, whose edges are drawn
@@ -80,6 +80,7 @@ typedef struct body {
     sfem_modal *mirror;         /* the receiver's: to be drawn, never stepped */
     const double *q, *v, *a;    /* [modes] of the sender's */
     double *force;              /* [nodes][3] */
+    double *stiffness, *damping; /* [modes] of the oscillators, for who predicts */
     double h, hand[2], goal[2]; /* N, across the tip: now, and where it tends to */
     sfem_int modes, tip;        /* nodes at the tip */
     uint64_t random;
@@ -137,13 +138,17 @@ static body body_new(const ex_options *o)
     b.a = sfem_modal_accelerations(b.modal);
     b.force = (double *)ex_new(3 * (size_t)b.mesh.nodes, sizeof *b.force);
     for (i = 0; i < b.mesh.nodes; ++i) b.tip += b.mesh.x[3 * i] > 1 - 1e-9;
-    b.h = ex_real(o, "--dt");
+    b.h = ex_positive(o, "--dt");
+    b.stiffness = (double *)ex_new(2 * (size_t)b.modes, sizeof *b.stiffness);
+    b.damping = b.stiffness + b.modes;
+    sfem_modal_oscillators(b.modal, b.h, b.stiffness, b.damping);
     return b;
 }
 
 static void body_free(body *b)
 {
     free(b->force);
+    free(b->stiffness);
     sfem_modal_free(b->modal);
     sfem_modal_free(b->mirror);
     sfem_reduced_view_free(b->view);
@@ -280,15 +285,14 @@ typedef struct run {
 
 static sfem_link_def link_def(const ex_options *o, const body *b, int way)
 {
-    const sfem_reduced_info info = sfem_reduced_get_info(b->reduced);
     sfem_link_def d = sfem_default_link_def();
     d.modes = b->modes;
     d.h = b->h; /* beta and gamma are those of a modal body by default */
     d.key_every = way == 4 ? 0 : (sfem_int)ex_integer(o, "--key");
     d.single = !ex_given(o, "--double");
     d.lost = (sfem_lost)(way % 4);
-    d.stiffness = info.lambda;
-    d.damping = info.damping;
+    d.stiffness = b->stiffness;
+    d.damping = b->damping;
     return d;
 }
 
@@ -449,7 +453,8 @@ int main(int argc, char **argv)
     ex_make_directory(ex_text(&o, "--out"));
     b = body_new(&o);
     shown = ex_real(&o, "--loss");
-    steps = (long)((ex_given(&o, "--quick") ? 4 : ex_real(&o, "--seconds")) / b.h + 0.5);
+    if (!(shown >= 0 && shown <= 100)) ex_fail("--loss: '%s' is not between 0 and 100", ex_text(&o, "--loss"));
+    steps = ex_steps(ex_given(&o, "--quick") ? 4 : ex_positive(&o, "--seconds"), b.h);
     if (ex_given(&o, "--memory") || !wire_open(&w))
         printf("no sockets: packets go through memory\n");
     memset(r, 0, sizeof r);

@@ -4,7 +4,8 @@
  * program with a message and exit code 2.
  *
  *     time, files   ex_seconds  ex_fail  ex_new  ex_make_directory  ex_path  ex_progress
- *     options       ex_parse  ex_given  ex_text  ex_nth  ex_real  ex_integer  ex_reals  ex_choice
+ *     options       ex_parse  ex_given  ex_text  ex_nth  ex_real  ex_positive  ex_integer  ex_reals
+ *                   ex_choice  ex_steps
  *     selections    ex_selection_of  ex_selected  ex_load_of
  *     numbers       ex_clamp  ex_apart  ex_nice  ex_short  ex_gauss
  */
@@ -184,6 +185,36 @@ EX_STATIC void ex_positional(ex_options *o, const char *value)
     ex_unknown(o, value);
 }
 
+/* how often it was given on the command line */
+EX_STATIC int ex_given(const ex_options *o, const char *name)
+{
+    const int i = ex_find(o, name);
+    if (i < 0) ex_unknown(o, name);
+    return o->count[i];
+}
+
+EX_STATIC const char *ex_nth(const ex_options *o, const char *name, int n) /* n < ex_given */
+{
+    return o->value[ex_find(o, name)][n];
+}
+
+EX_STATIC const char *ex_text(const ex_options *o, const char *name) /* the last, or the initial */
+{
+    const int n = ex_given(o, name);
+    return n ? ex_nth(o, name, n - 1) : o->table[ex_find(o, name)].initial;
+}
+
+/* the place, from 0, of the value in the entry's "one|two|three" */
+EX_STATIC int ex_choice(const ex_options *o, const char *name)
+{
+    const char *text = ex_text(o, name), *s = o->table[ex_find(o, name)].argument;
+    const size_t length = strlen(text);
+    int i;
+    for (i = 0; s; ++i, s = strchr(s, '|') ? strchr(s, '|') + 1 : NULL)
+        if (!strncmp(s, text, length) && (s[length] == '|' || !s[length])) return i;
+    ex_fail("%s: '%s' is none of %s", name, text, o->table[ex_find(o, name)].argument);
+}
+
 /* Ends the program after --help (0) and on what is not understood (2). Takes "--name=value" too. */
 EX_STATIC ex_options ex_parse(int argc, char **argv, const char *summary, const ex_option *table)
 {
@@ -221,27 +252,9 @@ EX_STATIC ex_options ex_parse(int argc, char **argv, const char *summary, const 
         } else {
             ex_fail("%s: needs %s", name, table[k].argument);
         }
+        if (table[k].argument && strchr(table[k].argument, '|')) (void)ex_choice(&o, name);
     }
     return o;
-}
-
-/* how often it was given on the command line */
-EX_STATIC int ex_given(const ex_options *o, const char *name)
-{
-    const int i = ex_find(o, name);
-    if (i < 0) ex_unknown(o, name);
-    return o->count[i];
-}
-
-EX_STATIC const char *ex_nth(const ex_options *o, const char *name, int n) /* n < ex_given */
-{
-    return o->value[ex_find(o, name)][n];
-}
-
-EX_STATIC const char *ex_text(const ex_options *o, const char *name) /* the last, or the initial */
-{
-    const int n = ex_given(o, name);
-    return n ? ex_nth(o, name, n - 1) : o->table[ex_find(o, name)].initial;
 }
 
 /* Numbers X,Y,Z: exactly count of them up to the end of the text. */
@@ -276,19 +289,23 @@ EX_STATIC long ex_integer(const ex_options *o, const char *name)
 {
     const double x = ex_real(o, name);
     if (!(x >= -2147483647.0 && x <= 2147483647.0) || x != floor(x))
-        ex_fail("%s: '%s' is not a whole number", name, ex_text(o, name));
+        ex_fail("%s: '%s' is not a whole number of at most 2^31 - 1", name, ex_text(o, name));
     return (long)x;
 }
 
-/* the place, from 0, of the value in the entry's "one|two|three" */
-EX_STATIC int ex_choice(const ex_options *o, const char *name)
+EX_STATIC double ex_positive(const ex_options *o, const char *name)
 {
-    const char *text = ex_text(o, name), *s = o->table[ex_find(o, name)].argument;
-    const size_t length = strlen(text);
-    int i;
-    for (i = 0; s; ++i, s = strchr(s, '|') ? strchr(s, '|') + 1 : NULL)
-        if (!strncmp(s, text, length) && (s[length] == '|' || !s[length])) return i;
-    ex_fail("%s: '%s' is none of %s", name, text, o->table[ex_find(o, name)].argument);
+    const double x = ex_real(o, name);
+    if (!(x > 0) || x - x != 0) ex_fail("%s: '%s' is not a number above 0", name, ex_text(o, name));
+    return x;
+}
+
+/* how many steps of dt fill so many seconds */
+EX_STATIC int ex_steps(double seconds, double dt)
+{
+    const double steps = floor(seconds / dt + 0.5);
+    if (!(steps >= 1 && steps <= 1e8)) ex_fail("%g s in steps of %g s: not between 1 and 1e8 steps", seconds, dt);
+    return (int)steps;
 }
 
 /* --------------------------------------------------------------------------------------------

@@ -617,50 +617,6 @@ static double *reals(sfem_int n)
     return p;
 }
 
-/* The tangent of sfemi_damage_tet_energy; where it blends, what is positive semidefinite of it. */
-static void damaged_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law, int kind,
-                                const sfem_real zeta[6], const sfem_real s_d[36], const sfem_real u[12],
-                                sfem_tangent tangent, sfem_real k[144])
-{
-    const sfem_damage_def *def = &d->bonds->def;
-    sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
-    int i;
-    memset(k, 0, 144 * sizeof *k);
-    if (kind == SFEMI_LOOSE && !def->closure) return;
-    if (def->closure) {
-        sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
-        sfemi_damage_close(tet, zeta, e, closed);
-        s_d = closed;
-    }
-    sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, tangent, NULL, k);
-    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return;
-    phi = sfemi_damage_blend(def->upright, sfemi_damage_jacobian(tet, u, slope), &dphi);
-    if (phi >= 1) return;
-    sfem_damage_energy(tet, s_d, 0, u, SFEM_TANGENT_PSD, NULL, k);
-    sfem_law_tet(SFEM_COROTATIONAL, tet->lambda, tet->mu, tet->x, u, SFEM_TANGENT_PSD, NULL, whole);
-    for (i = 0; i < 144; ++i) k[i] = phi * k[i] + (1 - phi) * whole[i];
-}
-
-/* As sfem_model_tangent, for a damaged body that turns. */
-static void total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind, sfem_matrix *tangent)
-{
-    const sfem_model *model = d->bonds->model;
-    sfem_int i;
-    SFEM_ASSERT(d->block);
-    sfemi_fem_tangent(model, d->block, u, kind, tangent, NULL);
-    for (i = 0; i < d->tets; ++i) {
-        const sfem_int e = d->tet[i];
-        sfem_real local[12], zeta[6], k[144];
-        sfem_damage_tet tet;
-        sfemi_damage_tet(d->bonds, e, &tet);
-        sfemi_damage_gather(u, model->mesh.tet + 4 * (size_t)e, local);
-        sfemi_damage_zetas(d, e, zeta);
-        damaged_tet_tangent(d, &tet, (sfem_law)model->law[e], d->kind[e], zeta, d->s + 36 * (size_t)e,
-                            local, kind, k);
-        sfemi_damage_scatter(model, e, 1, k, tangent->val);
-    }
-}
-
 /* whole internal energy and force, whatever the body */
 static double total_forces(scene *s, const double *u, double *f)
 {
@@ -879,7 +835,7 @@ static void the_tangent_of_a_damaged_body_is_the_slope_of_its_forces(void **stat
         if (linear)
             sfemi_damage_add_stiffness(s.damage, 1, k.val);
         else
-            total_tangent(s.damage, u, SFEM_TANGENT_EXACT, &k);
+            sfemi_damage_total_tangent(s.damage, u, SFEM_TANGENT_EXACT, &k, NULL);
         sfem_matrix_to_dense(&k, full);
         for (n = 0; n < 10; ++n) {
             const double h = 1e-5;
@@ -1759,7 +1715,7 @@ static void come_to_rest(scene *s, double *u)
     psi = total_forces(s, u, f);
     for (n = 0; n < 200; ++n) {
         double t = 1, slope, next = psi;
-        total_tangent(s->damage, u, SFEM_TANGENT_PSD, &k);
+        sfemi_damage_total_tangent(s->damage, u, SFEM_TANGENT_PSD, &k, NULL);
         for (i = 0; i < s->mesh.nodes; ++i) { /* nothing holds the body: a little inertia */
             double *block = k.val + 9 * (k.row[i + 1] - 1);
             int c;

@@ -1190,6 +1190,53 @@ static void stress_of_simple_states(void **state)
     sfem_mesh_free(&mesh);
 }
 
+/* Virtual work: moving on by e A x, A any gradient in space, changes the energy by e sum V J sigma : A. */
+static void stresses_do_the_work_of_the_energy(void **state)
+{
+    static const int row[6] = {0, 1, 2, 0, 0, 1}, col[6] = {0, 1, 2, 1, 2, 2};
+    sfem_law law;
+    (void)state;
+    for (law = SFEM_COROTATIONAL; law <= SFEM_NEOHOOKEAN; law = (sfem_law)(law + 1)) {
+        sfem_material m = material(1e5, 0.35, 1000);
+        const double h = 1e-6;
+        test_random random = {5};
+        double *u, *x, *f, *stress, *work, a[9], psi[2], found = 0;
+        sfem_mesh mesh;
+        sfem_model *model;
+        sfem_int i;
+        int c, k, side;
+        m.law = law;
+        make_mesh(CYLINDER, &mesh);
+        model = make_model(&mesh, &m, SFEM_MASS_LUMPED);
+        u = reals(3 * mesh.nodes);
+        x = reals(3 * mesh.nodes);
+        f = reals(3 * mesh.nodes);
+        stress = reals(6 * mesh.tets);
+        work = reals((sfem_int)sfem_model_work_size(model));
+        for (k = 0; k < 9; ++k) a[k] = random_uniform(&random, -1, 1);
+        for (i = 0; i < mesh.nodes; ++i) { /* turned by a right angle, stretched by 1.3, sheared */
+            const double *X = mesh.x + 3 * i;
+            x[3 * i] = -X[1], x[3 * i + 1] = 1.3 * X[0] + 0.2 * X[2], x[3 * i + 2] = 0.9 * X[2];
+        }
+        for (i = 0; i < 3 * mesh.nodes; ++i) u[i] = x[i] - mesh.x[i];
+        sfem_model_stress(model, u, stress, NULL);
+        for (i = 0; i < mesh.tets; ++i)
+            for (k = 0; k < 6; ++k)
+                found += sfem_model_tet_volume(model)[i] * 1.3 * 0.9 * stress[6 * i + k] *
+                         (k < 3 ? a[4 * k] : a[3 * row[k] + col[k]] + a[3 * col[k] + row[k]]);
+        for (side = 0; side < 2; ++side) {
+            for (i = 0; i < 3 * mesh.nodes; ++i)
+                for (u[i] = x[i] - mesh.x[i], c = 0; c < 3; ++c)
+                    u[i] += (side ? h : -h) * a[3 * (i % 3) + c] * x[i / 3 * 3 + c];
+            psi[side] = sfem_model_forces(model, u, SFEM_DOUBLE, f, NULL, NULL, work, NULL);
+        }
+        assert_near(found, (psi[1] - psi[0]) / (2 * h), 1e-7, 0);
+        free(u), free(x), free(f), free(stress), free(work);
+        sfem_model_free(model);
+        sfem_mesh_free(&mesh);
+    }
+}
+
 /* ---- what is refused ---- */
 
 typedef struct bad_case {
@@ -1772,6 +1819,7 @@ int main(void)
         cmocka_unit_test(pressure_on_a_closed_surface_has_no_resultant),
         cmocka_unit_test(gravity_sums_to_the_weight),
         cmocka_unit_test(stress_of_simple_states),
+        cmocka_unit_test(stresses_do_the_work_of_the_energy),
         cmocka_unit_test(bad_input_is_refused_by_name),
         cmocka_unit_test(a_node_in_no_tet_stays_where_it_is),
         cmocka_unit_test(every_allocation_of_a_model_may_fail),

@@ -951,6 +951,61 @@ static void a_saved_state_with_handles_goes_on_bit_for_bit(void **state)
     }
 }
 
+/* A checksum is no signature: whatever stands in a block, what is taken from it is safe to step. */
+static void a_forged_state_is_refused_or_harmless(void **state)
+{
+    const sfem_int cells[3] = {1, 1, 1}, pin = 0;
+    const sfem_real size[3] = {1, 1, 1};
+    const uint64_t wrong[3] = {0x7fffffff7fffffffu, 0x4000000000000040u, 0xffffffffffffffffu};
+    sfem_model_def md = sfem_default_model_def();
+    sfem_body_def def = sfem_default_body_def();
+    sfem_mesh mesh;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_error err;
+    sfem_int handle, refused = 0, i;
+    size_t bytes, at;
+    char *block, *forged;
+    int k;
+    (void)state;
+    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_6_TETS, NULL, &mesh, &err), err);
+    md.mesh = &mesh;
+    md.material.law = SFEM_NEOHOOKEAN;
+    assert_ok(sfem_model_create(&md, &model, &err), err);
+    def.pins = &pin;
+    def.pin_count = 1;
+    def.max_handles = 1;
+    assert_ok(sfem_body_create(model, &def, &body, &err), err);
+    assert_ok(sfem_body_grab_node(body, 7, &handle, &err), err);
+    assert_ok(sfem_body_step(body, 0.01, &err), err);
+    bytes = sfem_body_state_size(body);
+    block = (char *)malloc(2 * bytes);
+    forged = block + bytes;
+    sfem_body_save_state(body, block);
+    for (at = 16; at + 8 <= bytes; at += 8)
+        for (k = 0; k < 3; ++k) {
+            uint64_t hash;
+            uint32_t sum = 0;
+            sfem_status status;
+            memcpy(forged, block, bytes);
+            memcpy(forged + at, wrong + k, 8);
+            memcpy(forged + 12, &sum, 4);
+            hash = hash_bytes(forged, bytes);
+            sum = (uint32_t)(hash ^ hash >> 32);
+            memcpy(forged + 12, &sum, 4);
+            status = sfem_body_load_state(body, forged, bytes, &err);
+            refused += status != SFEM_OK;
+            (void)sfem_body_step(body, 0.01, &err);
+            for (i = 0; i < 3 * mesh.nodes; ++i) assert_true(isfinite(sfem_body_displacement(body)[i]));
+            assert_ok(sfem_body_load_state(body, block, bytes, &err), err);
+        }
+    assert_true(refused > 9 * mesh.nodes); /* u, w and a at least */
+    free(block);
+    sfem_body_free(body);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
 static void without_allocation_only_a_new_step_size_asks_to_be_prepared(void **state)
 {
     test_memory memory = {0};
@@ -1096,6 +1151,7 @@ int main(void)
         cmocka_unit_test(taking_and_releasing_between_steps_changes_nothing),
         cmocka_unit_test(a_predicted_step_can_be_given_up),
         cmocka_unit_test(a_saved_state_with_handles_goes_on_bit_for_bit),
+        cmocka_unit_test(a_forged_state_is_refused_or_harmless),
         cmocka_unit_test(without_allocation_only_a_new_step_size_asks_to_be_prepared),
         cmocka_unit_test(every_allocation_of_a_body_may_fail),
         cmocka_unit_test(every_allocation_of_a_factor_may_fail),

@@ -803,6 +803,34 @@ static void a_step_that_does_not_converge_leaves_no_trace(void **state)
         }
 }
 
+/* What is prepared for Newton serves steps of any length, but not of these. */
+static void steps_without_a_length_are_refused(void **state)
+{
+    const double h[5] = {0, -0.005, (double)NAN, (double)INFINITY, -(double)INFINITY};
+    size_t i, k;
+    (void)state;
+    for (i = 0; i < 5; ++i) {
+        beam b = plain_beam(laws[1], 1e5);
+        sfem_body_def def = clamped(methods[i]);
+        sfem_body *body = make_body(b.model, &def);
+        const size_t bytes = sfem_body_state_size(body);
+        char *before = (char *)malloc(2 * bytes);
+        sfem_error err;
+        step(body, 0.005);
+        sfem_body_save_state(body, before);
+        for (k = 0; k < TEST_COUNT(h); ++k) {
+            assert_status(sfem_body_step(body, h[k], &err), SFEM_BAD_ARGUMENT);
+            assert_names(err, "the time step is");
+            assert_status(sfem_body_predict(body, h[k], &err), SFEM_BAD_ARGUMENT);
+            sfem_body_save_state(body, before + bytes);
+            assert_memory_equal(before, before + bytes, bytes);
+        }
+        free(before);
+        sfem_body_free(body);
+        sfem_model_free(b.model);
+    }
+}
+
 static void a_static_solution_that_fails_leaves_no_trace(void **state)
 {
     beam b = plain_beam(SFEM_COROTATIONAL, 1e3);
@@ -1246,6 +1274,7 @@ int main(void)
         cmocka_unit_test(a_free_body_keeps_its_momentum),
         cmocka_unit_test(one_iteration_is_the_semi_implicit_step),
         cmocka_unit_test(a_step_that_does_not_converge_leaves_no_trace),
+        cmocka_unit_test(steps_without_a_length_are_refused),
         cmocka_unit_test(a_static_solution_that_fails_leaves_no_trace),
         cmocka_unit_test(damping_nearly_spares_rigid_rotation),
         cmocka_unit_test(methods_agree_as_the_step_falls),

@@ -934,9 +934,10 @@ static void sequence_numbers_wrap(void **state)
 
 /* A warped bar, pushed, grabbed by its tip, pulled, let go: the receiver has the same accelerations at
  * every step, and the same coordinates to rounding, with late packets as without. */
-static void a_modal_body_is_followed_through_handles(void **state)
+static void follow_through_handles(int damped)
 {
     enum { MODES = 12 };
+    sfem_real stiffness[MODES], damping[MODES];
     const sfem_int cells[3] = {6, 2, 2}, pins[9] = {0, 1, 2, 3, 4, 5, 6, 7, 8};
     const sfem_real size[3] = {0.6, 0.2, 0.2}, push[3] = {0, 3, 5};
     sfem_model_def model_def = sfem_default_model_def();
@@ -956,7 +957,6 @@ static void a_modal_body_is_followed_through_handles(void **state)
     sfem_error err;
     packet p, last;
     int i, k, held_steps = 0;
-    (void)state;
     assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
     model_def.mesh = &mesh;
     assert_ok(sfem_model_create(&model_def, &model, &err), err);
@@ -964,12 +964,16 @@ static void a_modal_body_is_followed_through_handles(void **state)
     modes_def.pins = pins;
     modes_def.pin_count = 9;
     assert_ok(sfem_modes_create(model, &modes_def, &modes, &err), err);
+    if (damped) reduced_def.alpha = 1, reduced_def.beta = 0.3 / sqrt(modes.lambda[0]);
     assert_ok(sfem_reduced_create(model, &modes, &reduced_def, &reduced, &err), err);
+    def.h = link.h; /* of the q'' that the first packet carries */
     assert_ok(sfem_modal_create(reduced, &def, &body, &err), err);
+    sfem_modal_oscillators(body, link.h, stiffness, damping);
     link.modes = MODES;
     link.key_every = 0;
     link.lost = SFEM_LOST_PREDICTED;
-    link.stiffness = sfem_reduced_get_info(reduced).lambda;
+    link.stiffness = stiffness;
+    link.damping = damping;
     sender = sender_new(&link);
     r = receiver_new(&link);
     assert_ok(sfem_modal_add_node_force(body, mesh.nodes - 1, push, &err), err);
@@ -1019,6 +1023,18 @@ static void a_modal_body_is_followed_through_handles(void **state)
     sfem_modes_free(&modes);
     sfem_model_free(model);
     sfem_mesh_free(&mesh);
+}
+
+static void a_modal_body_is_followed_through_handles(void **state)
+{
+    (void)state;
+    follow_through_handles(0);
+}
+
+static void a_damped_modal_body_is_followed_through_handles(void **state)
+{
+    (void)state;
+    follow_through_handles(1);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -1485,6 +1501,7 @@ int main(void)
         cmocka_unit_test(before_the_first_key_frame_nothing_moves),
         cmocka_unit_test(steps_of_two_methods_are_told_apart),
         cmocka_unit_test(a_modal_body_is_followed_through_handles),
+        cmocka_unit_test(a_damped_modal_body_is_followed_through_handles),
         cmocka_unit_test(a_receiver_that_fell_behind_goes_on_at_a_key_frame),
         cmocka_unit_test(a_restarted_receiver_follows_a_new_stream),
         cmocka_unit_test(sequence_numbers_wrap),

@@ -83,7 +83,83 @@ static const char *const vtk5_lines[] = {
     NULL,
 };
 
-static const char *const *const all_lines[] = {gmsh_lines, vtk_lines, vtk5_lines};
+static const char *const gmsh2_lines[] = {
+    "$MeshFormat",                  /* 1 */
+    "2.2 0 8",                      /* 2 */
+    "$EndMeshFormat",               /* 3 */
+    "$PhysicalNames",               /* 4 */
+    "1",                            /* 5 */
+    "3 1 \"body\"",                 /* 6 */
+    "$EndPhysicalNames",            /* 7 */
+    "$Nodes",                       /* 8 */
+    "6",                            /* 9 */
+    "90000000 0 0 0",               /* 10 */
+    "7 1 0 0",                      /* 11 */
+    "3 0 1 0",                      /* 12 */
+    "2 0 0 1",                      /* 13 */
+    "1 5e0 5. +.5E+1",              /* 14 */
+    "8 0 0 -1",                     /* 15 */
+    "$EndNodes",                    /* 16 */
+    "$Elements",                    /* 17 */
+    "3",                            /* 18 */
+    "1 2 2 0 2 90000000 7 3",       /* 19 */
+    "2 4 2 0 4 90000000 7 3 2",     /* 20 */
+    "3 4 4 0 4 1 9 90000000 7 3 8", /* 21 */
+    "$EndElements",                 /* 22 */
+    NULL,
+};
+
+static const char *const veg_lines[] = {
+    "# a comment",         /* 1 */
+    "*VERTICES",           /* 2 */
+    "6 3 0 0",             /* 3 */
+    "1 0 0 0",             /* 4 */
+    "2, 1, 0, 0",          /* 5 */
+    "3 0 1 0",             /* 6 */
+    "4 0 0 1 # a comment", /* 7 */
+    "5 5e0 5. +.5E+1",     /* 8 */
+    "6 0 0 -1",            /* 9 */
+    "*ELEMENTS",           /* 10 */
+    "TET",                 /* 11 */
+    "2 4 0",               /* 12 */
+    "1 1 2 3 4",           /* 13 */
+    "2 1 2 3 6",           /* 14 */
+    "*MATERIAL soft",      /* 15 */
+    "ENU, 1000, 1e6, .45", /* 16 */
+    "*MATERIAL very hard", /* 17 */
+    "ENU, 2e3, 1e9, 0.3",  /* 18 */
+    "*SET one",            /* 19 */
+    "2,",                  /* 20 */
+    "*REGION",             /* 21 */
+    "allElements, soft",   /* 22 */
+    "*REGION",             /* 23 */
+    "one, very hard",      /* 24 */
+    NULL,
+};
+
+static const char *const node_lines[] = {
+    "# a comment",       /* 1 */
+    "6 3 1 1",           /* 2 */
+    "1 0 0 0 .5 1",      /* 3 */
+    "2 1 0 0 .5 0",      /* 4 */
+    "3 0 1 0 .5 0 # c",  /* 5 */
+    "",                  /* 6 */
+    "4 0 0 1 .5 1",      /* 7 */
+    "5 5e0 5. 5 1e-1 1", /* 8 */
+    "6 0 0 -1 0 1",      /* 9 */
+    NULL,
+};
+
+static const char *const ele_lines[] = {
+    "2 4 1",       /* 1 */
+    "1 1 2 3 4 4", /* 2 */
+    "2 1 2 3 6 4", /* 3 */
+    "# the end",   /* 4 */
+    NULL,
+};
+
+static const char *const *const all_lines[] = {gmsh_lines, vtk_lines, vtk5_lines, gmsh2_lines,
+                                               veg_lines};
 
 /* The lines joined, line number `line` replaced; with NULL the text ends before it. Free it. */
 static char *join(const char *const *lines, int line, const char *replacement, const char *newline)
@@ -125,6 +201,141 @@ static void assert_wanted(const sfem_mesh *m)
     assert_int_equal(r.unused, 1);
 }
 
+/* ---- the same mesh in bytes ---- */
+
+typedef struct binary {
+    char data[2048];
+    size_t n;
+    int big, size, real; /* high bytes first; bytes of a count and of a real */
+} binary;
+
+static void put_bits(binary *b, uint64_t bits, int bytes)
+{
+    int i;
+    for (i = 0; i < bytes; ++i)
+        b->data[b->n++] = (char)(unsigned char)(bits >> 8 * (b->big ? bytes - 1 - i : i));
+}
+
+static void put_text(binary *b, const char *text)
+{
+    memcpy(b->data + b->n, text, strlen(text));
+    b->n += strlen(text);
+}
+
+static void put_ints(binary *b, int count, const int *value)
+{
+    int i;
+    for (i = 0; i < count; ++i) put_bits(b, (uint64_t)(int64_t)value[i], 4);
+}
+
+static void put_sizes(binary *b, int count, const int *value)
+{
+    int i;
+    for (i = 0; i < count; ++i) put_bits(b, (uint64_t)(int64_t)value[i], b->size);
+}
+
+static void put_reals(binary *b, int count, const sfem_real *value)
+{
+    int i;
+    for (i = 0; i < count; ++i) {
+        const float f = (float)value[i];
+        uint32_t low;
+        uint64_t bits;
+        memcpy(&low, &f, sizeof low);
+        memcpy(&bits, value + i, sizeof bits);
+        put_bits(b, b->real == 4 ? low : bits, b->real);
+    }
+}
+
+static const int tag_of_node[6] = {90000000, 7, 3, 2, 1, 8};
+
+static void put_format(binary *b, const char *version)
+{
+    const int one = 1;
+    char text[64];
+    snprintf(text, sizeof text, "$MeshFormat\n%s 1 %d\n", version,
+             *version == '2' ? b->real : b->size);
+    put_text(b, text);
+    put_ints(b, 1, &one);
+    put_text(b, "\n$EndMeshFormat\n");
+}
+
+static void put_gmsh2(binary *b)
+{
+    /* type, count, tags; tag, physical group, entity, nodes */
+    static const int triangle[9] = {2, 1, 2, 1, 0, 2, 90000000, 7, 3};
+    static const int tets[3 + 2 * 7] = {4, 2, 2, 2, 0, 4, 90000000, 7, 3, 2,
+                                        3, 0, 4, 90000000, 7, 3, 8};
+    int i;
+    put_format(b, "2.2");
+    put_text(b, "$Nodes\n6\n");
+    for (i = 0; i < 6; ++i) {
+        put_ints(b, 1, tag_of_node + i);
+        put_reals(b, 3, wanted_x + 3 * i);
+    }
+    put_text(b, "$EndNodes\n$Elements\n3\n");
+    put_ints(b, 9, triangle);
+    put_ints(b, 17, tets);
+    put_text(b, "\n$EndElements\n");
+}
+
+static void put_gmsh4(binary *b)
+{
+    static const int counts[4] = {1, 1, 0, 1}, nodes[4] = {2, 6, 1, 90000000};
+    static const int first[3] = {2, 1, 0}, second[3] = {3, 1, 0}, two = 2, four = 4, one = 1;
+    static const int elements[4] = {2, 3, 1, 3}, triangles[3] = {2, 1, 2}, tets[3] = {3, 4, 4};
+    static const int rows[14] = {1, 90000000, 7, 3, 2, 90000000, 7, 3, 2, 3, 90000000, 7, 3, 8};
+    static const int zero = 0, bounds[3] = {1, 5, -6};
+    put_format(b, "4.1");
+    put_text(b, "$Comments\nanything, $EndComment\n$EndComments\n$Entities\n");
+    put_sizes(b, 4, counts);
+    put_ints(b, 1, &one), put_reals(b, 3, wanted_x), put_sizes(b, 1, &one), put_ints(b, 1, &four);
+    put_ints(b, 1, &one), put_reals(b, 6, wanted_x), put_sizes(b, 1, &zero);
+    put_sizes(b, 1, &two), put_ints(b, 2, bounds + 1);
+    put_ints(b, 1, &four), put_reals(b, 6, wanted_x), put_sizes(b, 1, &zero);
+    put_sizes(b, 1, &one), put_ints(b, 1, bounds + 1);
+    put_text(b, "\n$EndEntities\n$Nodes\n");
+    put_sizes(b, 4, nodes);
+    put_ints(b, 3, first), put_sizes(b, 1, &two);
+    put_sizes(b, 2, tag_of_node), put_reals(b, 6, wanted_x);
+    put_ints(b, 3, second), put_sizes(b, 1, &four);
+    put_sizes(b, 4, tag_of_node + 2), put_reals(b, 12, wanted_x + 6);
+    put_text(b, "\n$EndNodes\n$Elements\n");
+    put_sizes(b, 4, elements);
+    put_ints(b, 3, triangles), put_sizes(b, 1, &one), put_sizes(b, 4, rows);
+    put_ints(b, 3, tets), put_sizes(b, 1, &two), put_sizes(b, 10, rows + 4);
+    put_text(b, "\n$EndElements\n");
+}
+
+#define TEXTS 5
+#define SAMPLES (TEXTS + 8)
+
+/* The mesh in its texts, then in bytes: 2.2 with doubles and floats, 4.1 with sizes of 8 and 4, each
+ * in either order. Free it. */
+static char *sample(size_t which, size_t *bytes)
+{
+    const int i = (int)which - TEXTS;
+    char *copy;
+    binary b;
+    if (which < TEXTS) {
+        copy = join(all_lines[which], -1, NULL, "\n");
+        *bytes = strlen(copy);
+        return copy;
+    }
+    b.n = 0;
+    b.big = i & 1;
+    b.size = i < 4 || i & 2 ? 4 : 8;
+    b.real = i < 4 && i & 2 ? 4 : 8;
+    if (i < 4)
+        put_gmsh2(&b);
+    else
+        put_gmsh4(&b);
+    copy = (char *)malloc(b.n);
+    memcpy(copy, b.data, b.n);
+    *bytes = b.n;
+    return copy;
+}
+
 /* ---- reading ---- */
 
 static void the_same_mesh_comes_from_each_format(void **state)
@@ -136,12 +347,14 @@ static void the_same_mesh_comes_from_each_format(void **state)
         for (k = 0; k < TEST_COUNT(newlines); ++k) {
             char *text;
             sfem_mesh m;
-            if (i > 0 && k == 3) continue; /* an empty line has a meaning in VTK's head */
+            if ((i == 1 || i == 2) && k == 3) continue; /* an empty line means something in VTK */
             text = join(all_lines[i], -1, NULL, newlines[k]);
             m = parse(text);
             assert_wanted(&m);
-            if (i == 0)
+            if (i == 0 || i == 3)
                 assert_int_equal(m.region[0], 4); /* the entity's number */
+            else if (i == 4)
+                assert_true(m.region[0] == 0 && m.region[1] == 1);
             else
                 assert_null(m.region);
             sfem_mesh_free(&m);
@@ -149,14 +362,54 @@ static void the_same_mesh_comes_from_each_format(void **state)
         }
 }
 
+static void the_same_mesh_comes_from_bytes_in_either_order(void **state)
+{
+    size_t i, bytes;
+    (void)state;
+    for (i = TEXTS; i < SAMPLES; ++i) {
+        char *data = sample(i, &bytes);
+        sfem_error err;
+        sfem_mesh m;
+        assert_ok(sfem_mesh_parse(data, bytes, NULL, &m, &err), err);
+        assert_wanted(&m);
+        assert_int_equal(m.region[0], 4);
+        assert_int_equal(m.region[1], 4);
+        sfem_mesh_free(&m);
+        free(data);
+    }
+}
+
+static void the_same_mesh_comes_from_the_two_files_of_tetgen(void **state)
+{
+    static const char node0[] = "6 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n4 5 5 5\n5 0 0 -1";
+    static const char ele0[] = "2\n0 0 1 2 3\n1 0 1 2 5";
+    char *node = join(node_lines, -1, NULL, "\r\n"), *ele = join(ele_lines, -1, NULL, "\r\n");
+    sfem_error err;
+    sfem_mesh m;
+    (void)state;
+    assert_ok(sfem_mesh_parse_tetgen(node, strlen(node), ele, strlen(ele), NULL, &m, &err), err);
+    assert_wanted(&m);
+    assert_int_equal(m.region[0], 4);
+    assert_int_equal(m.region[1], 4);
+    sfem_mesh_free(&m);
+    assert_ok(sfem_mesh_parse_tetgen(node0, sizeof node0 - 1, ele0, sizeof ele0 - 1, NULL, &m,
+                                     &err),
+              err);
+    assert_wanted(&m);
+    assert_null(m.region);
+    sfem_mesh_free(&m);
+    free(node);
+    free(ele);
+}
+
 static void text_need_not_end_in_a_newline_or_a_zero(void **state)
 {
     size_t i;
     (void)state;
-    for (i = 0; i < TEST_COUNT(all_lines); ++i) {
-        char *text = join(all_lines[i], -1, NULL, "\n");
-        size_t n = strlen(text) - 1;
-        char *exact = (char *)malloc(n); /* the sanitizer sees a read beyond */
+    for (i = 0; i < SAMPLES; ++i) {
+        size_t n;
+        char *text = sample(i, &n);
+        char *exact = (char *)malloc(--n); /* the sanitizer sees a read beyond */
         sfem_error err;
         sfem_mesh m;
         memcpy(exact, text, n);
@@ -361,10 +614,12 @@ static void malformed_gmsh_is_refused_with_its_line(void **state)
 {
     static const malformed table[] = {
         {1, "$Meshformat2", SFEM_FORMAT, 1, "$MeshFormat"},
-        {1, "", SFEM_FORMAT, 2, "only Gmsh 4.1 ASCII and VTK legacy ASCII are read"},
-        {2, "2.2 0 8", SFEM_FORMAT, 2, "Gmsh 2.2: only 4.1 ASCII"},
-        {2, "4 0 8", SFEM_FORMAT, 2, "Gmsh 4: only 4.1 ASCII"},
-        {2, "4.1 1 8", SFEM_FORMAT, 2, "Gmsh 4.1 binary"},
+        {1, "", SFEM_FORMAT, 2, "only Gmsh 2.2 and 4.1, VTK legacy ASCII and Vega"},
+        {2, "1 0 8", SFEM_FORMAT, 2, "Gmsh 1: only 2.0 to 2.2 and 4.1"},
+        {2, "4 0 8", SFEM_FORMAT, 2, "Gmsh 4: only 2.0 to 2.2 and 4.1"},
+        {2, "4.1 1 7", SFEM_FORMAT, 2, "the data size of a binary file is 7"},
+        {2, "4.1 2 8", SFEM_FORMAT, 2, "the file type (0 ASCII, 1 binary) is 2"},
+        {3, "$EndMeshFormat\n$MeshFormat", SFEM_FORMAT, 4, "a second $MeshFormat"},
         {2, "four", SFEM_FORMAT, 2, "expected a Gmsh version, found 'four'"},
         {2, "4.1 0", SFEM_FORMAT, 3, "data size"},
         {3, "$EndMesh", SFEM_FORMAT, 3, "expected $EndMeshFormat, found '$EndMesh'"},
@@ -410,7 +665,7 @@ static void malformed_gmsh_is_refused_with_its_line(void **state)
         {28, "$EndElements\nrubbish", SFEM_FORMAT, 29, "expected a section like $Nodes"},
         {4, "$Elements\n0 0 0 0\n$EndElements\n$Nodes", SFEM_FORMAT, 4, "come before $Nodes"},
         {4, "$Entities\n0 0 0 1\n1 0 0 0 1 1\n$EndEntities", SFEM_FORMAT, 6,
-         "a bound of the volume"},
+         "a bound of the entity"},
         {4, "$Entities\n0 0 0 99\n", SFEM_FORMAT, 5, "can hold"},
         {4, "$Entities\n2 0 0 0\n1 0 0 0 0\n$EndEntities", SFEM_FORMAT, 7, "another entity"},
         {4, "$Entities\n0 0 0 2\n1 0 0 0 1 1 1 0 0\n1 0 0 0 1 1 1 0 0\n$EndEntities", SFEM_FORMAT,
@@ -482,9 +737,189 @@ static void malformed_vtk_is_refused_with_its_line(void **state)
     assert_refused(vtk5_lines, table5, TEST_COUNT(table5));
 }
 
+static void malformed_gmsh_2_is_refused_with_its_line(void **state)
+{
+    static const malformed table[] = {
+        {2, "2.3 0 8", SFEM_FORMAT, 2, "Gmsh 2.3: only 2.0 to 2.2 and 4.1"},
+        {9, "99999999999", SFEM_FORMAT, 9, "more than the rest of the data can hold"},
+        {9, "5", SFEM_FORMAT, 15, "expected $EndNodes, found '8'"},
+        {9, "7", SFEM_FORMAT, 16, "expected a node tag, found '$EndNodes'"},
+        {10, "90000000 0 0", SFEM_FORMAT, 10, "expected a coordinate, but the line ends"},
+        {11, "90000000 0 0 0", SFEM_FORMAT, 11, "node tag 90000000 a second time"},
+        {11, "-7 1 0 0", SFEM_FORMAT, 11, "a node tag is -7"},
+        {12, "3 0 inf 0", SFEM_NOT_FINITE, 12, "not finite"},
+        {14, "1 5 5 5 5", SFEM_FORMAT, 14, "expected the end of the line, found '5'"},
+        {18, "4", SFEM_FORMAT, 22, "expected an element tag, found '$EndElements'"},
+        {18, "2", SFEM_FORMAT, 21, "expected $EndElements, found '3'"},
+        {18, "-1", SFEM_FORMAT, 18, "the count of elements is -1"},
+        {18, "9000000000000000000", SFEM_FORMAT, 22, "expected an element tag"},
+        {20, "2 4 2 0 4 90000000 7 3", SFEM_FORMAT, 20, "expected a node tag of a tet, but the line"},
+        {20, "2 4 2147483647 0 4 90000000 7 3", SFEM_FORMAT, 20, "expected a tag of an element"},
+        {20, "2 4 2 0 4 90000000 7 3 2 1", SFEM_FORMAT, 20, "expected the end of the tet's line"},
+        {20, "2 4 0 90000000 7 3 5", SFEM_BAD_MESH, 20, "tet 0 names node tag 5, which is not there"},
+        {20, "2 11 0 90000000 7 3 5\n$EndElements", SFEM_FORMAT, 21, "expected an element tag"},
+        {20, NULL, SFEM_FORMAT, 20, "but the data ends"},
+    };
+    (void)state;
+    assert_refused(gmsh2_lines, table, TEST_COUNT(table));
+}
+
+static void malformed_veg_is_refused_with_its_line(void **state)
+{
+    static const malformed table[] = {
+        {2, "*VERTICE", SFEM_FORMAT, 2, "expected *VERTICES, *ELEMENTS, *MATERIAL, *SET or *REGION"},
+        {2, NULL, SFEM_FORMAT, 1, "this begins with '#'"},
+        {2, "*VERTICES 6", SFEM_FORMAT, 2, "expected the end of the line, found '6'"},
+        {3, "6 2 0 0", SFEM_FORMAT, 3, "nodes in 2 dimensions, not 3"},
+        {3, "600000 3 0 0", SFEM_FORMAT, 3, "more than the rest of the data can hold"},
+        {3, "5 3 0 0", SFEM_FORMAT, 9, "expected *VERTICES, *ELEMENTS"},
+        {3, "7 3 0 0", SFEM_FORMAT, 10, "expected the number of a node, found '*ELEMENTS'"},
+        {3, "6 3 1 0", SFEM_FORMAT, 4, "expected an attribute or marker, but the line ends"},
+        {6, "2 0 1 0", SFEM_FORMAT, 6, "the number of a node is 2, not in 3 .. 3"},
+        {6, "3 0 1", SFEM_FORMAT, 6, "expected a coordinate, but the line ends"},
+        {6, "3 0 1 0 0", SFEM_FORMAT, 6, "expected the end of the node's line, found '0'"},
+        {6, "3 0 1 NaN", SFEM_NOT_FINITE, 6, "not finite"},
+        {6, "*INCLUDE /etc/passwd", SFEM_FORMAT, 6, "there is no file to include from"},
+        {6, "*INCLUDE", SFEM_FORMAT, 6, "expected the name of a file, but the line ends"},
+        {10, "*VERTICES", SFEM_FORMAT, 10, "*VERTICES a second time"},
+        {10, NULL, SFEM_FORMAT, 10, "there are no *ELEMENTS"},
+        {11, "CUBIC", SFEM_FORMAT, 11, "*ELEMENTS CUBIC: only TET is read"},
+        {12, "2 8 0", SFEM_FORMAT, 12, "elements of 8 nodes, not 4"},
+        {12, "0 4 0", SFEM_FORMAT, 13, "expected *VERTICES"},
+        {12, "3 4 0", SFEM_FORMAT, 15, "expected the number of a tet, found '*MATERIAL'"},
+        {12, "2 4 1", SFEM_FORMAT, 13, "expected the region of a tet, but the line ends"},
+        {13, "1 0 2 3 4", SFEM_BAD_MESH, 13, "tet 0 names node 0, the nodes are 1 .. 6"},
+        {14, "2 1 2 3 7", SFEM_BAD_MESH, 14, "tet 1 names node 7, the nodes are 1 .. 6"},
+        {14, NULL, SFEM_FORMAT, 14, "expected the number of a tet, but the data ends"},
+        {15, "*MATERIAL", SFEM_FORMAT, 15, "expected a name, but the line ends"},
+        {16, NULL, SFEM_FORMAT, 16, "expected the law of a material, but the data ends"},
+        {16, "", SFEM_FORMAT, 17, "expected the law of a material, found '*MATERIAL'"},
+        {20, "3", SFEM_FORMAT, 20, "the number of a tet in a set is 3, not in 1 .. 2"},
+        {20, "1 x", SFEM_FORMAT, 20, "expected the number of a tet in a set, found 'x'"},
+        {22, "all, soft", SFEM_FORMAT, 22, "there is no *SET 'all' above"},
+        {22, "allElements, sof", SFEM_FORMAT, 22, "there is no *MATERIAL 'sof' above"},
+        {22, "allElements", SFEM_FORMAT, 22, "there is no *MATERIAL '' above"},
+        {22, "allElements, soft, 3", SFEM_FORMAT, 22, "expected the end of the line, found '3'"},
+        {22, NULL, SFEM_FORMAT, 22, "expected a set and a material, but the data ends"},
+        {10, "*SET s", SFEM_FORMAT, 10, "*SET comes before *ELEMENTS"},
+        {10, "*REGION", SFEM_FORMAT, 10, "*REGION comes before *ELEMENTS"},
+        {2, "*ELEMENTS\nTET", SFEM_FORMAT, 3, "*ELEMENTS come before *VERTICES"},
+    };
+    (void)state;
+    assert_refused(veg_lines, table, TEST_COUNT(table));
+}
+
+static void malformed_tetgen_is_refused_with_file_and_line(void **state)
+{
+    static const struct {
+        int ele; /* the line is in the .ele */
+        malformed row;
+    } table[] = {
+        {0, {1, NULL, SFEM_FORMAT, 1, "of .node: expected the count of nodes, but the data ends"}},
+        {0, {2, "6 2 1 1", SFEM_FORMAT, 2, "nodes in 2 dimensions"}},
+        {0, {2, "5 3 1 1", SFEM_FORMAT, 9, "line 9 of .node: expected the end of the file"}},
+        {0, {2, "7 3 1 1", SFEM_FORMAT, 10, "expected the number of a node, but the data ends"}},
+        {0, {2, "6 3 0 1", SFEM_FORMAT, 3, "expected the end of the node's line, found '1'"}},
+        {0, {4, "3 1 0 0 .5 0", SFEM_FORMAT, 4, "the number of a node is 3, not in 2 .. 2"}},
+        {0, {9, "6 0 0 1e999 0 0", SFEM_NOT_FINITE, 9, "too large for a double"}},
+        {1, {1, "2 10 0", SFEM_FORMAT, 1, "line 1 of .ele: elements of 10 nodes, not 4"}},
+        {1, {1, "2 4 0", SFEM_FORMAT, 2, "expected the end of the tet's line, found '4'"}},
+        {1, {1, "0 4 0", SFEM_FORMAT, 2, "expected the end of the file"}},
+        {1, {1, "9999999 4 0", SFEM_FORMAT, 1, "more than the rest of the data can hold"}},
+        {1, {2, "1 1 2 3 0 4", SFEM_BAD_MESH, 2, "tet 0 names node 0, the nodes are 1 .. 6"}},
+        {1, {2, "1 1 2 3 4 4.5", SFEM_FORMAT, 2, "the region 4.5 of a tet is not a whole number"}},
+        {1, {2, "1 1 2 3 4 1e10", SFEM_FORMAT, 2, "not a whole number"}},
+        {1, {3, "3 1 2 3 6 4", SFEM_FORMAT, 3, "the number of a tet is 3, not in 2 .. 2"}},
+        {1, {3, NULL, SFEM_FORMAT, 3, "expected the number of a tet, but the data ends"}},
+    };
+    size_t i;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(table); ++i) {
+        const malformed *row = &table[i].row;
+        char *node = join(node_lines, table[i].ele ? -1 : row->line, row->text, "\n");
+        char *ele = join(ele_lines, table[i].ele ? row->line : -1, row->text, "\n");
+        sfem_status status;
+        sfem_error err;
+        sfem_mesh m;
+        status = sfem_mesh_parse_tetgen(node, strlen(node), ele, strlen(ele), NULL, &m, &err);
+        if (status != row->status || err.line != row->err_line || !strstr(err.text, row->words))
+            fail_msg("'%s': status %d, line %d, \"%s\"; wanted %d, %d, \"%s\"", row->text, status,
+                     err.line, err.text, row->status, row->err_line, row->words);
+        free(node);
+        free(ele);
+    }
+}
+
+/* The first place of bits in data that is not a text. */
+static size_t find_bits(const char *data, size_t n, const void *bits, size_t count, int which)
+{
+    size_t i;
+    for (i = 0; i + count <= n; ++i)
+        if (!memcmp(data + i, bits, count) && !which--) return i;
+    fail_msg("these bits are not there");
+    return 0;
+}
+
+static void malformed_bytes_are_refused_with_their_place(void **state)
+{
+    static const struct {
+        size_t which;       /* sample */
+        const char *before; /* the text in front */
+        int offset, value;  /* bytes behind it, and the int that is put there */
+        sfem_status status;
+        const char *words;
+        int place; /* that is told, behind the int, or -1 */
+    } table[] = {
+        {TEXTS, "2.2 1 8\n", 0, 2, SFEM_FORMAT, "order of bytes is not 1", 4},
+        {TEXTS, "$Nodes\n6\n", 0, 7, SFEM_FORMAT, "node tag 7 a second time", 32},
+        {TEXTS, "$Nodes\n6\n", 0, -7, SFEM_FORMAT, "a node tag is -7", 0},
+        {TEXTS, "$Nodes\n6\n", 8, 0x7ff00000, SFEM_NOT_FINITE, "coordinate is not finite", -1},
+        {TEXTS, "$Elements\n3\n", 0, 77, SFEM_FORMAT, "elements of type 77, of unknown length", -1},
+        {TEXTS, "$Elements\n3\n", 4, 4, SFEM_FORMAT, "the count of elements in a block is 4", -1},
+        {TEXTS, "$Elements\n3\n", 8, 0x7fffffff, SFEM_FORMAT, "expected another element, but", -1},
+        {TEXTS, "$Elements\n3\n", 36, 5, SFEM_FORMAT, "expected another element, but", -1},
+        {TEXTS, "$Elements\n3\n", 60, 5, SFEM_BAD_MESH, "tet 0 names node tag 5", -1},
+        {TEXTS + 2, "$Nodes\n6\n", 4, 0x7f800000, SFEM_NOT_FINITE, "a coordinate is not finite", -1},
+        {TEXTS + 4, "$Nodes\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data can", -1},
+        {TEXTS + 4, "$Nodes\n", 12, 1, SFEM_FORMAT, "more than the rest of the data can", -1},
+        {TEXTS + 4, "$Nodes\n", 32, 4, SFEM_FORMAT, "the dimension of an entity is 4", -1},
+        {TEXTS + 4, "$Nodes\n", 44, 7, SFEM_FORMAT, "more than the 6 nodes announced", -1},
+        {TEXTS + 4, "$Elements\n", 32 + 12, -1, SFEM_FORMAT, "expected another element, but", -1},
+        {TEXTS + 4, "$Elements\n", 32 + 16, -1, SFEM_FORMAT, "of elements in a block is -4294967", -1},
+        {TEXTS + 4, "$Elements\n", 32 + 8, 99, SFEM_FORMAT, "elements of type 99", -1},
+        {TEXTS + 4, "$Entities\n", 8, 0x7fffffff, SFEM_FORMAT, "more than the rest of the data", -1},
+        {TEXTS + 4, "$Entities\n", 60, -1, SFEM_FORMAT, "a count of physical groups is 4294967295", -1},
+    };
+    size_t i, n;
+    (void)state;
+    for (i = 0; i < TEST_COUNT(table); ++i) {
+        char *data = sample(table[i].which, &n), wanted[40];
+        size_t at = find_bits(data, n, table[i].before, strlen(table[i].before), 0) +
+                    strlen(table[i].before) + (size_t)table[i].offset;
+        test_memory memory = {0};
+        sfem_allocator a = test_allocator(&memory);
+        sfem_error err = {SFEM_OK, -1, -1, -1, ""};
+        sfem_status status;
+        sfem_mesh m;
+        int k;
+        for (k = 0; k < 4; ++k) data[at + (size_t)k] = (char)(table[i].value >> 8 * k);
+        status = sfem_mesh_parse(data, n, &a, &m, &err);
+        if (status != table[i].status || !strstr(err.text, table[i].words) ||
+            strncmp(err.text, "byte ", 5))
+            fail_msg("row %d: status %d, \"%s\", wanted \"%s\"", (int)i, status, err.text,
+                     table[i].words);
+        if (table[i].place >= 0) {
+            snprintf(wanted, sizeof wanted, "byte %d: ", (int)at + table[i].place);
+            assert_memory_equal(err.text, wanted, strlen(wanted));
+        }
+        assert_no_leak(memory);
+        free(data);
+    }
+}
+
 static void other_data_is_refused(void **state)
 {
-    static const char vega[] = "*VERTICES\n4 3 0 0\n";
+    static const char tetgen[] = "4 3 0 0\n";
     unsigned char noise[256];
     sfem_error err;
     sfem_mesh m;
@@ -494,7 +929,7 @@ static void other_data_is_refused(void **state)
     assert_status(sfem_mesh_parse(NULL, 0, NULL, &m, &err), SFEM_FORMAT);
     assert_names(err, "there is no data");
     assert_status(sfem_mesh_parse(" \n ", 3, NULL, &m, &err), SFEM_FORMAT);
-    assert_status(sfem_mesh_parse(vega, sizeof vega - 1, NULL, &m, &err), SFEM_FORMAT);
+    assert_status(sfem_mesh_parse(tetgen, sizeof tetgen - 1, NULL, &m, &err), SFEM_FORMAT);
     assert_names(err, "only");
     assert_status(sfem_mesh_parse(noise, sizeof noise, NULL, &m, &err), SFEM_FORMAT);
     for (i = 0; err.text[i]; ++i) assert_in_range(err.text[i], 32, 126);
@@ -506,9 +941,11 @@ static void a_text_cut_anywhere_is_refused(void **state)
 {
     size_t i, n;
     (void)state;
-    for (i = 0; i < TEST_COUNT(all_lines); ++i) {
-        char *text = join(all_lines[i], -1, NULL, "\n");
-        size_t bytes = strlen(text) - 1; /* without the last newline it is whole */
+    for (i = 0; i < SAMPLES; ++i) {
+        size_t bytes;
+        char *text = sample(i, &bytes);
+        --bytes; /* without the last newline it is whole */
+        if (i == 4) bytes = (size_t)(strstr(text, "*MATERIAL") - text - 1); /* as it is here */
         for (n = 0; n < bytes; ++n) {
             char *cut = (char *)malloc(n ? n : 1);
             test_memory memory = {0};
@@ -518,7 +955,8 @@ static void a_text_cut_anywhere_is_refused(void **state)
             memcpy(cut, text, n);
             if (sfem_mesh_parse(cut, n, &a, &m, &err) == SFEM_OK)
                 fail_msg("format %d cut after %d bytes is read", (int)i, (int)n);
-            assert_true(err.text[0] && err.line >= 1);
+            assert_true(err.text[0] && (err.line >= 1 || i >= TEXTS));
+            assert_true(err.line >= 1 || strstr(err.text, "byte ") || strstr(err.text, "no 4-node"));
             assert_no_leak(memory);
             free(cut);
         }
@@ -534,9 +972,9 @@ static void damaged_texts_do_no_harm(void **state)
     test_random random = {2024};
     int i, k, read = 0;
     (void)state;
-    for (i = 0; i < 30000; ++i) {
-        char *text = join(all_lines[i % 3], -1, NULL, "\n"), *copy;
-        size_t n = strlen(text);
+    for (i = 0; i < 40000; ++i) {
+        size_t n;
+        char *text = sample((size_t)i % SAMPLES, &n), *copy;
         int changes = 1 + random_below(&random, 4);
         test_memory memory = {0};
         sfem_allocator a = test_allocator(&memory);
@@ -577,6 +1015,150 @@ static void damaged_texts_do_no_harm(void **state)
         free(text);
     }
     assert_true(read > 300); /* some damage changes a coordinate only */
+}
+
+static void files_of_tetgen_cut_anywhere_are_refused(void **state)
+{
+    char *node = join(node_lines, -1, NULL, "\n"), *ele = join(ele_lines, -1, NULL, "\n");
+    const size_t nodes = strlen(node) - 1, tets = (size_t)(strchr(ele, '#') - ele) - 1;
+    size_t n;
+    (void)state;
+    for (n = 0; n < nodes + tets; ++n) {
+        const size_t a = n < nodes ? n : nodes, b = n < nodes ? tets : n - nodes;
+        char *node_cut = (char *)malloc(a + 1), *ele_cut = (char *)malloc(b + 1);
+        test_memory memory = {0};
+        sfem_allocator allocator = test_allocator(&memory);
+        sfem_error err;
+        sfem_mesh m;
+        memcpy(node_cut + 1, node, a); /* it ends where the sanitizer looks */
+        memcpy(ele_cut + 1, ele, b);
+        if (sfem_mesh_parse_tetgen(node_cut + 1, a, ele_cut + 1, b, &allocator, &m, &err) == SFEM_OK)
+            fail_msg("%d and %d bytes are read", (int)a, (int)b);
+        assert_true(err.line >= 1);
+        assert_no_leak(memory);
+        free(node_cut);
+        free(ele_cut);
+    }
+    free(node);
+    free(ele);
+}
+
+/* ---- regions and names ---- */
+
+static void physical_groups_of_gmsh_2_become_regions(void **state)
+{
+    char *text = join(gmsh2_lines, 21, "3 4 2 -5 4 90000000 7 3 8", "\n");
+    sfem_mesh m;
+    (void)state;
+    m = parse(text);
+    assert_int_equal(m.region[0], 0); /* in none, while others are in one */
+    assert_int_equal(m.region[1], 5);
+    sfem_mesh_free(&m);
+    free(text);
+}
+
+static void materials_of_vega_become_regions(void **state)
+{
+    sfem_mesh m;
+    char *text;
+    (void)state;
+    text = join(veg_lines, 21, NULL, "\n"); /* no *REGION */
+    m = parse(text);
+    assert_null(m.region);
+    sfem_mesh_free(&m);
+    free(text);
+    text = join(veg_lines, 22, "one, soft\n*REGION\none, very hard\n*SET two\n1 2\n2 1", "\n");
+    m = parse(text); /* the later one wins, and tet 0 is in none */
+    assert_int_equal(m.region[0], -1);
+    assert_int_equal(m.region[1], 1);
+    sfem_mesh_free(&m);
+    free(text);
+    m = parse("*VERTICES\n4 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n*ELEMENTS\nTETS\n2 4\n"
+              "0 0 1 2 3\n1 0 1 2 3\n*SET first\n0\n*MATERIAL a b\nMOONEYRIVLIN, 1, 2, 3, 4\n"
+              "*REGION\n first , a b\n");
+    assert_int_equal(m.region[0], 0); /* numbers from 0 */
+    assert_int_equal(m.region[1], -1);
+    sfem_mesh_free(&m);
+}
+
+static void either_file_of_tetgen_names_both(void **state)
+{
+    static const char *const name[4] = {"test_meshio_pair.node", "test_meshio_pair.ele",
+                                        "test_meshio_PAIR.NODE", "test_meshio_PAIR.ELE"};
+    const char *const texts[2] = {"6 3 0 0\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n4 5 5 5\n5 0 0 -1\n",
+                                  "2 4 1\n0 0 1 2 3 7\n1 0 1 2 5 8\n"};
+    sfem_error err;
+    sfem_mesh m;
+    int i;
+    (void)state;
+    for (i = 0; i < 4; ++i) scratch_write(scratch_path(name[i]), texts[i % 2]);
+    for (i = 0; i < 4; ++i) {
+        assert_ok(sfem_mesh_read(scratch_path(name[i]), NULL, &m, &err), err);
+        assert_wanted(&m);
+        assert_int_equal(m.region[0], 7);
+        assert_int_equal(m.region[1], 8);
+        sfem_mesh_free(&m);
+    }
+    scratch_write(scratch_path(name[1]), "2 4 1\n0 0 1 2 3 7\n1 0 1 2 x 8\n");
+    assert_status(sfem_mesh_read(scratch_path(name[0]), NULL, &m, &err), SFEM_FORMAT);
+    assert_names(err, "test_meshio_pair.node: line 3 of .ele: expected a node of a tet, found 'x'");
+    assert_int_equal(err.line, 3);
+    remove(scratch_path(name[1]));
+    assert_status(sfem_mesh_read(scratch_path(name[0]), NULL, &m, &err), SFEM_IO);
+    assert_names(err, "test_meshio_pair.ele: cannot be opened");
+    for (i = 0; i < 4; ++i) remove(scratch_path(name[i]));
+}
+
+static const char veg_with_parts[] = "*VERTICES\n*INCLUDE test_meshio_part.node\n*ELEMENTS\nTET\n"
+                                     "*include test_meshio_part.ele\n*MATERIAL a\nENU, 1, 1, 0\n"
+                                     "*SET s\n1\n*INCLUDE test_meshio_part.set\n*REGION\ns, a\n";
+
+static void write_parts(const char *set)
+{
+    char *node = join(node_lines, -1, NULL, "\n");
+    scratch_write(scratch_path("test_meshio.veg"), veg_with_parts);
+    scratch_write(scratch_path("test_meshio_part.node"), node);
+    scratch_write(scratch_path("test_meshio_part.ele"), "2 4\n1 1 2 3 4\n2 1 2 3 6");
+    scratch_write(scratch_path("test_meshio_part.set"), set);
+    free(node);
+}
+
+static void vega_includes_files_beside_it(void **state)
+{
+    static const struct {
+        const char *set;
+        sfem_status status;
+        const char *words;
+    } bad[] = {
+        {"1\n3", SFEM_FORMAT, "test_meshio.veg: line 2 of test_meshio_part.set: the number of a tet"},
+        {"\n*INCLUDE test_meshio_part.set", SFEM_TOO_LARGE, "more than 16 files are included"},
+        {"*INCLUDE none.veg", SFEM_IO, "none.veg: cannot be opened"},
+        {"*INCLUDE /etc/passwd", SFEM_FORMAT, "*INCLUDE /etc/passwd: not a file beside this one"},
+        {"*INCLUDE ../x", SFEM_FORMAT, "*INCLUDE ../x: not a file beside this one"},
+        {"*INCLUDE a\\x", SFEM_FORMAT, "*INCLUDE a\\x: not a file beside this one"},
+    };
+    const char *path;
+    sfem_error err;
+    sfem_mesh m;
+    size_t i;
+    (void)state;
+    write_parts("2");
+    path = scratch_path("test_meshio.veg");
+    assert_ok(sfem_mesh_read(path, NULL, &m, &err), err);
+    assert_wanted(&m);
+    assert_int_equal(m.region[0], 0);
+    assert_int_equal(m.region[1], 0);
+    sfem_mesh_free(&m);
+    for (i = 0; i < TEST_COUNT(bad); ++i) {
+        write_parts(bad[i].set);
+        path = scratch_path("test_meshio.veg");
+        assert_status(sfem_mesh_read(path, NULL, &m, &err), bad[i].status);
+        assert_names(err, bad[i].words);
+    }
+    remove(scratch_path("test_meshio.veg"));
+    remove(scratch_path("test_meshio_part.node"));
+    remove(scratch_path("test_meshio_part.ele"));
+    remove(scratch_path("test_meshio_part.set"));
 }
 
 /* ---- writing ---- */
@@ -841,11 +1423,16 @@ static sfem_status do_each(sfem_allocator allocator, void *user, sfem_error *err
     const int which = *(const int *)user;
     sfem_status status;
     sfem_mesh m;
-    if (which < 3) {
-        char *text = join(all_lines[which], -1, NULL, "\n");
-        status = sfem_mesh_parse(text, strlen(text), &allocator, &m, err);
-        free(text);
-    } else if (which == 3) {
+    if (which < SAMPLES) {
+        size_t n;
+        char *data = sample((size_t)which, &n);
+        status = sfem_mesh_parse(data, n, &allocator, &m, err);
+        free(data);
+    } else if (which == SAMPLES + 2) {
+        status = sfem_mesh_read(scratch_path("test_meshio.veg"), &allocator, &m, err);
+    } else if (which == SAMPLES + 3) {
+        status = sfem_mesh_read(scratch_path("test_meshio_part.node"), &allocator, &m, err);
+    } else if (which == SAMPLES) {
         status = sfem_mesh_read(scratch_path("test_meshio_memory.msh"), &allocator, &m, err);
     } else {
         m = test_ball();
@@ -868,7 +1455,13 @@ static void every_allocation_may_fail(void **state)
     assert_ok(sfem_mesh_ball(1, 12, NULL, &m, &err), err); /* its file outgrows the first buffer */
     assert_ok(sfem_write_msh(scratch_path("test_meshio_memory.msh"), &m, &err), err);
     sfem_mesh_free(&m);
-    for (which = 0; which < 5; ++which) assert_true(fail_every_allocation(do_each, &which) >= 3);
+    write_parts("2");
+    for (which = 0; which < SAMPLES + 4; ++which)
+        assert_true(fail_every_allocation(do_each, &which) >= 3);
+    remove(scratch_path("test_meshio.veg"));
+    remove(scratch_path("test_meshio_part.node"));
+    remove(scratch_path("test_meshio_part.ele"));
+    remove(scratch_path("test_meshio_part.set"));
     remove(scratch_path("test_meshio_memory.msh"));
     remove(scratch_path("test_meshio_memory.obj"));
 }
@@ -881,8 +1474,17 @@ static void real_meshes_are_read(void **state)
         const char *name;
         sfem_int nodes, tets, euler;
     } real[] = {{"mj_cube_41_ascii.msh", 14, 24, 2},
+                {"mj_cube_41_binary.msh", 14, 24, 2},
+                {"mj_shark_ascii22.msh", 425, 1070, 1},
+                {"mj_shark_binary22.msh", 429, 1073, 1},
+                {"vega_beam3.veg", 208, 450, 2},
+                {"vega_comb.veg", 1623, 5844, 2},
+                {"vega_simpleBridge.veg", 4000, 12827, -50},
+                {"vega_helix.veg", 4532, 16226, 0},
                 {"bullet_torus.vtk", 1036, 4436, 0},
-                {"ipc_rod300x33.msh", 13333, 50511, 2}};
+                {"ipc_rod300x33.msh", 13333, 50511, 2},
+                {"vega_yeahright.veg", 21122, 71577, -363}};
+    sfem_real shark = 0;
     size_t i, found = 0;
     (void)state;
     for (i = 0; i < TEST_COUNT(real); ++i) {
@@ -899,8 +1501,12 @@ static void real_meshes_are_read(void **state)
         assert_int_equal(r.euler, real[i].euler);
         assert_int_equal(r.components, 1);
         assert_int_equal(r.unused + r.overlapping + r.coincident, 0);
-        if (i == 0) assert_near(r.volume, 1, 1e-14, 0); /* a cube of side 1 */
-        if (i > 0) {
+        if (i < 2) assert_near(r.volume, 1, 1e-14, 0); /* a cube of side 1 */
+        if (i == 2) shark = r.volume;
+        if (i == 3) assert_near(r.volume, shark, 1e-3, 0); /* meshed anew */
+        if (i == 4) assert_near(r.volume, .12 * .04 * 1, 1e-12, 0);
+        if (strstr(path, ".veg")) assert_int_equal(m.region[m.tets - 1], 0);
+        if (m.nodes > 1000 && m.nodes != 1623) { /* the comb is well numbered as it is */
             sfem_int before = sfem_mesh_bandwidth(&m);
             sfem_real volume = r.volume;
             assert_ok(sfem_mesh_renumber(&m, NULL, &err), err);
@@ -914,31 +1520,12 @@ static void real_meshes_are_read(void **state)
     if (!found) skip();
 }
 
-static void real_meshes_of_other_formats_are_refused(void **state)
-{
-    static const char *const name[][2] = {
-        {"mj_cube_41_binary.msh", "Gmsh 4.1 binary: only 4.1 ASCII is read"},
-        {"mj_shark_ascii22.msh", "Gmsh 2.2: only 4.1 ASCII is read"},
-        {"mj_shark_binary22.msh", "Gmsh 2.2: only 4.1 ASCII is read"},
-        {"vega_beam3.veg", "only Gmsh 4.1 ASCII and VTK legacy ASCII are read"}};
-    size_t i, found = 0;
-    (void)state;
-    for (i = 0; i < TEST_COUNT(name); ++i) {
-        const char *path = mesh_path(name[i][0]);
-        sfem_mesh m;
-        sfem_error err;
-        if (!path) continue;
-        ++found;
-        assert_status(sfem_mesh_read(path, NULL, &m, &err), SFEM_FORMAT);
-        assert_names(err, name[i][1]);
-    }
-    if (!found) skip();
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(the_same_mesh_comes_from_each_format),
+        cmocka_unit_test(the_same_mesh_comes_from_bytes_in_either_order),
+        cmocka_unit_test(the_same_mesh_comes_from_the_two_files_of_tetgen),
         cmocka_unit_test(text_need_not_end_in_a_newline_or_a_zero),
         cmocka_unit_test(physical_groups_become_regions),
         cmocka_unit_test(vtk_fields_and_data_are_passed_over),
@@ -947,9 +1534,18 @@ int main(void)
         cmocka_unit_test(numbers_that_are_none_are_refused),
         cmocka_unit_test(malformed_gmsh_is_refused_with_its_line),
         cmocka_unit_test(malformed_vtk_is_refused_with_its_line),
+        cmocka_unit_test(malformed_gmsh_2_is_refused_with_its_line),
+        cmocka_unit_test(malformed_veg_is_refused_with_its_line),
+        cmocka_unit_test(malformed_tetgen_is_refused_with_file_and_line),
+        cmocka_unit_test(malformed_bytes_are_refused_with_their_place),
         cmocka_unit_test(other_data_is_refused),
         cmocka_unit_test(a_text_cut_anywhere_is_refused),
         cmocka_unit_test(damaged_texts_do_no_harm),
+        cmocka_unit_test(files_of_tetgen_cut_anywhere_are_refused),
+        cmocka_unit_test(physical_groups_of_gmsh_2_become_regions),
+        cmocka_unit_test(materials_of_vega_become_regions),
+        cmocka_unit_test(either_file_of_tetgen_names_both),
+        cmocka_unit_test(vega_includes_files_beside_it),
         cmocka_unit_test(a_mesh_comes_back_as_it_was_written),
         cmocka_unit_test(the_locale_changes_nothing),
         cmocka_unit_test(vtu_holds_positions_cells_and_fields),
@@ -959,7 +1555,6 @@ int main(void)
         cmocka_unit_test(a_file_with_a_fault_is_named_with_the_line),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(real_meshes_are_read),
-        cmocka_unit_test(real_meshes_of_other_formats_are_refused),
     };
     return run_all_tests(tests);
 }

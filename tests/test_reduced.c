@@ -290,6 +290,7 @@ static void newmark_in_all_modes_is_newmark_in_full_space(void **state)
         sfem_body *body = NULL;
         sfem_modal *b;
         body_def.integrator = SFEM_NEWMARK;
+        def.integrator = SFEM_MODAL_NEWMARK;
         body_def.beta = def.beta = parameter[k][0];
         body_def.gamma = def.gamma = parameter[k][1];
         body_def.alpha = 0.3;
@@ -412,6 +413,144 @@ static void the_exact_oscillator_is_exact_at_any_step(void **state)
 }
 
 /* no period error: free vibration is a cosine at any number of steps a period */
+/* Free motion of one mode obeys q2 = S q1 - E q0 from step to step: with the fitted mass and damping E is e^-ch,
+ * and of real roots S is exact, too, whatever h. What Newmark makes of a fast mode rings on. */
+static void fitted_oscillators_die_as_the_exact_ones(void **state)
+{
+    const sfem_int cells[3] = {1, 1, 1};
+    static const double omega_h[8] = {1e-2, 0.3, 1, 3, 30, 1e3, 1e4, 0};
+    static const double xi[6] = {1e-3, 0.02, 0.3, 0.999999, 1.5, 40};
+    scene s = make_bar(cells, 4, 1, -1, SFEM_LINEAR, NULL);
+    const double h = 0.01, f = 3;
+    int i, j, k;
+    (void)state;
+    for (i = 0; i < 8; ++i)
+        for (j = 0; j < 6; ++j) {
+            const double omega = omega_h[i] / h, c = omega > 0 ? 2 * xi[j] * omega : 2 * xi[j];
+            const double root = sqrt(fabs(c * c / 4 - omega * omega)) * h, half = c * h / 2;
+            sfem_reduced *r = one_oscillator(&s, omega * omega, c);
+            sfem_modal_def def = sfem_default_modal_def();
+            double q[5], q0 = 1, v0 = 0.1 * omega, load[3] = {0, 0, 0}, phi[3], most = 0;
+            double wanted, sum, left;
+            sfem_modal *b;
+            sfem_error err;
+            def.warp = SFEM_WARP_NONE;
+            assert_ok(sfem_modal_create(r, &def, &b, &err), err);
+            assert_ok(sfem_modal_set_coordinates(b, &q0, &v0, NULL, &err), err);
+            for (k = 0; k < 5; ++k) {
+                q[k] = sfem_modal_coordinates(b)[0];
+                most = fmax(most, fabs(q[k]));
+                step(b, h);
+            }
+            wanted = xi[j] < 1 && omega > 0
+                         ? 2 * exp(-half) * (1 - root * root / 4) / (1 + root * root / 4)
+                         : exp(-half + root) + exp(-half - root);
+            left = q[2] - wanted * q[1] + exp(-2 * half) * q[0];
+            assert_near(left, 0, 0, 1e-13 * most * fmax(1, omega_h[i]));
+            /* under a load at rest at f/omega^2, all the same */
+            if (omega > 0) {
+                sfem_reduced_node_modes(r, s.nodes - 1, phi, NULL);
+                for (k = 0; k < 3; ++k) load[k] = f * phi[k];
+                sum = phi[0] * load[0] + phi[1] * load[1] + phi[2] * load[2];
+                q0 = sum / (omega * omega), v0 = 0;
+                assert_ok(sfem_modal_add_node_force(b, s.nodes - 1, load, &err), err);
+                assert_ok(sfem_modal_set_coordinates(b, &q0, &v0, NULL, &err), err);
+                for (k = 0; k < 20; ++k) step(b, k < 10 ? h : 3 * h);
+                assert_near(sfem_modal_coordinates(b)[0], q0, 1e-9, 0);
+            }
+            sfem_modal_free(b);
+            sfem_reduced_free(r);
+        }
+    free_scene(&s);
+}
+
+/* A fast mode with a tenth of critical damping, pulled and let go: dead at once, whether the step stays or
+ * changes, whether it starts by itself or has been started for a step; but Newmark's rings on. */
+static void fast_damped_modes_do_not_ring(void **state)
+{
+    const sfem_int cells[3] = {1, 1, 1};
+    scene s = make_bar(cells, 4, 1, -1, SFEM_LINEAR, NULL);
+    const double h = 0.01, omega = 1e3 / h, c = 0.2 * omega;
+    sfem_reduced *r = one_oscillator(&s, omega * omega, c);
+    int kind, k;
+    (void)state;
+    for (kind = 0; kind < 5; ++kind) {
+        sfem_modal_def def = sfem_default_modal_def();
+        double q = 1, v = 0, left;
+        sfem_modal *b;
+        sfem_error err;
+        def.warp = SFEM_WARP_NONE;
+        if (kind == 0) def.integrator = SFEM_MODAL_NEWMARK;
+        if (kind > 2) def.h = h;
+        assert_ok(sfem_modal_create(r, &def, &b, &err), err);
+        assert_ok(sfem_modal_set_coordinates(b, &q, &v, NULL, &err), err);
+        if (kind > 1) sfem_modal_start(b); /* 2: for no step */
+        for (k = 0; k < 10; ++k) step(b, kind == 4 && k > 4 ? 2.7 * h : h);
+        left = fabs(sfem_modal_coordinates(b)[0]);
+        if (kind == 0)
+            assert_true(left > 0.9);
+        else
+            assert_true(left < 1e-12);
+        sfem_modal_free(b);
+    }
+    sfem_reduced_free(r);
+    free_scene(&s);
+}
+
+/* Driven within the step's reach, both are of second order, and alike for little damping; without any they are
+ * the same to the bit. (Fitted to its free motion, a mode of ratio 1 and more follows its load with twice the
+ * error, of what is little to begin with.) */
+static void fitted_oscillators_are_of_second_order(void **state)
+{
+    const sfem_int cells[3] = {1, 1, 1};
+    static const double xi[5] = {0, 0.05, 0.3, 1, 4};
+    scene s = make_bar(cells, 4, 1, -1, SFEM_LINEAR, NULL);
+    int i, kind, level, k;
+    (void)state;
+    for (i = 0; i < 5; ++i) {
+        const double omega = 10, c = 2 * xi[i] * omega;
+        sfem_reduced *r = one_oscillator(&s, omega * omega, c);
+        double off[2][3] = {{0}};
+        for (kind = 0; kind < 2; ++kind)
+            for (level = 0; level < 3; ++level) {
+                const int count = 100 << level; /* omega h from .3 to .075 */
+                sfem_modal_def def = sfem_default_modal_def();
+                sfem_modal *b[2];
+                double q0 = 1, v0 = -3, f[3] = {0, 0, 0};
+                sfem_error err;
+                def.warp = SFEM_WARP_NONE;
+                def.integrator = kind ? SFEM_MODAL_FITTED : SFEM_MODAL_NEWMARK;
+                assert_ok(sfem_modal_create(r, &def, &b[0], &err), err);
+                def.integrator = SFEM_MODAL_EXACT;
+                assert_ok(sfem_modal_create(r, &def, &b[1], &err), err);
+                for (k = 0; k < 2; ++k)
+                    assert_ok(sfem_modal_set_coordinates(b[k], &q0, &v0, NULL, &err), err);
+                for (k = 0; k < count * 8; ++k) { /* the exact one takes eight to one */
+                    f[2] = 300 * sin(7 * 3.0 * (k + 1) / (8 * count));
+                    assert_ok(sfem_modal_set_force(b[1], NULL, &err), err);
+                    assert_ok(sfem_modal_add_node_force(b[1], s.nodes - 1, f, &err), err);
+                    step(b[1], 3.0 / (8 * count));
+                    if (k % 8 != 7) continue;
+                    assert_ok(sfem_modal_set_force(b[0], NULL, &err), err);
+                    assert_ok(sfem_modal_add_node_force(b[0], s.nodes - 1, f, &err), err);
+                    step(b[0], 3.0 / count);
+                    off[kind][level] = fmax(off[kind][level], fabs(sfem_modal_coordinates(b[0])[0] -
+                                                                   sfem_modal_coordinates(b[1])[0]));
+                }
+                sfem_modal_free(b[0]);
+                sfem_modal_free(b[1]);
+            }
+        print_message("ratio %-4g  Newmark %.2e %.2e %.2e, fitted %.2e %.2e %.2e\n", xi[i], off[0][0],
+                      off[0][1], off[0][2], off[1][0], off[1][1], off[1][2]);
+        assert_near(off[1][1] / off[1][2], 4, 0.15, 0);
+        assert_true(off[1][2] < (xi[i] < 0.2 ? 1.1 : 3) * off[0][2]);
+
+        if (i == 0) assert_memory_equal(off[0], off[1], sizeof off[0]);
+        sfem_reduced_free(r);
+    }
+    free_scene(&s);
+}
+
 static void the_exact_oscillator_has_no_period_error(void **state)
 {
     scene s = make_beam(1);
@@ -873,9 +1012,9 @@ static void a_handle_holds_its_node_at_its_target(void **state)
     free_scene(&s[1]);
 }
 
-/* f_q = J^T l on the modes, -l on nodes, related by Phi^T Rt^T f (R, I); and what the modes feel is the
- * residual of their equation of motion. */
-static void the_force_of_a_handle_is_work_conjugate(void **state)
+/* With the source's rows f_q = J^T l on the modes, -l on nodes, related by Phi^T Rt^T f (R, I); and what
+ * the modes feel is the residual of their equation of motion. */
+static void the_force_of_a_frozen_handle_is_that_of_the_turned_nodes(void **state)
 {
     scene s = make_beam(1);
     const sfem_int region[3] = {97, 98, 96};
@@ -883,10 +1022,14 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
     int warp, i, j, k, c;
     (void)state;
     for (warp = 0; warp < 3; ++warp) {
-        sfem_modal *b = plain_modal(&s, (sfem_warp)warp);
+        sfem_modal_def def = sfem_default_modal_def();
+        sfem_modal *b;
         double x0[2][3], load[BEAM_MODES], got[2][BEAM_MODES], want[2][BEAM_MODES], f[2][3];
         sfem_int handle[2];
         sfem_error err;
+        def.warp = (sfem_warp)warp;
+        def.frozen_turns = 1;
+        b = make_modal(&s, &def);
         /* turned loads would have to be known at the end of the step */
         if (!warp) assert_ok(sfem_modal_set_gravity(b, g, &err), err);
         for (i = 0; i < 20; ++i) step(b, 0.01);
@@ -936,6 +1079,55 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
     free_scene(&s);
 }
 
+/* What a hand does to the modes is its force times the derivative of the place that it holds, which
+ * differences of that place give; in motion, too, it is what is missing in their equation. */
+static void the_force_of_a_handle_is_work_conjugate(void **state)
+{
+    scene s = make_beam(1);
+    const sfem_int region[3] = {97, 98, 96};
+    const double weight[3] = {0.5, 0.2, 0.3};
+    int warp, i, k, c;
+    (void)state;
+    for (warp = 0; warp < 3; ++warp) {
+        sfem_modal *b = plain_modal(&s, (sfem_warp)warp), *other = plain_modal(&s, (sfem_warp)warp);
+        double x0[3], f[3], got[BEAM_MODES], q[BEAM_MODES], x[2][3], size = 0;
+        sfem_int handle, probe;
+        sfem_error err;
+        assert_ok(sfem_modal_grab_region(b, 3, region, weight, &handle, &err), err);
+        assert_ok(sfem_modal_grab_region(other, 3, region, weight, &probe, &err), err);
+        sfem_modal_handle_position(b, handle, x0);
+        for (i = 1; i <= 100; ++i) {
+            move_by(b, handle, x0, -0.002 * i, 0.004 * i, 0.01 * i);
+            step(b, 0.01);
+            sfem_modal_handle_modal_force(b, handle, got);
+            for (k = 0; k < BEAM_MODES; ++k)
+                assert_near(sfem_modal_accelerations(b)[k] +
+                                s.modes.lambda[k] * sfem_modal_coordinates(b)[k],
+                            got[k], 1e-9, 1e-9);
+        }
+        assert_ok(sfem_modal_solve_static(b, NULL, &err), err);
+        sfem_modal_handle_force(b, handle, f);
+        sfem_modal_handle_modal_force(b, handle, got);
+        memcpy(q, sfem_modal_coordinates(b), sizeof q);
+        for (k = 0; k < BEAM_MODES; ++k) size = fmax(size, fabs(got[k]));
+        for (k = 0; k < BEAM_MODES; ++k) {
+            const double d = 1e-4, keep = q[k];
+            double want = 0;
+            for (i = 0; i < 2; ++i) {
+                q[k] = keep + (i ? d : -d);
+                assert_ok(sfem_modal_set_coordinates(other, q, NULL, NULL, &err), err);
+                sfem_modal_handle_position(other, probe, x[i]);
+            }
+            q[k] = keep;
+            for (c = 0; c < 3; ++c) want += f[c] * (x[1][c] - x[0][c]) / (2 * d);
+            assert_near(got[k], want, 0, 1e-8 * size); /* d^2, and rounding over d */
+        }
+        sfem_modal_free(other);
+        sfem_modal_free(b);
+    }
+    free_scene(&s);
+}
+
 /* Under turned loads, too, the error of Newmark and of the exact oscillators falls with the square of the step. */
 static void warped_motion_is_of_second_order(void **state)
 {
@@ -966,8 +1158,8 @@ static void warped_motion_is_of_second_order(void **state)
     free_scene(&s);
 }
 
-/* A body pulled slowly: the work of the handle's force on the modes is the change of energy, and where nothing
- * warps it is the work of the hand. (Warped, the node's displacement turns with q as well, which J leaves out.) */
+/* A body pulled slowly by a third of its length: the work of the hand, and of its force on the modes, is
+ * the change of energy. */
 static void the_work_of_a_hand_goes_into_the_body(void **state)
 {
     scene s = make_beam(1);
@@ -995,8 +1187,8 @@ static void the_work_of_a_hand_goes_into_the_body(void **state)
             memcpy(before, at, sizeof at);
             memcpy(q, sfem_modal_coordinates(b), sizeof q);
         }
-        assert_near(work, sfem_modal_get_info(b).elastic, 1e-4, 0);
-        if (!warp) assert_near(hand, sfem_modal_get_info(b).elastic, 1e-4, 0);
+        assert_near(hand, sfem_modal_get_info(b).elastic, 1e-5, 0);
+        assert_near(work, sfem_modal_get_info(b).elastic, 1e-5, 0);
         assert_true(hand > 0);
         sfem_modal_free(b);
     }
@@ -1057,6 +1249,47 @@ static void noisy_handles_are_eased_by_compliance(void **state)
     free_scene(&s);
 }
 
+/* The same noise in every step, however short: what it makes the body swing with does not grow as steps shrink.
+ * (Constraints hold noise at v = noise/h.) A free body, too. */
+static void noise_does_not_grow_as_steps_shrink(void **state)
+{
+    scene s[2];
+    int kind, level, i, k, c;
+    (void)state;
+    s[0] = make_beam(1);
+    s[1] = make_beam(0);
+    for (kind = 0; kind < 2; ++kind) {
+        double swing[3], omega = sqrt(sfem_reduced_get_info(s[kind].reduced).lambda[0]);
+        for (level = 0; level < 3; ++level) {
+            test_random random = {5};
+            const double h = 0.3 / omega * pow(0.1, level);
+            sfem_modal_def def = sfem_default_modal_def();
+            double x0[7][3];
+            sfem_int handle[7];
+            sfem_modal *b = make_modal(&s[kind], &def);
+            for (k = 0; k < 7; ++k) {
+                handle[k] = grab(b, s[kind].nodes - 1 - k);
+                sfem_modal_handle_position(b, handle[k], x0[k]);
+            }
+            for (swing[level] = 0, i = 0; i < 400; ++i) {
+                double noise[3];
+                for (k = 0; k < 7; ++k) {
+                    for (c = 0; c < 3; ++c) noise[c] = 0.001 * random_normal(&random);
+                    move_by(b, handle[k], x0[k], noise[0], noise[1], noise[2]);
+                }
+                step(b, h);
+                if (i >= 100) swing[level] += sfem_modal_get_info(b).kinetic / 300;
+            }
+            sfem_modal_free(b);
+        }
+        print_message("%s: kinetic energy %.3g, steps a tenth %.3g, a hundredth %.3g\n", kind ? "free" : "held",
+                      swing[0], swing[1], swing[2]);
+        assert_true(swing[1] < 10 * swing[0] && swing[2] < 10 * swing[0]);
+    }
+    free_scene(&s[0]);
+    free_scene(&s[1]);
+}
+
 /* far more rows than modes, nodes held several times and by targets that contradict, and a fixed one */
 static void handles_in_any_number_stay_finite(void **state)
 {
@@ -1113,7 +1346,8 @@ static void redundant_handles_without_compliance_are_finite(void **state)
 }
 
 /* accelerations of the grabbed node of a moving body: largest in the last fifth over the first */
-static double ringing(const scene *s, double beta, double gamma, sfem_modal_integrator integrator)
+static double ringing(const scene *s, double beta, double gamma, double compliance,
+                      sfem_modal_integrator integrator)
 {
     sfem_modal_def def = sfem_default_modal_def();
     double early = 0, late = 0, a[3], x[3];
@@ -1124,6 +1358,7 @@ static double ringing(const scene *s, double beta, double gamma, sfem_modal_inte
     def.warp = SFEM_WARP_NONE;
     def.handle_beta = beta;
     def.handle_gamma = gamma;
+    def.compliance = compliance;
     def.integrator = integrator;
     b = make_modal(s, &def);
     assert_ok(sfem_modal_add_node_force(b, 50, (const double[3]){0, 3000, 9000}, &err), err);
@@ -1148,13 +1383,17 @@ static double ringing(const scene *s, double beta, double gamma, sfem_modal_inte
 static void a_moving_node_that_is_grabbed_does_not_ring(void **state)
 {
     scene s = make_beam(1);
-    const double bad = ringing(&s, 0.25, 0.5, SFEM_MODAL_NEWMARK);
+    const double bad = ringing(&s, 0.25, 0.5, 0, SFEM_MODAL_NEWMARK);
+    int kind;
     (void)state;
-    print_message("|J q''| late over early: (1/4, 1/2) %.3g, default %.3g, exact %.3g\n", bad,
-                  ringing(&s, 0.3025, 0.6, SFEM_MODAL_NEWMARK),
-                  ringing(&s, 0.3025, 0.6, SFEM_MODAL_EXACT));
-    assert_true(ringing(&s, 0.3025, 0.6, SFEM_MODAL_NEWMARK) < 0.01);
-    assert_true(ringing(&s, 0.3025, 0.6, SFEM_MODAL_EXACT) < 0.01);
+    for (kind = 0; kind < 3; ++kind) { /* of that, 100 eps or so is what the hand itself gives */
+        const double tight = ringing(&s, 0.3025, 0.6, 1e-5, (sfem_modal_integrator)kind);
+        const double soft = ringing(&s, 0.3025, 0.6, 1e-4, (sfem_modal_integrator)kind);
+        print_message("|J q''| late over early: (1/4, 1/2), no hand %.3g; default %.3g, tighter %.3g\n",
+                      bad, soft, tight);
+        assert_true(tight < 0.01 && soft < 0.02);
+    }
+    assert_true(bad > 10);
     free_scene(&s);
 }
 
@@ -1483,6 +1722,9 @@ int main(void)
         cmocka_unit_test(damaged_blocks_are_refused),
         cmocka_unit_test(newmark_in_all_modes_is_newmark_in_full_space),
         cmocka_unit_test(the_exact_oscillator_is_exact_at_any_step),
+        cmocka_unit_test(fitted_oscillators_die_as_the_exact_ones),
+        cmocka_unit_test(fast_damped_modes_do_not_ring),
+        cmocka_unit_test(fitted_oscillators_are_of_second_order),
         cmocka_unit_test(the_exact_oscillator_has_no_period_error),
         cmocka_unit_test(a_receiver_integrates_accelerations),
         cmocka_unit_test(sleeping_modes_stay_within_the_tolerance_and_wake),
@@ -1493,10 +1735,12 @@ int main(void)
         cmocka_unit_test(a_bar_bent_too_far_is_told),
         cmocka_unit_test(gravity_in_groups_is_nearly_gravity_on_nodes),
         cmocka_unit_test(a_handle_holds_its_node_at_its_target),
+        cmocka_unit_test(the_force_of_a_frozen_handle_is_that_of_the_turned_nodes),
         cmocka_unit_test(the_force_of_a_handle_is_work_conjugate),
         cmocka_unit_test(the_work_of_a_hand_goes_into_the_body),
         cmocka_unit_test(warped_motion_is_of_second_order),
         cmocka_unit_test(noisy_handles_are_eased_by_compliance),
+        cmocka_unit_test(noise_does_not_grow_as_steps_shrink),
         cmocka_unit_test(handles_in_any_number_stay_finite),
         cmocka_unit_test(redundant_handles_without_compliance_are_finite),
         cmocka_unit_test(a_moving_node_that_is_grabbed_does_not_ring),
