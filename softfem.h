@@ -991,7 +991,7 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 
 /* linear body: 1/12 where every mode is resolved (omega_max h < 2), else 1/4; others as SFEM_P_SAFE */
 #define SFEM_P_AUTO (-1.0)
-/* 1/4 for a linear body; for others m = .28 if corotational, .45 neo-Hookean, 1/2 StVK, the largest of their tets':
+/* 1/4 for a linear body; for others m = .28 if corotational (.27 if it may break), 1/2 if it hardens:
  * margins for tangents that outgrow that at rest. Where a step resolves every mode or nearly, the mass is margin
  * enough, and p falls with W = h omega_max (of the free body at rest; found by the first body of a model that
  * may need it, the time of some 20 products with K) as m + .1 - 1/W^2, from m at W = 3.2 to 1/12 at W = 1.8: errors
@@ -11276,8 +11276,8 @@ done:
 static sfem_real sfemi_fem_margin(sfem_law law)
 {
     switch (law) {
-    case SFEM_COROTATIONAL: return 0.28;
-    case SFEM_NEOHOOKEAN: return 0.45;
+    case SFEM_COROTATIONAL: return 0.27;
+    case SFEM_NEOHOOKEAN: return 0.5;
     case SFEM_STVK: return 0.5;
     default: return 0.25;
     }
@@ -14385,7 +14385,7 @@ typedef struct sfemi_state {
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
     sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
     sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
-    sfem_real *spread;     /* [nodes][6] of the tets' rotations about Q, xx yy zz xy xz yz: there, too */
+    sfem_real *spread;     /* [nodes][3][3] Q - sum V_e R_e / V: there, too */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
@@ -14396,7 +14396,7 @@ typedef struct sfemi_state {
 /* reals a node: u, w, a and three loads; f, f_past, frame and spread besides; before */
 static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
 {
-    return ((turns ? 39 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
+    return ((turns ? 42 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
 }
 
 /* damage: how many bytes of it, 0 where the body cannot break */
@@ -14423,7 +14423,7 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->f_past = turns ? at + 7 * n : NULL;
     s->frame = turns ? at + 8 * n : NULL;
     s->spread = turns ? at + 11 * n : NULL;
-    s->before = sleeps ? at + (turns ? 13 : 6) * n : NULL;
+    s->before = sleeps ? at + (turns ? 14 : 6) * n : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
     s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
@@ -16368,13 +16368,26 @@ static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
     return sfemi_pqr_estimate_omega(b, b->mask, sfemi_pqr_element_bound(b->model), 1e-4, &b->omega_max, err);
 }
 
+/* Are steps lengthened, see >>guard? */
+static int sfemi_pqr_lengthens(const sfem_body *b)
+{
+    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns &&
+           !b->model->block_mass && !b->bonds;
+}
+
+/* The laws' own p, and a little for what lengthening takes. */
+static sfem_real sfemi_pqr_margin(const sfem_body *b)
+{
+    return sfemi_pqr_lengthens(b) ? fmin(0.5, b->model->margin + 0.01) : b->model->margin;
+}
+
 /* See SFEM_P_SAFE. Of 4 A >= h^2 K(u) the mass gives 4 r/W^2 to a mode of W: p may fall by as much, and the tangent
  * still outgrow that at rest as the laws' own p, m, allows where W is large. .1 is kept in hand, because slower
  * modes of turned bodies fail first: without it bars were redone at W = 6. Errors go with 12 p - 1. m itself
  * where A serves another purpose, too. */
 static sfem_status sfemi_pqr_keep_margin(const sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
 {
-    const sfem_real m = b->model->margin;
+    const sfem_real m = sfemi_pqr_margin(b);
     sfem_model *model = b->model;
     sfem_status status = SFEM_OK;
     sfem_real bound, omega;
@@ -16878,25 +16891,6 @@ typedef struct sfemi_frames {
     sfemi_polars_kernel kernel;
 } sfemi_frames;
 
-/* Are steps lengthened, see >>guard? */
-static int sfemi_turn_lengthens(const sfem_body *b)
-{
-    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns &&
-           !b->model->block_mass && !b->bonds;
-}
-
-/* 1 - the symmetric part of sum Q^T / V: of xx yy zz xy xz yz. */
-static void sfemi_turn_find_spread(const sfem_real s[9], const sfem_real q[9], sfem_real over, sfem_real spread[6])
-{
-    const sfem_real half = over / 2;
-    spread[0] = 1 - over * (s[0] * q[0] + s[1] * q[1] + s[2] * q[2]);
-    spread[1] = 1 - over * (s[3] * q[3] + s[4] * q[4] + s[5] * q[5]);
-    spread[2] = 1 - over * (s[6] * q[6] + s[7] * q[7] + s[8] * q[8]);
-    spread[3] = -half * (s[0] * q[3] + s[1] * q[4] + s[2] * q[5] + s[3] * q[0] + s[4] * q[1] + s[5] * q[2]);
-    spread[4] = -half * (s[0] * q[6] + s[1] * q[7] + s[2] * q[8] + s[6] * q[0] + s[7] * q[1] + s[8] * q[2]);
-    spread[5] = -half * (s[3] * q[6] + s[4] * q[7] + s[5] * q[8] + s[6] * q[3] + s[7] * q[4] + s[8] * q[5]);
-}
-
 static void sfemi_turn_some_frames(void *data, sfem_int index)
 {
     const sfemi_frames *job = (const sfemi_frames *)data;
@@ -16906,6 +16900,7 @@ static void sfemi_turn_some_frames(void *data, sfem_int index)
     const sfem_int count = nodes - first < SFEMI_NODE_TASK ? nodes - first : SFEMI_NODE_TASK;
     const size_t at = 9 * (size_t)first;
     sfem_int i;
+    int c;
     job->kernel(count, t->sum + at, t->over + first, t->fresh + at, t->trace + first);
     for (i = first; i < first + count; ++i) {
         const size_t k = 9 * (size_t)i;
@@ -16913,9 +16908,11 @@ static void sfemi_turn_some_frames(void *data, sfem_int index)
         if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
         else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
     }
-    for (i = first; job->spread && i < first + count; ++i)
-        sfemi_turn_find_spread(t->sum + 9 * (size_t)i, job->frame + 9 * (size_t)i, t->over[i],
-                               job->spread + 6 * (size_t)i);
+    for (i = first; job->spread && i < first + count; ++i) {
+        const sfem_real *q = job->frame + 9 * (size_t)i, *sum = t->sum + 9 * (size_t)i, over = t->over[i];
+        sfem_real *spread = job->spread + 9 * (size_t)i;
+        for (c = 0; c < 9; ++c) spread[c] = q[c] - over * sum[c];
+    }
 }
 
 /* The same with one rotation for each piece. */
@@ -16954,7 +16951,7 @@ static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
     }
     job.body = b;
     job.frame = frame;
-    job.spread = frame == b->state.frame && sfemi_turn_lengthens(b) ? b->state.spread : NULL;
+    job.spread = frame == b->state.frame && sfemi_pqr_lengthens(b) ? b->state.spread : NULL;
     job.kernel = sfemi_polars_pick();
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
 }
@@ -17088,13 +17085,13 @@ done:
  * (lambda + 2 mu) |G a|^2 a volume, as if the body were heavier by p h^2 times that. (With K = sum R k R^T of the
  * tets' own rotations in A, which knows no such thing, soft bars were measured at 1.04 to 1.08 of the error of
  * the trapezoidal rule, with the turned one at 1.4 to 2.2.) So A^-1 is taken in frames S Q, S = 1 + p h^2 c E/2:
- * E = 1 - sym(sum V_e R_e Q^T)/V, half a square of the angles between Q and the node's tets, about the axis
- * about which these differ, and c = (lambda + 2 mu)/rho over the mean square of the distance, along an axis, of
+ * E = 1 - sum V_e R_e Q^T/V, symmetric, half a square of the angles between Q and the node's tets, across the
+ * axis about which these differ, and c = (lambda + 2 mu)/rho over the mean square of the distance, along an axis, of
  * these tets from their centre (half of what the estimate says, which is measured to be best: unlike axes and
  * lateral strain). It is a function of the positions, which keeps the step the same backward in time and so makes
- * no energy: the same made of the last step's velocity or acceleration did, and cost 10 to 40 redone steps in
- * 480. It takes its part of the margin of p over 1/4, at most .03 (halves of S^2 - 1; of damping by K, that
- * A just bounds, less), fades where E tells of crumpling, and costs 1 to 2 % of a step. Mean error over that of
+ * no energy; what was tried with the last step's velocity or acceleration made errors up to ten times larger.
+ * It takes its part of the margin of p over 1/4, at most .03 (halves of S^2 - 1; of damping by K, that
+ * A just bounds, less), fades where E tells of crumpling, and costs 4 to 6 % of a step. Mean error over that of
  * the trapezoidal rule, seven bars of 7e4 to 1e6 Pa: at h = 1/60 1.77 without, 1.45 with it, at 1/120 1.57
  * and 1.21 (p as it was). A step of conjugate gradients toward sum R k R^T gains as much, for 15 %.
  * ============================================================================================ */
@@ -17177,7 +17174,7 @@ static void sfemi_guard_look(sfem_body *b)
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
-        memset(b->state.spread, 0, 6 * (size_t)b->model->mesh.nodes * sizeof *b->state.spread);
+        memset(b->state.spread, 0, 9 * (size_t)b->model->mesh.nodes * sizeof *b->state.spread);
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->state.frame);
         head->current = 1;
@@ -17431,16 +17428,14 @@ static void sfemi_guard_some_longer(void *data, sfem_int index)
     sfem_int i;
     int c;
     for (i = first; i < end; ++i) {
-        const sfem_real *e = b->state.spread + 6 * (size_t)i, *q = b->state.frame + 9 * (size_t)i;
-        const sfem_real trace = e[0] + e[1] + e[2], raw = job->scale * b->turn.heavy[i];
+        const sfem_real *e = b->state.spread + 9 * (size_t)i, *q = b->state.frame + 9 * (size_t)i;
+        const sfem_real trace = q[0] * e[0] + q[1] * e[1] + q[2] * e[2] + q[3] * e[3] + q[4] * e[4] + q[5] * e[5] +
+                                q[6] * e[6] + q[7] * e[7] + q[8] * e[8];
+        const sfem_real raw = job->scale * b->turn.heavy[i];
         sfem_real *to = b->turn.longer + 9 * (size_t)i, half;
         half = raw * trace > job->most ? job->most / trace / 2 : raw / 2;
         half = b->mask[i] || !(trace > 0 && trace < 0.25) ? 0 : half * (1 - 4 * trace); /* crumpled: not at all */
-        for (c = 0; c < 3; ++c) {
-            to[c] = q[c] + half * (e[0] * q[c] + e[3] * q[3 + c] + e[4] * q[6 + c]);
-            to[3 + c] = q[3 + c] + half * (e[3] * q[c] + e[1] * q[3 + c] + e[5] * q[6 + c]);
-            to[6 + c] = q[6 + c] + half * (e[4] * q[c] + e[5] * q[3 + c] + e[2] * q[6 + c]);
-        }
+        for (c = 0; c < 9; ++c) to[c] = q[c] + half * e[c];
     }
 }
 
@@ -17448,12 +17443,12 @@ static void sfemi_guard_some_longer(void *data, sfem_int index)
  * is 0; of damping of single tets the bound is not known. */
 static const sfem_real *sfemi_guard_lengthen(sfem_body *b)
 {
-    const sfem_real p = b->def.p < 0 ? fmax(b->p, b->model->margin) : b->p;
+    const sfem_real p = b->def.p < 0 ? fmax(b->p, sfemi_pqr_margin(b)) : b->p;
     sfemi_longer job;
     job.body = b;
     job.most = 2 * fmin(0.03, p - 0.25) / (1 + 2 * b->beta / b->step);
     job.scale = b->p * b->step * b->step;
-    if (!(job.most > 0) || b->renewal.live || b->zd || !sfemi_turn_lengthens(b)) return b->state.frame;
+    if (!(job.most > 0) || b->renewal.live || b->zd || !sfemi_pqr_lengthens(b)) return b->state.frame;
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_guard_some_longer, &job);
     return b->turn.longer;
 }

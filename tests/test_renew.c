@@ -151,7 +151,7 @@ static void a_factor_is_swapped_whole_after_the_counted_steps(void **state)
         int k, wanted;
         old = s;
         add_body(&s, soft(1), 1);
-        add_body(&old, soft(0), 1);
+        add_body(&old, soft(1), 1); /* of the same p, and never asked */
         run(s.body, 10);
         run(old.body, 10);
         renew(s.body);
