@@ -1112,8 +1112,9 @@ SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
  * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
- * a loop, the only function that allocates; set_pins and solve_static do, too. sfem_body_step calls it
- * where it has to. Where Newton's matrix changes, what is made serves steps of any length.
+ * a loop, the only function that allocates; set_pins and solve_static do, too, and, unless no_allocation
+ * has it all made here, the first step that is done again. sfem_body_step calls it where it has to. Where
+ * Newton's matrix changes, what is made serves steps of any length.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
