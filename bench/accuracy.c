@@ -32,13 +32,17 @@ static void row(double expected, double found, double tolerance, const char *for
     va_start(list, format);
     vsnprintf(text, sizeof text, format, list);
     va_end(list);
-    printf("%-78s %11.5g %11.5g %9.1e  %s\n", text, expected, found, tolerance, passed ? "ok" : "FAILS");
+    printf("%-78s %11.5g %11.5g %9.1e  %s\n", text, expected, found, tolerance,
+           passed ? "ok" : "FAILS");
     fflush(stdout);
     ++rows;
     failures += !passed;
 }
 
-static void title(const char *text) { printf("\n%-78s %11s %11s %9s\n", text, "expected", "found", "within"); }
+static void title(const char *text)
+{
+    printf("\n%-78s %11s %11s %9s\n", text, "expected", "found", "within");
+}
 
 static double uniform(uint64_t *state, double low, double high) /* splitmix64 */
 {
@@ -67,7 +71,8 @@ static sfem_material material(sfem_law law, double young, double poisson)
     return m;
 }
 
-static bar make_bar(int nx, int ny, double length, double width, sfem_material m, sfem_mass mass, double jitter)
+static bar make_bar(int nx, int ny, double length, double width, sfem_material m, sfem_mass mass,
+                    double jitter)
 {
     const sfem_int cells[3] = {nx, ny, ny};
     const sfem_real size[3] = {length, width, width};
@@ -197,8 +202,8 @@ static void patches(void)
     int law;
     title("patch test, ball of 180 distorted tets");
     for (law = 0; law < 4; ++law)
-        row(0, patch((sfem_law)law), 1e-11, "%s: error inside, of the largest displacement%s", law_name[law],
-            law ? ", strains of 20 %" : "");
+        row(0, patch((sfem_law)law), 1e-11, "%s: error inside, of the largest displacement%s",
+            law_name[law], law ? ", strains of 20 %" : "");
 }
 
 /* Deflection of the end of a bar under a load there, spread as the mass of the end face. */
@@ -223,7 +228,8 @@ static double deflection(int n, double nu)
     bench_must(sfem_body_set_force(body, force, &err), &err);
     bench_must(sfem_body_solve_static(body, &err), &err);
     for (i = 0; i < b.n; ++i) /* work of the load: the mean weighted by it */
-        mean += force[3 * i + 2] * sfem_body_displacement(body)[3 * i + 2], share += force[3 * i + 2];
+        mean += force[3 * i + 2] * sfem_body_displacement(body)[3 * i + 2],
+            share += force[3 * i + 2];
     sfem_body_free(body);
     sfem_surface_free(&surface);
     drop(&b);
@@ -237,7 +243,8 @@ static double column(int cells)
 {
     const sfem_int n[3] = {1, 1, cells};
     const sfem_real size[3] = {0.5, 0.6, 2};
-    const double lame = 1e5 * 0.3 / (1.3 * 0.4) + 1e5 / 1.3, exact = pow(1000 * 9.81, 2) * 8 * 0.3 / (6 * lame);
+    const double lame = 1e5 * 0.3 / (1.3 * 0.4) + 1e5 / 1.3,
+                 exact = pow(1000 * 9.81, 2) * 8 * 0.3 / (6 * lame);
     sfem_model_def model_def = sfem_default_model_def();
     sfem_body_def def = sfem_default_body_def();
     sfem_int pins[400], i;
@@ -303,10 +310,11 @@ static void space(void)
     title("order in space");
     for (k = 0; k < 4; ++k) e[k] = column(4 << k);
     for (k = 1; k < 4; ++k)
-        row(2, log2(e[k - 1] / e[k]), 0.02, "column under its weight, %d to %d layers: order of the energy", 2 << k,
-            4 << k);
+        row(2, log2(e[k - 1] / e[k]), 0.02,
+            "column under its weight, %d to %d layers: order of the energy", 2 << k, 4 << k);
     for (k = 0; k < 4; ++k) d[k] = deflection(2 << k, 0.3);
-    for (k = 2; k < 4; ++k) /* it bends too stiffly by a term in h^2; the edges of the clamp are singular */
+    for (k = 2; k < 4;
+         ++k) /* it bends too stiffly by a term in h^2; the edges of the clamp are singular */
         row(2, log2((1 / d[k - 2] - 1 / d[k - 1]) / (1 / d[k - 1] - 1 / d[k])), 0.25,
             "cantilever 4 x 1 x 1, %d^2 to %d^2 cells: order of the stiffness", 1 << k, 2 << k);
     row(1, 1 / ((4 / d[3] - 1 / d[2]) / 3 * beam), 0.02,
@@ -316,15 +324,18 @@ static void space(void)
         for (k = 0; k < 3; ++k) e[k] = fabs(omega[k][0] / (PI / 2 * sqrt(1e6 / 1000)) - 1);
         row(2, log2(e[1] / e[2]), 0.05, "bar along x, clamped, %s mass: order of the lowest omega",
             mass ? "consistent" : "lumped");
-        row(1, omega[2][0] / (PI / 2 * sqrt(1e6 / 1000)), 1e-3, "    omega over pi/2 sqrt(Y/rho)/L, 32 x 8 x 8 cells");
+        row(1, omega[2][0] / (PI / 2 * sqrt(1e6 / 1000)), 1e-3,
+            "    omega over pi/2 sqrt(Y/rho)/L, 32 x 8 x 8 cells");
     }
     for (k = 0; k < 3; ++k) frequencies(2 << k, SFEM_MASS_CONSISTENT, 0, 4, omega[k]);
     { /* Euler, Bernoulli; Timoshenko's shear and rotary inertia take 2.1 and 11 % at L/d = 8 */
         const double euler = 1.875104 * 1.875104 * sqrt(1e6 / 12 / 1000) / 64;
         const double slender = 1 - 1.875104 * 1.875104 / (2 * 64 * 12) * (1 + 2 / 0.85) * 1.75;
         const double found = omega[2][0] + (omega[2][0] - omega[1][0]) / 3;
-        row(slender, found / euler, 0.01, "bending of 8 x 1 x 1, extrapolated, over Euler's, with Timoshenko's terms");
-        row(0, omega[2][1] / omega[2][0] - 1, 0.02, "    the second of the pair, over the first, less 1");
+        row(slender, found / euler, 0.01,
+            "bending of 8 x 1 x 1, extrapolated, over Euler's, with Timoshenko's terms");
+        row(0, omega[2][1] / omega[2][0] - 1, 0.02,
+            "    the second of the pair, over the first, less 1");
     }
 }
 
@@ -335,14 +346,16 @@ static void completeness(void)
     double worst = 0, backward = 0;
     int n, missed = 0, proved = 0, pairs = 0;
     title("completeness of the modes: square bars, 14 sizes, free, 24 modes");
-    cell_kind = SFEM_CELL_5_TETS; /* a quarter turn about the axis is nearly, or quite, a symmetry */
+    cell_kind =
+        SFEM_CELL_5_TETS; /* a quarter turn about the axis is nearly, or quite, a symmetry */
     for (n = 4; n < 18; ++n) {
         sfem_modes_def def = sfem_default_modes_def();
         sfem_modes lanczos, dense;
         sfem_error err;
         bar b;
         int k;
-        b = make_bar(n, 1 + n % 2, 0.1 * n, 0.1 * (1 + n % 2), material(SFEM_LINEAR, 1e6, 0.3), SFEM_MASS_LUMPED, 0);
+        b = make_bar(n, 1 + n % 2, 0.1 * n, 0.1 * (1 + n % 2), material(SFEM_LINEAR, 1e6, 0.3),
+                     SFEM_MASS_LUMPED, 0);
         def.modes = 24;
         def.rigid = 1;
         bench_must(sfem_modes_create(b.model, &def, &lanczos, &err), &err);
@@ -471,8 +484,9 @@ static void orders(void)
     title("order in time, by halving the step");
     for (k = 0; k < sizeof methods / sizeof *methods; ++k)
         for (law = 0; law < 4; ++law)
-            row(methods[k].order, time_order(&methods[k], (sfem_law)law, methods[k].order > 1 ? 0.2 : 0.02, 200), 0.15, "%s, %s", methods[k].name,
-                law_name[law]);
+            row(methods[k].order,
+                time_order(&methods[k], (sfem_law)law, methods[k].order > 1 ? 0.2 : 0.02, 200),
+                0.15, "%s, %s", methods[k].name, law_name[law]);
     row(4, fourth_order(), 0.15, "(1/12,1,1) with its start, linear");
 }
 
@@ -480,11 +494,13 @@ static void orders(void)
 
 /* One tet, three nodes of it held and the fourth on a line: one oscillator. From its free swing q+ = 2 eps q -
  * sigma q-, past what other roots leave. */
-static void spectrum(sfem_body_def def, double omega_h, double *radius, double *period, double *damping)
+static void spectrum(sfem_body_def def, double omega_h, double *radius, double *period,
+                     double *damping)
 {
     sfem_real x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0.2, 0.3, 1};
     sfem_int tet[4] = {0, 1, 2, 3}, pins[4] = {0, 1, 2, 3};
-    const unsigned char axes[4] = {SFEM_AXIS_ALL, SFEM_AXIS_ALL, SFEM_AXIS_ALL, SFEM_AXIS_X | SFEM_AXIS_Y};
+    const unsigned char axes[4] = {SFEM_AXIS_ALL, SFEM_AXIS_ALL, SFEM_AXIS_ALL,
+                                   SFEM_AXIS_X | SFEM_AXIS_Y};
     sfem_model_def model_def = sfem_default_model_def();
     double q[4] = {0, 0, 0, 0}, u[12] = {0}, k[12], omega, eps, sigma, angle, det;
     sfem_model *model;
@@ -555,7 +571,8 @@ static void spectra(void)
             def.p = of[k].p;
             spectrum(def, j ? 1 : 0.5, &found[0], &found[1], &found[2]);
             for (i = 0; i < 3; ++i)
-                row(of[k].value[j][i], found[i], digits, "%s, Omega = %g: %s", of[k].name, j ? 1 : 0.5, what[i]);
+                row(of[k].value[j][i], found[i], digits, "%s, Omega = %g: %s", of[k].name,
+                    j ? 1 : 0.5, what[i]);
         }
 }
 
@@ -587,7 +604,8 @@ static double pqr_against_newmark(double p, int damped)
             bench_must(sfem_body_set_force(body[k], f, &err), &err);
             run(body[k], 0.02, 1);
         }
-        worst = fmax(worst, distance(sfem_body_displacement(body[0]), sfem_body_displacement(body[1]), 3 * b.n));
+        worst = fmax(worst, distance(sfem_body_displacement(body[0]),
+                                     sfem_body_displacement(body[1]), 3 * b.n));
         scale = fmax(scale, norm(sfem_body_displacement(body[1]), 3 * b.n));
     }
     for (k = 0; k < 2; ++k) sfem_body_free(body[k]);
@@ -654,7 +672,8 @@ static void tumble(sfem_law law, double *linear, double *angular)
                 w[c] = mass[i] * (sfem_body_displacement(body)[3 * i + c] - before[3 * i + c]) / h;
                 p[at][c] += w[c];
             }
-            for (c = 0; c < 3; ++c) l[at][c] += x[(c + 1) % 3] * w[(c + 2) % 3] - x[(c + 2) % 3] * w[(c + 1) % 3];
+            for (c = 0; c < 3; ++c)
+                l[at][c] += x[(c + 1) % 3] * w[(c + 2) % 3] - x[(c + 2) % 3] * w[(c + 1) % 3];
         }
     }
     *linear = distance(p[0], p[1], 3) / norm(p[0], 3);
@@ -671,15 +690,19 @@ static void identities(void)
     int k, law;
     title("identities");
     for (k = 0; k < 6; ++k)
-        row(0, pqr_against_newmark(p[k % 3], k / 3), 1e-11, "(%g,1,1) - Newmark(%g, 1/2), changing load%s", p[k % 3],
-            p[k % 3], k / 3 ? ", Rayleigh damping" : "");
+        row(0, pqr_against_newmark(p[k % 3], k / 3), 1e-11,
+            "(%g,1,1) - Newmark(%g, 1/2), changing load%s", p[k % 3], p[k % 3],
+            k / 3 ? ", Rayleigh damping" : "");
     title("drift, of the energy in motion, undamped");
-    row(0, drift(SFEM_PQR, 0.25, SFEM_LINEAR, 0.01, 10000), 1e-11, "(1/4,1,1), linear, 10 000 steps");
-    row(0, drift(SFEM_PQR, 0.27, SFEM_LINEAR, 0.01, 10000), 1e-11, "(.27,1,1), linear, 10 000 steps");
-    row(0, drift(SFEM_NEWMARK, 0.25, SFEM_LINEAR, 0.01, 10000), 1e-11, "trapezoidal, linear, 10 000 steps");
+    row(0, drift(SFEM_PQR, 0.25, SFEM_LINEAR, 0.01, 10000), 1e-11,
+        "(1/4,1,1), linear, 10 000 steps");
+    row(0, drift(SFEM_PQR, 0.27, SFEM_LINEAR, 0.01, 10000), 1e-11,
+        "(.27,1,1), linear, 10 000 steps");
+    row(0, drift(SFEM_NEWMARK, 0.25, SFEM_LINEAR, 0.01, 10000), 1e-11,
+        "trapezoidal, linear, 10 000 steps");
     for (law = 1; law < 4; ++law) /* of the order of Omega^2 times the strain; it must not grow */
-        row(0, drift(SFEM_PQR, SFEM_P_SAFE, (sfem_law)law, 0.005, 10000), 0.02, "the default, %s, 10 000 steps",
-            law_name[law]);
+        row(0, drift(SFEM_PQR, SFEM_P_SAFE, (sfem_law)law, 0.005, 10000), 0.02,
+            "the default, %s, 10 000 steps", law_name[law]);
     for (law = 1; law < 4; ++law) {
         double linear, angular;
         tumble((sfem_law)law, &linear, &angular);
@@ -731,8 +754,8 @@ static void warping(void)
             bench_must(sfem_modal_set_force(modal, force, &err), &err);
             bench_must(sfem_modal_solve_static(modal, NULL, &err), &err);
             sfem_modal_displacements(modal, view, u);
-            row(error[k][w], distance(u, exact, 3 * b.n) / sqrt((double)b.n), k == 2 && w < 2 ? 5.1e-3 : 5.1e-4,
-                "    RMS error, %s", name[w]);
+            row(error[k][w], distance(u, exact, 3 * b.n) / sqrt((double)b.n),
+                k == 2 && w < 2 ? 5.1e-3 : 5.1e-4, "    RMS error, %s", name[w]);
             sfem_modal_free(modal);
         }
     }
@@ -750,7 +773,8 @@ static void warping(void)
 /* A bar pulled apart slowly, well damped, at the ends: what its crack was booked at, over Gc times its section. */
 static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
 {
-    bar b = make_bar(3 * n, n, 0.3, 0.1, material(SFEM_COROTATIONAL, 1e7, 0.3), SFEM_MASS_LUMPED, 0);
+    bar b =
+        make_bar(3 * n, n, 0.3, 0.1, material(SFEM_COROTATIONAL, 1e7, 0.3), SFEM_MASS_LUMPED, 0);
     sfem_damage_def damage = sfem_default_damage_def();
     sfem_body_def def = sfem_default_body_def();
     sfem_int *pins = (sfem_int *)malloc((size_t)b.n * sizeof *pins), count = 0, i;
@@ -760,9 +784,11 @@ static double pulled_apart(int n, sfem_damage_criterion criterion, int *pieces)
     int k;
     for (i = 0; i < b.n; ++i)
         if (b.mesh.x[3 * i] < 1e-9 || b.mesh.x[3 * i] > 0.3 - 1e-9) pins[count++] = i;
-    for (i = 0; i < b.mesh.tets; ++i) { /* tougher but in the middle third, so that one crack does it */
+    for (i = 0; i < b.mesh.tets;
+         ++i) { /* tougher but in the middle third, so that one crack does it */
         const sfem_int *t = b.mesh.tet + 4 * i;
-        const double middle = (b.mesh.x[3 * t[0]] + b.mesh.x[3 * t[1]] + b.mesh.x[3 * t[2]] + b.mesh.x[3 * t[3]]) / 4;
+        const double middle =
+            (b.mesh.x[3 * t[0]] + b.mesh.x[3 * t[1]] + b.mesh.x[3 * t[2]] + b.mesh.x[3 * t[3]]) / 4;
         tougher[i] = fabs(middle - 0.15) < 0.05 ? 1 : 10;
     }
     damage.tet_factor = tougher;
@@ -823,7 +849,8 @@ static double crossed_areas(const sfem_mesh *mesh, double at)
  * *areas: the dual areas of the edges that it crosses. */
 static double cut_apart(int n, double *areas)
 {
-    bar b = make_bar(3 * n, n, 0.3, 0.1, material(SFEM_COROTATIONAL, 1e7, 0.3), SFEM_MASS_LUMPED, 0);
+    bar b =
+        make_bar(3 * n, n, 0.3, 0.1, material(SFEM_COROTATIONAL, 1e7, 0.3), SFEM_MASS_LUMPED, 0);
     sfem_damage_def damage = sfem_default_damage_def();
     sfem_body_def def = sfem_default_body_def();
     const double at = 0.15 + 0.05 / n / 2.2;
@@ -863,17 +890,19 @@ static void fracture(void)
         booked[k] = pulled_apart(cells[k], SFEM_BREAK_ENERGY, &pieces);
         strength[k] = pulled_apart(cells[k], SFEM_BREAK_STRESS, &pieces);
     }
-    row(1, booked[2] / booked[1], 0.15, "bar pulled apart in motion, by energy, 6^2 cells over 4^2 (%.3f, %.3f)",
-        booked[2], booked[1]);
+    row(1, booked[2] / booked[1], 0.15,
+        "bar pulled apart in motion, by energy, 6^2 cells over 4^2 (%.3f, %.3f)", booked[2],
+        booked[1]);
     printf("    (2^2 cells: %.3f)\n", booked[0]);
-    printf("    (by strength %.3f %.3f %.3f: the source's choice, not independent of the mesh)\n", strength[0],
-           strength[1], strength[2]);
+    printf("    (by strength %.3f %.3f %.3f: the source's choice, not independent of the mesh)\n",
+           strength[0], strength[1], strength[2]);
 }
 
 /* ---- CalculiX ---- */
 
 /* Numbers of at most twenty characters: more it does not read. */
-static int ccx_write(const char *name, const bar *b, const double *force, double young, double nu, int finite)
+static int ccx_write(const char *name, const bar *b, const double *force, double young, double nu,
+                     int finite)
 {
     char path[320];
     FILE *f;
@@ -889,14 +918,19 @@ static int ccx_write(const char *name, const bar *b, const double *force, double
     fprintf(f, "*ELEMENT, TYPE=C3D4, ELSET=BODY\n");
     for (i = 0; i < b->mesh.tets; ++i)
         fprintf(f, "%d, %d, %d, %d, %d\n", (int)i + 1, (int)b->mesh.tet[4 * i] + 1,
-                (int)b->mesh.tet[4 * i + 1] + 1, (int)b->mesh.tet[4 * i + 2] + 1, (int)b->mesh.tet[4 * i + 3] + 1);
+                (int)b->mesh.tet[4 * i + 1] + 1, (int)b->mesh.tet[4 * i + 2] + 1,
+                (int)b->mesh.tet[4 * i + 3] + 1);
     fprintf(f, "*BOUNDARY\n");
     for (i = 0; i < b->pin_count; ++i) fprintf(f, "%d, 1, 3\n", (int)b->pins[i] + 1);
-    fprintf(f, "*MATERIAL, NAME=M\n*ELASTIC\n%.16g, %.16g\n*SOLID SECTION, ELSET=BODY, MATERIAL=M\n", young, nu);
-    fprintf(f, "*STEP%s\n*STATIC\n%s*CLOAD\n", finite ? ", NLGEOM, INC=1000" : "", finite ? "0.1, 1.0\n" : "");
+    fprintf(f,
+            "*MATERIAL, NAME=M\n*ELASTIC\n%.16g, %.16g\n*SOLID SECTION, ELSET=BODY, MATERIAL=M\n",
+            young, nu);
+    fprintf(f, "*STEP%s\n*STATIC\n%s*CLOAD\n", finite ? ", NLGEOM, INC=1000" : "",
+            finite ? "0.1, 1.0\n" : "");
     for (i = 0; i < b->n; ++i)
         for (c = 0; c < 3; ++c)
-            if (force[3 * i + c] != 0) fprintf(f, "%d, %d, %.12g\n", (int)i + 1, c + 1, force[3 * i + c]);
+            if (force[3 * i + c] != 0)
+                fprintf(f, "%d, %d, %.12g\n", (int)i + 1, c + 1, force[3 * i + c]);
     fprintf(f, "*NODE PRINT, NSET=ALL%s\nU\n*END STEP\n", finite ? ", FREQUENCY=1000" : "");
     return fclose(f) == 0;
 }
@@ -912,7 +946,8 @@ static int ccx_read(const char *name, sfem_int n, double *u)
     while (fgets(line, sizeof line, f)) {
         int node;
         double x[3];
-        if (sscanf(line, "%d %lf %lf %lf", &node, x, x + 1, x + 2) != 4 || node < 1 || node > n) continue;
+        if (sscanf(line, "%d %lf %lf %lf", &node, x, x + 1, x + 2) != 4 || node < 1 || node > n)
+            continue;
         memcpy(u + 3 * (node - 1), x, sizeof x);
         ++read; /* of several increments the last stays */
     }
@@ -925,12 +960,14 @@ static void calculix(void)
     int finite;
     title("statics against CalculiX, C3D4 elements (it prints seven digits)");
     if (system("command -v ccx >/dev/null 2>&1")) {
-        printf("    not compared: there is no ccx here; to have it: apt-get install calculix-ccx\n");
+        printf(
+            "    not compared: there is no ccx here; to have it: apt-get install calculix-ccx\n");
         return;
     }
     for (finite = 0; finite < 2; ++finite) {
         const char *name = "build/scratch_ccx";
-        bar b = make_bar(8, 3, 0.8, 0.3, material(finite ? SFEM_STVK : SFEM_LINEAR, 1e6, 0.3), SFEM_MASS_LUMPED, 0.01);
+        bar b = make_bar(8, 3, 0.8, 0.3, material(finite ? SFEM_STVK : SFEM_LINEAR, 1e6, 0.3),
+                         SFEM_MASS_LUMPED, 0.01);
         double *force = reals(3 * b.n), *u = reals(3 * b.n);
         sfem_body_def def = sfem_default_body_def();
         uint64_t random = 9;
@@ -948,8 +985,10 @@ static void calculix(void)
         bench_must(sfem_body_solve_static(body, &err), &err);
         if (mkdtemp(directory)) name = directory;
         snprintf(path, sizeof path, "%s/bar", name);
-        snprintf(command, sizeof command, "cd '%s' && OMP_NUM_THREADS=1 ccx bar >bar.log 2>&1", name);
-        if (!ccx_write(path, &b, force, 1e6, 0.3, finite) || system(command) || !ccx_read(path, b.n, u))
+        snprintf(command, sizeof command, "cd '%s' && OMP_NUM_THREADS=1 ccx bar >bar.log 2>&1",
+                 name);
+        if (!ccx_write(path, &b, force, 1e6, 0.3, finite) || system(command) ||
+            !ccx_read(path, b.n, u))
             row(0, NAN, 0, "CalculiX gave no answer");
         else
             row(0, distance(u, sfem_body_displacement(body), 3 * b.n) / norm(u, 3 * b.n), 1e-6,

@@ -30,7 +30,8 @@ static void uncounted(void *memory, void *user)
     free(memory);
 }
 
-static sfem_body *make_body(sfem_model *model, sfem_int pin_count, sfem_precision precision, double h)
+static sfem_body *make_body(sfem_model *model, sfem_int pin_count, sfem_precision precision,
+                            double h)
 {
     sfem_int *pins = (sfem_int *)ex_new((size_t)pin_count, sizeof *pins), i;
     sfem_body_def def = sfem_default_body_def();
@@ -137,7 +138,8 @@ static result measure(const sfem_int cells[3], int repeats)
 static void print_ceiling(void)
 {
     const size_t n = 8u << 20;
-    double *a = (double *)ex_new(n, sizeof *a), *b = (double *)ex_new(n, sizeof *b), t[2][5], x[16], sum = 0;
+    double *a = (double *)ex_new(n, sizeof *a), *b = (double *)ex_new(n, sizeof *b), t[2][5], x[16],
+           sum = 0;
     size_t i;
     int k, j;
     for (k = 0; k < 5; ++k) {
@@ -152,7 +154,8 @@ static void print_ceiling(void)
         for (j = 0; j < 16; ++j) sum += x[j];
     }
     printf("ceiling: memory %.1f GB/s, multiply-add as compiled here %.1f GFLOP/s%s\n",
-           24e-9 * (double)n / bench_median(t[0], 5), 32e-9 * 20000000 / bench_median(t[1], 5), sum > 1e300 ? " " : "");
+           24e-9 * (double)n / bench_median(t[0], 5), 32e-9 * 20000000 / bench_median(t[1], 5),
+           sum > 1e300 ? " " : "");
     free(a);
     free(b);
 }
@@ -173,7 +176,7 @@ static void print_machine(void)
 
 int main(int argc, char **argv)
 {
-    static const sfem_int cells[][3] = {{12, 3, 3},    {20, 5, 5},    {28, 7, 7},
+    static const sfem_int cells[][3] = {{12, 3, 3},   {20, 5, 5},   {28, 7, 7},
                                         {40, 10, 10}, {56, 14, 14}, {80, 20, 20}};
     const int quick = argc > 1 && !strcmp(argv[1], "--quick");
     const long largest = argc > 1 && !quick ? atol(argv[1]) : quick ? 2500 : 54880;
@@ -182,27 +185,32 @@ int main(int argc, char **argv)
     ex_make_directory("build/bench");
     csv = ex_open("build/bench/bench.csv");
     print_machine();
-    printf("\n%7s %7s | %8s %8s %8s %8s | %8s %8s %8s %8s %8s | %8s %7s %7s %7s\n", "tets", "dofs", "mesh ms",
-           "model ms", "first ms", "again ms", "predict", "solve us", "finish", "step us", "mixed us", "nnz(L)",
-           "model", "factor", "body MB");
-    fprintf(csv, "tets,dofs,mesh_ms,model_ms,first_ms,again_ms,predict_us,solve_us,finish_us,step_us,mixed_us,"
+    printf("\n%7s %7s | %8s %8s %8s %8s | %8s %8s %8s %8s %8s | %8s %7s %7s %7s\n", "tets", "dofs",
+           "mesh ms", "model ms", "first ms", "again ms", "predict", "solve us", "finish",
+           "step us", "mixed us", "nnz(L)", "model", "factor", "body MB");
+    fprintf(csv, "tets,dofs,mesh_ms,model_ms,first_ms,again_ms,predict_us,solve_us,finish_us,step_"
+                 "us,mixed_us,"
                  "nnz,model_mb,factor_mb,body_mb\n");
     for (i = 0; i < sizeof cells / sizeof *cells; ++i) {
         const long tets = 5L * cells[i][0] * cells[i][1] * cells[i][2];
         result r;
         if (tets > largest) break;
         r = measure(cells[i], tets > 100000 ? 3 : tets > 10000 ? 7 : REPEATS);
-        printf("%7d %7d | %8.3f %8.3f %8.3f %8.3f | %8.1f %8.1f %8.1f %8.1f %8.1f | %8.3g %7.2f %7.2f %7.2f\n",
+        printf("%7d %7d | %8.3f %8.3f %8.3f %8.3f | %8.1f %8.1f %8.1f %8.1f %8.1f | %8.3g %7.2f "
+               "%7.2f %7.2f\n",
                (int)r.tets, (int)r.dofs, 1e3 * r.mesh, 1e3 * r.model, 1e3 * r.first, 1e3 * r.again,
-               1e6 * r.predict, 1e6 * r.solve, 1e6 * r.finish, 1e6 * r.step, 1e6 * r.mixed, r.nnz, r.model_mb,
-               r.factor_mb, r.body_mb);
+               1e6 * r.predict, 1e6 * r.solve, 1e6 * r.finish, 1e6 * r.step, 1e6 * r.mixed, r.nnz,
+               r.model_mb, r.factor_mb, r.body_mb);
         fflush(stdout);
-        fprintf(csv, "%d,%d,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g\n", (int)r.tets, (int)r.dofs, 1e3 * r.mesh,
-                1e3 * r.model, 1e3 * r.first, 1e3 * r.again, 1e6 * r.predict, 1e6 * r.solve, 1e6 * r.finish,
-                1e6 * r.step, 1e6 * r.mixed, r.nnz, r.model_mb, r.factor_mb, r.body_mb);
+        fprintf(csv, "%d,%d,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g,%g\n", (int)r.tets, (int)r.dofs,
+                1e3 * r.mesh, 1e3 * r.model, 1e3 * r.first, 1e3 * r.again, 1e6 * r.predict,
+                1e6 * r.solve, 1e6 * r.finish, 1e6 * r.step, 1e6 * r.mixed, r.nnz, r.model_mb,
+                r.factor_mb, r.body_mb);
     }
     ex_close(csv, "build/bench/bench.csv");
-    printf("\nfirst: the first body's ordering, analysis and factor; again: a factor on the same analysis.\n"
-           "model memory is all that its creation asked for, scratch included. wrote build/bench/bench.csv\n");
+    printf("\nfirst: the first body's ordering, analysis and factor; again: a factor on the same "
+           "analysis.\n"
+           "model memory is all that its creation asked for, scratch included. wrote "
+           "build/bench/bench.csv\n");
     return 0;
 }

@@ -171,7 +171,8 @@ static outcome arpack(const matrices *m, int modes, double bound, cholmod_common
     const int vectors = 2 * modes < m->n ? 2 * modes : m->n;
     const int length = vectors * (vectors + 8);
     double *v = (double *)malloc(n * (size_t)vectors * sizeof *v);
-    double *work = (double *)malloc(3 * n * sizeof *work), *rest = (double *)malloc(n * sizeof *rest);
+    double *work = (double *)malloc(3 * n * sizeof *work),
+           *rest = (double *)malloc(n * sizeof *rest);
     double *large = (double *)malloc((size_t)length * sizeof *large);
     double *theta = (double *)malloc((size_t)modes * sizeof *theta);
     int *select = (int *)malloc((size_t)vectors * sizeof *select);
@@ -185,16 +186,16 @@ static outcome arpack(const matrices *m, int modes, double bound, cholmod_common
     factor = cholmod_analyze(m->k, common);
     cholmod_factorize(m->k, factor, common);
     for (;;) {
-        dsaupd_c(&ido, "I", m->n, "LM", modes, 1e-12, rest, vectors, v, m->n, parameters, place, work,
-                 large, length, &info);
+        dsaupd_c(&ido, "I", m->n, "LM", modes, 1e-12, rest, vectors, v, m->n, parameters, place,
+                 work, large, length, &info);
         if (ido != 1 && ido != -1) break;
         for (i = 0; i < m->n; ++i) ((double *)b->x)[i] = m->root[i] * work[place[0] - 1 + i];
         cholmod_solve2(CHOLMOD_A, factor, b, NULL, &x, NULL, &y, &e, common);
         for (i = 0; i < m->n; ++i) work[place[1] - 1 + i] = m->root[i] * ((double *)x->x)[i];
         ++o.solves;
     }
-    dseupd_c(1, "A", select, theta, v, m->n, 0, "I", m->n, "LM", modes, 1e-12, rest, vectors, v, m->n,
-             parameters, place, work, large, length, &info);
+    dseupd_c(1, "A", select, theta, v, m->n, 0, "I", m->n, "LM", modes, 1e-12, rest, vectors, v,
+             m->n, parameters, place, work, large, length, &info);
     o.seconds = bench_seconds() - o.seconds;
     if (info != 0) fprintf(stderr, "ARPACK: info %d\n", info);
     o.found = 0;
@@ -241,8 +242,8 @@ static void row(const sfem_int cells[3], int modes, int passes)
         t[1][pass] = them.seconds;
 #endif
     }
-    printf("%7d %5d | %9.2f %6d %5d %8.1e", (int)p.tets, modes, 1e3 * bench_median(t[0], passes), us.solves,
-           below - us.found, us.error);
+    printf("%7d %5d | %9.2f %6d %5d %8.1e", (int)p.tets, modes, 1e3 * bench_median(t[0], passes),
+           us.solves, below - us.found, us.error);
 #ifdef SFEM_BENCH_ARPACK
     printf(" | %9.2f %6d %5d %8.1e | %5.2f %5.2f%s", 1e3 * bench_median(t[1], passes), them.solves,
            below - them.found, them.error, bench_median(t[0], passes) / bench_median(t[1], passes),
@@ -263,7 +264,7 @@ static void row(const sfem_int cells[3], int modes, int passes)
 
 int main(int argc, char **argv)
 {
-    static const sfem_int cells[][3] = {{12, 3, 3},   {15, 4, 4},   {20, 5, 5},  {28, 7, 7},
+    static const sfem_int cells[][3] = {{12, 3, 3}, {15, 4, 4},   {20, 5, 5},  {28, 7, 7},
                                         {33, 9, 9}, {40, 10, 10}, {56, 14, 14}};
     const double most = argc > 1 ? atof(argv[1]) : 60000;
     const int given = argc > 2 ? atoi(argv[2]) : 0;

@@ -23,7 +23,8 @@
 
 enum { SAMPLES = 15, STEPS_MOST = 12, SCENES = 18, METHODS = 24, LEVELS = 4 };
 
-#define NOISE 1.05 /* of two times, that nothing follows from: the least of repeated runs varies by 2 to 4 % */
+#define NOISE                                                                                      \
+    1.05 /* of two times, that nothing follows from: the least of repeated runs varies by 2 to 4 % */
 
 /* The least of at least so many runs, of more where they are short, half of them after all other methods'. */
 enum { PASSES = 2, RUNS_LEAST = 3, RUNS_MOST = 9 };
@@ -51,34 +52,53 @@ enum { DASHED = EX_LINE | EX_MARKERS | EX_DASHED };
 
 static const method methods[METHODS] = {
     {"(p,q,r), the default", "#2563a8", THICK, 0, SFEM_PQR, 0, 7, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"(p,q,r), 1 correction", "#1b9ad6", PLAIN, 1, SFEM_PQR, 0, 7, 0, 1, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"(p,q,r), 2 corrections", "#6fc3ee", PLAIN, 2, SFEM_PQR, 0, 7, 0, 2, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"(p,q,r), 4 corrections", "#9fb9d6", DASHED, 3, SFEM_PQR, 0, 7, 0, 4, 0, 0, 0, SFEM_DOUBLE, 0, 0},
+    {"(p,q,r), 1 correction", "#1b9ad6", PLAIN, 1, SFEM_PQR, 0, 7, 0, 1, 0, 0, 0, SFEM_DOUBLE, 0,
+     0},
+    {"(p,q,r), 2 corrections", "#6fc3ee", PLAIN, 2, SFEM_PQR, 0, 7, 0, 2, 0, 0, 0, SFEM_DOUBLE, 0,
+     0},
+    {"(p,q,r), 4 corrections", "#9fb9d6", DASHED, 3, SFEM_PQR, 0, 7, 0, 4, 0, 0, 0, SFEM_DOUBLE, 0,
+     0},
     {"(p,q,r), no guard", "#2563a8", DASHED, 4, SFEM_PQR, 0, 7, 0, 0, 1, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"(p,q,r), mixed precision", "#123b6b", DASHED, 5, SFEM_PQR, 0, 7, 0, 0, 0, 0, 0, SFEM_MIXED, 0, 0},
+    {"(p,q,r), mixed precision", "#123b6b", DASHED, 5, SFEM_PQR, 0, 7, 0, 0, 0, 0, 0, SFEM_MIXED, 0,
+     0},
     {"(p,q,r), p = 1/4", "#6b7fd7", DASHED, 6, SFEM_PQR, 0, 7, .25, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"(p,q,r), renewed factor", "#3a9aa5", DASHED, 7, SFEM_PQR, 0, 7, 0, 0, 0, 0, 0, SFEM_DOUBLE, 1e6, 0},
-    {"(1/4,1,1) of the source", "#4d4d4d", PLAIN, 3, SFEM_PQR, 0, 7, .25, 0, 1, 1, 0, SFEM_DOUBLE, 0, 0},
-    {"central difference", "#3f8f5b", THICK, 3, SFEM_CENTRAL, 2, 11, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
+    {"(p,q,r), renewed factor", "#3a9aa5", DASHED, 7, SFEM_PQR, 0, 7, 0, 0, 0, 0, 0, SFEM_DOUBLE,
+     1e6, 0},
+    {"(1/4,1,1) of the source", "#4d4d4d", PLAIN, 3, SFEM_PQR, 0, 7, .25, 0, 1, 1, 0, SFEM_DOUBLE,
+     0, 0},
+    {"central difference", "#3f8f5b", THICK, 3, SFEM_CENTRAL, 2, 11, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0,
+     0},
     {"KR-alpha, .8", "#5d9c2f", PLAIN, 2, SFEM_KR_ALPHA, 0, 7, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
     {"Gui, 4", "#9bbf3b", DASHED, 6, SFEM_GUI, 0, 7, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
     {"Chang", "#c9b037", DASHED, 7, SFEM_CHANG, 0, 7, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"Newmark, Newton to 1e-8", "#d1603d", THICK, 1, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"Newmark, Newton to 1e-5", "#d1603d", DASHED, 4, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 1e-5},
-    {"Newmark, Newton to 1e-3", "#a8432a", DASHED, 6, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 1e-3},
-    {"Newmark, 2 iterations", "#e08a4f", PLAIN, 5, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 2, SFEM_DOUBLE, 0, 0},
-    {"Newmark, semi-implicit", "#b8892b", PLAIN, 0, SFEM_NEWMARK, 0, 5, 0, 0, 0, 0, 1, SFEM_DOUBLE, 0, 0},
-    {"backward Euler", "#b04668", PLAIN, 2, SFEM_BACKWARD_EULER, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"backward Euler, 1 iteration", "#d98aa4", PLAIN, 6, SFEM_BACKWARD_EULER, 0, 5, 0, 0, 0, 0, 1, SFEM_DOUBLE, 0, 0},
+    {"Newmark, Newton to 1e-8", "#d1603d", THICK, 1, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE,
+     0, 0},
+    {"Newmark, Newton to 1e-5", "#d1603d", DASHED, 4, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 0,
+     SFEM_DOUBLE, 0, 1e-5},
+    {"Newmark, Newton to 1e-3", "#a8432a", DASHED, 6, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 0,
+     SFEM_DOUBLE, 0, 1e-3},
+    {"Newmark, 2 iterations", "#e08a4f", PLAIN, 5, SFEM_NEWMARK, 0, 4, 0, 0, 0, 0, 2, SFEM_DOUBLE,
+     0, 0},
+    {"Newmark, semi-implicit", "#b8892b", PLAIN, 0, SFEM_NEWMARK, 0, 5, 0, 0, 0, 0, 1, SFEM_DOUBLE,
+     0, 0},
+    {"backward Euler", "#b04668", PLAIN, 2, SFEM_BACKWARD_EULER, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE,
+     0, 0},
+    {"backward Euler, 1 iteration", "#d98aa4", PLAIN, 6, SFEM_BACKWARD_EULER, 0, 5, 0, 0, 0, 0, 1,
+     SFEM_DOUBLE, 0, 0},
     {"HHT, .1", "#8a5aa8", PLAIN, 3, SFEM_HHT, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"generalized-alpha, .8", "#b48ad0", DASHED, 7, SFEM_GENERALIZED_ALPHA, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
+    {"generalized-alpha, .8", "#b48ad0", DASHED, 7, SFEM_GENERALIZED_ALPHA, 0, 4, 0, 0, 0, 0, 0,
+     SFEM_DOUBLE, 0, 0},
     {"Bathe", "#7a3520", PLAIN, 1, SFEM_BATHE, 0, 4, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0},
-    {"Bathe, 1 iteration", "#b07a68", DASHED, 5, SFEM_BATHE, 0, 4, 0, 0, 0, 0, 1, SFEM_DOUBLE, 0, 0},
+    {"Bathe, 1 iteration", "#b07a68", DASHED, 5, SFEM_BATHE, 0, 4, 0, 0, 0, 0, 1, SFEM_DOUBLE, 0,
+     0},
 };
 
-static const method by_central = {"", "", 0, 0, SFEM_CENTRAL, 0, 0, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0};
-static const method by_corrections = {"", "", 0, 0, SFEM_PQR, 0, 0, 0, 3, 0, 0, 0, SFEM_DOUBLE, 0, 0};
-static const method by_newton = {"", "", 0, 0, SFEM_NEWMARK, 0, 0, 0, 0, 0, 0, 0, SFEM_DOUBLE, 0, 0};
+static const method by_central = {"", "", 0, 0, SFEM_CENTRAL, 0, 0, 0,
+                                  0,  0,  0, 0, SFEM_DOUBLE,  0, 0};
+static const method by_corrections = {"", "", 0, 0, SFEM_PQR,    0, 0, 0,
+                                      3,  0,  0, 0, SFEM_DOUBLE, 0, 0};
+static const method by_newton = {"", "", 0, 0, SFEM_NEWMARK, 0, 0, 0,
+                                 0,  0,  0, 0, SFEM_DOUBLE,  0, 0};
 
 typedef struct scene {
     char name[64], file[48];
@@ -92,7 +112,8 @@ typedef struct scene {
 } scene;
 
 typedef struct point { /* one method, one step */
-    double h, error, time; /* time: seconds of processor per simulated second; error NAN if failed */
+    double h, error,
+        time; /* time: seconds of processor per simulated second; error NAN if failed */
     int64_t steps, redone; /* redone: by the guard, or where Newton should and did not converge */
     double iterations;
     char failure[96]; /* empty: none */
@@ -140,8 +161,8 @@ static void describe(scene *s, int index)
     s->beta = damping < 2 ? 0 : s->stiff ? 1e-3 : 1e-2;
     snprintf(s->name, sizeof s->name, "%s, %s, %s, %s", bend[s->spin], stiff[s->stiff],
              law[s->neo_hookean], damped[damping]);
-    snprintf(s->file, sizeof s->file, "%02d-%s-%s-%s-%s.svg", index + 1, bend[s->spin], stiff[s->stiff],
-             law[s->neo_hookean], damped[damping]);
+    snprintf(s->file, sizeof s->file, "%02d-%s-%s-%s-%s.svg", index + 1, bend[s->spin],
+             stiff[s->stiff], law[s->neo_hookean], damped[damping]);
     for (i = 0; s->file[i]; ++i)
         if (s->file[i] == 'H') s->file[i] = 'h';
 }
@@ -239,7 +260,8 @@ static double run(const scene *s, sfem_body *body, int halvings, double *out, po
                 return spent;
             }
             iterations += sfem_body_newton(body).iterations;
-            unconverged += sfem_body_newton(body).iterations > 2 && !sfem_body_newton(body).converged;
+            unconverged +=
+                sfem_body_newton(body).iterations > 2 && !sfem_body_newton(body).converged;
         }
         spent += processor_seconds() - start;
         u = sfem_body_displacement(body);
@@ -312,14 +334,16 @@ static void measure(const scene *s, const method *m, int halvings, int pass, dou
         sfem_body_free(body);
         return;
     }
-    for (k = 0; k < RUNS_MOST && !(k && p->failure[0]) && total < (k < RUNS_LEAST ? 3 : 1) * enough; ++k) {
+    for (k = 0; k < RUNS_MOST && !(k && p->failure[0]) && total < (k < RUNS_LEAST ? 3 : 1) * enough;
+         ++k) {
         const double t = run(s, body, halvings, pass || k ? NULL : work, p);
         total += t;
         if (!(p->time <= t)) p->time = t;
     }
     if (!pass && !p->failure[0]) {
         p->error = rms(work, exact, n) / s->motion;
-        if (p->error > 2) snprintf(p->failure, sizeof p->failure, "error %.3g of the motion", p->error);
+        if (p->error > 2)
+            snprintf(p->failure, sizeof p->failure, "error %.3g of the motion", p->error);
     }
     if (p->failure[0]) p->error = NAN;
     sfem_body_free(body);
@@ -371,7 +395,8 @@ static int front_line(const series *all, double *x, double *y)
         for (k = 0; k < all[i].count; ++k) {
             const point *p = &all[i].at[k];
             if (!on_front(all, p, 1)) continue;
-            for (j = count++; j > 0 && x[j - 1] > 1e3 * p->time; --j) x[j] = x[j - 1], y[j] = y[j - 1];
+            for (j = count++; j > 0 && x[j - 1] > 1e3 * p->time; --j)
+                x[j] = x[j - 1], y[j] = y[j - 1];
             x[j] = 1e3 * p->time;
             y[j] = p->error;
         }
@@ -397,8 +422,8 @@ static void draw(picture *q, const scene *s, const series *all)
     snprintf(q->title, sizeof q->title, "%s", s->name);
     q->plot = ex_plot_new(q->title, "ms of processor per simulated second", "error / motion",
                           EX_LOG_X | EX_LOG_Y);
-    ex_plot_add(&q->plot, "Pareto front", q->front_x, q->front_y, front_line(all, q->front_x, q->front_y),
-                EX_LINE | EX_BAND);
+    ex_plot_add(&q->plot, "Pareto front", q->front_x, q->front_y,
+                front_line(all, q->front_x, q->front_y), EX_LINE | EX_BAND);
     ex_plot_look(&q->plot, "#e0a800", 0);
     for (i = 0; i < METHODS; ++i) {
         for (k = 0; k < all[i].count; ++k) {
@@ -425,17 +450,17 @@ static void draw(picture *q, const scene *s, const series *all)
  * tables
  * -------------------------------------------------------------------------------------------- */
 
-typedef struct tally { /* of one method over the scenes */
+typedef struct tally {                  /* of one method over the scenes */
     int fronts, near, points, failures; /* scenes, runs on the front; all runs */
-    double ratio[LEVELS][SCENES]; /* of the time to an error over the default's */
+    double ratio[LEVELS][SCENES];       /* of the time to an error over the default's */
     int ratios[LEVELS];
 } tally;
 
 static void print_scene(const series *all, tally *t)
 {
     int i, k, l;
-    printf("  %-27s %7s %7s %7s | %7s %7s | %s\n", "", "h=1/60", "1/240", "finest", "ms 1/60", "redone",
-           "ms per second for an error of 10 %, 3 %, 1 %, .3 % (times the default's)");
+    printf("  %-27s %7s %7s %7s | %7s %7s | %s\n", "", "h=1/60", "1/240", "finest", "ms 1/60",
+           "redone", "ms per second for an error of 10 %, 3 %, 1 %, .3 % (times the default's)");
     for (i = 0; i < METHODS; ++i) {
         const series *r = all + i;
         int front = 0, at60 = -1, at240 = -1, bad = 0;
@@ -447,8 +472,8 @@ static void print_scene(const series *all, tally *t)
             if (fabs(60 * r->at[k].h - 1) < 1e-6) at60 = k;
             if (fabs(240 * r->at[k].h - 1) < 1e-6) at240 = k;
         }
-        printf("%c %-27s %7.4f %7.4f %7.5f | ", front ? '*' : ' ', methods[i].name, r->at[at60].error,
-               r->at[at240].error, last->error);
+        printf("%c %-27s %7.4f %7.4f %7.5f | ", front ? '*' : ' ', methods[i].name,
+               r->at[at60].error, r->at[at240].error, last->error);
         if (r->at[at60].steps > 0 && !r->at[at60].failure[0])
             printf("%7.2f %5.1f %% |", 1e3 * r->at[at60].time,
                    100.0 * (double)r->at[at60].redone / (double)r->at[at60].steps);
@@ -491,8 +516,8 @@ static void write_csv(FILE *f, const scene *s, const series *all)
         for (k = 0; k < all[i].count; ++k) {
             const point *p = &all[i].at[k];
             fprintf(f, "\"%s\",\"%s\",%.9g,%.6g,%.6g,%d,%ld,%ld,%.3g,\"%s\"\n", s->name,
-                    methods[i].name, p->h, p->error, 1e3 * p->time,
-                    on_front(all, p, NOISE), (long)p->steps, (long)p->redone, p->iterations, p->failure);
+                    methods[i].name, p->h, p->error, 1e3 * p->time, on_front(all, p, NOISE),
+                    (long)p->steps, (long)p->redone, p->iterations, p->failure);
         }
     fflush(f);
 }
@@ -506,9 +531,10 @@ static int compare(const void *a, const void *b)
 static void print_summary(tally *t, int scenes, const char *off)
 {
     int i, l;
-    printf("Over %d scenes: on how many fronts, failed of all runs, and the median (in how many scenes it "
-           "gets there)\nof the time to an error over the default's\n\n%-27s %6s %9s", scenes, "", "fronts",
-           "failed");
+    printf("Over %d scenes: on how many fronts, failed of all runs, and the median (in how many "
+           "scenes it "
+           "gets there)\nof the time to an error over the default's\n\n%-27s %6s %9s",
+           scenes, "", "fronts", "failed");
     for (l = 0; l < LEVELS; ++l) printf("  %10.1f %%", 100 * level[l]);
     printf("\n");
     for (i = 0; i < METHODS; ++i) {
@@ -523,8 +549,10 @@ static void print_summary(tally *t, int scenes, const char *off)
         }
         printf("\n");
     }
-    printf("\nthe default is on the front, within %.0f %% of the time, in %d of %d scenes, with %d of its %d runs%s%s\n",
-           100 * (NOISE - 1), t[0].fronts, scenes, t[0].near, t[0].points, *off ? "; off it in: " : "", off);
+    printf("\nthe default is on the front, within %.0f %% of the time, in %d of %d scenes, with %d "
+           "of its %d runs%s%s\n",
+           100 * (NOISE - 1), t[0].fronts, scenes, t[0].near, t[0].points,
+           *off ? "; off it in: " : "", off);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -537,13 +565,15 @@ static void find_references(scene *s, int quick)
     if (s->beta == 0) {
         const double changed = refer(s, &by_central, quick ? 10 : 11, s->reference[0]);
         memcpy(s->reference[1], s->reference[0], n * sizeof(double));
-        printf("%s\n  motion %.4f m; reference: h = 1/%d, extrapolation changed %.1e\n", s->name, s->motion,
-               15 << (quick ? 11 : 12), changed);
+        printf("%s\n  motion %.4f m; reference: h = 1/%d, extrapolation changed %.1e\n", s->name,
+               s->motion, 15 << (quick ? 11 : 12), changed);
     } else {
         const double newton = refer(s, &by_newton, quick ? 3 : 4, s->reference[1]);
         const double changed = refer(s, &by_corrections, quick ? 7 : 8, s->reference[0]);
-        printf("%s\n  motion %.4f m; references: extrapolation changed %.1e (constant factor), %.1e (Newton); "
-               "apart %.1e\n", s->name, s->motion, changed, newton,
+        printf("%s\n  motion %.4f m; references: extrapolation changed %.1e (constant factor), "
+               "%.1e (Newton); "
+               "apart %.1e\n",
+               s->name, s->motion, changed, newton,
                rms(s->reference[0], s->reference[1], n) / s->motion);
     }
 }
@@ -575,9 +605,10 @@ int main(int argc, char **argv)
     ex_make_directory(out);
     csv = ex_open(ex_path(out, "integrators.csv"));
     fprintf(csv, "scene,method,h,error,ms_per_second,on_front,steps,redone,iterations,failure\n");
-    printf("%d x %d x %d cells of five tets, %d tets; vectors %d doubles wide; *: within 5 %% of the Pareto front\n",
-           (int)counts[0], (int)counts[1], (int)counts[2], (int)(5 * counts[0] * counts[1] * counts[2]),
-           sfem_vector_width());
+    printf("%d x %d x %d cells of five tets, %d tets; vectors %d doubles wide; *: within 5 %% of "
+           "the Pareto front\n",
+           (int)counts[0], (int)counts[1], (int)counts[2],
+           (int)(5 * counts[0] * counts[1] * counts[2]), sfem_vector_width());
 #ifdef SFEM_BENCH_FLAGS
     printf("flags: %s\n", SFEM_BENCH_FLAGS);
 #endif
@@ -593,7 +624,8 @@ int main(int argc, char **argv)
         for (pass = 0; pass < PASSES; ++pass)
             for (m = 0; m < METHODS; ++m) {
                 all[m].count = 0;
-                for (h = methods[m].coarse; h <= (quick ? methods[m].coarse + 4 : methods[m].fine); ++h) {
+                for (h = methods[m].coarse; h <= (quick ? methods[m].coarse + 4 : methods[m].fine);
+                     ++h) {
                     ex_progress(s.name, pass * METHODS + m, PASSES * METHODS);
                     measure(&s, &methods[m], h, pass, work, &all[m].at[all[m].count++]);
                 }

@@ -108,8 +108,9 @@ static double distortion(const setting *o, double h, int steps, double *bytes_a_
     for (i = 0; i <= steps; ++i) {
         packet *p = &ring[i % (DELAY + 1)], *old = &ring[(i + 1) % (DELAY + 1)];
         int lost;
-        bench_must(sfem_sender_write(sender, s.q, s.v, s.a, p->byte, sizeof p->byte, &p->bytes, &err),
-              &err);
+        bench_must(
+            sfem_sender_write(sender, s.q, s.v, s.a, p->byte, sizeof p->byte, &p->bytes, &err),
+            &err);
         bytes += (double)p->bytes * (o->twice ? 2 : 1);
         lost = i > 0 && 100 * uniform(&losses) < o->percent;
         p->kept = o->twice || (o->late && lost);
@@ -199,8 +200,8 @@ static void costs(void)
                 t[0][run] = bench_seconds();
                 for (i = 0; i <= COUNT; ++i)
                     bench_must(sfem_sender_write(sender, s.q, s.v, s.a, p[i].byte, sizeof p[i].byte,
-                                            &p[i].bytes, &err),
-                          &err);
+                                                 &p[i].bytes, &err),
+                               &err);
                 t[0][run] = bench_seconds() - t[0][run];
                 sfem_receiver_read(receiver, p[0].byte, p[0].bytes);
                 t[1][run] = t[2][run] = 0;
@@ -221,10 +222,11 @@ static void costs(void)
                 sfem_sender_free(sender);
                 sfem_receiver_free(receiver);
             }
-            printf(
-                "  %5d %8s %6lu %6lu %8.0f %8.0f %8.0f %8.0f\n", s.m, single ? "float" : "double",
-                (unsigned long)p[1].bytes, (unsigned long)p[0].bytes, bench_median(t[0], RUNS) / COUNT * 1e9,
-                bench_median(t[1], RUNS) / COUNT * 1e9, bench_median(t[2], RUNS) / COUNT * 1e9, bench_median(t[3], RUNS) / COUNT * 1e9);
+            printf("  %5d %8s %6lu %6lu %8.0f %8.0f %8.0f %8.0f\n", s.m,
+                   single ? "float" : "double", (unsigned long)p[1].bytes,
+                   (unsigned long)p[0].bytes, bench_median(t[0], RUNS) / COUNT * 1e9,
+                   bench_median(t[1], RUNS) / COUNT * 1e9, bench_median(t[2], RUNS) / COUNT * 1e9,
+                   bench_median(t[3], RUNS) / COUNT * 1e9);
         }
     }
 }

@@ -77,7 +77,8 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
     printf("%8d %9.2f %9.2f %6.2f  %9.2f %9.2f %6.2f  %9.1f %9.1f %6.2f  %.1e\n", (int)mesh->tets,
            (double)info[1].bytes / 1e6, (double)info[0].bytes / 1e6,
            (double)info[1].bytes / (double)info[0].bytes, bench_median(make[1], MAKE) * 1e3,
-           bench_median(make[0], MAKE) * 1e3, bench_median(make[1], MAKE) / bench_median(make[0], MAKE),
+           bench_median(make[0], MAKE) * 1e3,
+           bench_median(make[1], MAKE) / bench_median(make[0], MAKE),
            bench_median(solve[1], SOLVE) * 1e6, bench_median(solve[0], SOLVE) * 1e6,
            bench_median(solve[1], SOLVE) / bench_median(solve[0], SOLVE), far / size);
     for (which = 0; which < 2; ++which) {

@@ -323,8 +323,8 @@ static void row_one(const char *name, const block_fem *f, int passes)
                info.ordering == SFEM_ORDER_AMD ? "AMD" : "cuts");
 #ifdef SFEM_BENCH_CHOLMOD
         printf(" | %8.3f %9.1f %8.2f | %5.2f %5.2f %5.2f %5.2f %5.2f  %s\n",
-               1e3 * bench_median(rfactor.v, rfactor.n), 1e6 * bench_median(rsolve.v, rsolve.n), 1e3 * amd,
-               bench_median(factor.v, factor.n) / bench_median(rfactor.v, rfactor.n),
+               1e3 * bench_median(rfactor.v, rfactor.n), 1e6 * bench_median(rsolve.v, rsolve.n),
+               1e3 * amd, bench_median(factor.v, factor.n) / bench_median(rfactor.v, rfactor.n),
                bench_median(solve.v, solve.n) / bench_median(rsolve.v, rsolve.n),
                bench_median(solve32.v, solve32.n) / bench_median(rsolve.v, rsolve.n), analyse / amd,
                info.flops / metis_flops(f),
@@ -372,7 +372,8 @@ static void row_two(const char *name, const block_fem *f, int passes)
             take(&solve[p], solve_time(ldl[p], 1, x[p], b, work[p], &exec));
         }
     printf("%-9s %8.3f %8.3f %6.2f   %9.1f %9.1f %6.2f   %s\n", name,
-           1e3 * bench_median(factor[0].v, factor[0].n), 1e3 * bench_median(factor[1].v, factor[1].n),
+           1e3 * bench_median(factor[0].v, factor[0].n),
+           1e3 * bench_median(factor[1].v, factor[1].n),
            bench_median(factor[0].v, factor[0].n) / bench_median(factor[1].v, factor[1].n),
            1e6 * bench_median(solve[0].v, solve[0].n), 1e6 * bench_median(solve[1].v, solve[1].n),
            bench_median(solve[0].v, solve[0].n) / bench_median(solve[1].v, solve[1].n),
@@ -419,8 +420,9 @@ static void dense_rows(void)
             for (j = 0; j < 20; ++j) sfem_dense_cholesky_solve((sfem_int)n, a, 1, x);
             t[3][k] = (now() - start) / 20;
         }
-        printf("          %7d  %13.2f  %5.2f  %12.2f  %5.2f\n", (int)n, 1e6 * bench_median(t[0], 100),
-               1e6 * bench_median(t[1], 100), 1e6 * bench_median(t[2], 100), 1e6 * bench_median(t[3], 100));
+        printf("          %7d  %13.2f  %5.2f  %12.2f  %5.2f\n", (int)n,
+               1e6 * bench_median(t[0], 100), 1e6 * bench_median(t[1], 100),
+               1e6 * bench_median(t[2], 100), 1e6 * bench_median(t[3], 100));
         sfem_ldl_free(ldl);
         block_fem_free(&f);
         free(a);
@@ -460,21 +462,24 @@ static void given(void (*row)(const char *, const block_fem *, int), const char 
         return;
     }
     for (k = 1; k < 3; ++k)
-        if (report.box[1][k] - report.box[0][k] > report.box[1][axis] - report.box[0][axis]) axis = k;
+        if (report.box[1][k] - report.box[0][k] > report.box[1][axis] - report.box[0][axis])
+            axis = k;
     clamp = (unsigned char *)malloc((size_t)mesh.nodes);
     memset(clamp, 1, (size_t)mesh.nodes); /* nodes of no tet are left out */
     for (i = 0; i < 4 * mesh.tets; ++i) {
         const double x = mesh.x[3 * mesh.tet[i] + axis] - report.box[0][axis];
         clamp[mesh.tet[i]] = x < .02 * (report.box[1][axis] - report.box[0][axis]);
     }
-    f = block_fem_assemble(mesh.nodes, mesh.x, mesh.tets, mesh.tet, clamp, 1e6, .45, 1000, 1. / 14400, 1);
+    f = block_fem_assemble(mesh.nodes, mesh.x, mesh.tets, mesh.tet, clamp, 1e6, .45, 1000,
+                           1. / 14400, 1);
     row(name, &f, passes_of(mesh.tets, most));
     block_fem_free(&f);
     free(clamp);
     sfem_mesh_free(&mesh);
 }
 
-static void rows(void (*row)(const char *, const block_fem *, int), long largest, int most, char **mesh)
+static void rows(void (*row)(const char *, const block_fem *, int), long largest, int most,
+                 char **mesh)
 {
     size_t i;
     for (i = 0; i < sizeof block / sizeof *block; ++i) {

@@ -50,7 +50,8 @@ typedef struct rule {
 enum { SOLID = EX_LINE, DASH = EX_LINE | EX_DASHED, FAT = EX_LINE | EX_THICK, RULES = 13 };
 
 static const rule rules[RULES] = {
-    {"proposed (1/4,1,1) = trapezoidal = CR = Gui = Chang", "#2563a8", FAT, SFEM_PQR, 2, .25, 1, 1, 0},
+    {"proposed (1/4,1,1) = trapezoidal = CR = Gui = Chang", "#2563a8", FAT, SFEM_PQR, 2, .25, 1, 1,
+     0},
     {"trapezoidal (Newmark 1/4)", "", 0, SFEM_NEWMARK, 2, 0, 0, 0, 1},
     {"CR (KR-alpha, rho = 1)", "", 0, SFEM_KR_ALPHA, 2, 0, 0, 1, 1},
     {"Gui, lambda = 4", "", 0, SFEM_GUI, 2, 0, 0, 0, 1},
@@ -65,9 +66,9 @@ static const rule rules[RULES] = {
     {"KR-alpha, .8", "", 0, SFEM_KR_ALPHA, 3, 0, 0, .8, 1},
 };
 
-typedef struct spectrum { /* NAN: refused, or no oscillation */
-    double radius, period, decay;            /* PE and AD as they should be, and */
-    double printed_period, printed_decay;    /* by eqs. 30-32 as they stand */
+typedef struct spectrum {                 /* NAN: refused, or no oscillation */
+    double radius, period, decay;         /* PE and AD as they should be, and */
+    double printed_period, printed_decay; /* by eqs. 30-32 as they stand */
 } spectrum;
 
 /* One tet of which node 1 may move along x only: k u + d u' + m u'' = 0. */
@@ -171,7 +172,8 @@ static spectrum measure(const oscillator *o, const rule *m, double Omega, double
     const double nothing = NAN;
     spectrum s = {nothing, nothing, nothing, nothing, nothing};
     sfem_body *body = oscillator_body(o, m, xi);
-    const int slow = Omega < .5 && m->order == 3; /* the third root, of at most a half, is let die first */
+    const int slow =
+        Omega < .5 && m->order == 3; /* the third root, of at most a half, is let die first */
     const int order = slow ? 2 : m->order;
     double x[6] = {0}, c[3] = {0}, b1, b0, real, epsilon, sigma2, bar;
     sfem_error err;
@@ -213,8 +215,9 @@ static double within(double x, double low, double high) { return x >= low && x <
 
 static void draw_curves(const curves *k, const char *out)
 {
-    static const char *const what[5] = {"Spectral radius", "Period elongation", "Numerical and physical damping",
-                                        "PE as printed (arctan)", "AD as printed (no minus, arctan)"};
+    static const char *const what[5] = {"Spectral radius", "Period elongation",
+                                        "Numerical and physical damping", "PE as printed (arctan)",
+                                        "AD as printed (no minus, arctan)"};
     static const char *const label[5] = {"radius", "PE", "-ln radius / phase", "PE", "AD"};
     static const char *const file[3] = {"fig2-radius.svg", "fig3-period.svg", "fig4-decay.svg"};
     static char title[6][64];
@@ -229,7 +232,8 @@ static void draw_curves(const curves *k, const char *out)
                 p[at] = ex_plot_new(title[at], "Omega", label[which], 0);
                 for (m = 0; m < RULES; ++m) {
                     if (rules[m].alias) continue;
-                    ex_plot_add(&p[at], rules[m].name, k->Omega, k->y[which][m][i], POINTS, rules[m].style);
+                    ex_plot_add(&p[at], rules[m].name, k->Omega, k->y[which][m][i], POINTS,
+                                rules[m].style);
                     ex_plot_look(&p[at], rules[m].color, 0);
                 }
             }
@@ -266,23 +270,29 @@ static void print_mistakes(const oscillator *o)
     const rule *one = &rules[0], *three = &rules[7], *central = &rules[8];
     size_t k;
     printf("\"r = 3 offers the least period distortion when Omega is pretty large\": PE at xi = 0\n"
-           "%8s %12s %12s | %12s %12s %s\n", "Omega", "r = 1", "r = 3", "r = 1", "r = 3", " as printed, by arctan");
+           "%8s %12s %12s | %12s %12s %s\n",
+           "Omega", "r = 1", "r = 3", "r = 1", "r = 3", " as printed, by arctan");
     for (k = 0; k < sizeof Omega / sizeof *Omega; ++k) {
         const spectrum a = measure(o, one, Omega[k], 0), b = measure(o, three, Omega[k], 0);
-        printf("%8.2f %12.4f %12.4f | %12.4f %12.4f  %s\n", Omega[k], a.period, b.period, a.printed_period,
-               b.printed_period, fabs(b.printed_period) < fabs(a.printed_period) ? "r = 3 seems best" : "");
+        printf("%8.2f %12.4f %12.4f | %12.4f %12.4f  %s\n", Omega[k], a.period, b.period,
+               a.printed_period, b.printed_period,
+               fabs(b.printed_period) < fabs(a.printed_period) ? "r = 3 seems best" : "");
     }
-    printf("r = 3 is a body three times as heavy: its period is long by sqrt 3 = +73 %% as Omega goes to 0.\n\n"
-           "\"Extremely large amplitude decay\" of central difference, and its PE that \"exceeds all the other methods\": "
-           "xi = .05\n%8s %12s %12s | %12s %12s %12s  as printed\n", "Omega", "damping", "PE", "AD", "PE", "phase");
+    printf("r = 3 is a body three times as heavy: its period is long by sqrt 3 = +73 %% as Omega "
+           "goes to 0.\n\n"
+           "\"Extremely large amplitude decay\" of central difference, and its PE that \"exceeds "
+           "all the other methods\": "
+           "xi = .05\n%8s %12s %12s | %12s %12s %12s  as printed\n",
+           "Omega", "damping", "PE", "AD", "PE", "phase");
     for (k = 0; k < sizeof Omega / sizeof *Omega; ++k) {
         const double w = Omega[k] < 2 ? Omega[k] : 1.99;
         const spectrum a = measure(o, central, w, .05);
-        printf("%8.2f %12.4f %12.4f | %12.4f %12.4f %12.4f\n", w, a.decay, a.period, a.printed_decay,
-               a.printed_period, w / (1 + a.printed_period));
+        printf("%8.2f %12.4f %12.4f | %12.4f %12.4f %12.4f\n", w, a.decay, a.period,
+               a.printed_decay, a.printed_period, w / (1 + a.printed_period));
         if (Omega[k] >= 2) break;
     }
-    printf("The phase goes to pi as Omega goes to 2; arctan makes that 0, and divides by it. Undamped, AD is 0.\n\n");
+    printf("The phase goes to pi as Omega goes to 2; arctan makes that 0, and divides by it. "
+           "Undamped, AD is 0.\n\n");
 }
 
 static void spectra(const char *out, int quick)
@@ -310,7 +320,8 @@ static void spectra(const char *out, int quick)
     }
     for (m = 0; m < RULES; ++m)
         if (rules[m].alias)
-            printf("%s: its radius is that of %s to %.0e\n", rules[m].name, rules[m < 5 ? 0 : 11].name, apart[m]);
+            printf("%s: its radius is that of %s to %.0e\n", rules[m].name,
+                   rules[m < 5 ? 0 : 11].name, apart[m]);
     printf("\n");
     print_mistakes(&o);
     if (!quick) draw_curves(c, out);
@@ -418,9 +429,11 @@ static void speeds(const char *out, int quick)
     static double ms[WAYS][SIZES], tets[SIZES], his[2][SIZES], elements[SIZES];
     ex_plot p[2];
     int i, way;
-    printf("Tables 1-2, fig. 1: ms and frames of a step; j: iterations at most (mean of those made: three do); ratio: implicit "
-           "with j = 1 over proposed\n%-10s %5s %6s | %16s %16s %16s | %15s %15s | %7s %7s %7s\n", "", "tets",
-           "here", "j = 1", "j = 3", "j = 5", "proposed", "default", "ratio", "source", "default");
+    printf("Tables 1-2, fig. 1: ms and frames of a step; j: iterations at most (mean of those "
+           "made: three do); ratio: implicit "
+           "with j = 1 over proposed\n%-10s %5s %6s | %16s %16s %16s | %15s %15s | %7s %7s %7s\n",
+           "", "tets", "here", "j = 1", "j = 3", "j = 5", "proposed", "default", "ratio", "source",
+           "default");
     for (i = 0; i < (quick ? 2 : SIZES); ++i) {
         sfem_model *model = make_block(sizes[i].cells, sizes[i].kind, SFEM_COROTATIONAL);
         double solves[WAYS];
@@ -440,20 +453,25 @@ static void speeds(const char *out, int quick)
         sfem_model_free(model);
     }
     printf("frames a second, implicit j = 1:");
-    for (i = 0; i < (quick ? 2 : SIZES); ++i) printf(" %.1f (source %.1f)", 1e3 / ms[ONE][i], 1e3 / his[0][i]);
+    for (i = 0; i < (quick ? 2 : SIZES); ++i)
+        printf(" %.1f (source %.1f)", 1e3 / ms[ONE][i], 1e3 / his[0][i]);
     printf("\nThe source's ratios fall with size, 4.36 to 2.77; the text says that they rise.\n\n");
     if (quick) return;
-    p[0] = ex_plot_new("Fig. 1: implicit Newmark by iterations", "tets", "ms a step", EX_LOG_X | EX_LOG_Y);
+    p[0] = ex_plot_new("Fig. 1: implicit Newmark by iterations", "tets", "ms a step",
+                       EX_LOG_X | EX_LOG_Y);
     p[1] = ex_plot_new("Fig. 5: implicit and proposed", "tets", "ms a step", EX_LOG_X | EX_LOG_Y);
     ex_plot_add(&p[0], "implicit, 1 iteration", tets, ms[ONE], SIZES, EX_LINE | EX_MARKERS);
     ex_plot_add(&p[0], "3 iterations", tets, ms[THREE], SIZES, EX_LINE | EX_MARKERS);
     ex_plot_add(&p[0], "5 iterations", tets, ms[FIVE], SIZES, EX_LINE | EX_MARKERS);
-    ex_plot_add(&p[0], "1 iteration, as printed", elements, his[0], SIZES, EX_LINE | EX_MARKERS | EX_DASHED);
+    ex_plot_add(&p[0], "1 iteration, as printed", elements, his[0], SIZES,
+                EX_LINE | EX_MARKERS | EX_DASHED);
     ex_plot_add(&p[1], "implicit, 1 iteration", tets, ms[ONE], SIZES, EX_LINE | EX_MARKERS);
     ex_plot_add(&p[1], "proposed (1/4,1,1)", tets, ms[PROPOSED], SIZES, EX_LINE | EX_MARKERS);
     ex_plot_add(&p[1], "this library's default", tets, ms[DEFAULT], SIZES, EX_LINE | EX_MARKERS);
-    ex_plot_add(&p[1], "implicit, as printed", elements, his[0], SIZES, EX_LINE | EX_MARKERS | EX_DASHED);
-    ex_plot_add(&p[1], "proposed, as printed", elements, his[1], SIZES, EX_LINE | EX_MARKERS | EX_DASHED);
+    ex_plot_add(&p[1], "implicit, as printed", elements, his[0], SIZES,
+                EX_LINE | EX_MARKERS | EX_DASHED);
+    ex_plot_add(&p[1], "proposed, as printed", elements, his[1], SIZES,
+                EX_LINE | EX_MARKERS | EX_DASHED);
     ex_plot_write(&p[0], ex_path(out, "fig1-iterations.svg"));
     ex_plot_write(&p[1], ex_path(out, "fig5-time.svg"));
 }
@@ -507,8 +525,8 @@ static double furthest(const double *a, const double *b)
 static void loads(const char *out)
 {
     static const char *const law[2] = {"linear", "corotational"};
-    static const char *const name[5] = {"implicit, f", "proposed, f", "proposed, 10 f", "proposed, 100 f",
-                                        "proposed, 200 f"};
+    static const char *const name[5] = {"implicit, f", "proposed, f", "proposed, 10 f",
+                                        "proposed, 100 f", "proposed, 200 f"};
     static const double scale[5] = {1, 1, 10, 100, 200};
     static double x[5][STEPS], averaged[STEPS], step[STEPS], f[STEPS];
     ex_plot p[3];
@@ -517,20 +535,26 @@ static void loads(const char *out)
         step[k] = k + 1;
         f[k] = history(k + 1);
     }
-    printf("Fig. 7: a node pulled, h = 1/60 s, most of its displacement along x, m, and the distance between the "
+    printf("Fig. 7: a node pulled, h = 1/60 s, most of its displacement along x, m, and the "
+           "distance between the "
            "methods over that\n");
     for (w = 1; w >= 0; --w) {
-        sfem_model *model = make_block(sizes[0].cells, sizes[0].kind, w ? SFEM_COROTATIONAL : SFEM_LINEAR);
+        sfem_model *model =
+            make_block(sizes[0].cells, sizes[0].kind, w ? SFEM_COROTATIONAL : SFEM_LINEAR);
         for (i = 0; i < (w ? 2 : 5); ++i) pull(model, i ? AS_PRINTED : IMPLICIT, scale[i], x[i]);
         pull(model, AVERAGED, 1, averaged);
-        printf("%-13s implicit f %.6f, proposed f %.6f; apart %.1e with its load, %.1e with Newmark's\n", law[w],
-               furthest(x[0], NULL), furthest(x[1], NULL), furthest(x[1], x[0]) / furthest(x[0], NULL),
+        printf("%-13s implicit f %.6f, proposed f %.6f; apart %.1e with its load, %.1e with "
+               "Newmark's\n",
+               law[w], furthest(x[0], NULL), furthest(x[1], NULL),
+               furthest(x[1], x[0]) / furthest(x[0], NULL),
                furthest(averaged, x[0]) / furthest(x[0], NULL));
         sfem_model_free(model);
     }
     printf("linear, proposed over implicit:");
-    for (i = 1; i < 5; ++i) printf(" %s %.4f;", name[i] + 10, furthest(x[i], NULL) / furthest(x[0], NULL));
-    printf("\nUnder the same f they agree. That 100 f gives the displacements of f, as the source finds, is none of "
+    for (i = 1; i < 5; ++i)
+        printf(" %s %.4f;", name[i] + 10, furthest(x[i], NULL) / furthest(x[0], NULL));
+    printf("\nUnder the same f they agree. That 100 f gives the displacements of f, as the source "
+           "finds, is none of "
            "the method's doing.\n");
     p[0] = ex_plot_new("Fig. 6: load (a substitute)", "step", "f, N", 0);
     ex_plot_add(&p[0], NULL, step, f, STEPS, EX_LINE);
@@ -539,7 +563,8 @@ static void loads(const char *out)
     ex_plot_add(&p[1], NULL, step, x[1], STEPS, EX_LINE | EX_DASHED);
     p[2] = ex_plot_new("Fig. 7", "step", "displacement along x, m", 0);
     for (i = 0; i < 5; ++i) {
-        ex_plot_add(&p[2], name[i], step, x[i], STEPS, i == 0 ? EX_LINE | EX_BAND : EX_LINE | EX_DASHED);
+        ex_plot_add(&p[2], name[i], step, x[i], STEPS,
+                    i == 0 ? EX_LINE | EX_BAND : EX_LINE | EX_DASHED);
         if (i < 2) ex_plot_look(&p[1], i ? "#d1603d" : "#2563a8", 0);
     }
     { /* the legend is that of the first */

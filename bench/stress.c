@@ -38,7 +38,8 @@ static const char *const usage =
 /* Is every argument an option that there is, with a value that it takes? */
 static int understood(int argc, char **argv)
 {
-    static const char *const counts[] = {"--jobs", "--fixed", "--sampled", "--first", "--every", "--seed"};
+    static const char *const counts[] = {"--jobs",  "--fixed", "--sampled",
+                                         "--first", "--every", "--seed"};
     static const char *const alone[] = {"--quick", "--list", "--help"};
     int i, k, f;
     for (i = 1; i < argc; ++i) {
@@ -47,7 +48,9 @@ static int understood(int argc, char **argv)
         for (k = 0; k < 3; ++k)
             if (!strcmp(argv[i], alone[k])) known = 1;
         for (k = 0; k < 6; ++k)
-            if (!strcmp(argv[i], counts[k]) && *value && strspn(value, "0123456789") == strlen(value)) known = 2;
+            if (!strcmp(argv[i], counts[k]) && *value &&
+                strspn(value, "0123456789") == strlen(value))
+                known = 2;
         for (f = 0; f <= STRESS_FORM_COUNT && !strcmp(argv[i], "--form"); ++f)
             if (!strcmp(value, f < STRESS_FORM_COUNT ? stress_form_name(f) : "all")) known = 2;
         if (!known) {
@@ -87,10 +90,11 @@ static int at_least_one(int argc, char **argv, const char *name, uint64_t otherw
 
 static void report(const stress_scene *s, stress_form form, const stress_result *r)
 {
-    printf("%-34s seed %-6llu %-12s %c %5d+%-5d steps %.2f s\n", s->name, (unsigned long long)s->seed,
-           stress_form_name((int)form), stress_letter((int)r->verdict), r->steps, r->damped_steps,
-           r->seconds);
-    printf("    energy +%.3g S, form %.1e, momenta %.1e %.1e, shape %.3g, lost a swing %.3g, redone %.3g\n",
+    printf("%-34s seed %-6llu %-12s %c %5d+%-5d steps %.2f s\n", s->name,
+           (unsigned long long)s->seed, stress_form_name((int)form), stress_letter((int)r->verdict),
+           r->steps, r->damped_steps, r->seconds);
+    printf("    energy +%.3g S, form %.1e, momenta %.1e %.1e, shape %.3g, lost a swing %.3g, "
+           "redone %.3g\n",
            r->excess, r->drift, r->linear, r->angular, r->shape, r->lost, r->redo);
     if (r->why[0]) printf("    %s: %s\n", stress_verdict_about((int)r->verdict), r->why);
     fflush(stdout);
@@ -101,7 +105,8 @@ static int run_some(const char *name, uint64_t seed, const char *form)
     stress_scene s;
     int k, f, found = 0;
     for (k = 0; stress_fixed(k, &s); ++k) {
-        if (strcmp(s.name, name) && (seed || strcmp(stress_family_name((int)s.family), name))) continue;
+        if (strcmp(s.name, name) && (seed || strcmp(stress_family_name((int)s.family), name)))
+            continue;
         for (f = 0; f < STRESS_FORM_COUNT; ++f) {
             stress_result r;
             if (strcmp(stress_form_name(f), form) && strcmp(form, "all")) continue;
@@ -158,9 +163,11 @@ static void print_table(const board *b)
     int f, k, v;
     memset(count, 0, sizeof count);
     for (k = 0; k < b->count; ++k)
-        ++count[b->job[k].form][b->job[k].scene.family][b->job[k].done ? (int)b->job[k].result.verdict
-                                                                      : STRESS_IS_ERROR];
-    printf("\nSurvival: passed of all; after a slash those that are locked (k) or refused (r)\n%-12s", "");
+        ++count[b->job[k].form][b->job[k].scene.family]
+               [b->job[k].done ? (int)b->job[k].result.verdict : STRESS_IS_ERROR];
+    printf(
+        "\nSurvival: passed of all; after a slash those that are locked (k) or refused (r)\n%-12s",
+        "");
     for (k = 0; k < STRESS_FAMILY_COUNT; ++k) printf(" %8s", stress_family_name(k));
     printf("      all  failed  seconds\n");
     for (f = 0; f < STRESS_FORM_COUNT; ++f) {
@@ -242,15 +249,19 @@ static int print_default(const board *b)
         lost[f] = fmax(lost[f], r->lost);
         redo[f] += r->redo;
         ++count[f];
-        failed += !b->job[k].done || (r->verdict != STRESS_IS_PASSED && r->verdict != STRESS_IS_LOCKED);
+        failed +=
+            !b->job[k].done || (r->verdict != STRESS_IS_PASSED && r->verdict != STRESS_IS_LOCKED);
     }
-    printf("\nThe default: worst in each family (linear: change of what linear bodies conserve; modal: of\n"
+    printf("\nThe default: worst in each family (linear: change of what linear bodies conserve; "
+           "modal: of\n"
            "energy; stream, eigen: error, see stress.h)\n");
-    printf("%-8s %9s %9s %9s %9s %9s %9s\n", "", "Ec/S", "linear", "momentum", "angular", "lost", "redone");
+    printf("%-8s %9s %9s %9s %9s %9s %9s\n", "", "Ec/S", "linear", "momentum", "angular", "lost",
+           "redone");
     for (k = 0; k < STRESS_FAMILY_COUNT; ++k)
         if (count[k])
-            printf("%-8s %9.2g %9.1e %9.1e %9.1e %9.2g %9.2g   %s\n", stress_family_name(k), excess[k],
-                   drift[k], linear[k], angular[k], lost[k], redo[k] / count[k], stress_family_about(k));
+            printf("%-8s %9.2g %9.1e %9.1e %9.1e %9.2g %9.2g   %s\n", stress_family_name(k),
+                   excess[k], drift[k], linear[k], angular[k], lost[k], redo[k] / count[k],
+                   stress_family_about(k));
     printf("\n%d runs, %lld steps, %.0f s of processor time; the default fails %d\n", b->count,
            (long long)steps, seconds, failed);
     return failed;
@@ -262,7 +273,8 @@ int main(int argc, char **argv)
     const int fixed = (int)number(argc, argv, "--fixed", quick ? 40 : 100000);
     const int sampled = (int)number(argc, argv, "--sampled", quick ? 20 : 200);
     const uint64_t first = number(argc, argv, "--first", 1000);
-    const int jobs = at_least_one(argc, argv, "--jobs", 2), every = at_least_one(argc, argv, "--every", 1);
+    const int jobs = at_least_one(argc, argv, "--jobs", 2),
+              every = at_least_one(argc, argv, "--every", 1);
     const char *scene = NULL, *form = stress_form_name(STRESS_FORM_DEFAULT);
     stress_scene s;
     board *b;
@@ -280,7 +292,8 @@ int main(int argc, char **argv)
     if (option(argc, argv, "--scene", &scene) && scene)
         return run_some(scene, number(argc, argv, "--seed", 0), form);
     for (total = 0; total < fixed && stress_fixed(total, &s); ++total) continue;
-    b = (board *)mmap(NULL, sizeof *b + ((size_t)(total + sampled) * STRESS_FORM_COUNT) * sizeof(job),
+    b = (board *)mmap(NULL,
+                      sizeof *b + ((size_t)(total + sampled) * STRESS_FORM_COUNT) * sizeof(job),
                       PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
     if (b == MAP_FAILED) return 1;
     for (f = STRESS_FORM_COUNT - 1; f >= 0; --f) { /* the slow ones first: they end together */
@@ -295,8 +308,9 @@ int main(int argc, char **argv)
             add(b, &s, STRESS_FORM_DEFAULT);
         }
     }
-    printf("%d fixed scenes, %d sampled from seeds %llu..%llu, %d runs, %d processes\n", total, sampled,
-           (unsigned long long)first, (unsigned long long)(first + (uint64_t)sampled - 1), b->count, jobs);
+    printf("%d fixed scenes, %d sampled from seeds %llu..%llu, %d runs, %d processes\n", total,
+           sampled, (unsigned long long)first, (unsigned long long)(first + (uint64_t)sampled - 1),
+           b->count, jobs);
     fflush(stdout);
     for (k = 0; k < jobs; ++k)
         if (fork() == 0) {

@@ -268,8 +268,9 @@ static void speed(FILE *csv)
     for (w = 0; w < 3; ++w)
         for (p = 0; p < 2; ++p) {
             sfem_reduced_view *view;
-            bench_must(sfem_reduced_view_surface(reduced, p ? SFEM_MIXED : SFEM_DOUBLE, &view, &err),
-                 &err);
+            bench_must(
+                sfem_reduced_view_surface(reduced, p ? SFEM_MIXED : SFEM_DOUBLE, &view, &err),
+                &err);
             for (load = 0; load < 2; ++load) {
                 sfem_modal *modal = make_modal(reduced, w, SFEM_MODAL_NEWMARK);
                 const double nodes = sfem_reduced_view_count(view);

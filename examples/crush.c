@@ -74,7 +74,8 @@ static void hold(run *r, int left, int right)
     sfem_int *pins = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *pins), i, count = 0;
     sfem_error err;
     for (i = 0; i < r->mesh.nodes; ++i)
-        if ((left && r->mesh.x[3 * i] < 1e-6) || (right && r->mesh.x[3 * i] > 1 - 1e-6)) pins[count++] = i;
+        if ((left && r->mesh.x[3 * i] < 1e-6) || (right && r->mesh.x[3 * i] > 1 - 1e-6))
+            pins[count++] = i;
     must(sfem_body_set_pins(r->body, count, pins, NULL, &err), &err);
     free(pins);
 }
@@ -90,7 +91,8 @@ static void go(run *r, double seconds)
 {
     sfem_int i;
     sfem_error err;
-    for (i = 0; i < (sfem_int)(seconds / r->h + 0.5); ++i) must(sfem_body_step(r->body, r->h, &err), &err);
+    for (i = 0; i < (sfem_int)(seconds / r->h + 0.5); ++i)
+        must(sfem_body_step(r->body, r->h, &err), &err);
 }
 
 /* 2. The right end turns about the bar's axis, in a second. */
@@ -143,7 +145,8 @@ static double shape_error(const run *r, const double *x)
     }
     for (i = 0; i < r->mesh.nodes; ++i)
         for (k = 0; k < 9; ++k)
-            f[k] += mass[i] * (x[3 * i + k / 3] - now[k / 3]) * (r->mesh.x[3 * i + k % 3] - rest[k % 3]);
+            f[k] += mass[i] * (x[3 * i + k / 3] - now[k / 3]) *
+                    (r->mesh.x[3 * i + k % 3] - rest[k % 3]);
     sfem_polar(f, rotation, NULL);
     for (i = 0; i < r->mesh.nodes; ++i) {
         double d2 = 0;
@@ -175,7 +178,8 @@ static void draw(const run *r)
     }
     for (k = 0; k < r->frames; ++k) {
         ex_view_begin(p, k, 3, 3, lower, upper, direction);
-        ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri, value[k], &style);
+        ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri,
+                        value[k], &style);
         ex_view_end(p, r->caption[k]);
         free(value[k]);
     }
@@ -217,8 +221,9 @@ int main(int argc, char **argv)
     info = sfem_body_get_info(r.body);
     error = shape_error(&r, r.frame[r.frames - 1]);
     printf("wrote %s/crush.png\n", ex_text(&r.o, "--out"));
-    printf("nodes %d\ntets %d\nsteps %ld\nredone %ld\nseconds %.3f\nshape_error %.3g\n", (int)r.mesh.nodes,
-           (int)r.mesh.tets, (long)(r.steps + info.steps), (long)(r.redone + info.redone), start, error);
+    printf("nodes %d\ntets %d\nsteps %ld\nredone %ld\nseconds %.3f\nshape_error %.3g\n",
+           (int)r.mesh.nodes, (int)r.mesh.tets, (long)(r.steps + info.steps),
+           (long)(r.redone + info.redone), start, error);
     for (k = 0; k < r.frames; ++k) free(r.frame[k]);
     sfem_body_free(r.body);
     sfem_model_free(r.model);

@@ -118,7 +118,10 @@ static void make_model(run *r)
     sfem_error err;
     def.mesh = &r->mesh;
     def.material.law = r->scene == BEND ? SFEM_LINEAR : SFEM_COROTATIONAL;
-    def.material.young = r->scene == BEND ? 2e6 : r->scene == TENSILE ? 1e6 : r->scene == PLATE ? 5e6 : 2e5;
+    def.material.young = r->scene == BEND      ? 2e6
+                         : r->scene == TENSILE ? 1e6
+                         : r->scene == PLATE   ? 5e6
+                                               : 2e5;
     def.material.alpha = r->scene == BEND ? 4 : r->scene == TENSILE ? 1 : 0.1;
     def.material.beta = r->scene == TENSILE ? 0.004 : 0;
     must(sfem_model_create(&def, &r->model, &err), &err);
@@ -135,8 +138,8 @@ static void make_model(run *r)
 }
 
 /* Pins all nodes that `where` selects, and remembers them as moving. */
-static void pin(run *r, const char *where, unsigned char axes, int moves, sfem_int *pins, unsigned char *held,
-                sfem_int *count)
+static void pin(run *r, const char *where, unsigned char axes, int moves, sfem_int *pins,
+                unsigned char *held, sfem_int *count)
 {
     const ex_selection selection = ex_selection_of(where);
     sfem_int i;
@@ -157,9 +160,12 @@ static void make_body(run *r)
     sfem_error err;
     r->moved = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *r->moved);
     if (r->scene == BEND) {
-        pin(r, r->quick ? "x>0.05 & x<0.13 & z=0" : "x>0.08 & x<0.11 & z=0", SFEM_AXIS_ALL, 0, pins, held, &count);
-        pin(r, r->quick ? "x>0.87 & x<0.95 & z=0" : "x>0.89 & x<0.92 & z=0", SFEM_AXIS_Y | SFEM_AXIS_Z, 0, pins, held, &count);
-        pin(r, r->quick ? "x>0.45 & x<0.55 & z=0.25" : "x>0.475 & x<0.525 & z=0.25", SFEM_AXIS_Z, 1, pins, held, &count);
+        pin(r, r->quick ? "x>0.05 & x<0.13 & z=0" : "x>0.08 & x<0.11 & z=0", SFEM_AXIS_ALL, 0, pins,
+            held, &count);
+        pin(r, r->quick ? "x>0.87 & x<0.95 & z=0" : "x>0.89 & x<0.92 & z=0",
+            SFEM_AXIS_Y | SFEM_AXIS_Z, 0, pins, held, &count);
+        pin(r, r->quick ? "x>0.45 & x<0.55 & z=0.25" : "x>0.475 & x<0.525 & z=0.25", SFEM_AXIS_Z, 1,
+            pins, held, &count);
     } else if (r->scene == TENSILE) {
         pin(r, "x=0", SFEM_AXIS_ALL, 0, pins, held, &count);
         pin(r, "x=1", SFEM_AXIS_ALL, 1, pins, held, &count);
@@ -304,7 +310,8 @@ static void draw_part(ex_picture *p, const picture *f, int made, const double *c
     sfem_int i, count = 0;
     int c;
     for (i = 0; i < f->surface.triangles; ++i)
-        for (c = 0; f->surface.made[i] == made && c < 3; ++c) tri[count++] = f->surface.tri[3 * i + c];
+        for (c = 0; f->surface.made[i] == made && c < 3; ++c)
+            tri[count++] = f->surface.tri[3 * i + c];
     memcpy(style.color, color, sizeof style.color);
     style.edges = 0;
     style.flat = made;
@@ -314,13 +321,15 @@ static void draw_part(ex_picture *p, const picture *f, int made, const double *c
 
 static void draw(run *r)
 {
-    static const double from[SCENES][3] = {{0.35, -1, 0.25}, {0.3, -1, 0.35}, {0.5, -1, 0.75}, {0.9, -1, 0.4}};
+    static const double from[SCENES][3] = {
+        {0.35, -1, 0.25}, {0.3, -1, 0.35}, {0.5, -1, 0.75}, {0.9, -1, 0.4}};
     static const double outer[3] = {0.50, 0.62, 0.74}, inner[3] = {0.93, 0.60, 0.34};
     ex_picture *p = ex_picture_new(1500, r->scene == BLADE ? 1100 : r->scene == PLATE ? 900 : 700);
-    static const double box[SCENES][2][3] = {{{0, 0, -0.02}, {1, 0.12, 0.25}},
-                                             {{0, 0, 0}, {1.42, 0.2, 0.2}},
-                                             {{0, 0, -0.25}, {1, 1, 0.1}},
-                                             {{-0.65, -0.55, -0.5}, {0.65, 0.55, 0.5}}}; /* shards may leave it */
+    static const double box[SCENES][2][3] = {
+        {{0, 0, -0.02}, {1, 0.12, 0.25}},
+        {{0, 0, 0}, {1.42, 0.2, 0.2}},
+        {{0, 0, -0.25}, {1, 1, 0.1}},
+        {{-0.65, -0.55, -0.5}, {0.65, 0.55, 0.5}}}; /* shards may leave it */
     char file[32];
     int k;
     for (k = 0; k < FRAMES; ++k) {
@@ -336,12 +345,15 @@ static void draw(run *r)
 
 static void plot(run *r)
 {
-    static const char *const what[5] = {"kinetic + elastic", "work", "released by breaks", "damping", "error"};
+    static const char *const what[5] = {"kinetic + elastic", "work", "released by breaks",
+                                        "damping", "error"};
     ex_plot energy = ex_plot_new("Energy", "time, s", "energy, J", 0);
     ex_plot curve = ex_plot_new("Load", "displacement, m", "force, N", 0);
     char file[32];
     int k;
-    for (k = 0; k < 5; ++k) ex_plot_add(&energy, what[k], r->time, r->energy[k], r->steps, k == 4 ? EX_LINE | EX_DASHED : EX_LINE);
+    for (k = 0; k < 5; ++k)
+        ex_plot_add(&energy, what[k], r->time, r->energy[k], r->steps,
+                    k == 4 ? EX_LINE | EX_DASHED : EX_LINE);
     snprintf(file, sizeof file, "%s-energy.svg", name[r->scene]);
     ex_plot_write(&energy, ex_path(ex_text(&r->o, "--out"), file));
     if (r->scene == BLADE) return; /* it cuts without force */
@@ -352,7 +364,8 @@ static void plot(run *r)
 
 static void play(const ex_options *o, int scene)
 {
-    static const double step[SCENES] = {0.003, 0.004, 0.0005, 0.004}, seconds[SCENES] = {1.2, 1.2, 0.16, 1.2};
+    static const double step[SCENES] = {0.003, 0.004, 0.0005, 0.004},
+                        seconds[SCENES] = {1.2, 1.2, 0.16, 1.2};
     static const double shot[SCENES][FRAMES] = {
         {0.01, 0.6, 0.8, 1}, {0.01, 0.53, 0.58, 1}, {0.02, 0.08, 0.3, 1}, {0.02, 0.12, 0.4, 1}};
     sfem_fracture f;
@@ -381,10 +394,11 @@ static void play(const ex_options *o, int scene)
     plot(&r);
     f = sfem_body_fracture(r.body);
     info = sfem_body_get_info(r.body);
-    printf("scene %s\nnodes %d\ntets %d\nsteps %d\nredone %d\nfactors %d\nseconds %.2f\n", name[scene], (int)r.mesh.nodes,
-           (int)r.mesh.tets, (int)r.steps, (int)info.redone, (int)info.factors_made, start);
-    printf("work %.4g\nreleased %.4g\nsurface %.4g\ndamped %.4g\nguarded %.4g\n", f.work, f.released, f.surface, f.damped,
-           f.guarded);
+    printf("scene %s\nnodes %d\ntets %d\nsteps %d\nredone %d\nfactors %d\nseconds %.2f\n",
+           name[scene], (int)r.mesh.nodes, (int)r.mesh.tets, (int)r.steps, (int)info.redone,
+           (int)info.factors_made, start);
+    printf("work %.4g\nreleased %.4g\nsurface %.4g\ndamped %.4g\nguarded %.4g\n", f.work,
+           f.released, f.surface, f.damped, f.guarded);
     printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
            f.scale > 0 ? fabs(f.error) / f.scale : 0.0);
     for (k = 0; k < FRAMES; ++k) {
@@ -400,7 +414,8 @@ static void play(const ex_options *o, int scene)
 
 int main(int argc, char **argv)
 {
-    const ex_options o = ex_parse(argc, argv, "Breaks bodies along the edges of their meshes.", table);
+    const ex_options o =
+        ex_parse(argc, argv, "Breaks bodies along the edges of their meshes.", table);
     const int chosen = ex_choice(&o, "--scene");
     int k;
     ex_make_directory(ex_text(&o, "--out"));

@@ -8,9 +8,15 @@ int main(void) /* a rubber bar of half a metre, clamped at one end, swings for a
     const sfem_real size[3] = {0.5, 0.1, 0.1}, gravity[3] = {0, 0, -9.81};
     sfem_model_def model_def = sfem_default_model_def(); /* 1 MPa, 0.3, 1000 kg/m^3 */
     sfem_body_def def = sfem_default_body_def();
-    sfem_mesh mesh;  sfem_model *model;  sfem_body *body;  sfem_error err;  int i;
+    sfem_mesh mesh;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_error err;
+    int i;
     sfem_status failed = sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err);
-    model_def.mesh = &mesh;  def.pins = pins;  def.pin_count = 9;
+    model_def.mesh = &mesh;
+    def.pins = pins;
+    def.pin_count = 9;
     if (!failed) failed = sfem_model_create(&model_def, &model, &err);
     if (!failed) failed = sfem_body_create(model, &def, &body, &err);
     if (!failed) failed = sfem_body_set_gravity(body, gravity, &err);

@@ -16,13 +16,19 @@
  * -------------------------------------------------------------------------------------------- */
 
 enum { EX_SERIES = 32, EX_COLORS = 12, EX_LOG_X = 1, EX_LOG_Y = 2 };
-enum { EX_LINE = 1, EX_MARKERS = 2, EX_DASHED = 4, EX_THICK = 8, EX_BAND = 16 }; /* band: wide and pale */
+enum {
+    EX_LINE = 1,
+    EX_MARKERS = 2,
+    EX_DASHED = 4,
+    EX_THICK = 8,
+    EX_BAND = 16
+}; /* band: wide and pale */
 
 typedef struct ex_series {
     const char *name;    /* in the legend, or NULL */
     const double *x, *y; /* the caller's, kept until the plot is written */
     long count;
-    int style; /* EX_LINE, EX_MARKERS, EX_DASHED, EX_THICK, EX_BAND, added */
+    int style;         /* EX_LINE, EX_MARKERS, EX_DASHED, EX_THICK, EX_BAND, added */
     int marker;        /* 0 .. 7: disc, square, triangle, diamond, the same hollow */
     const char *color; /* "#2563a8" */
 } ex_series;

@@ -17,7 +17,8 @@ enum { FRAMES = 6, MAX_LOADS = 16 };
 static const ex_option table[] = {
     {"MESH", "FILE", NULL, "Gmsh, VTK legacy, Vega or TetGen; without it a bar of 1 x 0.2 x 0.2 m"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
-    {"--material", "linear|corotational|stvk|neohookean", "corotational", "the law of the material"},
+    {"--material", "linear|corotational|stvk|neohookean", "corotational",
+     "the law of the material"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--density", "RHO", "1000", "kg/m^3"},
@@ -25,15 +26,20 @@ static const ex_option table[] = {
     {"--rayleigh", "A0,A1", "0,0.002", "damping A0 M + A1 K: 1/s, s"},
     {"--integrator", "pqr|newmark|central|kr|gui|chang|be|hht|genalpha|bathe|modal", "pqr",
      "how to step through time"},
-    {"--p", "P", "-2", "of pqr; -2 lets the library choose, -1 smaller where it may; beta of newmark"},
+    {"--p", "P", "-2",
+     "of pqr; -2 lets the library choose, -1 smaller where it may; beta of newmark"},
     {"--q", "Q", "1", "of pqr"},
     {"--r", "R", "1", "of pqr"},
-    {"--frame", "node|piece|rest|majorant", "node", "of pqr, kr, gui, chang: how their factor turns"},
+    {"--frame", "node|piece|rest|majorant", "node",
+     "of pqr, kr, gui, chang: how their factor turns"},
     {"--guard", "on|off", "on", "of the same: do steps again that make energy"},
     {"--corrections", "N", "0", "of pqr: at most so many solves more a step, toward newmark"},
-    {"--newton", "N", "20", "implicit methods: at most so many iterations a step; 1: semi-implicit"},
-    {"--tol", "T", NULL, "corrections stop at this relative change (1e-3), Newton at this residual (1e-8)"},
-    {"--rho-inf", "R", "0.8", "of genalpha and kr: what is left of the fastest modes a step; kr of 1 is CR"},
+    {"--newton", "N", "20",
+     "implicit methods: at most so many iterations a step; 1: semi-implicit"},
+    {"--tol", "T", NULL,
+     "corrections stop at this relative change (1e-3), Newton at this residual (1e-8)"},
+    {"--rho-inf", "R", "0.8",
+     "of genalpha and kr: what is left of the fastest modes a step; kr of 1 is CR"},
     {"--gui-lambda", "L", "4", "of gui: 4 is CR; beyond, steps are limited"},
     {"--fracture", "GC", NULL, "the body breaks: toughness, J/m^2 (examples/fracture.c has more)"},
     {"--strength", "S", NULL, "it breaks above this stress, Pa; with --fracture both must be met"},
@@ -45,8 +51,10 @@ static const ex_option table[] = {
     {"--warp", "none|rotation|path", "path", "of modal: how they turn; none is linear"},
     {"--static", NULL, NULL, "solve for rest instead"},
     {"--gravity", "X,Y,Z", "0,0,-9.81", "m/s^2"},
-    {"--velocity", "V", NULL, "at the start: 'X,Y,Z', 'spin:WX,WY,WZ' or 'random:SPEED,SEED'; repeatable"},
-    {"--fix", "WHERE", NULL, "nodes held, as 'x<0.01', the default for the bar, or 'none'; repeatable"},
+    {"--velocity", "V", NULL,
+     "at the start: 'X,Y,Z', 'spin:WX,WY,WZ' or 'random:SPEED,SEED'; repeatable"},
+    {"--fix", "WHERE", NULL,
+     "nodes held, as 'x<0.01', the default for the bar, or 'none'; repeatable"},
     {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes; repeatable"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
     {"--threads", "N", "1", "threads"},
@@ -62,7 +70,8 @@ typedef struct run {
     sfem_surface surface;
     sfem_model *model;
     sfem_body *body;
-    sfem_modes modes;        /* --integrator modal: these step instead of the body, which keeps pins and loads */
+    sfem_modes
+        modes; /* --integrator modal: these step instead of the body, which keeps pins and loads */
     sfem_reduced *reduced;
     sfem_reduced_view *view;
     sfem_modal *modal;
@@ -73,7 +82,7 @@ typedef struct run {
     double *frame[FRAMES];          /* positions to draw */
     double frame_time[FRAMES];
     int breaks;
-    int32_t *whole[FRAMES];         /* surface triangles that were whole then */
+    int32_t *whole[FRAMES]; /* surface triangles that were whole then */
     sfem_int wholes[FRAMES];
     int frames;
 } run;
@@ -102,10 +111,11 @@ static void read_mesh(run *r)
     }
     must(sfem_mesh_check(&r->mesh, &report, &err), &err);
     must(sfem_mesh_surface(&r->mesh, NULL, &r->surface, &err), &err);
-    printf("mesh: %d nodes, %d tets, volume %.4g m^3, worst quality %.2f, %d piece%s\n", (int)r->mesh.nodes,
-           (int)r->mesh.tets, report.volume, report.min_quality, (int)report.components,
-           report.components == 1 ? "" : "s");
-    if (report.unused > 0) printf("      %d nodes in no tet stay where they are\n", (int)report.unused);
+    printf("mesh: %d nodes, %d tets, volume %.4g m^3, worst quality %.2f, %d piece%s\n",
+           (int)r->mesh.nodes, (int)r->mesh.tets, report.volume, report.min_quality,
+           (int)report.components, report.components == 1 ? "" : "s");
+    if (report.unused > 0)
+        printf("      %d nodes in no tet stay where they are\n", (int)report.unused);
 }
 
 /* 2. Material and mass: K, M, D. */
@@ -121,7 +131,8 @@ static void make_model(run *r)
     def.material.density = ex_real(&r->o, "--density");
     def.material.alpha = rayleigh[0];
     def.material.beta = rayleigh[1];
-    def.material.law = (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
+    def.material.law =
+        (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
     def.mass = ex_choice(&r->o, "--mass") ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED;
     must(sfem_model_create(&def, &r->model, &err), &err);
 }
@@ -164,14 +175,18 @@ static void make_modal(run *r, const sfem_body_def *body)
            sfem_modes_hz(&r->modes, r->modes.count - 1));
 }
 
-static const double *displacement(const run *r) { return r->modal ? r->u : sfem_body_displacement(r->body); }
+static const double *displacement(const run *r)
+{
+    return r->modal ? r->u : sfem_body_displacement(r->body);
+}
 
 /* 3. What holds the body. */
 static void make_body(run *r)
 {
     static const sfem_integrator integrator[] = {
-        SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL, SFEM_KR_ALPHA, SFEM_GUI, SFEM_CHANG,
-        SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE, SFEM_PQR};
+        SFEM_PQR,   SFEM_NEWMARK,        SFEM_CENTRAL, SFEM_KR_ALPHA,          SFEM_GUI,
+        SFEM_CHANG, SFEM_BACKWARD_EULER, SFEM_HHT,     SFEM_GENERALIZED_ALPHA, SFEM_BATHE,
+        SFEM_PQR};
     sfem_body_def def = sfem_default_body_def();
     sfem_damage_def damage = sfem_default_damage_def();
     sfem_int *pins = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *pins);
@@ -196,8 +211,10 @@ static void make_body(run *r)
     def.no_guard = ex_choice(&r->o, "--guard");
     def.corrections = (sfem_int)ex_integer(&r->o, "--corrections");
     def.newton.iterations = (sfem_int)ex_integer(&r->o, "--newton");
-    def.newton.accept_best = def.newton.iterations == 1; /* one iteration is never told to converge */
-    if (ex_text(&r->o, "--tol")) def.correction_tolerance = def.newton.tolerance = ex_real(&r->o, "--tol");
+    def.newton.accept_best =
+        def.newton.iterations == 1; /* one iteration is never told to converge */
+    if (ex_text(&r->o, "--tol"))
+        def.correction_tolerance = def.newton.tolerance = ex_real(&r->o, "--tol");
     def.rho_inf = ex_real(&r->o, "--rho-inf");
     def.gui_lambda = ex_real(&r->o, "--gui-lambda");
     def.q = ex_real(&r->o, "--q");
@@ -212,7 +229,8 @@ static void make_body(run *r)
         damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
         damage.toughness = ex_given(&r->o, "--fracture") ? ex_real(&r->o, "--fracture") : 0;
         if (!ex_given(&r->o, "--fracture")) damage.criterion = SFEM_BREAK_STRESS;
-        if (ex_given(&r->o, "--strength")) damage.strength = damage.rankine = ex_real(&r->o, "--strength");
+        if (ex_given(&r->o, "--strength"))
+            damage.strength = damage.rankine = ex_real(&r->o, "--strength");
         def.damage = &damage;
     }
     must(sfem_body_create(r->model, &def, &r->body, &err), &err);
@@ -234,7 +252,8 @@ static void add_loads(run *r)
         count = select_nodes(r, &load.where, nodes);
         if (count == 0) ex_fail("--load %s selects no node", ex_nth(&r->o, "--load", k));
         for (c = 0; c < 3; ++c) f[c] = load.force[c] / count;
-        for (i = 0; i < count; ++i) must(sfem_body_add_node_force(r->body, nodes[i], f, &err), &err);
+        for (i = 0; i < count; ++i)
+            must(sfem_body_add_node_force(r->body, nodes[i], f, &err), &err);
         for (i = 0; i < count && r->modal; ++i) {
             must(sfem_modal_add_node_force(r->modal, nodes[i], f, &err), &err);
             for (c = 0; c < 3; ++c) r->load[3 * (size_t)nodes[i] + (size_t)c] += f[c];
@@ -276,7 +295,8 @@ static void set_modal_velocity(run *r, const double *v)
 {
     const sfem_reduced_info info = sfem_reduced_get_info(r->reduced);
     const sfem_int skip = r->modes.count - info.modes, n = 3 * r->mesh.nodes;
-    double *mv = (double *)ex_new((size_t)n, sizeof *mv), *q = (double *)ex_new((size_t)info.modes + 1, sizeof *q);
+    double *mv = (double *)ex_new((size_t)n, sizeof *mv),
+           *q = (double *)ex_new((size_t)info.modes + 1, sizeof *q);
     double momentum[3] = {0, 0, 0}, inertia[9], cofactor[9], determinant = 0;
     sfem_rigid rigid = sfem_modal_rigid(r->modal);
     sfem_error err;
@@ -284,7 +304,8 @@ static void set_modal_velocity(run *r, const double *v)
     int c;
     sfem_model_multiply_mass(r->model, v, mv, NULL);
     for (k = 0; k < info.modes; ++k)
-        for (i = 0; i < n; ++i) q[k] += r->modes.phi[(size_t)(k + skip) * (size_t)n + (size_t)i] * mv[i];
+        for (i = 0; i < n; ++i)
+            q[k] += r->modes.phi[(size_t)(k + skip) * (size_t)n + (size_t)i] * mv[i];
     must(sfem_modal_set_coordinates(r->modal, NULL, q, NULL, &err), &err);
     for (i = 0; i < n; ++i) {
         const int a = (i % 3 + 1) % 3, b = (i % 3 + 2) % 3;
@@ -295,7 +316,8 @@ static void set_modal_velocity(run *r, const double *v)
     memcpy(inertia, info.inertia, sizeof inertia);
     for (c = 0; c < 9; ++c) { /* the inverse by cofactors */
         const int i1 = (c / 3 + 1) % 3, i2 = (c / 3 + 2) % 3, j1 = (c + 1) % 3, j2 = (c + 2) % 3;
-        cofactor[c] = inertia[3 * i1 + j1] * inertia[3 * i2 + j2] - inertia[3 * i1 + j2] * inertia[3 * i2 + j1];
+        cofactor[c] = inertia[3 * i1 + j1] * inertia[3 * i2 + j2] -
+                      inertia[3 * i1 + j2] * inertia[3 * i2 + j1];
         if (c < 3) determinant += inertia[c] * cofactor[c];
     }
     for (c = 0; c < 9; ++c) rigid.w[c / 3] += cofactor[c] / determinant * momentum[c % 3];
@@ -309,7 +331,8 @@ static void set_velocity(run *r)
     double *v = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof *v);
     sfem_error err;
     int k;
-    for (k = 0; k < ex_given(&r->o, "--velocity"); ++k) add_velocity(r, ex_nth(&r->o, "--velocity", k), v);
+    for (k = 0; k < ex_given(&r->o, "--velocity"); ++k)
+        add_velocity(r, ex_nth(&r->o, "--velocity", k), v);
     if (k > 0) must(sfem_body_set_state(r->body, NULL, v, &err), &err);
     if (k > 0 && r->modal) set_modal_velocity(r, v);
     free(v);
@@ -333,7 +356,8 @@ static void choose_probe(run *r)
     sfem_int i;
     int c;
     r->probe = (sfem_int)ex_integer(&r->o, "--probe");
-    if (r->probe >= r->mesh.nodes) ex_fail("--probe %d: the mesh has %d nodes", (int)r->probe, (int)r->mesh.nodes);
+    if (r->probe >= r->mesh.nodes)
+        ex_fail("--probe %d: the mesh has %d nodes", (int)r->probe, (int)r->mesh.nodes);
     if (r->probe >= 0) return;
     ex_bounds(r->mesh.x, r->mesh.nodes, 1, lower, upper);
     for (i = 0; i < r->mesh.nodes; ++i) {
@@ -345,7 +369,10 @@ static void choose_probe(run *r)
     }
 }
 
-static double when_is_it(const run *r) { return r->modal ? sfem_modal_time(r->modal) : sfem_body_time(r->body); }
+static double when_is_it(const run *r)
+{
+    return r->modal ? sfem_modal_time(r->modal) : sfem_body_time(r->body);
+}
 
 static void positions(const run *r, double *x)
 {
@@ -447,14 +474,16 @@ static void write_step(run *r, const char *path)
 static void simulate(run *r)
 {
     const sfem_int every = (sfem_int)ex_integer(&r->o, "--vtu");
-    char (*name)[32] = (char(*)[32])ex_new((size_t)r->steps + 1, sizeof *name);
+    char(*name)[32] = (char(*)[32])ex_new((size_t)r->steps + 1, sizeof *name);
     const char **file = (const char **)ex_new((size_t)r->steps + 1, sizeof *file);
     double *when = (double *)ex_new((size_t)r->steps + 1, sizeof *when), start;
     sfem_int i, files = 0;
     sfem_error err;
     start = ex_seconds();
-    if (r->steps == 0) rest(r);
-    else if (!r->modal) must(sfem_body_prepare(r->body, r->h, &err), &err);
+    if (r->steps == 0)
+        rest(r);
+    else if (!r->modal)
+        must(sfem_body_prepare(r->body, r->h, &err), &err);
     r->setup += ex_seconds() - start;
     record(r, 0);
     for (i = 0; i <= r->steps; ++i) {
@@ -472,7 +501,9 @@ static void simulate(run *r)
         }
         ex_progress("simulate", i, r->steps);
     }
-    if (files) must(sfem_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err), &err);
+    if (files)
+        must(sfem_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err),
+             &err);
     free(when);
     free(file);
     free(name);
@@ -501,8 +532,10 @@ static void draw(const run *r)
         if (r->breaks) /* stresses across cracks would be those of whole tets */
             ex_view_surface(p, r->mesh.nodes, r->frame[k], r->wholes[k], r->whole[k], NULL, &style);
         else
-            ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri, value[k], &style);
-        snprintf(caption, sizeof caption, r->frames > 1 ? "t = %.3g s" : "at rest", r->frame_time[k]);
+            ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri,
+                            value[k], &style);
+        snprintf(caption, sizeof caption, r->frames > 1 ? "t = %.3g s" : "at rest",
+                 r->frame_time[k]);
         ex_view_end(p, caption);
         free(value[k]);
     }
@@ -531,7 +564,8 @@ static void write_csv(const run *r, const char *path)
     FILE *f = ex_open(path);
     sfem_int i;
     fprintf(f, "node,ux,uy,uz\n");
-    for (i = 0; i < r->mesh.nodes; ++i, u += 3) fprintf(f, "%d,%.17g,%.17g,%.17g\n", (int)i, u[0], u[1], u[2]);
+    for (i = 0; i < r->mesh.nodes; ++i, u += 3)
+        fprintf(f, "%d,%.17g,%.17g,%.17g\n", (int)i, u[0], u[1], u[2]);
     ex_close(f, path);
 }
 
@@ -548,7 +582,8 @@ static void report(run *r)
         const sfem_real *u = displacement(r) + 3 * (size_t)r->probe;
         printf("probe %d %.17g %.17g %.17g\n", (int)r->probe, u[0], u[1], u[2]);
     }
-    printf("nodes %d\ntets %d\ndofs %d\n", (int)info.nodes, (int)info.tets, 3 * (int)info.free_nodes);
+    printf("nodes %d\ntets %d\ndofs %d\n", (int)info.nodes, (int)info.tets,
+           3 * (int)info.free_nodes);
     printf("nnz_factor %lu\n", (unsigned long)info.factor_nnz);
     printf("setup_ms %.3f\n", 1e3 * r->setup);
     printf("step_us %.3f\n", r->steps > 0 ? 1e6 * r->stepping / r->steps : 0);

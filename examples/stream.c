@@ -76,13 +76,13 @@ typedef struct body {
     sfem_surface surface;
     sfem_reduced *reduced;
     sfem_reduced_view *view;
-    sfem_modal *modal;          /* the sender's */
-    sfem_modal *mirror;         /* the receiver's: to be drawn, never stepped */
-    const double *q, *v, *a;    /* [modes] of the sender's */
-    double *force;              /* [nodes][3] */
+    sfem_modal *modal;           /* the sender's */
+    sfem_modal *mirror;          /* the receiver's: to be drawn, never stepped */
+    const double *q, *v, *a;     /* [modes] of the sender's */
+    double *force;               /* [nodes][3] */
     double *stiffness, *damping; /* [modes] of the oscillators, for who predicts */
-    double h, hand[2], goal[2]; /* N, across the tip: now, and where it tends to */
-    sfem_int modes, tip;        /* nodes at the tip */
+    double h, hand[2], goal[2];  /* N, across the tip: now, and where it tends to */
+    sfem_int modes, tip;         /* nodes at the tip */
     uint64_t random;
 } body;
 
@@ -453,7 +453,8 @@ int main(int argc, char **argv)
     ex_make_directory(ex_text(&o, "--out"));
     b = body_new(&o);
     shown = ex_real(&o, "--loss");
-    if (!(shown >= 0 && shown <= 100)) ex_fail("--loss: '%s' is not between 0 and 100", ex_text(&o, "--loss"));
+    if (!(shown >= 0 && shown <= 100))
+        ex_fail("--loss: '%s' is not between 0 and 100", ex_text(&o, "--loss"));
     steps = ex_steps(ex_given(&o, "--quick") ? 4 : ex_positive(&o, "--seconds"), b.h);
     if (ex_given(&o, "--memory") || !wire_open(&w))
         printf("no sockets: packets go through memory\n");

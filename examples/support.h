@@ -304,7 +304,8 @@ EX_STATIC double ex_positive(const ex_options *o, const char *name)
 EX_STATIC int ex_steps(double seconds, double dt)
 {
     const double steps = floor(seconds / dt + 0.5);
-    if (!(steps >= 1 && steps <= 1e8)) ex_fail("%g s in steps of %g s: not between 1 and 1e8 steps", seconds, dt);
+    if (!(steps >= 1 && steps <= 1e8))
+        ex_fail("%g s in steps of %g s: not between 1 and 1e8 steps", seconds, dt);
     return (int)steps;
 }
 

@@ -11,7 +11,8 @@ static sfem_body_def method(sfem_integrator integrator, double parameter)
     sfem_body_def def = sfem_default_body_def();
     def.integrator = integrator;
     if (integrator == SFEM_GUI) def.gui_lambda = parameter;
-    if (integrator == SFEM_KR_ALPHA || integrator == SFEM_GENERALIZED_ALPHA) def.rho_inf = parameter;
+    if (integrator == SFEM_KR_ALPHA || integrator == SFEM_GENERALIZED_ALPHA)
+        def.rho_inf = parameter;
     return def;
 }
 
@@ -42,12 +43,15 @@ static void roots(int order, const double c[3], double *radius, double *angle, d
     double b1 = c[1], b0 = c[0];
     int i;
     *real = 0;
-    if (order == 3) { /* lambda^3 = c2 lambda^2 + c1 lambda + c0: split off the real root, by bisection */
+    if (order ==
+        3) { /* lambda^3 = c2 lambda^2 + c1 lambda + c0: split off the real root, by bisection */
         double low = -2, high = 2;
         for (i = 0; i < 200; ++i) {
             *real = (low + high) / 2;
-            if (*real * *real * *real - c[2] * *real * *real - c[1] * *real - c[0] < 0) low = *real;
-            else high = *real;
+            if (*real * *real * *real - c[2] * *real * *real - c[1] * *real - c[0] < 0)
+                low = *real;
+            else
+                high = *real;
         }
         b1 = c[2] - *real;
         b0 = c[1] + *real * b1;
@@ -65,20 +69,40 @@ static void radius_period_and_damping_are_those_of_the_table(void **state)
         int order;
         double radius[4], elongation[4], damping[4], digit[3][4];
     } row[] = {
-        {SFEM_KR_ALPHA, 0.8, 3,
-         {1, .9995, .9953, .930}, {.0216, .0826, .287, 2.74}, {.0001, .0006, .0030, .0272},
+        {SFEM_KR_ALPHA,
+         0.8,
+         3,
+         {1, .9995, .9953, .930},
+         {.0216, .0826, .287, 2.74},
+         {.0001, .0006, .0030, .0272},
          {{6e-5, 6e-5, 6e-5, 6e-4}, {6e-5, 6e-5, 6e-4, 6e-3}, {6e-5, 6e-5, 6e-5, 6e-5}}},
-        {SFEM_KR_ALPHA, 1, 2,
-         {1, 1, 1, 1}, {.0205, .0784, .2732, 2.64}, {0, 0, 0, 0},
+        {SFEM_KR_ALPHA,
+         1,
+         2,
+         {1, 1, 1, 1},
+         {.0205, .0784, .2732, 2.64},
+         {0, 0, 0, 0},
          {{1e-9, 1e-9, 1e-9, 1e-9}, {6e-5, 6e-5, 6e-5, 6e-3}, {1e-9, 1e-9, 1e-9, 1e-9}}},
-        {SFEM_GUI, 4, 2,
-         {1, 1, 1, 1}, {.0205, .0784, .2732, 2.64}, {0, 0, 0, 0},
+        {SFEM_GUI,
+         4,
+         2,
+         {1, 1, 1, 1},
+         {.0205, .0784, .2732, 2.64},
+         {0, 0, 0, 0},
          {{1e-9, 1e-9, 1e-9, 1e-9}, {6e-5, 6e-5, 6e-5, 6e-3}, {1e-9, 1e-9, 1e-9, 1e-9}}},
-        {SFEM_GUI, 12, 2,
-         {1, 1, 1, 0}, {-.0001, -.0022, -.0451, 0}, {0, 0, 0, 0},
+        {SFEM_GUI,
+         12,
+         2,
+         {1, 1, 1, 0},
+         {-.0001, -.0022, -.0451, 0},
+         {0, 0, 0, 0},
          {{1e-9, 1e-9, 1e-9, 0}, {6e-5, 6e-5, 6e-5, 0}, {1e-9, 1e-9, 1e-9, 0}}},
-        {SFEM_CHANG, 0, 2,
-         {1, 1, 1, 1}, {.0205, .0784, .2732, 2.64}, {0, 0, 0, 0},
+        {SFEM_CHANG,
+         0,
+         2,
+         {1, 1, 1, 1},
+         {.0205, .0784, .2732, 2.64},
+         {0, 0, 0, 0},
          {{1e-9, 1e-9, 1e-9, 1e-9}, {6e-5, 6e-5, 6e-5, 6e-3}, {1e-9, 1e-9, 1e-9, 1e-9}}},
     };
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
@@ -129,14 +153,16 @@ static void characteristic(double rho, double omega_h, double xi, double c[3])
     }
     c[2] = m[0][0] + m[1][1] + m[2][2];
     c[1] = -minors;
-    c[0] = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+    c[0] = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
+           m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
            m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
 }
 
 /* The displacements of both follow one recurrence, with damping, too. */
 static void kr_alpha_has_the_spectrum_of_generalized_alpha(void **state)
 {
-    static const double omega_h[] = {0.3, 1, 3, 30}, rho[] = {0, 0.3, 0.5, 0.8, 0.95}, xi[] = {0, 0.1, 0.6};
+    static const double omega_h[] = {0.3, 1, 3, 30}, rho[] = {0, 0.3, 0.5, 0.8, 0.95},
+                        xi[] = {0, 0.1, 0.6};
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     const double w = sqrt(o.k / o.m);
     size_t i, j, k;
@@ -146,7 +172,8 @@ static void kr_alpha_has_the_spectrum_of_generalized_alpha(void **state)
         for (j = 0; j < TEST_COUNT(rho); ++j)
             for (k = 0; k < TEST_COUNT(xi); ++k)
                 for (which = 0; which < 2; ++which) {
-                    sfem_body_def def = method(which ? SFEM_GENERALIZED_ALPHA : SFEM_KR_ALPHA, rho[j]);
+                    sfem_body_def def =
+                        method(which ? SFEM_GENERALIZED_ALPHA : SFEM_KR_ALPHA, rho[j]);
                     double c[3], x[4] = {0, 0, 0, 0};
                     sfem_body *body;
                     int n;
@@ -159,7 +186,8 @@ static void kr_alpha_has_the_spectrum_of_generalized_alpha(void **state)
                         step(body, omega_h[i] / w);
                         memmove(x, x + 1, 3 * sizeof *x);
                         x[3] = node1(body);
-                        if (n >= 4) assert_near(x[3], c[2] * x[2] + c[1] * x[1] + c[0] * x[0], 0, 1e-12);
+                        if (n >= 4)
+                            assert_near(x[3], c[2] * x[2] + c[1] * x[1] + c[0] * x[0], 0, 1e-12);
                     }
                     sfem_body_free(body);
                 }
@@ -196,8 +224,8 @@ static void the_fastest_modes_fall_by_rho_inf(void **state)
  * -------------------------------------------------------------------------------------------- */
 
 /* Error at T of u and v under u0, v0, damping xi and a load cos(nu t), against the closed form. */
-static double oscillator_error(const oscillator *o, sfem_body_def def, double xi, int steps, int varying,
-                               double *velocity_error)
+static double oscillator_error(const oscillator *o, sfem_body_def def, double xi, int steps,
+                               int varying, double *velocity_error)
 {
     const double w = sqrt(o->k / o->m), T = 7 / w, nu = 0.6 * w, wd = w * sqrt(1 - xi * xi);
     const double load = 0.02;
@@ -206,8 +234,9 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     const double A = u0 - C, B = (v0 - S * nu + xi * w * A) / wd;
     const double e = exp(-xi * w * T);
     const double u = e * (A * cos(wd * T) + B * sin(wd * T)) + C * cos(nu * T) + S * sin(nu * T);
-    const double v = e * ((B * wd - xi * w * A) * cos(wd * T) - (A * wd + xi * w * B) * sin(wd * T)) -
-                     C * nu * sin(nu * T) + S * nu * cos(nu * T);
+    const double v =
+        e * ((B * wd - xi * w * A) * cos(wd * T) - (A * wd + xi * w * B) * sin(wd * T)) -
+        C * nu * sin(nu * T) + S * nu * cos(nu * T);
     double t = 0, error;
     sfem_real f[12] = {0};
     sfem_body *body;
@@ -238,9 +267,9 @@ static void displacement_and_velocity_are_of_second_order(void **state)
     static const struct {
         sfem_integrator integrator;
         double parameter;
-    } row[] = {{SFEM_KR_ALPHA, 0},   {SFEM_KR_ALPHA, 0.5}, {SFEM_KR_ALPHA, 0.8}, {SFEM_KR_ALPHA, 0.95},
-               {SFEM_KR_ALPHA, 1},   {SFEM_GUI, 4},        {SFEM_GUI, 2},        {SFEM_GUI, 11},
-               {SFEM_CHANG, 0}};
+    } row[] = {{SFEM_KR_ALPHA, 0},    {SFEM_KR_ALPHA, 0.5}, {SFEM_KR_ALPHA, 0.8},
+               {SFEM_KR_ALPHA, 0.95}, {SFEM_KR_ALPHA, 1},   {SFEM_GUI, 4},
+               {SFEM_GUI, 2},         {SFEM_GUI, 11},       {SFEM_CHANG, 0}};
     static const double xi[2] = {0, 0.1};
     size_t i, j;
     int mass, varying;
@@ -282,7 +311,8 @@ static void steps_that_change_stay_bounded(void **state)
             body = oscillator_body(&o, def);
             set_node1(body, 0.01, 0.01 * w);
             for (k = 0; k < 3000; ++k) {
-                if (!rarely || k % 60 == 0) h = 10 * pow(rarely ? 3 : 1.1, random_uniform(&random, -1, 1));
+                if (!rarely || k % 60 == 0)
+                    h = 10 * pow(rarely ? 3 : 1.1, random_uniform(&random, -1, 1));
                 step(body, h / w);
                 most = fmax(most, fabs(node1(body)));
             }
@@ -304,7 +334,8 @@ typedef struct paper {
 
 static double hardening(double k, double u) { return k * (u + 0.5 * (u - 0.02 * tanh(u / 0.02))); }
 
-static void chen_ricles_gui(paper *s, double lambda, double k, double m, double d, double h, double load)
+static void chen_ricles_gui(paper *s, double lambda, double k, double m, double d, double h,
+                            double load)
 {
     const double a1 = m / (m + h / 2 * d + h * h * k / lambda);
     s->u += h * s->v + h * h * a1 * s->a;
@@ -340,7 +371,8 @@ static double paper_difference(sfem_body_def def, double lambda, double damping,
     for (k = 0; k < 200; ++k) {
         load[1] = linear ? 0 : 0.01 * o.k * sin(0.3 * k);
         u0 = s.u;
-        if (lambda > 0) chen_ricles_gui(&s, lambda, o.k, o.m, d, h, load[1]);
+        if (lambda > 0)
+            chen_ricles_gui(&s, lambda, o.k, o.m, d, h, load[1]);
         else if (linear) { /* the same with the spring k u: take the excess out of the load */
             const double S = o.m + h / 2 * d + h * h / 4 * o.k, before = s.a;
             s.u += (o.m + h / 2 * d) / S * h * s.v + o.m / (2 * S) * h * h * before;
@@ -368,7 +400,8 @@ static double paper_difference(sfem_body_def def, double lambda, double damping,
             sfem_body_rhs(body)[3] += force;
         } else {
             assert_ok(sfem_body_predict(body, h, &err), err);
-            sfem_body_rhs(body)[3] += load[0] - (linear ? 0 : hardening(o.k, node1(body)) - o.k * node1(body));
+            sfem_body_rhs(body)[3] +=
+                load[0] - (linear ? 0 : hardening(o.k, node1(body)) - o.k * node1(body));
         }
         assert_ok(sfem_body_solve(body, &err), err);
         assert_ok(sfem_body_finish(body, &err), err);
@@ -442,7 +475,8 @@ static sfem_body *bar_body(const bar *b, sfem_body_def def, int held)
 }
 
 /* v = velocity + spin x (X - centre of the box) */
-static void set_motion(const bar *b, sfem_body *body, const double velocity[3], const double spin[3])
+static void set_motion(const bar *b, sfem_body *body, const double velocity[3],
+                       const double spin[3])
 {
     const double centre[3] = {0.05 * (b->n / 9 - 1), 0.1, 0.1};
     sfem_real v[3 * MAX_NODES];
@@ -535,7 +569,8 @@ static void steps_done_again_keep_the_forces_of_the_caller(void **state)
         sfem_error err;
         int i;
         for (i = 0; i < 20; ++i) {
-            memcpy(before, i ? sfem_body_displacement(body) : zero, 3 * (size_t)b.n * sizeof *before);
+            memcpy(before, i ? sfem_body_displacement(body) : zero,
+                   3 * (size_t)b.n * sizeof *before);
             assert_ok(sfem_body_predict(body, h, &err), err);
             if (i < 10) sfem_body_rhs(body)[3 * 7 + 1] += push;
             change += i < 10 ? push * h : 0;
@@ -629,7 +664,11 @@ static void violent_runs_keep_their_energy(void **state)
     static const struct {
         sfem_integrator integrator;
         double parameter;
-    } row[] = {{SFEM_KR_ALPHA, 0}, {SFEM_KR_ALPHA, 0.8}, {SFEM_KR_ALPHA, 1}, {SFEM_GUI, 3}, {SFEM_CHANG, 0}};
+    } row[] = {{SFEM_KR_ALPHA, 0},
+               {SFEM_KR_ALPHA, 0.8},
+               {SFEM_KR_ALPHA, 1},
+               {SFEM_GUI, 3},
+               {SFEM_CHANG, 0}};
     static const double young[] = {1e4, 1e6, 1e9};
     const double zero[3] = {0, 0, 0}, spin[3] = {0, 0, 20};
     size_t i, j;
@@ -801,7 +840,8 @@ static void a_prepared_body_allocates_nothing(void **state)
 
 static void factors_are_shared_where_coefficients_agree(void **state)
 {
-    static const sfem_integrator same[] = {SFEM_PQR, SFEM_NEWMARK, SFEM_GUI, SFEM_CHANG, SFEM_KR_ALPHA};
+    static const sfem_integrator same[] = {SFEM_PQR, SFEM_NEWMARK, SFEM_GUI, SFEM_CHANG,
+                                           SFEM_KR_ALPHA};
     bar b = make_bar(4, 1e6, SFEM_LINEAR);
     sfem_body *body[TEST_COUNT(same)];
     size_t i;

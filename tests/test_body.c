@@ -11,8 +11,8 @@ typedef struct block {
     sfem_int pins[64], pin_count, nodes;
 } block;
 
-static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, double alpha, double beta,
-                        const sfem_matrix *damping)
+static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, double alpha,
+                        double beta, const sfem_matrix *damping)
 {
     const sfem_int cells[3] = {nx, ny, nz};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * nz};
@@ -75,7 +75,8 @@ static void wave_load(const block *b, double t, sfem_real *f)
 
 /* Runs Newmark(p, 1/2) beside (p,1,1) under a load that varies; returns the largest difference of
  * displacement over the largest displacement. */
-static double newmark_against_pqr(const block *b, double p, double h, int steps, double alpha, double beta)
+static double newmark_against_pqr(const block *b, double p, double h, int steps, double alpha,
+                                  double beta)
 {
     const size_t n = 3 * (size_t)b->nodes;
     sfem_body_def def = sfem_default_body_def();
@@ -310,17 +311,19 @@ static void damped_amplification_is_that_of_the_matrix(void **state)
 }
 
 /* Error at t = T of u and v under u0, v0, damping xi and a load F cos(nu t), against the closed form. */
-static double oscillator_error(const oscillator *o, sfem_body_def def, double xi, double load, int steps,
-                               double *velocity_error)
+static double oscillator_error(const oscillator *o, sfem_body_def def, double xi, double load,
+                               int steps, double *velocity_error)
 {
     const double w = sqrt(o->k / o->m), T = 7 / w, nu = 0.6 * w, wd = w * sqrt(1 - xi * xi);
     /* particular solution C cos(nu t) + S sin(nu t) of u'' + 2 xi w u' + w^2 u = load w^2 cos(nu t) */
     const double a = w * w - nu * nu, b = 2 * xi * w * nu, g = load * w * w / (a * a + b * b);
     const double C = g * a, S = g * b, u0 = 0.01, v0 = 0.02 * w;
     const double A = u0 - C, B = (v0 - S * nu + xi * w * A) / wd;
-    const double e = exp(-xi * w * T), u = e * (A * cos(wd * T) + B * sin(wd * T)) + C * cos(nu * T) + S * sin(nu * T);
-    const double v = e * ((B * wd - xi * w * A) * cos(wd * T) - (A * wd + xi * w * B) * sin(wd * T)) -
-                     C * nu * sin(nu * T) + S * nu * cos(nu * T);
+    const double e = exp(-xi * w * T),
+                 u = e * (A * cos(wd * T) + B * sin(wd * T)) + C * cos(nu * T) + S * sin(nu * T);
+    const double v =
+        e * ((B * wd - xi * w * A) * cos(wd * T) - (A * wd + xi * w * B) * sin(wd * T)) -
+        C * nu * sin(nu * T) + S * nu * cos(nu * T);
     const double h = T / steps;
     sfem_real f[12] = {0};
     sfem_body *body;
@@ -438,7 +441,8 @@ static double fall(sfem_integrator integrator, sfem_mass mass, double r, double 
     body = make_body(b.model, &def);
     for (i = 0; i < steps; ++i) step(body, h);
     first = sfem_body_displacement(body)[2];
-    for (i = 0; i < b.nodes; ++i) worst = fmax(worst, fabs(sfem_body_displacement(body)[3 * i + 2] - first));
+    for (i = 0; i < b.nodes; ++i)
+        worst = fmax(worst, fabs(sfem_body_displacement(body)[3 * i + 2] - first));
     assert_true(worst < 1e-9 * fabs(first)); /* a free body falls without deforming */
     sfem_body_free(body);
     sfem_model_free(b.model);
@@ -458,7 +462,8 @@ static void a_free_body_falls_at_g_and_at_a_third_of_it_for_r_three(void **state
 }
 
 /* Largest relative change of the conserved energy over the steps. */
-static double energy_drift(sfem_integrator integrator, double p, sfem_mass mass, double h, int steps)
+static double energy_drift(sfem_integrator integrator, double p, sfem_mass mass, double h,
+                           int steps)
 {
     block b = make_block(2, 1, 1, mass, 0, 0, NULL);
     sfem_body_def def = sfem_default_body_def();
@@ -505,7 +510,8 @@ static void rest_momentum(const block *b, const double *u0, const double *u1, do
         for (c = 0; c < 3; ++c) {
             const int d = (c + 1) % 3, e = (c + 2) % 3;
             p[c] += mw[3 * i + c];
-            p[3 + c] += (x[3 * i + d] - centre[d]) * mw[3 * i + e] - (x[3 * i + e] - centre[e]) * mw[3 * i + d];
+            p[3 + c] += (x[3 * i + d] - centre[d]) * mw[3 * i + e] -
+                        (x[3 * i + e] - centre[e]) * mw[3 * i + d];
         }
 }
 
@@ -717,9 +723,13 @@ static void a_change_of_step_keeps_the_order(void **state)
 {
     oscillator o = make_oscillator(1e6, SFEM_MASS_LUMPED);
     (void)state;
-    assert_near(log2(varying_step_error(&o, 200, .25, 0) / varying_step_error(&o, 400, .25, 0)), 2, 0, .1);
-    assert_near(log2(varying_step_error(&o, 200, .35, 0) / varying_step_error(&o, 400, .35, 0)), 2, 0, .1);
-    assert_near(log2(varying_step_error(&o, 400, .35, 1e-3) / varying_step_error(&o, 800, .35, 1e-3)), 2, 0, .1);
+    assert_near(log2(varying_step_error(&o, 200, .25, 0) / varying_step_error(&o, 400, .25, 0)), 2,
+                0, .1);
+    assert_near(log2(varying_step_error(&o, 200, .35, 0) / varying_step_error(&o, 400, .35, 0)), 2,
+                0, .1);
+    assert_near(
+        log2(varying_step_error(&o, 400, .35, 1e-3) / varying_step_error(&o, 800, .35, 1e-3)), 2, 0,
+        .1);
     sfem_model_free(o.model);
 }
 
@@ -760,7 +770,8 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
         assert_ok(sfem_body_solve(parts, &err), err);
         assert_ok(sfem_body_finish(parts, &err), err);
     }
-    assert_all_near(sfem_body_displacement(whole), sfem_body_displacement(parts), 3 * b.nodes, 1e-12, 0);
+    assert_all_near(sfem_body_displacement(whole), sfem_body_displacement(parts), 3 * b.nodes,
+                    1e-12, 0);
     sfem_body_free(whole);
     sfem_body_free(parts);
     sfem_model_free(b.model);
@@ -814,7 +825,8 @@ static void a_hundred_bodies_share_one_factor(void **state)
     (void)state;
     for (i = 0; i < 100; ++i) {
         body[i] = block_body(&b, def);
-        assert_int_equal(sfem_body_get_info(body[i]).factor_users, 0); /* nothing before it is needed */
+        assert_int_equal(sfem_body_get_info(body[i]).factor_users,
+                         0); /* nothing before it is needed */
         assert_ok(sfem_body_prepare(body[i], 0.01, &err), err);
         made += sfem_body_get_info(body[i]).factors_made;
     }
@@ -965,7 +977,8 @@ static void bad_definitions_are_refused(void **state)
     REFUSED(def.max_handles = -1, SFEM_BAD_ARGUMENT, "max_handles");
     REFUSED(def.integrator = (sfem_integrator)17, SFEM_BAD_ARGUMENT, "17");
     REFUSED((def.pins = far, def.pin_count = 1), SFEM_BAD_ARGUMENT, "node 99");
-    REFUSED((def.pins = corner_pins, def.pin_axes = axes, def.pin_count = 1), SFEM_BAD_ARGUMENT, "axes 8");
+    REFUSED((def.pins = corner_pins, def.pin_axes = axes, def.pin_count = 1), SFEM_BAD_ARGUMENT,
+            "axes 8");
     REFUSED(def.pin_count = 3, SFEM_BAD_ARGUMENT, "pin_count");
 #undef REFUSED
     sfem_model_free(b.model);
@@ -1010,7 +1023,8 @@ static void every_allocation_may_fail(void **state)
     sfem_integrator kind[] = {SFEM_PQR, SFEM_NEWMARK, SFEM_CENTRAL};
     size_t i;
     (void)state;
-    for (i = 0; i < TEST_COUNT(kind); ++i) assert_true(fail_every_allocation(build_and_step, kind + i) > 20);
+    for (i = 0; i < TEST_COUNT(kind); ++i)
+        assert_true(fail_every_allocation(build_and_step, kind + i) > 20);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -1060,7 +1074,8 @@ static void *run_one_body(void *argument)
 {
     sfem_body *body = (sfem_body *)argument;
     int k, failed = 0;
-    for (k = 0; k < 100; ++k) failed |= sfem_body_step(body, k < 50 ? 0.01 : 0.005, NULL) != SFEM_OK;
+    for (k = 0; k < 100; ++k)
+        failed |= sfem_body_step(body, k < 50 ? 0.01 : 0.005, NULL) != SFEM_OK;
     return failed ? body : NULL;
 }
 
@@ -1075,7 +1090,8 @@ static void two_threads_step_two_bodies_of_one_model(void **state)
     (void)state;
     def.gravity[0] = 4;
     for (i = 0; i < 3; ++i) body[i] = block_body(&b, def);
-    for (i = 0; i < 2; ++i) assert_int_equal(pthread_create(thread + i, NULL, run_one_body, body[i]), 0);
+    for (i = 0; i < 2; ++i)
+        assert_int_equal(pthread_create(thread + i, NULL, run_one_body, body[i]), 0);
     for (i = 0; i < 2; ++i) pthread_join(thread[i], failed + i);
     assert_null(failed[0]);
     assert_null(failed[1]);
@@ -1102,7 +1118,8 @@ static void mixed_precision_stays_within_its_stated_accuracy(void **state)
         step(exact, 0.01);
         step(mixed, 0.01);
     }
-    assert_all_near(sfem_body_displacement(exact), sfem_body_displacement(mixed), 3 * b.nodes, 1e-4, 0);
+    assert_all_near(sfem_body_displacement(exact), sfem_body_displacement(mixed), 3 * b.nodes, 1e-4,
+                    0);
     assert_true(hash_reals(sfem_body_displacement(exact), 3 * (size_t)b.nodes) !=
                 hash_reals(sfem_body_displacement(mixed), 3 * (size_t)b.nodes));
     sfem_body_free(exact);

@@ -867,11 +867,21 @@ static void model_forces_are_the_sum_over_tets(void **state)
                 sfem_int t, inverted = 0, counted = -1;
                 int a, i;
                 if (path == 0) {
-                    got = sfemi_fem_forces(b.model, b.model->chunks.block, b.u, SFEM_DOUBLE, b.force,
-                                           b.rotation, &counted, spin, spins, b.work, NULL);
+                    got =
+                        sfemi_fem_forces(b.model, b.model->chunks.block, b.u, SFEM_DOUBLE, b.force,
+                                         b.rotation, &counted, spin, spins, b.work, NULL);
                 } else { /* the path of processors without vectors */
-                    sfemi_forces job = {b.model, b.model->chunks.block, b.u,  b.force, b.rotation, b.work,
-                                        NULL, NULL, spin, spins, sfemi_blocks_portable_d};
+                    sfemi_forces job = {b.model,
+                                        b.model->chunks.block,
+                                        b.u,
+                                        b.force,
+                                        b.rotation,
+                                        b.work,
+                                        NULL,
+                                        NULL,
+                                        spin,
+                                        spins,
+                                        sfemi_blocks_portable_d};
                     const sfemi_chunks *c = &b.model->chunks;
                     job.energy = b.work + 4 * c->copies;
                     job.inverted = job.energy + c->count;

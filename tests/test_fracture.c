@@ -127,8 +127,10 @@ static void pull(scene *s, double strain, double jitter)
         most = fmax(most, s->mesh.x[3 * i]);
     }
     for (i = 0; i < 3 * s->n; ++i) {
-        u[i] = (i % 3 ? -0.3 : 1) * strain * s->mesh.x[i] + random_uniform(&random, -jitter, jitter);
-        if (i % 3 == 0 && (s->mesh.x[i] < least + 0.04 || s->mesh.x[i] > most - 0.04)) pins[count++] = i / 3;
+        u[i] =
+            (i % 3 ? -0.3 : 1) * strain * s->mesh.x[i] + random_uniform(&random, -jitter, jitter);
+        if (i % 3 == 0 && (s->mesh.x[i] < least + 0.04 || s->mesh.x[i] > most - 0.04))
+            pins[count++] = i / 3;
     }
     assert_ok(sfem_body_set_state(s->body, u, NULL, &err), err);
     assert_ok(sfem_body_set_pins(s->body, count, pins, NULL, &err), err);
@@ -195,7 +197,8 @@ static double invariant(const scene *s, const double *u0, double h)
     sfem_model_multiply_stiffness(s->model, t->w, kw, NULL);
     for (i = 0; i < n; ++i) {
         e += t->w[i] * (mass[i / 3] * t->w[i] + s->body->p * h * h * kw[i]) / 2;
-        e += (u0[i] * t->f_past[i] + t->u[i] * t->f[i]) / 4 - (t->u[i] - u0[i]) * (t->f[i] - t->f_past[i]) / 4;
+        e += (u0[i] * t->f_past[i] + t->u[i] * t->f[i]) / 4 -
+             (t->u[i] - u0[i]) * (t->f[i] - t->f_past[i]) / 4;
     }
     return e;
 }
@@ -215,8 +218,10 @@ static void no_break_raises_the_invariant_of_a_linear_body(void **state)
             def.frame = SFEM_FRAME_REST;
             add_body(&s, def, &damage, 0);
             h = omega[k] / largest_omega(&s);
-            if (shaken) shake(&s, 10, 5);
-            else pull(&s, 0.06, 0.0005);
+            if (shaken)
+                shake(&s, 10, 5);
+            else
+                pull(&s, 0.06, 0.0005);
             for (i = 0; i < 300; ++i) {
                 double u0[3 * MAX_NODES], now, fallen;
                 memcpy(u0, sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof *u0);
@@ -225,14 +230,18 @@ static void no_break_raises_the_invariant_of_a_linear_body(void **state)
                 fallen = s.body->damage->account[SFEMI_RELEASED] - released;
                 released += fallen;
                 assert_true(fallen >= 0);
-                if (i == 0) first = now;
-                else assert_near(now, before - fallen, 0, 1e-10 * first);
+                if (i == 0)
+                    first = now;
+                else
+                    assert_near(now, before - fallen, 0, 1e-10 * first);
                 if (i > 0) most = fmax(most, fabs(now - before + fallen) / first);
                 before = now;
             }
             f = sfem_body_fracture(s.body);
-            printf("shaken %d omega h %g: broken %d pieces %d, invariant %g -> %g, off by %.1e, delayed %g\n", shaken, omega[k],
-                   f.broken, f.pieces, first, before, most, s.body->damage->account[SFEMI_DELAYED]);
+            printf("shaken %d omega h %g: broken %d pieces %d, invariant %g -> %g, off by %.1e, "
+                   "delayed %g\n",
+                   shaken, omega[k], f.broken, f.pieces, first, before, most,
+                   s.body->damage->account[SFEMI_DELAYED]);
             assert_true(f.broken >= 200);
             assert_near(s.body->p, 0.25, 0, 0);
             drop(&s);
@@ -286,7 +295,8 @@ static double inertia(scene *s, const double *w)
  * old one in every direction). */
 static void new_pieces_take_energy_out_of_the_stale_factor(void **state)
 {
-    const double omega[3] = {1, 10, 30}, toughness[3] = {20, 2, .1}, spin[3] = {0, 0, 0}, v[3] = {1, 0, 0};
+    const double omega[3] = {1, 10, 30}, toughness[3] = {20, 2, .1}, spin[3] = {0, 0, 0},
+                 v[3] = {1, 0, 0};
     int k, i;
     (void)state;
     for (k = 0; k < 3; ++k) {
@@ -294,7 +304,8 @@ static void new_pieces_take_energy_out_of_the_stale_factor(void **state)
         const sfem_damage_def damage = brittle(toughness[k]);
         scene s = bar(5, 1, 1, glass(SFEM_LINEAR, 1e6));
         double before = 0, first = 0, h, released = 0;
-        sfem_int pieces = 1; double sum = 0, raised = 0;
+        sfem_int pieces = 1;
+        double sum = 0, raised = 0;
         add_body(&s, def, &damage, 0);
         h = omega[k] / largest_omega(&s);
         set_motion(&s, v, spin, 2);
@@ -311,16 +322,20 @@ static void new_pieces_take_energy_out_of_the_stale_factor(void **state)
                        (t->u[c] - u0[c]) * (t->f[c] - t->f_past[c]) / 4;
             fallen = s.body->damage->account[SFEMI_RELEASED] - released;
             released += fallen;
-            if (i == 0) first = now;
-            else if (s.body->turn.pieces == pieces) assert_near(now, before - fallen, 0, 1e-9 * first);
-            else sum += now - before + fallen, raised += fmax(0, now - before + fallen);
+            if (i == 0)
+                first = now;
+            else if (s.body->turn.pieces == pieces)
+                assert_near(now, before - fallen, 0, 1e-9 * first);
+            else
+                sum += now - before + fallen, raised += fmax(0, now - before + fallen);
             pieces = s.body->turn.pieces;
             before = now;
         }
         printf("omega h %g: broken %d pieces %d, invariant %g -> %g\n", omega[k],
                sfem_body_fracture(s.body).broken, pieces, first, before);
         printf("regrouping changed it by %g, of this up by %g\n", sum, raised);
-        assert_true(sum < 0 && raised < -0.05 * sum); /* mostly down: the two matrices are not ordered */
+        assert_true(sum < 0 &&
+                    raised < -0.05 * sum); /* mostly down: the two matrices are not ordered */
         assert_true(pieces >= 4);
         drop(&s);
     }
@@ -368,11 +383,14 @@ static void a_cut_bar_falls_as_it_should_by_projection_or_renewal(void **state)
     (void)state;
     for (k = 0; k < 3; ++k)
         for (law = 0; law < 2; ++law) {
-            const double fall = fall_of_the_free_half(young[k], SFEM_FRAME_NODE, law ? SFEM_COROTATIONAL : SFEM_LINEAR, 0);
+            const double fall = fall_of_the_free_half(young[k], SFEM_FRAME_NODE,
+                                                      law ? SFEM_COROTATIONAL : SFEM_LINEAR, 0);
             const double stale = fall_of_the_free_half(young[k], SFEM_FRAME_REST, SFEM_LINEAR, 0);
-            const double renewed = fall_of_the_free_half(young[k], SFEM_FRAME_REST, SFEM_LINEAR, 1e12);
+            const double renewed =
+                fall_of_the_free_half(young[k], SFEM_FRAME_REST, SFEM_LINEAR, 1e12);
             printf("Y %g: fall %.4f stale %.4f renewed %.4f\n", young[k], fall, stale, renewed);
-            assert_near(renewed, 9.81 / 3600 * 120, 1e-9, 0); /* gravity came with w = 0 half a step before */
+            assert_near(renewed, 9.81 / 3600 * 120, 1e-9,
+                        0); /* gravity came with w = 0 half a step before */
             assert_near(fall, 9.81 * 0.25 * 0.25 / 2, 1e-9, 0);
             assert_true(stale < slow[k] * fall);
         }
@@ -435,22 +453,26 @@ static void a_thrown_body_that_breaks_in_flight_keeps_both_momenta(void **state)
             dl = fmax(dl, apart(l[1], l[0]));
             for (e = 0, sfem_body_breaks(s.body, &count); e < count; ++e) {
                 const sfem_break *b = sfem_body_breaks(s.body, &count) + e;
-                assert_true(b->released >= 0); /* the local energy, the switch to the edge form included */
+                assert_true(b->released >=
+                            0); /* the local energy, the switch to the edge form included */
                 released += b->released;
                 price += b->price;
                 ++total;
             }
         }
         f = sfem_body_fracture(s.body);
-        printf("law %d: broken %d pieces %d redone %d, P %.1e, L %.1e, energy %g -> %g, work %g released %g guarded %g error %g scale %g\n", k, f.broken, f.pieces,
-               (int)sfem_body_get_info(s.body).redone, dp, dl, f.start, f.kinetic_elastic, f.work, f.released, f.guarded, f.error, f.scale);
+        printf("law %d: broken %d pieces %d redone %d, P %.1e, L %.1e, energy %g -> %g, work %g "
+               "released %g guarded %g error %g scale %g\n",
+               k, f.broken, f.pieces, (int)sfem_body_get_info(s.body).redone, dp, dl, f.start,
+               f.kinetic_elastic, f.work, f.released, f.guarded, f.error, f.scale);
         assert_true(f.pieces >= 5 && total == f.broken);
         assert_near(price, f.surface, 1e-12, 0);
         assert_near(released, s.body->damage->account[SFEMI_RELEASED], 1e-12, 0);
         assert_true(sfem_body_get_info(s.body).redone <= 3);
         assert_true(dp < 1e-12 && dl < 1e-12);
         /* a step done again ends within a hundredth of the scale above the ledger */
-        assert_true(fabs(f.error) < (2e-3 + 0.01 * (double)sfem_body_get_info(s.body).redone) * f.scale);
+        assert_true(fabs(f.error) <
+                    (2e-3 + 0.01 * (double)sfem_body_get_info(s.body).redone) * f.scale);
         drop(&s);
     }
 }
@@ -512,16 +534,23 @@ static void the_books_of_a_linear_body_balance(void **state)
             step(s.body, h);
             f = sfem_body_fracture(s.body);
             /* T + U falls at a break by what is released, and by what goes into hiding */
-            stray = f.error + hidden(&s, h, beta) - (f.released - s.body->damage->account[SFEMI_RELEASED]);
+            stray = f.error + hidden(&s, h, beta) -
+                    (f.released - s.body->damage->account[SFEMI_RELEASED]);
             if (i == 0) start = stray;
             most = fmax(most, fabs(stray - start));
         }
-        printf("k %d broken %d pieces %d, off %.2e of scale %g; error %g hidden %g work %g damped %g released %g T+U %g\n", k, f.broken, f.pieces, most,
-               f.scale, f.error, hidden(&s, h, beta), f.work, f.damped, f.released, f.kinetic_elastic);
+        printf("k %d broken %d pieces %d, off %.2e of scale %g; error %g hidden %g work %g damped "
+               "%g released %g T+U %g\n",
+               k, f.broken, f.pieces, most, f.scale, f.error, hidden(&s, h, beta), f.work, f.damped,
+               f.released, f.kinetic_elastic);
         assert_true(f.broken > 50);
-        if (k == 4) assert_true(most < 1e-3 * f.scale); /* what leaves D at a break hides, too */
-        else if (k != 2) assert_true(most < 1e-10 * f.scale);
-        if (k != 3) assert_true(fabs(f.error) < 0.05 * f.scale); /* held pieces, large steps: half of it hides */
+        if (k == 4)
+            assert_true(most < 1e-3 * f.scale); /* what leaves D at a break hides, too */
+        else if (k != 2)
+            assert_true(most < 1e-10 * f.scale);
+        if (k != 3)
+            assert_true(fabs(f.error) <
+                        0.05 * f.scale); /* held pieces, large steps: half of it hides */
         free(never);
         drop(&s);
     }
@@ -594,7 +623,8 @@ static void the_sources_law_explodes_unless_p_is_what_it_asks_for(void **state)
         k[1] = most_energy(SFEM_DAMAGE_ZSZ, 0, omega[i], &p);
         k[2] = most_energy(SFEM_DAMAGE_CONDENSED, 0.25, omega[i], &p);
         most_energy(SFEM_DAMAGE_ZSZ, 0, omega[i], &p);
-        printf("omega h %g: zsz at 1/4 %g, at %.3f %g; condensed at 1/4 %g\n", omega[i], k[0], p, k[1], k[2]);
+        printf("omega h %g: zsz at 1/4 %g, at %.3f %g; condensed at 1/4 %g\n", omega[i], k[0], p,
+               k[1], k[2]);
         assert_true(p > 0.26);
         assert_true(k[1] < 400 && k[2] < 400);
         assert_true(k[0] > 1e6);
@@ -616,7 +646,8 @@ static void p_follows_from_the_damage_or_is_refused(void **state)
         add_body(&s, def, k ? &closing : &zsz, 0);
         set_motion(&s, v, v, 0.1);
         step(s.body, 0.01);
-        assert_near(sfem_body_get_info(s.body).p, fmax(0.25, sfem_body_fracture(s.body).least_p), 0, 0);
+        assert_near(sfem_body_get_info(s.body).p, fmax(0.25, sfem_body_fracture(s.body).least_p), 0,
+                    0);
         assert_true(sfem_body_get_info(s.body).p >= (k ? 0.5 : 0.26));
         sfem_body_free(s.body);
         def.p = 0.25;
@@ -635,12 +666,16 @@ static int inverted_damaged(const scene *s, int *damaged)
     for (i = 0; i < s->body->damage->tets; ++i) {
         const sfem_int *t = s->mesh.tet + 4 * s->body->damage->tet[i];
         double d[3][3];
-        if (s->body->damage->kind[s->body->damage->tet[i]] != SFEMI_HURT) continue; /* loose ones carry nothing */
+        if (s->body->damage->kind[s->body->damage->tet[i]] != SFEMI_HURT)
+            continue; /* loose ones carry nothing */
         for (a = 0; a < 3; ++a)
             for (c = 0; c < 3; ++c)
-                d[a][c] = s->mesh.x[3 * t[a + 1] + c] + u[3 * t[a + 1] + c] - s->mesh.x[3 * t[0] + c] - u[3 * t[0] + c];
-        count += d[0][0] * (d[1][1] * d[2][2] - d[1][2] * d[2][1]) - d[0][1] * (d[1][0] * d[2][2] - d[1][2] * d[2][0]) +
-                     d[0][2] * (d[1][0] * d[2][1] - d[1][1] * d[2][0]) <= 0;
+                d[a][c] = s->mesh.x[3 * t[a + 1] + c] + u[3 * t[a + 1] + c] -
+                          s->mesh.x[3 * t[0] + c] - u[3 * t[0] + c];
+        count += d[0][0] * (d[1][1] * d[2][2] - d[1][2] * d[2][1]) -
+                     d[0][1] * (d[1][0] * d[2][2] - d[1][2] * d[2][0]) +
+                     d[0][2] * (d[1][0] * d[2][1] - d[1][1] * d[2][0]) <=
+                 0;
     }
     return count;
 }
@@ -660,15 +695,18 @@ static void a_crushed_broken_block_comes_back_upright(void **state)
     add_body(&s, def, &damage, 0);
     for (k = 0; k < s.body->bonds->edges; ++k)
         if (random_uniform(&random, 0, 1) < 0.12)
-            assert_ok(sfem_body_break_edge(s.body, s.body->bonds->end[2 * k], s.body->bonds->end[2 * k + 1], &err), err);
+            assert_ok(sfem_body_break_edge(s.body, s.body->bonds->end[2 * k],
+                                           s.body->bonds->end[2 * k + 1], &err),
+                      err);
     step(s.body, 1.0 / 60);
-    for (i = 0; i < 3 * s.n; ++i) u[i] = random_uniform(&random, -0.15, 0.15) + (i % 3 == 2 ? -0.7 * s.mesh.x[i] : 0);
+    for (i = 0; i < 3 * s.n; ++i)
+        u[i] = random_uniform(&random, -0.15, 0.15) + (i % 3 == 2 ? -0.7 * s.mesh.x[i] : 0);
     assert_ok(sfem_body_set_state(s.body, u, NULL, &err), err);
     crushed = inverted_damaged(&s, &damaged);
     run(s.body, 1.0 / 60, 240);
     last = inverted_damaged(&s, &damaged);
-    printf("damaged %d inverted %d -> %d, redone %d pieces %d\n", damaged, crushed, last, (int)sfem_body_get_info(s.body).redone,
-           sfem_body_fracture(s.body).pieces);
+    printf("damaged %d inverted %d -> %d, redone %d pieces %d\n", damaged, crushed, last,
+           (int)sfem_body_get_info(s.body).redone, sfem_body_fracture(s.body).pieces);
     assert_true(damaged > 100 && crushed > 50);
     assert_int_equal(last, 0);
     drop(&s);
@@ -712,11 +750,13 @@ static void a_state_saved_in_mid_fracture_goes_on_with_the_same_bits(void **stat
             broken = sfem_body_fracture(s.body).broken;
             memory = malloc(sfem_body_state_size(s.body));
             sfem_body_save_state(s.body, memory);
-            assert_ok(sfem_body_load_state(t.body, memory, sfem_body_state_size(s.body), &err), err);
+            assert_ok(sfem_body_load_state(t.body, memory, sfem_body_state_size(s.body), &err),
+                      err);
             assert_int_equal(sfem_body_fracture(t.body).broken, broken);
             run(s.body, 1e-3, 60);
             run(t.body, 1e-3, 60);
-            printf("law %d ductile %d: broken %d -> %d\n", k, ductile, broken, sfem_body_fracture(s.body).broken);
+            printf("law %d ductile %d: broken %d -> %d\n", k, ductile, broken,
+                   sfem_body_fracture(s.body).broken);
             assert_true(broken > 0 && sfem_body_fracture(s.body).broken > broken);
             assert_memory_equal(sfem_body_displacement(s.body), sfem_body_displacement(t.body),
                                 3 * (size_t)s.n * sizeof(double));
@@ -811,7 +851,8 @@ static void every_allocation_may_fail(void **state)
  * the surface of what is left
  * -------------------------------------------------------------------------------------------- */
 
-static double enclosed(const sfem_fragments *f, const double *x, const sfem_int *piece_of, sfem_int piece)
+static double enclosed(const sfem_fragments *f, const double *x, const sfem_int *piece_of,
+                       sfem_int piece)
 {
     double volume = 0, c[3];
     sfem_int i;
@@ -835,10 +876,13 @@ static int watertight(const sfem_fragments *f)
         for (i = 0; i < n; ++i) {
             const int64_t a = f->tri[i], b = f->tri[i % 3 == 2 ? i - 2 : i + 1];
             const int64_t key = (j ? b * f->vertices + a : a * f->vertices + b) + 1;
-            sfem_int at = (sfem_int)(((uint64_t)key * 0x9e3779b97f4a7c15u >> 20) & (uint64_t)(size - 1));
+            sfem_int at =
+                (sfem_int)(((uint64_t)key * 0x9e3779b97f4a7c15u >> 20) & (uint64_t)(size - 1));
             while (table[at] && table[at] != key) at = (at + 1) & (size - 1);
-            if (j) bad += table[at] == 0; /* no reverse */
-            else bad += table[at] == key; /* twice */
+            if (j)
+                bad += table[at] == 0; /* no reverse */
+            else
+                bad += table[at] == key; /* twice */
             if (!j) table[at] = key;
         }
     free(table);
@@ -877,7 +921,8 @@ static void fragments_are_closed_and_hold_their_pieces_volume(void **state)
             sfem_body_fragment_positions(s.body, &f, x);
             sfem_body_pieces(s.body, piece);
             for (i = 0; i < sfem_body_fracture(s.body).pieces; ++i) {
-                assert_near(enclosed(&f, x, sfem_body_piece_of(s.body), i), piece[i].mass / 1000, 1e-11, 1e-15);
+                assert_near(enclosed(&f, x, sfem_body_piece_of(s.body), i), piece[i].mass / 1000,
+                            1e-11, 1e-15);
                 sum += piece[i].mass / 1000;
             }
             assert_near(sum, sfem_model_total_mass(s.model) / 1000, 1e-12, 0);
@@ -888,12 +933,14 @@ static void fragments_are_closed_and_hold_their_pieces_volume(void **state)
                 int m;
                 memcpy(r, a, sizeof r);
                 for (m = 0; m < 3; ++m)
-                    u[3 * i + m] = turn[m] + dot(r + 3 * m, s.mesh.x + 3 * i, 3) - s.mesh.x[3 * i + m];
+                    u[3 * i + m] =
+                        turn[m] + dot(r + 3 * m, s.mesh.x + 3 * i, 3) - s.mesh.x[3 * i + m];
             }
             assert_ok(sfem_body_set_state(s.body, u, NULL, &err), err);
             sfem_body_fragment_positions(s.body, &f, x);
             if (fraction[k] < 0.1) /* more leaves lone edges, whose turn is not known */
-                assert_near(enclosed(&f, x, sfem_body_piece_of(s.body), 0), piece[0].mass / 1000, 1e-3, 0);
+                assert_near(enclosed(&f, x, sfem_body_piece_of(s.body), 0), piece[0].mass / 1000,
+                            1e-3, 0);
             free(x);
             sfem_fragments_free(&f);
             drop(&s);

@@ -412,17 +412,20 @@ static void a_stiff_body_keeps_its_momenta(void **state)
             assert_ok(sfem_body_set_state(s.body, NULL, v, &err), err);
             if (way == 1) assert_ok(sfem_body_set_force(s.body, f, &err), err);
             for (k = 0; k < 20; ++k) {
-                const double brake = 1 + def.alpha * h / 2, size = speed * sfem_model_total_mass(s.model);
+                const double brake = 1 + def.alpha * h / 2,
+                             size = speed * sfem_model_total_mass(s.model);
                 memcpy(before, sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof(double));
-                for (c = 0; c < 3; ++c) x[c] = s.mesh.x[3 * (s.n - 1) + c] + before[3 * (s.n - 1) + c];
+                for (c = 0; c < 3; ++c)
+                    x[c] = s.mesh.x[3 * (s.n - 1) + c] + before[3 * (s.n - 1) + c];
                 assert_ok(sfem_body_predict(s.body, h, &err), err);
                 for (c = 0; way == 2 && c < 3 * s.n; ++c) sfem_body_rhs(s.body)[c] += f[c];
                 assert_ok(sfem_body_solve(s.body, &err), err);
                 assert_ok(sfem_body_finish(s.body, &err), err);
                 momentum(&s, before, sfem_body_displacement(s.body), h, p[1], l[1]);
                 for (c = 0; k > 0 && c < 3; ++c)
-                    assert_near(p[1][c] - p[0][c], h * (f[3 * (s.n - 1) + c] - def.alpha * p[0][c]) / brake,
-                                0, 1e-12 * size);
+                    assert_near(p[1][c] - p[0][c],
+                                h * (f[3 * (s.n - 1) + c] - def.alpha * p[0][c]) / brake, 0,
+                                1e-12 * size);
                 cross(x, f + 3 * (s.n - 1), v);
                 for (c = 0; k > 0 && way < 3 && c < 3; ++c) /* of w and the place at its start */
                     assert_near(l[1][c] - l[0][c], h * v[c], 0, (way ? 1e-5 : 1e-11) * size);
@@ -499,8 +502,8 @@ static void a_spinning_body_is_not_held_back(void **state)
             distance3(x, x + 3 * (s.n - 9), &now);
             most = fmax(most, fabs(now / length0 - 1));
         }
-        print_message("    %d corrections: stretched by %.1e, %d of 120 steps redone\n", (int)corrections, most,
-                      (int)sfem_body_get_info(s.body).redone);
+        print_message("    %d corrections: stretched by %.1e, %d of 120 steps redone\n",
+                      (int)corrections, most, (int)sfem_body_get_info(s.body).redone);
         assert_true(most < 2e-3);
         assert_true(sfem_body_get_info(s.body).redone <= (corrections ? 6 : 0));
         drop(&s);
@@ -533,9 +536,10 @@ static void steps_done_again_keep_momenta(void **state)
             most = fmax(most, d / length(l[0], 3));
         }
         info = sfem_body_get_info(s.body);
-        print_message("    Y %g: %d of 60 steps redone, %.2f solves each, L off by at most %.1e, energy by %.1e\n",
-                      young[which], (int)info.redone, (double)info.descents / (double)info.redone, most,
-                      sfem_body_energy(s.body).total / energy - 1);
+        print_message("    Y %g: %d of 60 steps redone, %.2f solves each, L off by at most %.1e, "
+                      "energy by %.1e\n",
+                      young[which], (int)info.redone, (double)info.descents / (double)info.redone,
+                      most, sfem_body_energy(s.body).total / energy - 1);
         assert_true(info.redone > 50);
         assert_true(info.descents <= 4 * info.redone);
         assert_true(most < 1e-8);
@@ -1010,9 +1014,10 @@ static void bodies_torn_a_thousandfold_come_back(void **state)
         assert_true(sfem_body_energy(s.body).elastic > 1e16 * calm);
         run(s.body, 1.0 / 60, 240);
         info = sfem_body_get_info(s.body);
-        print_message("    Y %g: elastic %.2g of what a knot may have, kinetic %.1g, %d of 240 redone\n", young[k],
-                      sfem_body_energy(s.body).elastic / calm, sfem_body_energy(s.body).kinetic / calm,
-                      (int)info.redone);
+        print_message(
+            "    Y %g: elastic %.2g of what a knot may have, kinetic %.1g, %d of 240 redone\n",
+            young[k], sfem_body_energy(s.body).elastic / calm,
+            sfem_body_energy(s.body).kinetic / calm, (int)info.redone);
         assert_true(sfem_body_energy(s.body).elastic < 2 * calm);
         assert_true(sfem_body_energy(s.body).kinetic < 10 * calm);
         drop(&s);
@@ -1063,9 +1068,10 @@ static void knots_come_to_rest(void **state)
         run(s.body, h[k], 1500);
         forces(&s, sfem_body_displacement(s.body), f);
         for (i = 0; i < 3 * s.n; ++i) most = fmax(most, fabs(f[i]));
-        print_message("    Y %g, h %g: off by %.3f of its length, force %.1e of Y A, %d of %d redone\n", young[k],
-                      h[k], misshape(&s), most / (0.01 * young[k]),
-                      (int)sfem_body_get_info(s.body).redone, (int)sfem_body_get_info(s.body).steps);
+        print_message(
+            "    Y %g, h %g: off by %.3f of its length, force %.1e of Y A, %d of %d redone\n",
+            young[k], h[k], misshape(&s), most / (0.01 * young[k]),
+            (int)sfem_body_get_info(s.body).redone, (int)sfem_body_get_info(s.body).steps);
         assert_true(most < 1e-5 * 0.01 * young[k]);
         if (misshape(&s) > 0.1) {
             ++knots;
@@ -1145,7 +1151,9 @@ static void a_changing_step_is_as_good_as_a_fixed_one(void **state)
     sfem_int i, n = 0;
     int k;
     (void)state;
-    for (k = 0; k < 4; ++k) { /* fine, h = 1/240, and twice steps of 1/120 and 1/480 in turn: of one p, and of two */
+    for (
+        k = 0; k < 4;
+        ++k) { /* fine, h = 1/240, and twice steps of 1/120 and 1/480 in turn: of one p, and of two */
         scene s = bar(5, 2, rubber(3e4));
         sfem_body_def def = sfem_default_body_def();
         int j;
@@ -1169,9 +1177,10 @@ static void a_changing_step_is_as_good_as_a_fixed_one(void **state)
         d[1][i] = u[2][i] - u[0][i];
         d[2][i] = u[3][i] - u[0][i];
     }
-    print_message("    error %.5f with a fixed step, %.5f with a changing one, %.5f where p changes, too, of %.3f\n",
-                  length(d[0], 3 * (size_t)n), length(d[1], 3 * (size_t)n), length(d[2], 3 * (size_t)n),
-                  length(u[0], 3 * (size_t)n));
+    print_message("    error %.5f with a fixed step, %.5f with a changing one, %.5f where p "
+                  "changes, too, of %.3f\n",
+                  length(d[0], 3 * (size_t)n), length(d[1], 3 * (size_t)n),
+                  length(d[2], 3 * (size_t)n), length(u[0], 3 * (size_t)n));
     assert_true(length(d[1], 3 * (size_t)n) <
                 5 * length(d[0], 3 * (size_t)n)); /* 3.25 by the squares of the steps */
     assert_true(length(d[1], 3 * (size_t)n) < 1e-3 * length(u[0], 3 * (size_t)n));
@@ -1530,8 +1539,10 @@ static void a_saved_state_continues_bit_for_bit(void **state)
             if (kind > SCATTERED) m.law = SFEM_NEOHOOKEAN;
             s = bar(4, 2, m);
             add_body(&s, eventful(), 0);
-            if (kind > SCATTERED) tear(&s, 100);
-            else set_scene(&s, kind);
+            if (kind > SCATTERED)
+                tear(&s, 100);
+            else
+                set_scene(&s, kind);
             go_on(&s, &handle, 0, cuts[k]);
             bytes = sfem_body_state_size(s.body);
             memory = malloc(bytes);
@@ -1624,7 +1635,8 @@ static void a_step_that_fails_or_is_given_up_leaves_no_trace(void **state)
         if (k % 4 == 0) random_fill(&random, v, 3 * (size_t)s.n, -2, 2);
         for (j = 0; j < 2; ++j) {
             if (k % 4 == 0) assert_ok(sfem_body_set_state(body[j], NULL, v, &err), err);
-            if (k % 4 == 2) assert_ok(sfem_body_set_gravity(body[j], gravity[k / 4 % 2], &err), err);
+            if (k % 4 == 2)
+                assert_ok(sfem_body_set_gravity(body[j], gravity[k / 4 % 2], &err), err);
             if (j) {
                 assert_ok(sfem_body_predict(body[j], 0.5, &err), err);
                 sfem_body_rhs(body[j])[3 * s.n - 1] = (double)NAN;
@@ -1658,10 +1670,13 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
             s = bar(8, 4, m);
             def.exec = thread_exec(threads);
             add_body(&s, def, 0);
-            if (kinds[k] == SCENES) tear(&s, 100);
-            else set_scene(&s, kinds[k]);
+            if (kinds[k] == SCENES)
+                tear(&s, 100);
+            else
+                set_scene(&s, kinds[k]);
             go_on(&s, &handle, 0, 12);
-            assert_true(kinds[k] != SCENES || sfem_body_get_info(s.body).factors_made > 4); /* with tangents */
+            assert_true(kinds[k] != SCENES ||
+                        sfem_body_get_info(s.body).factors_made > 4); /* with tangents */
             now = hash_reals(sfem_body_displacement(s.body), 3 * (size_t)s.n);
             if (threads == 1) hash[k] = now;
             assert_true(now == hash[k]);
@@ -1692,8 +1707,10 @@ static void a_prepared_body_allocates_nothing(void **state)
         model.allocator = test_allocator(&memory);
         assert_ok(sfem_model_create(&model, &s.model, &err), err);
         add_body(&s, def, 0);
-        if (kind == SCENES) tear(&s, 100); /* which takes tangents */
-        else set_scene(&s, kind);
+        if (kind == SCENES)
+            tear(&s, 100); /* which takes tangents */
+        else
+            set_scene(&s, kind);
         assert_status(sfem_body_step(s.body, 1.0 / 30, &err), SFEM_NOT_PREPARED);
         assert_ok(sfem_body_prepare(s.body, 1.0 / 30, &err), err);
         calls = memory.calls;
@@ -1710,7 +1727,8 @@ static void a_prepared_body_allocates_nothing(void **state)
 }
 
 /* Crumpled, or torn so that it takes tangents, too. */
-static sfem_status run_with(sfem_allocator allocator, const sfem_mesh *mesh, int torn, sfem_error *err)
+static sfem_status run_with(sfem_allocator allocator, const sfem_mesh *mesh, int torn,
+                            sfem_error *err)
 {
     sfem_model_def def = sfem_default_model_def();
     sfem_body_def body = eventful();
@@ -1740,7 +1758,8 @@ static sfem_status run_with(sfem_allocator allocator, const sfem_mesh *mesh, int
         }
     }
     if (status == SFEM_OK)
-        assert_true(sfem_body_get_info(b).redone > 0 && sfem_body_get_info(b).factors_made == 3 + torn);
+        assert_true(sfem_body_get_info(b).redone > 0 &&
+                    sfem_body_get_info(b).factors_made == 3 + torn);
     sfem_body_free(b);
     sfem_model_free(model);
     return status;

@@ -28,7 +28,8 @@ static const scheme schemes[] = {
      0},
     {"KR-alpha", SFEM_KR_ALPHA, 0, 0.25, 0.5, 0, 0, SFEM_MASS_LUMPED, 1},
     {"KR-alpha, damped", SFEM_KR_ALPHA, 0, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_LUMPED, 1},
-    {"KR-alpha, damped, consistent", SFEM_KR_ALPHA, 0, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_CONSISTENT, 1},
+    {"KR-alpha, damped, consistent", SFEM_KR_ALPHA, 0, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_CONSISTENT,
+     1},
     {"gui 4, damped", SFEM_GUI, 0, 0.25, 0.5, 0.7, 0.01, SFEM_MASS_LUMPED, 1},
     {"chang, consistent", SFEM_CHANG, 0, 0.25, 0.5, 0, 0, SFEM_MASS_CONSISTENT, 1},
 };
@@ -996,7 +997,8 @@ static void a_forged_state_is_refused_or_harmless(void **state)
             status = sfem_body_load_state(body, forged, bytes, &err);
             refused += status != SFEM_OK;
             (void)sfem_body_step(body, 0.01, &err);
-            for (i = 0; i < 3 * mesh.nodes; ++i) assert_true(isfinite(sfem_body_displacement(body)[i]));
+            for (i = 0; i < 3 * mesh.nodes; ++i)
+                assert_true(isfinite(sfem_body_displacement(body)[i]));
             assert_ok(sfem_body_load_state(body, block, bytes, &err), err);
         }
     assert_true(refused > 9 * mesh.nodes); /* u, w and a at least */

@@ -60,8 +60,8 @@ static double bent(double x, double ratio, double knee)
 /* The most that |u| exceeds its start by, where the spring is `spring` times k0 and the damper `damper` times d0
  * beyond the knee, at h = omega_h sqrt(m/k) and d0 = damping m/h. The difference to the body's own spring and
  * damper comes in through the right side. */
-static double growth(double p, double q, double omega_h, double damping, double spring, double damper,
-                     double knee, int steps)
+static double growth(double p, double q, double omega_h, double damping, double spring,
+                     double damper, double knee, int steps)
 {
     sfem_body_def def = sfem_default_body_def();
     double u[12] = {0}, before, most = 0, h;
@@ -123,7 +123,8 @@ static void dampers_may_harden_up_to_q(void **state)
         for (j = 0; j < TEST_COUNT(damping); ++j) {
             const double limit = q[i] + 2 / damping[j], omega_h = 1e-2;
             assert_true(growth(.25, q[i], omega_h, damping[j], 1, .999 * limit, 1e-12, 20000) < 10);
-            assert_true(growth(.25, q[i], omega_h, damping[j], 1, 1.002 * limit, 1e-12, 20000) > 1e3);
+            assert_true(growth(.25, q[i], omega_h, damping[j], 1, 1.002 * limit, 1e-12, 20000) >
+                        1e3);
             assert_true(growth(.25, q[i], omega_h, damping[j], 1, .999 * limit, 1e-3, 20000) < 10);
             assert_true(growth(.25, q[i], omega_h, damping[j], 1, .01, 1e-3, 20000) < 10);
         }
@@ -137,9 +138,12 @@ static void springs_and_dampers_share_what_there_is(void **state)
     double share;
     (void)state;
     for (share = 0.1; share < 1; share += 0.2) {
-        const double spring = share * room / (omega_h * omega_h), damper = (1 - share) * room / (2 * damping);
-        assert_true(growth(p, q, omega_h, damping, .999 * spring, .999 * damper, 1e-9, 20000) < 100);
-        assert_true(growth(p, q, omega_h, damping, 1.001 * spring, 1.001 * damper, 1e-9, 40000) > 1e6);
+        const double spring = share * room / (omega_h * omega_h),
+                     damper = (1 - share) * room / (2 * damping);
+        assert_true(growth(p, q, omega_h, damping, .999 * spring, .999 * damper, 1e-9, 20000) <
+                    100);
+        assert_true(growth(p, q, omega_h, damping, 1.001 * spring, 1.001 * damper, 1e-9, 40000) >
+                    1e6);
     }
 }
 
@@ -222,7 +226,8 @@ static void corrected_to_convergence_it_is_implicit_newmark(void **state)
     }
     for (j = 0; j < 2; ++j) assert_ok(sfem_body_set_state(body[j], u, v, &err), err);
     for (k = 0; k < 60; ++k) {
-        for (i = 0; i < n; ++i) f[i] = 0.3 * sin(0.2 * k + 0.1 * (double)i) - 0.3 * sin(0.1 * (double)i);
+        for (i = 0; i < n; ++i)
+            f[i] = 0.3 * sin(0.2 * k + 0.1 * (double)i) - 0.3 * sin(0.1 * (double)i);
         for (j = 0; j < 2; ++j) {
             if (k == 0) sfem_body_start(body[j]);
             assert_ok(sfem_body_set_force(body[j], f, &err), err);
@@ -245,7 +250,8 @@ static void corrected_to_convergence_it_is_implicit_newmark(void **state)
 enum { SAMPLES = 120 }; /* a sixtieth of a second apart */
 
 /* The tip's path. */
-static sfem_body_info swing(const bar *b, sfem_body_def def, int steps_a_sample, double path[3 * SAMPLES])
+static sfem_body_info swing(const bar *b, sfem_body_def def, int steps_a_sample,
+                            double path[3 * SAMPLES])
 {
     const double h = 1.0 / 60 / steps_a_sample;
     sfem_body *body;
@@ -305,9 +311,11 @@ static void a_swinging_bar_is_nearly_as_good_as_by_newton(void **state)
                 error[k] = rms(path, reference);
                 redone[k] = (int)info.redone;
             }
-            print_message("    Y %.0e Pa, h 1/%d s: trapezoidal %.5f of %.2f m; default %.2f times that (%d steps "
-                          "redone), with two corrections %.3f (%d)\n", row[i].young, 60 * steps[j], error[3],
-                          amplitude, error[0] / error[3], redone[0], error[2] / error[3], redone[2]);
+            print_message("    Y %.0e Pa, h 1/%d s: trapezoidal %.5f of %.2f m; default %.2f times "
+                          "that (%d steps "
+                          "redone), with two corrections %.3f (%d)\n",
+                          row[i].young, 60 * steps[j], error[3], amplitude, error[0] / error[3],
+                          redone[0], error[2] / error[3], redone[2]);
             assert_true(error[0] <= row[i].allowed * error[3]);
             if (j == 2) assert_true(error[0] <= 0.3 * error[3]); /* h omega_max is 1.4 or less */
             assert_true(redone[0] == 0);

@@ -194,7 +194,8 @@ static void dense_eigenvalues_of_a_chain_are_known(void **state)
         const double angle = TEST_PI * (k + 1) / (N + 1);
         assert_near(lambda[k], 2 - 2 * cos(angle), 0, 1e-14);
         for (i = 0; i < N; ++i) /* sin((k+1)(i+1) pi / (N+1)) sqrt(2 / (N+1)), but for the sign */
-            assert_near(fabs(a[k * N + i]), fabs(sin(angle * (i + 1))) * sqrt(2.0 / (N + 1)), 0, 2e-13);
+            assert_near(fabs(a[k * N + i]), fabs(sin(angle * (i + 1))) * sqrt(2.0 / (N + 1)), 0,
+                        2e-13);
         for (j = 0; j < k; ++j) {
             double dot = 0;
             for (i = 0; i < N; ++i) dot += a[k * N + i] * a[j * N + i];
@@ -368,7 +369,8 @@ static void a_restart_too_few_is_told(void **state)
  * square: bending comes in pairs. */
 static void no_double_mode_of_a_square_bar_is_lost(void **state)
 {
-    static const sfem_int cells[][2] = {{12, 2}, {27, 2}, {12, 4}, {20, 4}, {28, 6}, {33, 8}, {62, 8}};
+    static const sfem_int cells[][2] = {{12, 2}, {27, 2}, {12, 4}, {20, 4},
+                                        {28, 6}, {33, 8}, {62, 8}};
     size_t s;
     int free_ends, count;
     (void)state;
@@ -376,7 +378,8 @@ static void no_double_mode_of_a_square_bar_is_lost(void **state)
         for (free_ends = 0; free_ends < 2; ++free_ends)
             for (count = 20; count <= (cells[s][0] < 30 ? 60 : 20); count += 40) {
                 const double size[3] = {(double)cells[s][0] / cells[s][1], 1, 1};
-                body b = body_bar(cells[s][0], cells[s][1], cells[s][1], size, 0.45, SFEM_MASS_LUMPED);
+                body b =
+                    body_bar(cells[s][0], cells[s][1], cells[s][1], size, 0.45, SFEM_MASS_LUMPED);
                 sfem_modes_def def = sfem_default_modes_def();
                 sfem_modes m;
                 sfem_int i, doubles = 0;
@@ -386,7 +389,8 @@ static void no_double_mode_of_a_square_bar_is_lost(void **state)
                 assert_int_equal(m.info.proved, 1);
                 for (i = 0; i < m.count - 1; ++i) doubles += multiplicity(&m, i, 1e-9) == 2;
                 assert_true(doubles >= 8 && doubles % 2 <= 1);
-                if (m.info.below >= 0 && m.info.cut == 0) /* a whole number of pairs up to the bound */
+                if (m.info.below >= 0 &&
+                    m.info.cut == 0) /* a whole number of pairs up to the bound */
                     assert_int_equal(m.info.below, m.count + (free_ends ? 6 : 0));
                 assert_int_equal(multiplicity(&m, 0, 1e-9), 2);
                 modes_check(&b, &m);
@@ -468,7 +472,8 @@ static body body_pieces(sfem_int pieces, sfem_mass mass)
     all.x = (sfem_real *)malloc((size_t)all.nodes * 3 * sizeof *all.x);
     all.tet = (sfem_int *)malloc((size_t)all.tets * 4 * sizeof *all.tet);
     for (i = 0; i < 3 * all.nodes; ++i)
-        all.x[i] = b.mesh.x[i % (3 * b.mesh.nodes)] + (i % 3 == 0 ? 2 * (i / (3 * b.mesh.nodes)) : 0);
+        all.x[i] =
+            b.mesh.x[i % (3 * b.mesh.nodes)] + (i % 3 == 0 ? 2 * (i / (3 * b.mesh.nodes)) : 0);
     for (i = 0; i < 4 * all.tets; ++i)
         all.tet[i] = b.mesh.tet[i % (4 * b.mesh.tets)] + i / (4 * b.mesh.tets) * b.mesh.nodes;
     def.mesh = &all;
@@ -568,8 +573,10 @@ static void all_below_a_frequency(void **state)
     int free_ends;
     (void)state;
     for (free_ends = 0; free_ends < 2; ++free_ends) {
-        if (free_ends) b.pin_count = 0;
-        else body_clamp(&b);
+        if (free_ends)
+            b.pin_count = 0;
+        else
+            body_clamp(&b);
         def = sfem_default_modes_def();
         def.rigid = 1;
         def.modes = 30;
@@ -728,7 +735,8 @@ static void partial_pins_leave_what_they_do_not_hold(void **state)
             sfem_int i, j;
             for (i = 0; i < b.mesh.nodes && cases[k].where < 3; ++i) {
                 const double *x = b.mesh.x + 3 * i;
-                if (x[0] > 0 || (cases[k].where > 0 && x[2] > 0) || (cases[k].where > 1 && x[1] > 0))
+                if (x[0] > 0 || (cases[k].where > 0 && x[2] > 0) ||
+                    (cases[k].where > 1 && x[1] > 0))
                     continue;
                 axes[b.pin_count] = cases[k].axes;
                 b.pins[b.pin_count++] = i;
@@ -746,8 +754,8 @@ static void partial_pins_leave_what_they_do_not_hold(void **state)
                 for (j = 0; j < 3 * b.pin_count; ++j)
                     if (axes[j / 3] >> j % 3 & 1)
                         assert_true(
-                            m.phi[3 * ((size_t)i * (size_t)m.nodes + (size_t)b.pins[j / 3]) + (size_t)(j % 3)] ==
-                            0);
+                            m.phi[3 * ((size_t)i * (size_t)m.nodes + (size_t)b.pins[j / 3]) +
+                                  (size_t)(j % 3)] == 0);
             sfem_modes_free(&m);
             def.modes = 12;
             compare_with_dense(&b, def);
@@ -833,7 +841,8 @@ static void a_stiffness_ratio_of_a_million(void **state)
 
 static void meshes_from_files_have_all_their_modes(void **state)
 {
-    static const char *const names[] = {"mj_cube_41_ascii.msh", "ipc_rod300x33.msh", "bullet_torus.vtk"};
+    static const char *const names[] = {"mj_cube_41_ascii.msh", "ipc_rod300x33.msh",
+                                        "bullet_torus.vtk"};
     size_t k;
     int seen = 0;
     (void)state;

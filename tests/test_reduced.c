@@ -534,14 +534,15 @@ static void fitted_oscillators_are_of_second_order(void **state)
                     assert_ok(sfem_modal_set_force(b[0], NULL, &err), err);
                     assert_ok(sfem_modal_add_node_force(b[0], s.nodes - 1, f, &err), err);
                     step(b[0], 3.0 / count);
-                    off[kind][level] = fmax(off[kind][level], fabs(sfem_modal_coordinates(b[0])[0] -
-                                                                   sfem_modal_coordinates(b[1])[0]));
+                    off[kind][level] =
+                        fmax(off[kind][level], fabs(sfem_modal_coordinates(b[0])[0] -
+                                                    sfem_modal_coordinates(b[1])[0]));
                 }
                 sfem_modal_free(b[0]);
                 sfem_modal_free(b[1]);
             }
-        print_message("ratio %-4g  Newmark %.2e %.2e %.2e, fitted %.2e %.2e %.2e\n", xi[i], off[0][0],
-                      off[0][1], off[0][2], off[1][0], off[1][1], off[1][2]);
+        print_message("ratio %-4g  Newmark %.2e %.2e %.2e, fitted %.2e %.2e %.2e\n", xi[i],
+                      off[0][0], off[0][1], off[0][2], off[1][0], off[1][1], off[1][2]);
         assert_near(off[1][1] / off[1][2], 4, 0.15, 0);
         assert_true(off[1][2] < (xi[i] < 0.2 ? 1.1 : 3) * off[0][2]);
 
@@ -1282,8 +1283,8 @@ static void noise_does_not_grow_as_steps_shrink(void **state)
             }
             sfem_modal_free(b);
         }
-        print_message("%s: kinetic energy %.3g, steps a tenth %.3g, a hundredth %.3g\n", kind ? "free" : "held",
-                      swing[0], swing[1], swing[2]);
+        print_message("%s: kinetic energy %.3g, steps a tenth %.3g, a hundredth %.3g\n",
+                      kind ? "free" : "held", swing[0], swing[1], swing[2]);
         assert_true(swing[1] < 10 * swing[0] && swing[2] < 10 * swing[0]);
     }
     free_scene(&s[0]);
@@ -1389,8 +1390,9 @@ static void a_moving_node_that_is_grabbed_does_not_ring(void **state)
     for (kind = 0; kind < 3; ++kind) { /* of that, 100 eps or so is what the hand itself gives */
         const double tight = ringing(&s, 0.3025, 0.6, 1e-5, (sfem_modal_integrator)kind);
         const double soft = ringing(&s, 0.3025, 0.6, 1e-4, (sfem_modal_integrator)kind);
-        print_message("|J q''| late over early: (1/4, 1/2), no hand %.3g; default %.3g, tighter %.3g\n",
-                      bad, soft, tight);
+        print_message(
+            "|J q''| late over early: (1/4, 1/2), no hand %.3g; default %.3g, tighter %.3g\n", bad,
+            soft, tight);
         assert_true(tight < 0.01 && soft < 0.02);
     }
     assert_true(bad > 10);

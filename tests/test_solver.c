@@ -1064,7 +1064,8 @@ static sfem_mesh read_veg(const char *path)
             m.x = (double *)calloc((size_t)m.nodes * 3 + 3, sizeof *m.x);
         } else if (!strncmp(line, "*ELEMENTS", 9)) {
             part = 2;
-            if (!fgets(line, sizeof line, file) || fscanf(file, "%d %d", &m.tets, &per) != 2) m.tets = 0;
+            if (!fgets(line, sizeof line, file) || fscanf(file, "%d %d", &m.tets, &per) != 2)
+                m.tets = 0;
             m.tet = (sfem_int *)calloc((size_t)m.tets * 4 + 4, sizeof *m.tet);
         } else if (line[0] == '*')
             part = 0;

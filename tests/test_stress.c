@@ -14,7 +14,8 @@ static void survive(stress_family family, stress_form form, int steps)
         r = stress_run(&s, form);
         ++runs;
         if (r.verdict != STRESS_IS_PASSED && r.verdict != STRESS_IS_LOCKED)
-            fail_msg("%s, seed %d: %s: %s", s.name, (int)s.seed, stress_verdict_about((int)r.verdict), r.why);
+            fail_msg("%s, seed %d: %s: %s", s.name, (int)s.seed,
+                     stress_verdict_about((int)r.verdict), r.why);
     }
     assert_true(runs >= 1);
 }
@@ -53,7 +54,8 @@ static void linear_bodies_conserve_what_they_have_to(void **state)
         stress_result r;
         if (s.law != SFEM_LINEAR || s.family >= STRESS_BREAK) continue;
         if (s.steps > 1000) s.steps = 1000;
-        if (s.family >= STRESS_KICK && s.family != STRESS_HANDLE) s.young = 1e10, s.seed &= ~(uint64_t)1; /* free */
+        if (s.family >= STRESS_KICK && s.family != STRESS_HANDLE)
+            s.young = 1e10, s.seed &= ~(uint64_t)1; /* free */
         r = stress_run(&s, STRESS_FORM_DEFAULT);
         ++runs;
         if (r.verdict != STRESS_IS_PASSED) fail_msg("%s, seed %d: %s", s.name, (int)s.seed, r.why);
@@ -151,7 +153,8 @@ static void hands_neither_pump_nor_throw(void **state)
         if (seed[i] >= 1000) stress_sampled(seed[i], &s);
         r = stress_run(&s, STRESS_FORM_DEFAULT);
         if (r.verdict != STRESS_IS_PASSED)
-            fail_msg("%s, seed %d: %s: %s", s.name, (int)s.seed, stress_verdict_about((int)r.verdict), r.why);
+            fail_msg("%s, seed %d: %s: %s", s.name, (int)s.seed,
+                     stress_verdict_about((int)r.verdict), r.why);
     }
 }
 
