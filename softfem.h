@@ -14357,7 +14357,7 @@ typedef struct sfemi_state_head {
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
     sfem_int current;   /* f, psi and frame belong to u */
-    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger */
+    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger; _NEW_: and scale */
     sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
     int64_t steps, redone, descents;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
@@ -20074,6 +20074,8 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
     b->grip.dirty = 1;
     sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
+    /* what the hand had put into motion, and would let steps make a share of, may be gone long since */
+    b->state.head->rebase = SFEMI_NEW_LEDGER;
 }
 
 SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_real force[3])
