@@ -1,4 +1,4 @@
-/* softfem.h - elastic bodies in one C header.                                          v0.2.0
+/* softfem.h - elastic bodies in one C header.                                          v0.3.0
  *
  * Tetrahedral finite elements for real-time and offline use: put this file into a project, and in
  * exactly one source file write
@@ -73,7 +73,7 @@
 #include <stdint.h>
 
 #define SFEM_VERSION_MAJOR 0
-#define SFEM_VERSION_MINOR 2
+#define SFEM_VERSION_MINOR 3
 #define SFEM_VERSION_PATCH 0
 #define SFEM_VERSION (SFEM_VERSION_MAJOR * 10000 + SFEM_VERSION_MINOR * 100 + SFEM_VERSION_PATCH)
 
@@ -14347,6 +14347,8 @@ typedef struct sfemi_handle {
     sfem_real force[3]; /* N, on the body, over the last step */
 } sfemi_handle;
 
+enum { SFEMI_STATE_VERSION = 3 };
+
 typedef struct sfemi_state_head {
     char magic[8];
     uint32_t version, checksum;
@@ -19074,7 +19076,7 @@ static void sfemi_body_reset_head(sfem_body *b, size_t bytes)
 {
     sfemi_state_head *head = b->state.head;
     memcpy(head->magic, "sfemstat", 8);
-    head->version = 2;
+    head->version = SFEMI_STATE_VERSION;
     head->size = bytes;
     head->key = sfemi_body_key(b);
 }
@@ -19907,9 +19909,9 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     memcpy(&head, memory, sizeof head);
     if (memcmp(head.magic, "sfemstat", 8) != 0)
         return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
-    if (head.version != 2)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads 2",
-                          (unsigned)head.version);
+    if (head.version != SFEMI_STATE_VERSION)
+        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads %d",
+                          (unsigned)head.version, (int)SFEMI_STATE_VERSION);
     if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
         return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
     if (head.size != b->state.head->size || head.key != b->state.head->key)
@@ -27520,6 +27522,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
+ *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
+ *           oscillators; redone steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
  *           factors; states saved by 0.1.0 are refused
  *   0.1.0   meshes, sparse solver, linear and nonlinear bodies, (p,q,r), Newmark and its kin, handles
