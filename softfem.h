@@ -783,7 +783,7 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
 /* Cauchy stress of the displacement u [nodes][3], constant in a tet, by the law of each: of linear ones that of
  * the small strain, of others P F^T / J, where J = det F below .1 counts as .1, for flat and inverted tets have
  * none. Of the undamaged body. stress [tets][6] in the order xx yy zz xy xz yz (a file wants yz before xz, see
- * sfem_field), von_mises [tets], Pa; either may be NULL. .1 us a tet; allocates nothing. */
+ * sfem_field), von_mises [tets], Pa; either may be NULL. Costs one sfem_law_stress a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
 /* 1/2 u.K u, J, summed from the tets' own strains. */
@@ -17095,20 +17095,16 @@ done:
  * in, until Psi is below: counted in S, that of a knot let steps there, whose factor does not bound K, chatter
  * with a fiftieth of it for ever. Without it knots come to rest, though each step is done again.
  *   Steps are lengthened. Nodes of a bent body have frames that differ, so that the turned K0 takes an
- * acceleration that they share for a stretch: where frames change by G to a unit of length, an acceleration a
- * costs about (lambda + 2 mu) |G a|^2 a volume, as if the body were heavier by p h^2 times that. (With K = sum
- * R k R^T of the tets' own rotations in A, which knows no such thing, soft bars were measured at 1.04 to 1.08
- * of the error of the trapezoidal rule, with the turned one at 1.4 to 2.2.) So A^-1 is taken in frames S Q, S =
- * 1 + p h^2 c E/2: E = 1 - sum V_e R_e Q^T/V, symmetric, half a square of the angles between Q and the node's
- * tets, across the axis about which these differ, and c = (lambda + 2 mu)/rho over the mean square of the
- * distance, along an axis, of these tets from their centre (half of what the estimate says, which is measured
- * to be best: unlike axes and lateral strain). It is a function of the positions, which keeps the step the same
- * backward in time and so makes no energy; what was tried with the last step's velocity or acceleration made
- * errors up to ten times larger. It takes its part of the margin of p over 1/4, at most .03 (halves of S^2 - 1;
- * of damping by K, that A just bounds, less), fades where E tells of crumpling, and costs 4 to 6 % of a step.
- * Mean error over that of the trapezoidal rule, seven bars of 7e4 to 1e6 Pa: at h = 1/60 1.77 without, 1.45
- * with it, at 1/120 1.57 and 1.21 (p as it was). A step of conjugate gradients toward sum R k R^T gains as
- * much, for 15 %.
+ * acceleration that they share for a stretch: where frames change by G to a unit of length, an acceleration
+ * a costs about (lambda + 2 mu) |G a|^2 a volume, as if the body were heavier by p h^2 times that. So A^-1
+ * is taken in frames S Q, S = 1 + p h^2 c E/2: E = 1 - sum V_e R_e Q^T/V, symmetric, half a square of the
+ * angles between Q and the node's tets, across the axis about which these differ, and c = (lambda + 2
+ * mu)/rho over the mean square of the distance, along an axis, of these tets from their centre (half of what
+ * the estimate says, which is measured to be best: unlike axes and lateral strain). It is a function of the
+ * positions, which keeps the step the same backward in time and so makes no energy. It takes its part of the
+ * margin of p over 1/4, at most .03 (halves of S^2 - 1; of damping by K, that A just bounds, less), fades
+ * and fades where E tells of crumpling. tests/test_limits.c prints the errors that are left beside the
+ * trapezoidal rule's.
  * ============================================================================================ */
 
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
