@@ -1072,9 +1072,12 @@ typedef struct sfem_body_def {
     int no_guard;             /* take every step as it comes, even if it makes energy */
     const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
                                * NULL, the default: it does not, and pays nothing for it. Read by create only */
-    sfem_int corrections;     /* at most so many solves more a step, toward Newmark(1/4, 1/2) itself; but
-                               * that the momenta of free pieces stay those of the step without */
-    sfem_real correction_tolerance; /* stop when one changes the acceleration by less, relatively */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws: a step is corrected, by further solves with the same
+                               * factor, until another one is expected to gain less than this part of the energy
+                               * in motion. 1e-6, the default: errors of full Newton within a factor of two;
+                               * 1: one solve a step, never corrected; 1e-12: as far as rounding goes */
+    sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.2
+                               * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
                                * no memory for it */
     sfem_real renew_drift;    /* renew by itself where the drift is larger, see sfem_renewal; .1 sees a body
@@ -1224,8 +1227,9 @@ typedef struct sfem_body_info {
     size_t factor_bytes, body_bytes;
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
-    int64_t steps, redone;    /* since its state was set; redone: by the guard, */
-    int64_t descents;         /* so many steps of descent, a solve each, in torn bodies a factor */
+    int64_t steps, rejected;  /* since its state was set; rejected by the energy safeguard, replaced by another */
+    int64_t solves;           /* with the factor, of (p,q,r) bodies that rotate */
+    int64_t evaluations;      /* of their forces */
     sfem_int corrections;     /* in the last step */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
@@ -2408,6 +2412,21 @@ SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9])
             for (j = 0; j < 3; ++j) s[3 * i + j] = u[3 * i + j] / 2 + u[3 * j + i] / 2;
     }
     memcpy(r, rotation, sizeof rotation);
+}
+
+/* r = exp([v]x), the rotation by |v| about v [Rodrigues 1840]. */
+static void sfemi_rotate_by(const sfem_real v[3], sfem_real r[9])
+{
+    const sfem_real angle2 = sfemi_dot3(v, v), angle = sqrt(angle2);
+    const sfem_real a = angle > 1e-4 ? sin(angle) / angle : 1 - angle2 / 6;
+    const sfem_real b = angle > 1e-4 ? (1 - cos(angle)) / angle2 : 0.5 - angle2 / 24;
+    int i, j;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) r[3 * i + j] = b * v[i] * v[j] + (i == j ? 1 - b * angle2 : 0);
+    for (i = 0; i < 3; ++i) {
+        r[3 * ((i + 2) % 3) + (i + 1) % 3] += a * v[i];
+        r[3 * ((i + 1) % 3) + (i + 2) % 3] -= a * v[i];
+    }
 }
 
 /* ============================================================================================
@@ -14347,7 +14366,7 @@ typedef struct sfemi_handle {
     sfem_real force[3]; /* N, on the body, over the last step */
 } sfemi_handle;
 
-enum { SFEMI_STATE_VERSION = 3 };
+enum { SFEMI_STATE_VERSION = 4 };
 
 typedef struct sfemi_state_head {
     char magic[8];
@@ -14361,11 +14380,15 @@ typedef struct sfemi_state_head {
     sfem_int current;   /* f, psi and frame belong to u */
     sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger; _NEW_: and scale */
     sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
-    int64_t steps, redone, descents;
+    int64_t steps, rejected;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
-    sfem_real energy;                   /* and what it conserves; the part of psi that is locked in, not in */
-    sfem_real locked;                   /* motion */
+    sfem_real energy;                   /* and what it conserves */
+    sfem_real gamma;    /* >>correct: of the last step; */
+    sfem_real estimate; /* what a correction is worth over what its cheap estimate says; 0: not known */
+    sfem_int skipped;   /* steps since the last correction */
+    sfem_int spare;
+    int64_t solves, evaluations;
     sfem_real calm;     /* s */
 } sfemi_state_head;
 
@@ -14389,9 +14412,8 @@ typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
-    sfem_real *f, *f_past; /* [nodes][3] the internal force at u and one step before; these and */
-    sfem_real *frame;      /* [nodes][3][3] Q: only where the body turns */
-    sfem_real *spread;     /* [nodes][3][3] Q - sum V_e R_e / V: there, too */
+    sfem_real *f, *f_past, *f_past2; /* [nodes][3] the internal force at u, one and two steps before; */
+    sfem_real *frame;      /* [nodes][3][3] Q: these only where the body rotates */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
@@ -14399,10 +14421,10 @@ typedef struct sfemi_state {
     void *damage;          /* [bytes] >>damage's own state */
 } sfemi_state;
 
-/* reals a node: u, w, a and three loads; f, f_past, frame and spread besides; before */
+/* reals a node: u, w, a and three loads; three forces and the frame besides; before */
 static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
 {
-    return ((turns ? 42 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
+    return ((turns ? 36 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
 }
 
 /* damage: how many bytes of it, 0 where the body cannot break */
@@ -14427,9 +14449,9 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     for (k = 0; k < 3; ++k) s->force[k] = at + (3 + (size_t)k) * n;
     s->f = turns ? at + 6 * n : NULL;
     s->f_past = turns ? at + 7 * n : NULL;
-    s->frame = turns ? at + 8 * n : NULL;
-    s->spread = turns ? at + 11 * n : NULL;
-    s->before = sleeps ? at + (turns ? 14 : 6) * n : NULL;
+    s->f_past2 = turns ? at + 8 * n : NULL;
+    s->frame = turns ? at + 9 * n : NULL;
+    s->before = sleeps ? at + (turns ? 12 : 6) * n : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
     s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
@@ -14649,11 +14671,9 @@ typedef struct sfemi_turn {
     sfem_real *spin;     /* [copies][12] and of the sums that follow */
     sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
     sfem_real *over;     /* [nodes] 1 / sum V_e */
-    sfem_real *heavy;    /* [nodes] 1/s^2, of >>guard's lengthening */
-    sfem_real *longer;   /* [nodes][3][3] S Q of it */
-    const sfem_real *by; /* what the step under way is solved with: that, or Q */
     sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
     sfem_real *trace;    /* [nodes] and this */
+    sfem_real *diagonal; /* [nodes] one over the mean of A's diagonal */
     sfem_real *v;        /* [nodes][3] scratch */
     sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
     int still;           /* no law turns: rigid motions are those of the rest pose */
@@ -14661,16 +14681,7 @@ typedef struct sfemi_turn {
     int by_hand;         /* the caller may add to the right side of the step under way */
 } sfemi_turn;
 
-/* >>guard: what a step is done again with, for steps of h; factor is NULL until that is needed. */
-typedef struct sfemi_redo {
-    sfem_factor *factor;
-    sfem_real h;
-    sfemi_grip grip; /* the handles' columns for it */
-} sfemi_redo;
-
-enum { SFEMI_TURNED, SFEMI_ISOTROPIC, SFEMI_TANGENT, SFEMI_REDOS };
-
-/* Pairs of steps and changes of the gradient that the descent by the isotropic majorant remembers. */
+/* Pairs of steps and changes of the residual that L-BFGS remembers. */
 enum { SFEMI_MEMORY = 6 };
 
 typedef struct sfemi_guard_energies {
@@ -14688,21 +14699,19 @@ typedef struct sfemi_system {
 /* >>guard: scratch of a step, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
-    sfem_real *external;   /* the loads as the corrections weigh them */
+    sfem_real *external;   /* the loads, and what the caller added, in the equation; */
+    sfem_real *known;      /* forces of the past in it */
     sfem_real *added;      /* what the caller added to the right side */
-    sfem_real *y, *grad, *dir, *trial_u, *trial_f, *frame; /* of the redo; frame [nodes][3][3] */
-    sfem_real *unit;       /* frames that do not turn */
-    sfemi_redo redo[SFEMI_REDOS]; /* A with p = 1, with the isotropic majorant, and with K(z), which is */
-    sfemi_system system;   /* this; made when first needed, as is */
-    sfem_matrix tangent;   /* K(z) itself, on K's pattern */
-    sfem_real *pair;       /* [SFEMI_MEMORY][2] of its steps, made with its factor */
-    int pairs;             /* so many so far in this redo */
+    sfem_real *grad, *dir; /* r at the step's end, a direction; */
+    sfem_real *trial_u, *trial_w, *trial_f, *trial_grad, *other; /* the same elsewhere, scratch */
+    sfem_real *frame;      /* [nodes][3][3] of the trial */
+    sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
+    sfem_real curvature[SFEMI_MEMORY]; /* and their products */
+    int pairs;             /* so many so far in this step */
     sfem_real psi;         /* at u */
-    sfem_real gain;        /* by how much the redo has lowered Phi */
     sfemi_guard_energies energies; /* of the step, if measured */
     int measured;
-    int redone;            /* u, w, f come from the redo */
-    int crumpled;          /* which needed the isotropic majorant */
+    int rejected;          /* u, w, f come from the fallback */
     sfem_int corrections;  /* made in the last step */
     sfem_real damped;      /* what damping took in it, of a body that may break */
 } sfemi_guard;
@@ -15093,8 +15102,10 @@ static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
     if (d->damping_force.tangent && !d->damping_force.force)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the damping force has a tangent, but no force");
     if (d->damping_force.force &&
-        (d->integrator == SFEM_PQR || d->integrator == SFEM_CENTRAL || d->integrator >= SFEM_KR_ALPHA))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a damping force needs an implicit integrator");
+        (d->integrator == SFEM_CENTRAL || d->integrator >= SFEM_KR_ALPHA ||
+         (d->integrator == SFEM_PQR && d->accuracy == 1)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "a damping force needs an implicit integrator, or SFEM_PQR with an accuracy below 1");
     return SFEM_OK;
 }
 
@@ -16044,12 +16055,12 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
 static void sfemi_alpha_translate(sfem_body_def *d)
 {
     const int cr = d->integrator == SFEM_KR_ALPHA && d->rho_inf == 1;
-    if (d->integrator == SFEM_KR_ALPHA && !cr) d->corrections = 0;
     if (!cr && d->integrator != SFEM_GUI && d->integrator != SFEM_CHANG) return;
     d->p = d->integrator == SFEM_GUI ? 1 / d->gui_lambda : 0.25;
     d->q = d->r = 1;
     d->start = SFEM_START_NEWMARK;
     d->plain_load = 1;
+    d->accuracy = 1;
     d->integrator = SFEM_PQR;
 }
 
@@ -16377,50 +16388,6 @@ static sfem_status sfemi_pqr_find_omega(sfem_body *b, sfem_error *err)
     return sfemi_pqr_estimate_omega(b, b->mask, sfemi_pqr_element_bound(b->model), 1e-4, &b->omega_max, err);
 }
 
-/* Are steps lengthened, see >>guard? Not where a law hardens: it gains a fifth there, but knots of crushed
- * bodies came undone less often. */
-static int sfemi_pqr_lengthens(const sfem_body *b)
-{
-    return b->def.integrator == SFEM_PQR && b->def.frame == SFEM_FRAME_NODE && b->model->turns &&
-           !b->model->block_mass && !b->bonds && b->model->margin < 0.5;
-}
-
-/* The laws' own p, and a little for what lengthening takes. */
-static sfem_real sfemi_pqr_margin(const sfem_body *b)
-{
-    return sfemi_pqr_lengthens(b) ? fmin(0.5, b->model->margin + 0.01) : b->model->margin;
-}
-
-/* See SFEM_P_SAFE. Of 4 A >= h^2 K(u) the mass gives 4 r/W^2 to a mode of W: p may fall by as much, and the
- * tangent still outgrow that at rest as the laws' own p, m, allows where W is large. .1 is kept in hand,
- * because slower modes of turned bodies fail first: without it bars were redone at W = 6. Errors go with 12 p -
- * 1. m itself where A serves another purpose, too. */
-static sfem_status sfemi_pqr_keep_margin(const sfem_body *b, sfem_real h, sfem_real *p, sfem_error *err)
-{
-    const sfem_real m = sfemi_pqr_margin(b);
-    sfem_model *model = b->model;
-    sfem_status status = SFEM_OK;
-    sfem_real bound, omega;
-    *p = m;
-    if (!model->turns || b->bonds || b->def.corrections > 0 || b->def.renew_flops > 0 || b->def.q < 1 ||
-        b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT)
-        return SFEM_OK;
-    sfemi_lock(&model->lock);
-    omega = model->omega_max;
-    sfemi_unlock(&model->lock);
-    if (omega == 0) {
-        bound = sfemi_pqr_element_bound(model);
-        if (bound * h * h > 1600 * b->def.r) return SFEM_OK; /* up to four times too large for omega */
-        status = sfemi_pqr_estimate_omega(b, NULL, bound, 0.01, &omega, err);
-        if (status != SFEM_OK) return status;
-        sfemi_lock(&model->lock);
-        model->omega_max = omega;
-        sfemi_unlock(&model->lock);
-    }
-    if (omega > 0) *p = fmin(m, fmax(1.0 / 12, m + 0.1 - b->def.r / (omega * omega * h * h)));
-    return SFEM_OK;
-}
-
 /* The smallest h > 0 at which a h^2 + 2 half h + c, c > 0, turns negative; 0 if none. */
 static sfem_real sfemi_pqr_smallest_root(sfem_real a, sfem_real half, sfem_real c)
 {
@@ -16569,39 +16536,6 @@ static void sfemi_turn_weigh(sfem_body *b)
     b->turn.twists = 0;
     for (i = 0; model->turns && i < model->mesh.tets; ++i) b->turn.twists |= model->law[i] == SFEM_LINEAR;
     sfemi_turn_size(b);
-}
-
-/* turn.heavy: (lambda + 2 mu)/rho over the mean square, along an axis, of how far the tets of a node are from
- * their centre: what a spread of their rotations, half a square of angles, says of curvature. */
-static void sfemi_turn_find_heavy(sfem_body *b)
-{
-    const sfem_model *model = b->model;
-    const sfem_real *x = model->mesh.x;
-    sfem_real *sum = b->turn.v, *square = b->turn.trace, *heavy = b->turn.heavy;
-    sfem_int e, i;
-    int a, c, pass;
-    memset(sum, 0, 3 * (size_t)model->mesh.nodes * sizeof *sum);
-    memset(square, 0, (size_t)model->mesh.nodes * sizeof *square);
-    memset(heavy, 0, (size_t)model->mesh.nodes * sizeof *heavy);
-    for (pass = 0; pass < 2; ++pass)
-        for (e = 0; e < model->mesh.tets; ++e) {
-            const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
-            const sfem_real v = model->volume[e];
-            for (c = 0; c < 3; ++c) {
-                sfem_real centre = 0;
-                for (a = 0; a < 4; ++a) centre += x[3 * (size_t)t[a] + (size_t)c] / 4;
-                for (a = 0; a < 4; ++a) {
-                    const sfem_real d = centre - sum[3 * (size_t)t[a] + (size_t)c] * b->turn.over[t[a]];
-                    if (pass) square[t[a]] += v * d * d / 3;
-                    else sum[3 * (size_t)t[a] + (size_t)c] += v * centre;
-                }
-            }
-            for (a = 0; pass && a < 4; ++a) heavy[t[a]] += v * (model->lambda[e] + 2 * model->mu[e]) / 4;
-        }
-    for (i = 0; i < model->mesh.nodes; ++i) { /* one tet has no spread, a flat heap hardly any */
-        const sfem_real least = 1e-3 * pow(1 / fmax(b->turn.over[i], 1e-300), 5.0 / 3);
-        heavy[i] = square[i] > least ? heavy[i] / (model->node_mass[i] * square[i] * b->turn.over[i]) : 0;
-    }
 }
 
 /* Which pieces are held by pins or handles. */
@@ -16899,7 +16833,7 @@ static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[
 
 typedef struct sfemi_frames {
     sfem_body *body;
-    sfem_real *frame, *spread; /* the latter may be NULL */
+    sfem_real *frame;
     sfemi_polars_kernel kernel;
 } sfemi_frames;
 
@@ -16912,18 +16846,12 @@ static void sfemi_turn_some_frames(void *data, sfem_int index)
     const sfem_int count = nodes - first < SFEMI_NODE_TASK ? nodes - first : SFEMI_NODE_TASK;
     const size_t at = 9 * (size_t)first;
     sfem_int i;
-    int c;
     job->kernel(count, t->sum + at, t->over + first, t->fresh + at, t->trace + first);
     for (i = first; i < first + count; ++i) {
         const size_t k = 9 * (size_t)i;
         if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
         if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
         else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
-    }
-    for (i = first; job->spread && i < first + count; ++i) {
-        const sfem_real *q = job->frame + 9 * (size_t)i, *sum = t->sum + 9 * (size_t)i, over = t->over[i];
-        sfem_real *spread = job->spread + 9 * (size_t)i;
-        for (c = 0; c < 9; ++c) spread[c] = q[c] - over * sum[c];
     }
 }
 
@@ -16953,7 +16881,7 @@ static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
 }
 
 /* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
- * only, it stays as it was. Beside the state's the spread about it. */
+ * only, it stays as it was. */
 static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
 {
     sfemi_frames job;
@@ -16964,7 +16892,6 @@ static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
     }
     job.body = b;
     job.frame = frame;
-    job.spread = frame == b->state.frame && sfemi_pqr_lengthens(b) ? b->state.spread : NULL;
     job.kernel = sfemi_polars_pick();
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
 }
@@ -17094,18 +17021,17 @@ done:
  *   S is energy in motion. What a redo has not reached by far, Psi - 4 (kinetic + what Phi fell by), is locked
  * in, until Psi is below: counted in S, that of a knot let steps there, whose factor does not bound K, chatter
  * with a fiftieth of it for ever. Without it knots come to rest, though each step is done again.
- *   Steps are lengthened. Nodes of a bent body have frames that differ, so that the turned K0 takes an
- * acceleration that they share for a stretch: where frames change by G to a unit of length, an acceleration
- * a costs about (lambda + 2 mu) |G a|^2 a volume, as if the body were heavier by p h^2 times that. So A^-1
- * is taken in frames S Q, S = 1 + p h^2 c E/2: E = 1 - sum V_e R_e Q^T/V, symmetric, half a square of the
- * angles between Q and the node's tets, across the axis about which these differ, and c = (lambda + 2
- * mu)/rho over the mean square of the distance, along an axis, of these tets from their centre (half of what
- * the estimate says, which is measured to be best: unlike axes and lateral strain). It is a function of the
- * positions, which keeps the step the same backward in time and so makes no energy. It takes its part of the
- * margin of p over 1/4, at most .03 (halves of S^2 - 1; of damping by K, that A just bounds, less), fades
- * and fades where E tells of crumpling. tests/test_limits.c prints the errors that are left beside the
- * trapezoidal rule's.
  * ============================================================================================ */
+
+/* Does the rigid part of a free piece's step need corrections? Only where the caller's damping brakes it. */
+static int sfemi_correct_is_braked(const sfem_body *b) { return b->def.damping_force.force != NULL; }
+
+/* Is the step to be corrected towards the equation? */
+static int sfemi_correct_serves(const sfem_body *b)
+{
+    return b->turns && b->def.integrator == SFEM_PQR && b->def.accuracy < 1 &&
+           (b->model->turns || sfemi_correct_is_braked(b));
+}
 
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
 static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
@@ -17114,7 +17040,8 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
-    const sfem_real weight = b->def.corrections > 0 ? 0.25 : b->p; /* corrections lead to Newmark(1/4, 1/2) */
+    const sfem_real a = b->def.dissipation;
+    const sfem_real weight = sfemi_correct_serves(b) ? (1 + a) * (1 + a) * (1 - a) / 4 : b->p;
     sfemi_guard_energies e;
     sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
     sfem_real stretch[3] = {0, 0, 0}, terms[3] = {0, 0, 0};
@@ -17185,7 +17112,6 @@ static void sfemi_guard_look(sfem_body *b)
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
-        memset(b->state.spread, 0, 9 * (size_t)b->model->mesh.nodes * sizeof *b->state.spread);
         head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
         sfemi_turn_frames(b, b->state.frame);
         head->current = 1;
@@ -17205,7 +17131,6 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     head->last = e.ec;
     head->budget = e.ec + e.rounding;
     if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
-    head->locked = 0;
     if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
     if (e.floor > head->scale) head->scale = e.floor;
     head->rebase = SFEMI_LEDGER;
@@ -17413,61 +17338,11 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         b->rhs[i] += model->node_mass[i / 3] *
                      (b->alpha * t.cd * s->w[i] - (b->alpha * t.ca - t.am) * s->a[i]);
     for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
-    if (b->def.corrections > 0) { /* what is to be added to the right side for the weights of Newmark(1/4) */
-        const sfem_real after = h / (4 * t.d), before = t.d > h / 2 ? s->head->h / (4 * t.d) : 0;
-        sfem_real weight[3];
-        weight[0] = after - t.load[0];
-        weight[1] = t.load[0] + t.load[2] - after - before;
-        weight[2] = before - t.load[2];
-        memset(b->guard.external, 0, n * sizeof *b->guard.external);
-        if (!b->def.plain_load) sfemi_body_take_from_load(b, weight, b->guard.external, b->guard.external);
-        for (i = 0; i < n; ++i) b->guard.external[i] += b->rhs[i];
-    }
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
 
-typedef struct sfemi_longer {
-    sfem_body *body;
-    sfem_real most, scale; /* c of the trace, p h^2 */
-} sfemi_longer;
-
-static void sfemi_guard_some_longer(void *data, sfem_int index)
-{
-    const sfemi_longer *job = (const sfemi_longer *)data;
-    const sfem_body *b = job->body;
-    const sfem_int nodes = b->model->mesh.nodes, first = index * SFEMI_NODE_TASK;
-    const sfem_int end = nodes - first < SFEMI_NODE_TASK ? nodes : first + SFEMI_NODE_TASK;
-    sfem_int i;
-    int c;
-    for (i = first; i < end; ++i) {
-        const sfem_real *e = b->state.spread + 9 * (size_t)i, *q = b->state.frame + 9 * (size_t)i;
-        const sfem_real trace = q[0] * e[0] + q[1] * e[1] + q[2] * e[2] + q[3] * e[3] + q[4] * e[4] +
-                                q[5] * e[5] + q[6] * e[6] + q[7] * e[7] + q[8] * e[8];
-        const sfem_real raw = job->scale * b->turn.heavy[i];
-        sfem_real *to = b->turn.longer + 9 * (size_t)i, half;
-        half = raw * trace > job->most ? job->most / trace / 2 : raw / 2;
-        if (b->mask[i] || !(trace > 0 && trace < 0.25)) half = 0; /* crumpled: not at all */
-        else half *= 1 - 4 * trace;
-        for (c = 0; c < 9; ++c) to[c] = q[c] + half * e[c];
-    }
-}
-
-/* The frames that a step is solved with: S Q, see above, or Q. A renewed factor is not of the rest pose, where
- * E is 0; of damping of single tets the bound is not known. */
-static const sfem_real *sfemi_guard_lengthen(sfem_body *b)
-{
-    const sfem_real p = b->def.p < 0 ? fmax(b->p, sfemi_pqr_margin(b)) : b->p;
-    sfemi_longer job;
-    job.body = b;
-    job.most = 2 * fmin(0.03, p - 0.25) / (1 + 2 * b->beta / b->step);
-    job.scale = b->p * b->step * b->step;
-    if (!(job.most > 0) || b->renewal.live || b->zd || !sfemi_pqr_lengthens(b)) return b->state.frame;
-    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_guard_some_longer, &job);
-    return b->turn.longer;
-}
-
-static void sfemi_guard_solve(sfem_body *b)
+static void sfemi_guard_try(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
@@ -17483,29 +17358,27 @@ static void sfemi_guard_solve(sfem_body *b)
         more |= b->guard.added[i] != 0;
     }
     if (more && !b->base && sfemi_turn_projects(b)) sfemi_turn_push_more(b, b->state.u, b->guard.added, 1);
-    for (i = 0; b->def.corrections > 0 && i < n; ++i)
-        b->guard.external[i] += b->rhs[i]; /* L, user's included */
     centripetal = sfemi_guard_centripetal(b, b->guard.grad);
     for (i = 0; centripetal && i < n; ++i)
         x[i] -= f->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
     for (k = 0; centripetal && k < b->turn.pieces; ++k)
         for (c = 0; c < 3; ++c) b->turn.piece[k].push[3 + c] -= f->key.cm * b->turn.piece[k].curl[c];
-    b->turn.by = sfemi_guard_lengthen(b);
-    sfemi_turn_solve_pushed(b, f, b->state.u, b->turn.by, !b->base, x);
+    sfemi_turn_solve_pushed(b, f, b->state.u, b->state.frame, !b->base, x);
+    ++b->state.head->solves;
     for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
     if (b->grip.count) {
         for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
-        sfemi_guard_hold(b, &b->grip, b->turn.by, b->acc);
+        sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
     if (b->base) sfemi_guard_settle_momentum(b);
 }
 
-/* Where the acceleration leads: w', u', f', Psi'. Returns Psi'. */
-static sfem_real sfemi_guard_advance(sfem_body *b)
+/* Where the trial's acceleration leads: guard.w, u, f, psi. */
+static void sfemi_guard_advance(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -17515,388 +17388,9 @@ static sfem_real sfemi_guard_advance(sfem_body *b)
         g->w[i] = base[i] + d * b->acc[i];
         g->u[i] = b->state.u[i] + b->step * g->w[i];
     }
-    return sfemi_guard_forces(b, g->u, g->f);
-}
-
-/* Takes from a correction of a what would move the handles; their forces follow. */
-static void sfemi_guard_hold_correction(sfem_body *b, sfem_real *a)
-{
-    sfemi_grip *g = &b->grip;
-    const size_t bytes = 3 * (size_t)g->count * sizeof *g->lambda;
-    sfem_int k;
-    if (!g->count) return;
-    memcpy(g->place, g->lambda, bytes);
-    memset(g->lambda, 0, bytes);
-    sfemi_guard_hold(b, g, b->turn.by, a);
-    for (k = 0; k < 3 * g->count; ++k) g->lambda[k] = g->place[k] - g->lambda[k];
-}
-
-/* Newton-like corrections with the same factor toward Newmark(1/4, 1/2) itself:
- *   r = M a + D (w + w')/2 + f'/4 + f/2 + f-/4 - L,  a -= A^-1 r,
- * at the start M a + D w' + f'/2 + f/2 - L. The rigid motion of free pieces stays that of the first solve,
- * which keeps the momenta: f' has a torque about where the body was, and before the last correction it is
- * not the one that the next step's f- takes back. (Left in, it drove a bar that tumbles 10 to 1000 times as
- * far from its path after one correction as after none.) Returns Psi'. */
-static sfem_real sfemi_guard_correct(sfem_body *b, sfem_real psi)
-{
-    sfemi_guard *g = &b->guard;
-    const sfemi_state *s = &b->state;
-    const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const int running = s->head->started == SFEMI_RUNNING;
-    const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
-    const sfem_real h1 = running ? s->head->h : 0, d = (h1 + b->step) / 2,
-                    r0 = sfemi_body_coefficients(b, b->p).r;
-    const sfem_real after = b->step / (4 * d), before = h1 / (4 * d);
-    size_t i;
-    int k;
-    for (k = 0; k < b->def.corrections && sfemi_finite(psi); ++k) {
-        sfem_real size = 0, change = 0;
-        g->corrections = k + 1;
-        for (i = 0; i < n; ++i) {
-            const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
-            b->zk[i] = b->beta * v;
-            if (b->zd) b->zd[i] = v;
-            b->zm[i] = r0 * b->acc[i] + b->alpha * v;
-        }
-        if (damped && (b->beta != 0 || b->zd))
-            sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, g->grad);
-        else memset(g->grad, 0, n * sizeof *g->grad);
-        if (b->damage && b->beta != 0) {
-            for (i = 0; i < n; ++i) b->zk[i] = b->beta * (running ? (s->w[i] + g->w[i]) / 2 : g->w[i]);
-            sfemi_fracture_soften(b, b->zk, g->grad);
-        }
-        for (i = 0; i < n; ++i)
-            g->grad[i] += model->node_mass[i / 3] * b->zm[i] + after * g->f[i] +
-                          (1 - after - before) * s->f[i] + before * s->f_past[i] - g->external[i];
-        sfemi_turn_solve(b, sfemi_body_active(b), s->u, b->turn.by, g->grad);
-        if (sfemi_turn_projects(b)) {
-            sfemi_turn_motion(b, s->u, g->grad, 1);
-            sfemi_turn_add_motion(b, s->u, -1, 0, g->grad);
-        }
-        sfemi_guard_hold_correction(b, g->grad);
-        for (i = 0; i < n; ++i) {
-            if (b->mask[i / 3] >> (i % 3) & 1) continue;
-            change += model->node_mass[i / 3] * g->grad[i] * g->grad[i];
-            size += model->node_mass[i / 3] * b->acc[i] * b->acc[i];
-            b->acc[i] -= g->grad[i];
-        }
-        psi = sfemi_guard_advance(b);
-        if (change <= b->def.correction_tolerance * b->def.correction_tolerance * size) break;
-    }
-    return psi;
-}
-
-/* Phi, its gradient on free axes in guard.grad, Psi and f at z. */
-static sfem_real sfemi_guard_potential(sfem_body *b, const sfem_real *z, sfem_real *f, sfem_real *psi)
-{
-    sfemi_guard *g = &b->guard;
-    const sfem_real *mass = b->model->node_mass, h = b->step;
-    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real phi = 0;
-    size_t i;
-    *psi = sfemi_guard_forces(b, z, f);
-    for (i = 0; i < n; ++i) {
-        const sfem_real inertia = r * mass[i / 3] * (z[i] - g->y[i]) / (h * h);
-        const int held = b->mask[i / 3] >> (i % 3) & 1;
-        if (!held) phi += inertia * (z[i] - g->y[i]) / 2;
-        g->grad[i] = held ? 0 : inertia + f[i];
-    }
-    return phi + *psi;
-}
-
-/* Puts held axes at their targets and, by the redo's factor, the handles' points: z satisfies the
- * constraints, and what is added to it may not leave them. */
-static void sfemi_guard_constrain(sfem_body *b, sfem_real *z)
-{
-    sfemi_grip *grip = &b->guard.redo[SFEMI_TURNED].grip;
-    sfem_int k;
-    int c;
-    for (k = 0; k < b->pin_count; ++k)
-        for (c = 0; c < 3; ++c) {
-            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
-            if (b->mask[b->pin[k]] >> c & 1) z[at] = b->state.pin[k].target[c] - b->model->mesh.x[at];
-        }
-    if (!grip->count) return;
-    for (k = 0; k < grip->count; ++k) { /* hold compares H z with the target's displacement */
-        const sfemi_handle *h = b->state.handle + grip->slot[k];
-        sfem_real rest[3];
-        sfemi_grip_mean(h, b->model->mesh.x, rest);
-        for (c = 0; c < 3; ++c) grip->lambda[3 * k + c] = h->hold.target[c] - rest[c];
-    }
-    sfemi_guard_hold(b, grip, b->state.frame, z);
-}
-
-static sfemi_guard_energies sfemi_guard_at(sfem_body *b, sfem_real psi)
-{
-    sfemi_guard *g = &b->guard;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    size_t i;
-    for (i = 0; i < n; ++i) g->w[i] = (g->u[i] - b->state.u[i]) / b->step;
-    return sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-}
-
-/* z = u, but free pieces moved rigidly to where y is nearest in the mass norm: the least Phi of all rigid
- * motions. The rotation is the polar part of sum m (y - centre) (u - centre)^T. */
-static void sfemi_guard_move_rigidly(sfem_body *b, sfem_real *z)
-{
-    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *u = b->state.u, *y = b->guard.y;
-    const sfem_int nodes = b->model->mesh.nodes, *piece_of = b->turn.piece_of;
-    sfemi_piece *piece = b->turn.piece;
-    sfem_int i, k;
-    int c, d;
-    sfemi_turn_locate(b, u);
-    for (k = 0; k < b->turn.pieces; ++k) {
-        memcpy(piece[k].kept, piece[k].centre, sizeof piece[k].centre);
-        memset(piece[k].sum, 0, sizeof piece[k].sum);
-    }
-    sfemi_turn_locate(b, y);
-    for (i = 0; i < nodes; ++i) {
-        sfemi_piece *p = piece + piece_of[i];
-        const size_t at = 3 * (size_t)i;
-        for (c = 0; c < 3 && piece_of[i] >= 0; ++c)
-            for (d = 0; d < 3; ++d)
-                p->sum[c][d] += mass[i] * (rest[at + (size_t)c] + y[at + (size_t)c] - p->centre[c]) *
-                                (rest[at + (size_t)d] + u[at + (size_t)d] - p->kept[d]);
-    }
-    for (k = 0; k < b->turn.pieces; ++k) {
-        sfem_real sum[9], stretch[9], rotation[9];
-        memcpy(sum, piece[k].sum, sizeof sum);
-        sfem_polar(sum, rotation, stretch);
-        memcpy(piece[k].sum, rotation, sizeof rotation);
-    }
-    memcpy(z, u, 3 * (size_t)nodes * sizeof *z);
-    for (i = 0; i < nodes; ++i) {
-        const sfemi_piece *p = piece + piece_of[i];
-        const size_t at = 3 * (size_t)i;
-        sfem_real arm[3];
-        if (piece_of[i] < 0 || p->held) continue;
-        for (c = 0; c < 3; ++c) arm[c] = rest[at + (size_t)c] + u[at + (size_t)c] - p->kept[c];
-        for (c = 0; c < 3; ++c)
-            z[at + (size_t)c] = p->centre[c] + sfemi_dot3(p->sum[c], arm) - rest[at + (size_t)c];
-    }
-}
-
-/* The best of u, y and u moved rigidly, by Phi, as z in guard.u, with f and grad. Returns Phi. */
-static sfem_real sfemi_guard_choose_start(sfem_body *b, sfem_real *psi)
-{
-    sfemi_guard *g = &b->guard;
-    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
-    sfem_real phi = 0;
-    int k, best = 0;
-    for (k = 0; k < 3; ++k) {
-        sfem_real value;
-        if (k == 1 && !sfemi_turn_projects(b)) continue;
-        if (k == 1) sfemi_guard_move_rigidly(b, g->trial_u);
-        else memcpy(g->trial_u, k ? g->y : b->state.u, bytes);
-        sfemi_guard_constrain(b, g->trial_u);
-        value = sfemi_guard_potential(b, g->trial_u, g->f, psi);
-        if (k > 0 && !(sfemi_finite(value) && value <= phi)) continue;
-        phi = value;
-        best = k;
-        memcpy(g->u, g->trial_u, bytes);
-    }
-    if (best == 2) return phi;
-    return sfemi_guard_potential(b, g->u, g->f, psi);
-}
-
-/* x = h^2 A^-1 x in the frames of z, leaving constraints alone. The isotropic majorant is taken as it is:
- * only then it bounds Phi. */
-static void sfemi_guard_precondition(sfem_body *b, int kind, sfem_real *x)
-{
-    sfemi_grip *grip = &b->guard.redo[kind].grip;
-    const sfem_real *frame = kind == SFEMI_TURNED ? b->guard.frame : b->guard.unit;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real *place = kind == SFEMI_TURNED ? b->guard.u : NULL;
-    size_t i;
-    if (place) sfemi_turn_locate(b, place); /* a step may turn far: projected at u, it stirs stiff modes */
-    sfemi_turn_solve(b, b->guard.redo[kind].factor, place, frame, x);
-    if (grip->count) {
-        memset(grip->lambda, 0, 3 * (size_t)grip->count * sizeof *grip->lambda);
-        sfemi_guard_hold(b, grip, frame, x);
-    }
-    for (i = 0; i < n; ++i) x[i] *= b->step * b->step;
-}
-
-static sfem_real sfemi_guard_dot(const sfem_real *a, const sfem_real *b, size_t n)
-{
-    sfem_real sum = 0;
-    size_t i;
-    for (i = 0; i < n; ++i) sum += a[i] * b[i];
-    return sum;
-}
-
-/* dir, a direction of descent: minus the preconditioned gradient, with the majorant corrected by the pairs
- * (L-BFGS) [Nocedal 1980; with such a matrix: Liu, Bouaziz, Kavan 2017]. Returns grad.dir. */
-static sfem_real sfemi_guard_direction(sfem_body *b, int kind)
-{
-    sfemi_guard *g = &b->guard;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int count = kind != SFEMI_ISOTROPIC ? 0 : g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
-    sfem_real part[SFEMI_MEMORY], rho[SFEMI_MEMORY];
-    size_t i;
-    int k;
-    if (kind == SFEMI_TURNED) sfemi_turn_frames(b, g->frame);
-    memcpy(g->dir, g->grad, n * sizeof *g->dir);
-    for (k = 0; k < count; ++k) { /* from the last on */
-        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
-        rho[k] = sfemi_guard_dot(s, y, n);
-        part[k] = sfemi_guard_dot(s, g->dir, n) / rho[k];
-        for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
-    }
-    sfemi_guard_precondition(b, kind, g->dir);
-    for (k = count - 1; k >= 0; --k) {
-        const sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - 1 - k) % SFEMI_MEMORY), *y = s + n;
-        const sfem_real back = sfemi_guard_dot(y, g->dir, n) / rho[k];
-        for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
-    }
-    for (i = 0; i < n; ++i) g->dir[i] = -g->dir[i];
-    return sfemi_guard_dot(g->grad, g->dir, n);
-}
-
-/* Puts the pair that was begun in its slot in order, if the gradient has changed along the step as it
- * must. */
-static void sfemi_guard_remember(sfemi_guard *g, size_t n)
-{
-    sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY), *y = s + n;
-    size_t i;
-    for (i = 0; i < n; ++i) {
-        s[i] = g->u[i] - s[i];
-        y[i] = g->grad[i] - y[i];
-    }
-    if (sfemi_guard_dot(s, y, n) > 1e-12 * sqrt(sfemi_guard_dot(s, s, n) * sfemi_guard_dot(y, y, n)))
-        ++g->pairs;
-}
-
-enum { SFEMI_STUCK, SFEMI_LOWER, SFEMI_LOWEST };
-
-/* One step of descent with Armijo's rule, its length halved at most so often. Where what there is to gain
- * drowns in rounding, which slivers feel as a large force, the slope alone tells [Hager and Zhang 2005]; LOWEST
- * where that does not fall either. */
-static int sfemi_guard_descend(sfem_body *b, int kind, int most, sfem_real *phi, sfem_real *psi)
-{
-    sfemi_guard *g = &b->guard;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real slope = sfemi_guard_direction(b, kind);
-    const int drowned = -slope <= 1e-12 * fabs(*phi);
-    sfem_real length = 1;
-    size_t i;
-    int halvings;
-    if (!(slope < 0)) return slope == 0 ? SFEMI_LOWEST : SFEMI_STUCK;
-    if (drowned) most = 1;
-    if (kind == SFEMI_ISOTROPIC) {
-        sfem_real *s = g->pair + 2 * n * (size_t)(g->pairs % SFEMI_MEMORY);
-        memcpy(s, g->u, n * sizeof *s);
-        memcpy(s + n, g->grad, n * sizeof *s);
-    }
-    /* Phi is not negative: on a parabola of this slope there is nothing to be had beyond. Stretched a
-     * thousandfold tets are 1e12 times as stiff as at rest. */
-    if (kind != SFEMI_TURNED && -slope > 2 * *phi) length = 2 * *phi / -slope;
-    for (halvings = 0; halvings <= most; ++halvings, length /= 2) {
-        sfem_real value;
-        for (i = 0; i < n; ++i) g->trial_u[i] = g->u[i] + length * g->dir[i];
-        value = sfemi_guard_potential(b, g->trial_u, g->trial_f, psi);
-        if (!(sfemi_finite(value) && value <= *phi + 1e-4 * length * slope) &&
-            !(drowned && value <= *phi + 1e-12 * fabs(*phi) &&
-              fabs(sfemi_guard_dot(g->grad, g->dir, n)) <= -.5 * slope))
-            continue;
-        *phi = value;
-        memcpy(g->u, g->trial_u, n * sizeof *g->u);
-        memcpy(g->f, g->trial_f, n * sizeof *g->f);
-        if (kind == SFEMI_ISOTROPIC) sfemi_guard_remember(g, n);
-        return SFEMI_LOWER;
-    }
-    *phi = sfemi_guard_potential(b, g->u, g->f, psi); /* as it was, rotations and all */
-    return drowned ? SFEMI_LOWEST : SFEMI_STUCK;
-}
-
-/* Gives free pieces the momentum that h L adds to M w. The angular one takes energy: a step's mean velocity,
- * taken for that at its end, points inward of the circle. Where the ledger has not enough, what of w is
- * not rigid motion gives it, and only where that is not enough, angular momentum is lost. */
-static void sfemi_guard_restore_momentum(sfem_body *b, sfem_real psi)
-{
-    sfemi_guard *g = &b->guard;
-    const sfem_real *mass = b->model->node_mass, r = sfemi_body_coefficients(b, b->p).r;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real *inner = g->dir, spin2 = 0, cross = 0, inner2 = 0, room, part = 1, ec;
-    size_t i;
-    sfem_int k;
-    int c;
-    if (!sfemi_turn_projects(b)) return;
-    for (i = 0; i < n; ++i) b->zk[i] = mass[i / 3] * (g->y[i] - b->state.u[i]) / b->step;
-    sfemi_turn_locate(b, b->state.u);
-    sfemi_turn_momentum(b, b->state.u, b->zk, 0);
-    for (k = 0; k < b->turn.pieces; ++k)
-        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
-    sfemi_turn_locate(b, g->u);
-    sfemi_turn_momentum(b, g->u, g->w, 1);
-    for (k = 0; k < b->turn.pieces; ++k)
-        for (c = 0; c < 6; ++c)
-            b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] - b->turn.piece[k].motion[c];
-    sfemi_turn_divide(b);
-    for (k = 0; k < b->turn.pieces; ++k) { /* the centre's velocity costs no energy that is watched */
-        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
-        memset(b->turn.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
-    }
-    memset(b->zk, 0, n * sizeof *b->zk);
-    sfemi_turn_add_motion(b, g->u, 1, 0, b->zk);
-    for (i = 0; i < n; ++i) { /* nor does its place, which then is where w' takes it */
-        g->w[i] += b->zk[i];
-        g->u[i] += b->step * b->zk[i];
-    }
-    sfemi_turn_locate(b, g->u);
-    for (k = 0; k < b->turn.pieces; ++k) {
-        memset(b->turn.piece[k].motion, 0, 3 * sizeof(sfem_real));
-        memcpy(b->turn.piece[k].motion + 3, b->turn.piece[k].kept + 3, 3 * sizeof(sfem_real));
-    }
-    memset(b->zk, 0, n * sizeof *b->zk);
-    sfemi_turn_add_motion(b, g->u, 1, 0, b->zk);
-    ec = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step).ec;
-    memcpy(inner, g->w, n * sizeof *inner);
-    sfemi_turn_motion(b, g->u, inner, 1);
-    sfemi_turn_add_motion(b, g->u, -1, 0, inner);
-    for (i = 0; i < n; ++i) {
-        if (b->mask[i / 3] >> (i % 3) & 1) inner[i] = 0;
-        spin2 += r * mass[i / 3] * b->zk[i] * b->zk[i] / 2;
-        cross += r * mass[i / 3] * b->zk[i] * g->w[i];
-        inner2 += r * mass[i / 3] * inner[i] * inner[i] / 2;
-    }
-    room = b->state.head->budget > ec ? b->state.head->budget - ec : 0;
-    if (spin2 + cross > room) { /* take from inner what is missing, up to all */
-        const sfem_real missing = spin2 + cross - room;
-        const sfem_real take = inner2 > missing ? 1 - sqrt(1 - missing / inner2) : 1;
-        for (i = 0; i < n; ++i) g->w[i] -= take * inner[i];
-        room += (inner2 > missing ? missing : inner2);
-    }
-    if (spin2 + cross > room * (1 + 1e-12) && spin2 > 0) {
-        part = (sqrt(cross * cross + 4 * spin2 * room) - cross) / (2 * spin2);
-        part = part < 0 ? 0 : part > 1 ? 1 : part;
-    }
-    for (i = 0; i < n; ++i) g->w[i] += part * b->zk[i];
-}
-
-/* The last resort: scales what of w' is not rigid motion until Ec <= target, or to nothing. */
-static void sfemi_guard_slow_down(sfem_body *b, sfem_real psi, sfem_real target)
-{
-    sfemi_guard *g = &b->guard;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_guard_energies e = sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-    sfem_real inner = 0, scale;
-    size_t i;
-    if (e.ec <= target) return;
-    memcpy(b->zk, g->w, n * sizeof *b->zk);
-    sfemi_turn_locate(b, g->u);
-    if (sfemi_turn_projects(b)) {
-        sfemi_turn_motion(b, g->u, b->zk, 1);
-        sfemi_turn_add_motion(b, g->u, -1, 0, b->zk);
-    }
-    for (i = 0; i < n; ++i)
-        if (!(b->mask[i / 3] >> (i % 3) & 1)) inner += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
-        else b->zk[i] = 0;
-    inner *= sfemi_body_coefficients(b, b->p).r;
-    scale = inner > e.ec - target ? 1 - sqrt(1 - (e.ec - target) / inner) : 1;
-    for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
+    g->psi = sfemi_guard_forces(b, g->u, g->f);
+    ++b->state.head->evaluations;
+    g->corrections = 0;
 }
 
 /* The work along part (u' - u) + back w of what the caller added to the right side, and of so much of the newer
@@ -17929,279 +17423,6 @@ static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem
         for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
             work -= b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
     return work;
-}
-
-/* The work that handles and moved pins do in a step from u to z, by the forces `out of balance` there. */
-static sfem_real sfemi_guard_work(sfem_body *b)
-{
-    const sfemi_guard *g = &b->guard;
-    const sfem_real *mass = b->model->node_mass, h2 = b->step * b->step;
-    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
-    sfem_real work = 0;
-    sfem_int k;
-    int l, c;
-    for (k = 0; k < b->pin_count; ++k)
-        for (c = 0; c < 3; ++c) {
-            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
-            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
-        }
-    for (k = 0; k < b->grip.count; ++k) {
-        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work +=
-                    (r * mass[at / 3] * (g->u[at] - g->y[at]) / h2 + g->f[at]) * (g->u[at] - b->state.u[at]);
-            }
-    }
-    return work;
-}
-
-/* Room for K(z), and a factor of the body's own. */
-static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
-{
-    const sfem_model *model = b->model;
-    sfemi_guard *g = &b->guard;
-    sfemi_redo *redo = &g->redo[SFEMI_TANGENT];
-    sfemi_factor_key key = b->factor->key;
-    sfem_status status = SFEM_OK;
-    if (redo->factor) return SFEM_OK;
-    sfemi_system_close(b, &g->system);
-    key.majorant = 0;
-    key.ck = b->h * b->h;
-    key.cm = sfemi_body_coefficients(b, b->p).r;
-    key.cd = 0;
-    if (!g->tangent.val) {
-        sfem_real *val = NULL;
-        SFEMI_NEW(sfem_real, val, &b->allocator, 9 * (size_t)model->row[model->mesh.nodes]);
-        g->tangent = model->stiffness;
-        g->tangent.val = val;
-    }
-    SFEMI_TRY(sfemi_system_open(b, &key, &g->system, err));
-    redo->factor = g->system.factor;
-done:
-    return status;
-}
-
-/* What that takes. */
-static size_t sfemi_guard_bytes(const sfem_body *b)
-{
-    const sfemi_guard *g = &b->guard;
-    size_t bytes = 0;
-    if (g->tangent.val) bytes += 9 * (size_t)g->tangent.row[g->tangent.n] * sizeof(sfem_real);
-    if (!g->redo[SFEMI_TANGENT].factor) return bytes;
-    bytes += 76 * (size_t)g->system.matrix.row[g->system.matrix.n];
-    if (g->system.factor->ldl) {
-        const sfem_ldl_info info = sfem_ldl_get_info(g->system.factor->ldl);
-        bytes += info.factor_bytes + info.work_bytes;
-    }
-    return bytes;
-}
-
-/* The factor of the redo, and the handles' columns for it. */
-static sfem_status sfemi_guard_prepare_redo(sfem_body *b, int kind, sfem_error *err)
-{
-    sfemi_redo *g = &b->guard.redo[kind];
-    const sfem_real r = sfemi_body_coefficients(b, b->p).r, h = b->h;
-    sfem_factor *f = NULL;
-    sfemi_factor_key key;
-    sfem_status status = SFEM_OK;
-    sfem_int i;
-    if (kind == SFEMI_TANGENT) SFEMI_TRY(sfemi_guard_open_system(b, err));
-    else if (!g->factor || g->h != h) {
-        key = b->factor->key;
-        key.majorant = kind == SFEMI_ISOTROPIC;
-        key.ck = kind == SFEMI_TURNED ? h * h + h * b->beta : h * h;
-        key.cm = kind == SFEMI_TURNED ? r + h * b->alpha : r;
-        key.cd = kind == SFEMI_TURNED && b->model->damping ? h : 0;
-        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-        sfemi_factor_release(b->model, g->factor);
-        g->factor = f;
-        g->h = h;
-        for (i = 0; i < b->def.max_handles; ++i) g->grip.ready[i] = 0;
-    }
-    if (kind == SFEMI_ISOTROPIC && !b->guard.pair)
-        SFEMI_NEW(sfem_real, b->guard.pair, &b->allocator, 6 * SFEMI_MEMORY * (size_t)b->model->mesh.nodes);
-    SFEMI_TRY(sfemi_body_reserve_work(b, g->factor, b->grip.count || b->def.no_allocation ? 3 : 1, err));
-    for (i = 0; i < b->def.max_handles; ++i) SFEMI_TRY(sfemi_grip_reserve(b, &g->grip, i, err));
-    g->grip.count = b->grip.count;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfem_int slot = g->grip.slot[i] = b->grip.slot[i];
-        if (!g->grip.ready[slot] && kind != SFEMI_TANGENT) /* else they change all the time */
-            sfemi_grip_columns(g->factor, b->state.handle + slot, b->model->mesh.nodes, 1, g->grip.y[slot],
-                               b->work, &b->exec);
-        g->grip.ready[slot] = 1;
-    }
-done:
-    return status;
-}
-
-/* A factor of (r + shift) M + h^2 K(z) with the projected K(z) that is in guard.tangent. */
-static sfem_status sfemi_guard_factor_tangent(sfem_body *b, sfem_real shift)
-{
-    const sfem_model *model = b->model;
-    sfemi_guard *g = &b->guard;
-    const sfemi_system *y = &g->system;
-    const sfem_real h2 = b->step * b->step, cm = sfemi_body_coefficients(b, b->p).r + shift;
-    sfem_int k, at = 0;
-    int r, c;
-    for (k = 0; k < y->matrix.n; ++k) {
-        const sfem_int i = y->factor->node[k];
-        for (; at < y->matrix.row[k + 1]; ++at) {
-            const size_t from = 9 * (size_t)y->source[at];
-            const sfem_int j = model->col[y->source[at]];
-            const int mask_i = y->factor->mask[i], mask_j = y->factor->mask[j];
-            sfem_real *to = y->matrix.val + 9 * (size_t)at;
-            for (c = 0; c < 9; ++c) to[c] = h2 * g->tangent.val[from + (size_t)c];
-            for (c = 0; c < 9 && i == j; c += 4) to[c] += cm * model->node_mass[i];
-            for (r = 0; (mask_i | mask_j) && r < 3; ++r)
-                for (c = 0; c < 3; ++c)
-                    if (((mask_i >> r & 1) || (mask_j >> c & 1)) && !(i == j && r == c)) to[3 * r + c] = 0;
-        }
-    }
-    return sfem_ldl_refactor(y->factor->ldl, &y->matrix, NULL);
-}
-
-/* K(z), each tet's projected to be positive semidefinite, and its factor; where rounding has eaten the mass,
- * with more of that. 0 if there is none. */
-static int sfemi_guard_linearise(sfem_body *b)
-{
-    const sfem_model *model = b->model;
-    sfemi_guard *g = &b->guard;
-    sfemi_grip *grip = &g->redo[SFEMI_TANGENT].grip;
-    const sfem_factor *f = g->redo[SFEMI_TANGENT].factor;
-    sfem_real fastest = 0;
-    sfem_status status;
-    sfem_int i;
-    int c, tries;
-    if (!f->ldl) return 0;
-    if (b->damage) sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
-    else sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
-    status = sfemi_guard_factor_tangent(b, 0);
-    if (status != SFEM_OK) { /* the largest (h omega)^2 of a node alone */
-        for (i = 0; i < model->mesh.nodes; ++i)
-            for (c = 0; c < 9 && model->node_mass[i] > 0; c += 4)
-                fastest = fmax(fastest, g->tangent.val[9 * (size_t)(model->row[i + 1] - 1) + (size_t)c] /
-                                            model->node_mass[i]);
-        fastest *= b->step * b->step;
-        for (tries = 0; status != SFEM_OK && tries < 4; ++tries)
-            status = sfemi_guard_factor_tangent(b, fastest * pow(10.0, 2.0 * tries - 12));
-    }
-    if (status != SFEM_OK) return 0;
-    for (i = 0; i < grip->count; ++i)
-        sfemi_grip_columns(f, b->state.handle + grip->slot[i], model->mesh.nodes, 1, grip->y[grip->slot[i]],
-                           b->work, &b->exec);
-    return 1;
-}
-
-/* Is Phi as low as it gets but for part of the scale, by the measure of the turned factor? That of the
- * isotropic majorant cannot tell: it is far too stiff. */
-static int sfemi_guard_is_near(sfem_body *b, sfem_real part)
-{
-    return -sfemi_guard_direction(b, SFEMI_TURNED) <= 2 * part * b->state.head->scale;
-}
-
-/* How many factors of tangents a redo may make: so many as take the time of a hundred descents by the majorant,
- * by what processors do of either; one of a large body, ten of a small one. */
-static int sfemi_guard_allowance(const sfem_body *b)
-{
-    const sfem_ldl *ldl = b->guard.redo[SFEMI_TANGENT].factor->ldl;
-    sfem_ldl_info info;
-    double count;
-    if (!ldl) return 0;
-    info = sfem_ldl_get_info(ldl);
-    count = 2000 * (double)info.nnz / info.flops;
-    return count < 1 ? 1 : count > 10 ? 10 : (int)count;
-}
-
-/* Lowers Phi until Ec is in order and a step of descent gains little: by the turned factor; where that needs
- * short steps, by the isotropic majorant; where that is stuck, or creeps, by Newton's iteration, with the last
- * of its factors once they are used up. */
-static sfem_status sfemi_guard_minimise(sfem_body *b, sfem_real phi, sfem_real target, sfem_real *psi,
-                                        sfem_error *err)
-{
-    enum { LIMIT = 100 };
-    static const sfem_real small[SFEMI_REDOS] = {.01, .001, .001};
-    static const int enough[SFEMI_REDOS] = {1, 10, 1};
-    sfemi_guard *g = &b->guard;
-    const sfem_real scale = b->state.head->scale;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real first = 0;
-    sfem_status status = SFEM_OK;
-    int k, kind = SFEMI_TURNED, next, poor = 0, factors = 0, end;
-    g->pairs = 0;
-    for (k = 0; k < LIMIT; ++k) {
-        sfem_real norm = 0, before = phi;
-        size_t i;
-        for (i = 0; i < n; ++i) norm += g->grad[i] * g->grad[i];
-        if (k == 0) first = norm;
-        if (norm == 0 || norm < 1e-6 * first) break;
-        if (kind == SFEMI_TANGENT && --factors >= 0 && !sfemi_guard_linearise(b)) break;
-        end = sfemi_guard_descend(b, kind, kind == SFEMI_TURNED || factors < 0 ? 3 : 19, &phi, psi);
-        if (end == SFEMI_LOWEST) break;
-        next = end == SFEMI_LOWER ? kind : kind + 1;
-        if (end == SFEMI_LOWER) {
-            ++b->state.head->descents;
-            poor = before - phi <= small[kind] * scale ? poor + 1 : 0;
-            if (poor >= enough[kind] &&
-                sfemi_guard_at(b, *psi).ec <= target + sfemi_guard_outer_work(b, 1, 0, 0, 0)) {
-                if (kind != SFEMI_ISOTROPIC || sfemi_guard_is_near(b, small[SFEMI_TURNED])) break;
-                next = SFEMI_TANGENT;
-            }
-        }
-        if (next == SFEMI_REDOS) break;
-        if (next == kind) continue;
-        kind = next;
-        g->crumpled = 1;
-        poor = 0;
-        SFEMI_TRY(sfemi_guard_prepare_redo(b, kind, err));
-        if (kind == SFEMI_TANGENT) factors = sfemi_guard_allowance(b);
-        if (kind == SFEMI_TANGENT && !factors) break;
-    }
-    g->gain -= phi;
-done:
-    return status;
-}
-
-/* Does the step again, by minimisation. Leaves z, w', f, rotations and Psi in guard. */
-static sfem_status sfemi_guard_redo(sfem_body *b, sfem_error *err)
-{
-    sfemi_guard *g = &b->guard;
-    sfemi_state_head *head = b->state.head;
-    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h1 = head->started == SFEMI_RUNNING ? head->h : 0;
-    sfem_real psi, phi, target, outer;
-    sfem_status status;
-    size_t i;
-    g->crumpled = 0;
-    status = sfemi_guard_prepare_redo(b, SFEMI_TURNED, err);
-    if (status != SFEM_OK) return status;
-    for (i = 0; i < n; ++i) {
-        const sfem_real load = mass[i / 3] * head->gravity[i % 3] + b->state.force[1][i] + g->added[i];
-        g->y[i] = b->state.u[i] + h * b->state.w[i] / (1 + h * b->alpha / r) +
-                  (mass[i / 3] > 0 ? h * h * load / (r * mass[i / 3]) : 0);
-    }
-    memcpy(g->frame, b->state.frame, 3 * n * sizeof *g->frame);
-    phi = sfemi_guard_choose_start(b, &psi);
-    head->budget += sfemi_guard_work(b) + sfemi_guard_outer_work(b, 0, h1 / 2, 0, 0); /* from mid-step on */
-    target = head->budget + .01 * head->scale;
-    if (head->last > target) target = head->last;
-    g->gain = phi;
-    status = sfemi_guard_minimise(b, phi, target, &psi, err);
-    if (status != SFEM_OK) return status;
-    if (b->grip.count) { /* what rounding has left of the handles' gaps after so many steps */
-        sfemi_guard_constrain(b, g->u);
-        (void)sfemi_guard_potential(b, g->u, g->f, &psi);
-    }
-    outer = sfemi_guard_outer_work(b, 1, 0, 0, 0);
-    head->budget += outer;
-    (void)sfemi_guard_at(b, psi);
-    sfemi_guard_restore_momentum(b, psi);
-    sfemi_guard_slow_down(b, psi, target + outer);
-    g->psi = psi;
-    return SFEM_OK;
 }
 
 /* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
@@ -18261,64 +17482,557 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
     return work;
 }
 
-/* The hand's force in a step that was done again: what is out of balance at the handle's nodes. */
-static void sfemi_guard_handle_forces(sfem_body *b)
+/* The work of handles and moved pins in a fallback. */
+static sfem_real sfemi_guard_held_work(const sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
-    const sfem_real h2 = b->step * b->step / sfemi_body_coefficients(b, b->p).r;
+    sfem_real work = 0;
     sfem_int k;
     int l, c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (!(b->mask[b->pin[k]] >> c & 1)) continue;
+            work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
+        }
     for (k = 0; k < b->grip.count; ++k) {
-        sfemi_handle *h = b->state.handle + b->grip.slot[k];
-        sfem_real sum = 0;
-        memset(h->force, 0, sizeof h->force);
-        for (l = 0; l < 4; ++l) {
-            sum += h->weight[l] * h->weight[l];
+        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+        for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                h->force[c] +=
-                    h->weight[l] * (b->model->node_mass[h->node[l]] * (g->u[at] - g->y[at]) / h2 + g->f[at]);
+                work += b->grip.lambda[3 * k + c] * h->weight[l] * (g->u[at] - b->state.u[at]);
             }
+    }
+    return work;
+}
+
+/* With that of what the caller added, from the middle of the last step on, where its energy was taken. */
+static sfem_real sfemi_guard_fallback_work(const sfem_body *b)
+{
+    const sfem_real h1 = b->state.head->started == SFEMI_RUNNING ? b->state.head->h : 0;
+    return sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
+}
+
+/* Is the energy of the step in guard in order? *budget: what it may be, the work done in the step included. */
+static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real *budget)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfem_real scale = b->state.head->scale;
+    *budget = b->state.head->budget + sfemi_guard_step_work(b);
+    *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+    return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
+           e->ec <= *budget + e->rounding + 0.3 * scale;
+}
+
+/* ---- the corrected step ----
+ *
+ * One solve a step is good while the rotated factor bounds the tangent. On real meshes it does not: tets whose
+ * rotation differs from their nodes' (slivers, thin and bent parts) have (h^2 K(u), 4 A) up to 5, and what the
+ * step makes of these modes is found too late. So every step is corrected towards an equation of its own:
+ *
+ *   1. the trial:   the (p,q,r) step; w' = w + d a, d = (h1 + h2)/2 between the centres of the means
+ *   2. the equation of HHT [Hilber, Hughes, Taylor 1977] in mean velocities, with g_n = (1-a) f_n + a f_n-1,
+ *        r(w') = M (w' - w)/d + D (h1 w + h2 w')/(h1 + h2) + k1 g' + k2 g + k3 g- - L
+ *        k1 = h2 b/d,  k2 = (h2 (1/2 - b) + h1 (c - b))/d,  k3 = h1 (1/2 - c + b)/d,  b = (1+a)^2/4
+ *        c = (h2/2 + a h1)/((1-a) h2 + a h1) of the last step: second order for steps of any length
+ *      L, the loads, as (p,q,r) weighs them. h1 = 0 at a start. a = def.dissipation; a = 0 is Newmark(1/4, 1/2)
+ *   3. L-BFGS with the rotated factor [Nocedal 1980; with such a matrix Liu, Bouaziz, Kavan 2017]:
+ *        w' -= t d Q A^-1 Q^T r, corrected by the pairs of this step, Q the frames of the trial
+ *   4. until what another one is expected to gain, rho h dir.r, is below accuracy S, S the energy in motion.
+ *      None at all where c h^2 r.diag(A)^-1 r, c learned from the last corrections, is below 10 accuracy S.
+ *
+ * On free pieces r and the steps lose their rigid part: momenta are those of the trial, by the loads alone. A
+ * step that moves handles or held axes is none: the columns of A^-1 H^T take it back. */
+
+/* What of r does not depend on nodes. */
+typedef struct sfemi_equation {
+    sfem_real h, d;          /* s: the step, and between the centres of w and w' */
+    sfem_real end;           /* weight of f' */
+    sfem_real before, after; /* of w and w' in the velocity that is damped */
+} sfemi_equation;
+
+/* out += D v of what q damps. */
+static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, const sfem_real *w1, sfem_real *out)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *w = b->state.w;
+    sfem_real *force = b->guard.other;
+    size_t i;
+    if (b->beta == 0 && !b->zd) return;
+    for (i = 0; i < n; ++i) {
+        const sfem_real v = q->before * w[i] + q->after * w1[i];
+        b->zk[i] = b->beta * v;
+        if (b->zd) b->zd[i] = v;
+    }
+    sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, force);
+    if (b->damage && b->beta != 0) {
+        for (i = 0; i < n; ++i) b->zk[i] = b->beta * (q->before * w[i] + q->after * w1[i]);
+        sfemi_fracture_soften(b, b->zk, force);
+    }
+    for (i = 0; i < n; ++i) out[i] += force[i];
+}
+
+/* r of the equation at w1, whose forces are f1; 0 on held axes. */
+static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const sfem_real *w1,
+                                   const sfem_real *f1, sfem_real *out)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real *w = b->state.w, *mass = b->model->node_mass;
+    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
+    const int projects = sfemi_turn_projects(b);
+    size_t i;
+    for (i = 0; i < n; ++i) out[i] = q->end * f1[i] + b->guard.known[i];
+    sfemi_correct_add_damping(b, q, w1, out);
+    if (projects) { /* internal forces add up to nothing; what rounding leaves is taken out */
+        sfemi_turn_motion(b, b->state.u, out, 0);
+        sfemi_turn_add_motion(b, b->state.u, -1, 1, out);
+    }
+    for (i = 0; i < n; ++i)
+        out[i] += mass[i / 3] * (r * (w1[i] - w[i]) / q->d + b->alpha * (q->before * w[i] + q->after * w1[i])) -
+                  b->guard.external[i];
+    if (sfemi_correct_is_braked(b)) {
+        for (i = 0; i < n; ++i) b->zm[i] = q->before * w[i] + q->after * w1[i];
+        b->def.damping_force.force(b->def.damping_force.user, b->zm, out);
+    } else if (projects) {
+        sfemi_turn_motion(b, b->state.u, out, 0);
+        sfemi_turn_add_motion(b, b->state.u, -1, 1, out);
+    }
+    for (i = 0; i < n; ++i)
+        if (b->mask[i / 3] >> (i % 3) & 1) out[i] = 0;
+}
+
+static sfem_real sfemi_correct_dot(const sfem_real *a, const sfem_real *b, size_t n)
+{
+    sfem_real sum[4] = {0, 0, 0, 0};
+    size_t i;
+    for (i = 0; i + 4 <= n; i += 4) {
+        sum[0] += a[i] * b[i];
+        sum[1] += a[i + 1] * b[i + 1];
+        sum[2] += a[i + 2] * b[i + 2];
+        sum[3] += a[i + 3] * b[i + 3];
+    }
+    for (; i < n; ++i) sum[0] += a[i] * b[i];
+    return sum[0] + sum[1] + (sum[2] + sum[3]);
+}
+
+/* x = d A^-1 x in the frames of the trial, leaving constraints alone. */
+static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, sfem_real *x)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->guard.frame, x);
+    if (b->grip.count) {
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_guard_hold(b, &b->grip, b->guard.frame, x);
+    }
+    for (i = 0; i < n; ++i) x[i] *= q->d;
+    ++b->state.head->solves;
+}
+
+/* guard.dir: the step to be taken from w'. Returns h dir.r, twice the energy that it is expected to gain. */
+static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int count = g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
+    sfem_real part[SFEMI_MEMORY];
+    size_t i;
+    int k;
+    memcpy(g->dir, g->grad, n * sizeof *g->dir);
+    for (k = 0; k < count; ++k) { /* from the last on */
+        const int at = (g->pairs - 1 - k) % SFEMI_MEMORY;
+        const sfem_real *s = g->pair + 2 * n * (size_t)at, *y = s + n;
+        part[k] = sfemi_correct_dot(s, g->dir, n) / g->curvature[at];
+        for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
+    }
+    sfemi_correct_precondition(b, q, g->dir);
+    for (k = count - 1; k >= 0; --k) {
+        const int at = (g->pairs - 1 - k) % SFEMI_MEMORY;
+        const sfem_real *s = g->pair + 2 * n * (size_t)at, *y = s + n;
+        const sfem_real back = sfemi_correct_dot(y, g->dir, n) / g->curvature[at];
+        for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
+    }
+    if (sfemi_turn_projects(b) && !sfemi_correct_is_braked(b)) {
+        sfemi_turn_motion(b, b->state.u, g->dir, 1);
+        sfemi_turn_add_motion(b, b->state.u, -1, 0, g->dir);
+    }
+    return q->h * sfemi_correct_dot(g->dir, g->grad, n);
+}
+
+/* The step and the change of r that it made, if r has changed along the step as it must. */
+static void sfemi_correct_remember(sfem_body *b, sfem_real length)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int at = g->pairs % SFEMI_MEMORY;
+    sfem_real *s = g->pair + 2 * n * (size_t)at, *y = s + n, sy, ss, yy;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        s[i] = -length * g->dir[i];
+        y[i] = g->grad[i] - g->trial_grad[i]; /* after the swap: now - before */
+    }
+    sy = sfemi_correct_dot(s, y, n);
+    ss = sfemi_correct_dot(s, s, n);
+    yy = sfemi_correct_dot(y, y, n);
+    if (!(sy > 1e-8 * sqrt(ss * yy))) return;
+    g->curvature[at] = sy;
+    ++g->pairs;
+}
+
+static void sfemi_correct_swap(sfem_real **a, sfem_real **b)
+{
+    sfem_real *c = *a;
+    *a = *b;
+    *b = c;
+}
+
+static void sfemi_correct_swap_trial(sfemi_guard *g)
+{
+    sfemi_correct_swap(&g->w, &g->trial_w);
+    sfemi_correct_swap(&g->u, &g->trial_u);
+    sfemi_correct_swap(&g->f, &g->trial_f);
+    sfemi_correct_swap(&g->grad, &g->trial_grad);
+}
+
+/* guard.u, f, psi for guard.w. */
+static void sfemi_correct_evaluate(sfem_body *b, const sfemi_equation *q)
+{
+    sfemi_guard *g = &b->guard;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) g->u[i] = b->state.u[i] + q->h * g->w[i];
+    g->psi = sfemi_guard_forces(b, g->u, g->f);
+    ++b->state.head->evaluations;
+}
+
+/* By how much the potential of r is lower at `to` than at `from`, along the straight line between: exact, for
+ * all but Psi is quadratic there. (Of a caller's damping, which may have none, the mean of both ends.) */
+static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
+                                    sfem_real length, sfem_real psi_from, sfem_real psi_to)
+{
+    const sfemi_guard *g = &b->guard; /* trial: from, the others: to */
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real sum = 0;
+    size_t i;
+    for (i = 0; i < n; ++i)
+        sum += dir[i] * (g->grad[i] + g->trial_grad[i] - q->end * (g->f[i] + g->trial_f[i]));
+    return q->end / q->h * (psi_from - psi_to) + length / 2 * sum;
+}
+
+/* Goes along dir by Armijo's rule, and not far beyond the least: where the slope there is half the first one, the
+ * secant's length. 0 where no length will do; all is as it was then. */
+static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfem_real decrement)
+{
+    enum { TRIES = 10 };
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real psi = g->psi, slope = decrement / q->h;
+    const sfem_real noise = (b->def.precision == SFEM_MIXED ? 1e-6 : 1e-12) * q->end / q->h * fabs(psi);
+    sfem_real length = 1;
+    int tries;
+    size_t i;
+    sfemi_correct_swap_trial(g);
+    for (tries = 0; tries < TRIES; ++tries) {
+        sfem_real fall, ahead, secant;
+        for (i = 0; i < n; ++i) g->w[i] = g->trial_w[i] - length * g->dir[i];
+        sfemi_correct_evaluate(b, q);
+        sfemi_correct_residual(b, q, g->w, g->f, g->grad);
+        ahead = sfemi_correct_dot(g->dir, g->grad, n); /* what is left of the slope; < 0: beyond the least */
+        fall = sfemi_correct_fall(b, q, g->dir, length, psi, g->psi);
+        if (sfemi_finite(g->psi) && fall >= 1e-4 * length * slope - noise && (-ahead <= 0.5 * slope || tries > 1))
+            return length;
+        secant = ahead < slope ? length * slope / (slope - ahead) : 0.5 * length;
+        length = fmax(0.1 * length, fmin(secant, 0.8 * length));
+    }
+    sfemi_correct_swap_trial(g);
+    g->psi = sfemi_guard_forces(b, g->u, g->f); /* rotations and all */
+    return 0;
+}
+
+/* The multipliers of the handles that r leaves, in the mass norm. */
+static void sfemi_correct_find_handle_forces(sfem_body *b)
+{
+    sfemi_grip *grip = &b->grip;
+    const sfem_int k = grip->count;
+    sfem_int i;
+    int c, p;
+    for (i = 0; i < k; ++i) {
+        const sfemi_handle *h = b->state.handle + grip->slot[i];
+        for (c = 0; c < 3; ++c) {
+            grip->lambda[3 * i + c] = 0;
+            for (p = 0; p < 4; ++p)
+                if (h->weight[p] != 0)
+                    grip->lambda[3 * i + c] += h->weight[p] * b->guard.grad[3 * (size_t)h->node[p] + (size_t)c] /
+                                               b->model->node_mass[h->node[p]];
         }
-        for (c = 0; c < 3; ++c) h->force[c] /= sum;
+    }
+    for (c = 0; c < 3; ++c) sfemi_grip_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
+}
+
+/* Energy beyond what a fallback may have: the budget, or what there was, and the work done in it. */
+static sfem_real sfemi_guard_excess(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    const sfemi_state_head *head = b->state.head;
+    const sfem_real ec = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step).ec;
+    if (b->grip.count) sfemi_correct_find_handle_forces(b);
+    return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_guard_fallback_work(b);
+}
+
+/* Corrects guard.w until little is to be gained, `most` times at most; in a fallback until its energy is low
+ * enough, too. guard.grad is r at the start and at the end. Returns the first decrement. */
+static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, int most, sfem_real tolerance,
+                                       int fallback)
+{
+    sfemi_guard *g = &b->guard;
+    sfem_real first = 0, last = 0, rho = 0.3;
+    int k;
+    g->pairs = 0;
+    memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
+    sfemi_turn_frames(b, g->frame);
+    for (k = 0; k < most; ++k) {
+        const sfem_real decrement = sfemi_correct_direction(b, q);
+        sfem_real length = 0;
+        if (k == 0) first = decrement;
+        if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
+        if (length > 0) sfemi_correct_remember(b, length);
+        else if (g->pairs == 0) break;
+        else g->pairs = 0;
+        ++g->corrections;
+        if (!(length > 0)) continue;
+        if (last > 0) rho = (rho + fmin(1, decrement / last)) / 2;
+        last = decrement;
+        if (rho * decrement < tolerance && (!fallback || sfemi_guard_excess(b) <= 0)) break;
+    }
+    return first;
+}
+
+/* The equation of the step under way, with what of it is known: guard.known, guard.external. */
+static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0, h2 = b->step;
+    const sfem_real a = b->def.dissipation, beta = (1 + a) * (1 + a) / 4, gamma = s->head->gamma;
+    const sfem_real k1 = h2 * beta / t.d, k2 = (h2 * (0.5 - beta) + h1 * (gamma - beta)) / t.d;
+    const sfem_real k3 = h1 * (0.5 - gamma + beta) / t.d;
+    const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
+    size_t i;
+    q->h = h2;
+    q->d = t.d;
+    q->end = k1 * (1 - a);
+    q->after = sfemi_body_coefficients(b, b->p).q / 2 * h2 / t.d;
+    q->before = t.cd - q->after;
+    for (i = 0; i < n; ++i) b->guard.known[i] = now * s->f[i] + past * s->f_past[i];
+    for (i = 0; h1 > 0 && a != 0 && i < n; ++i) b->guard.known[i] += k3 * a * s->f_past2[i];
+    memset(b->guard.external, 0, n * sizeof *b->guard.external);
+    sfemi_body_take_from_load(b, t.load, b->guard.external, b->guard.external);
+    for (i = 0; i < n; ++i) b->guard.external[i] += b->guard.added[i];
+}
+
+/* turn.diagonal of the body's factor. */
+static void sfemi_correct_weigh(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfemi_factor_key *key = &b->factor->key;
+    sfem_int i;
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        const sfem_real *k = model->stiffness.val + 9 * (size_t)(model->row[i + 1] - 1);
+        const sfem_real a = key->cm * model->node_mass[i] + key->ck * (k[0] + k[4] + k[8]) / 3;
+        b->turn.diagonal[i] = a > 0 ? 1 / a : 0;
     }
 }
 
-/* Judges the step; where it fails, does it again. The state is not changed but for the ledger, which a
- * failure puts back. */
+/* From the trial in guard to the solution of the equation. A trial that is not finite is left to be rejected. */
+static void sfemi_correct(sfem_body *b)
+{
+    enum { MOST = 40, AFTER_REJECTION = 5, SKIPS = 20 };
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real cheap = 0, first, tolerance, budget;
+    sfemi_guard_energies e;
+    sfemi_equation q;
+    size_t i;
+    if (!sfemi_finite(g->psi)) return;
+    sfemi_correct_open(b, &q);
+    sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
+    for (i = 0; i < n; ++i) cheap += g->grad[i] * g->grad[i] * b->turn.diagonal[i / 3];
+    cheap *= q.h * q.d;
+    if (head->estimate > 0 && head->estimate * cheap < 10 * b->def.accuracy * head->scale &&
+        head->skipped < SKIPS && sfemi_guard_accepts(b, &e, &budget)) {
+        ++head->skipped;
+        return;
+    }
+    head->skipped = 0;
+    tolerance = fmax(b->def.accuracy * head->scale, sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, q.h).rounding);
+    first = sfemi_correct_iterate(b, &q, head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST, tolerance, 0);
+    if (cheap > 0 && first > 0)
+        head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
+    if (b->grip.count) sfemi_correct_find_handle_forces(b);
+    for (i = 0; i < n; ++i) b->acc[i] = (g->w[i] - b->state.w[i]) / q.d;
+}
+
+/* ---- rejected steps ----
+ *
+ * A rejected step is taken back, and backward Euler's is taken in its place, by the same iteration:
+ *     M (w' - w)/h + D w' + f' - L = 0,   the least of |w' - w|_M^2/2 + Psi(u + h w') - h L.w'
+ * from the better of w and a rigid motion. It loses energy. Should there be too much all the same, what of w' is
+ * not rigid motion of free pieces is scaled down; and at last the pieces move rigidly, which leaves Psi as it was.
+ * The momenta stay right in all three. Then the motion starts afresh from there. */
+
+/* guard.w: the rigid motion that momenta and loads give free pieces, plus `inner` of what else is in w; held
+ * axes and handles where they are to be. The pieces' momenta stay in `kept`. */
+static void sfemi_guard_start_fallback(sfem_body *b, sfem_real inner)
+{
+    sfemi_guard *g = &b->guard;
+    const sfemi_state *s = &b->state;
+    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = (r * mass[i / 3] * s->w[i] + h * g->external[i]) / (r + h * b->alpha);
+        g->w[i] = inner * s->w[i];
+    }
+    if (sfemi_turn_projects(b)) {
+        sfemi_turn_motion(b, s->u, g->w, 1);
+        sfemi_turn_add_motion(b, s->u, -1, 0, g->w);
+        sfemi_turn_momentum(b, s->u, b->zk, 0);
+        for (k = 0; k < b->turn.pieces; ++k)
+            memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+        sfemi_turn_divide(b);
+        sfemi_turn_add_motion(b, s->u, 1, 0, g->w);
+    }
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (b->mask[b->pin[k]] >> c & 1)
+                g->w[at] = (s->pin[k].target[c] - b->model->mesh.x[at] - s->u[at]) / h;
+        }
+    if (!b->grip.count) return;
+    sfemi_body_handle_gap(b, &b->grip, s->u, h);
+    sfemi_guard_hold(b, &b->grip, s->frame, g->w);
+}
+
+/* What of w' is no rigid motion at u', scaled until there is no excess of energy, or to nothing. */
+static void sfemi_guard_slow_down(sfem_body *b, sfem_real excess)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real inner = 0, scale;
+    size_t i;
+    memcpy(b->zk, g->w, n * sizeof *b->zk);
+    sfemi_turn_locate(b, g->u);
+    if (sfemi_turn_projects(b)) {
+        sfemi_turn_motion(b, g->u, b->zk, 1);
+        sfemi_turn_add_motion(b, g->u, -1, 0, b->zk);
+    }
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) inner += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
+        else b->zk[i] = 0;
+    inner *= sfemi_body_coefficients(b, b->p).r;
+    scale = inner > excess ? 1 - sqrt(1 - excess / inner) : 1;
+    for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
+    sfemi_turn_locate(b, b->state.u);
+}
+
+/* Free pieces turn and move on as they are, held ones stay where their constraints put them. */
+static void sfemi_guard_move_rigidly(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real h = b->step, *x = b->model->mesh.x;
+    sfem_int i, k;
+    int c;
+    sfemi_guard_start_fallback(b, 0);
+    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) g->u[i] = b->state.u[i] + h * g->w[i];
+    if (sfemi_turn_projects(b)) {
+        sfemi_turn_motion(b, b->state.u, g->w, 1);
+        for (i = 0; i < b->model->mesh.nodes; ++i) {
+            const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+            sfem_real arm[3], angle[3], rotation[9], moved[3];
+            if (b->turn.piece_of[i] < 0 || p->held) continue;
+            sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
+            for (c = 0; c < 3; ++c) angle[c] = h * p->motion[3 + c];
+            sfemi_rotate_by(angle, rotation);
+            for (c = 0; c < 3; ++c) {
+                moved[c] = sfemi_dot3(rotation + 3 * c, arm) + p->centre[c] + h * p->motion[c];
+                g->u[3 * i + c] = moved[c] - x[3 * i + c];
+            }
+        }
+        sfemi_turn_locate(b, g->u);
+        for (k = 0; k < b->turn.pieces; ++k)
+            memcpy(b->turn.piece[k].motion, b->turn.piece[k].kept, sizeof b->turn.piece[k].motion);
+        sfemi_turn_divide(b);
+        for (i = 0; i < b->model->mesh.nodes; ++i)
+            if (b->turn.piece_of[i] >= 0 && !b->turn.piece[b->turn.piece_of[i]].held)
+                memset(g->w + 3 * i, 0, 3 * sizeof *g->w);
+        sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
+        sfemi_turn_locate(b, b->state.u);
+    }
+    g->psi = sfemi_guard_forces(b, g->u, g->f);
+}
+
+/* The step in place of a rejected one, to guard. */
+static void sfemi_guard_fall_back(sfem_body *b)
+{
+    enum { MOST = 40 };
+    static const sfem_real at_start[3] = {0, 1, 0};
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_equation q;
+    sfem_real excess, psi;
+    size_t i;
+    q.h = q.d = b->step;
+    q.end = q.after = 1;
+    q.before = 0;
+    memset(g->known, 0, n * sizeof *g->known);
+    memset(g->external, 0, n * sizeof *g->external);
+    sfemi_body_take_from_load(b, at_start, g->external, g->external);
+    for (i = 0; i < n; ++i) g->external[i] += g->added[i];
+    sfemi_guard_start_fallback(b, 1);
+    sfemi_correct_evaluate(b, &q);
+    sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
+    psi = g->psi;
+    sfemi_correct_swap_trial(g);
+    sfemi_guard_start_fallback(b, 0);
+    sfemi_correct_evaluate(b, &q);
+    sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
+    for (i = 0; i < n; ++i) g->dir[i] = g->trial_w[i] - g->w[i];
+    if (sfemi_finite(psi) && !(sfemi_correct_fall(b, &q, g->dir, 1, psi, g->psi) > 0)) {
+        sfemi_correct_swap_trial(g);
+        g->psi = sfemi_guard_forces(b, g->u, g->f);
+    }
+    (void)sfemi_correct_iterate(b, &q, MOST, 0.01 * head->scale, 1);
+    excess = sfemi_guard_excess(b);
+    if (excess > 0) {
+        sfemi_guard_slow_down(b, excess);
+        excess = sfemi_guard_excess(b);
+    }
+    if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) sfemi_guard_move_rigidly(b);
+    head->budget += sfemi_guard_fallback_work(b);
+}
+
+/* Judges the step, and puts another one in its place where it would make energy. The state is not changed but
+ * for the budget, which a failure puts back. */
 static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
 {
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real budget = head->budget;
-    const int64_t descents = head->descents;
-    sfem_real slack;
-    sfemi_guard_energies e;
-    sfem_status status = SFEM_OK;
-    g->corrections = 0;
-    g->psi = sfemi_guard_advance(b);
-    if (b->def.corrections > 0) g->psi = sfemi_guard_correct(b, g->psi);
-    g->redone = g->measured = 0;
-    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && b->model->turns) {
-        head->budget += sfemi_guard_step_work(b);
-        e = g->energies = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
-        g->measured = 1;
-        slack = head->budget + e.rounding;
-        g->redone = !(sfemi_finite(e.eb) && sfemi_finite(e.ec) && e.eb <= slack + .02 * head->scale &&
-                    e.ec <= slack + .3 * head->scale);
-    }
-    if (g->redone) {
-        head->budget = budget;
-        status = sfemi_guard_redo(b, err);
-        if (status != SFEM_OK) {
-            head->budget = budget;
-            head->descents = descents;
-            return status;
-        }
+    const sfem_real before = head->budget;
+    sfem_real budget;
+    g->rejected = g->measured = 0;
+    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && (b->model->turns || sfemi_correct_serves(b))) {
+        g->rejected = !sfemi_guard_accepts(b, &g->energies, &budget);
+        g->measured = !g->rejected;
+        if (g->rejected) sfemi_guard_fall_back(b);
+        else head->budget = budget;
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
-    head->budget = budget;
+    head->budget = before;
     return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to an energy that is not finite");
 }
 
@@ -18332,46 +18046,46 @@ static sfem_real sfemi_guard_rounding(const sfem_body *b)
     return 1e-15 * sum;
 }
 
+/* Per step: how much of the budget's excess over the energy, and of the scale, is kept. Counted in steps, so that
+ * units of time are the caller's; 30 and 60 of them were measured to do at 1/30 to 1/240 s. */
+static const sfem_real sfemi_budget_kept = 1 - 1.0 / 32, sfemi_scale_kept = 1 - 1.0 / 64;
+
+/* Energy budget and scale after the step. */
+static void sfemi_guard_settle_budget(sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const sfemi_guard_energies e =
+        g->measured ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+    const sfem_real moving = e.kinetic + (g->rejected ? g->psi : (head->psi + g->psi) / 2);
+    sfem_real least;
+    head->energy = g->rejected ? e.ec : e.eb;
+    /* what damping takes may not come back, as it would where fragments spin too fast for the frames of D */
+    least = head->energy + e.rounding;
+    if (b->damage && least < head->budget) head->budget = fmax(least, head->budget - g->damped);
+    if (least < head->budget) head->budget = least + (head->budget - least) * sfemi_budget_kept;
+    head->scale = fmax(fmax(head->scale * sfemi_scale_kept, moving), e.floor);
+    if (g->rejected) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
+    head->last = e.ec;
+}
+
 static void sfemi_guard_finish(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     sfemi_state *s = &b->state;
     sfemi_state_head *head = s->head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real psi = g->psi;
-    const int redone = g->redone;
-    sfemi_guard_energies e;
-    sfem_real energy, least, moving;
+    const sfem_real a = b->def.dissipation, h1 = head->started == SFEMI_RUNNING ? head->h : 0;
     sfem_int k;
     size_t i;
     int c;
-    if (redone) sfemi_guard_handle_forces(b);
-    else
-        for (k = 0; k < b->grip.count; ++k)
-            memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
-    if (redone) sfemi_turn_locate(b, s->u); /* the pieces' masses serve the energies */
-    e = g->measured && !redone ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, psi, b->step);
-    energy = head->energy = redone ? e.ec : e.eb;
-    /* what damping takes may not come back, as it would where shards spin too fast for the frames of D */
-    least = energy + e.rounding;
-    if (b->damage && least < head->budget) head->budget = fmax(least, head->budget - g->damped);
-    if (least < head->budget) head->budget = least + (head->budget - least) * exp(-b->step / .5);
-    /* what a redo could not reach, by far, is not in motion */
-    if (redone) head->locked = fmax(psi - 4 * (e.kinetic + g->gain), 0.0);
-    else if (psi < head->locked) head->locked = psi;
-    moving = e.kinetic + (redone ? psi : (head->psi + psi) / 2) - head->locked * (1 - 1e-12);
-    head->scale *= exp(-b->step) * (redone ? .9 : 1);
-    if (redone && g->crumpled) { /* most of the energy is gone: what may be made is counted anew */
-        head->scale = 0;
-        head->budget = energy;
-    }
-    if (moving > head->scale) head->scale = moving;
-    if (e.floor > head->scale) head->scale = e.floor;
-    if (redone) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
-    head->last = e.ec;
-    head->psi = psi;
+    for (k = 0; k < b->grip.count; ++k)
+        memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
+    sfemi_guard_settle_budget(b);
+    head->psi = g->psi;
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
-    head->redone += redone;
+    head->gamma = (b->step / 2 + a * h1) / ((1 - a) * b->step + a * h1);
+    head->rejected += g->rejected;
     for (k = 0; k < b->pin_count; ++k) {
         sfem_real x[3];
         for (c = 0; c < 3; ++c)
@@ -18379,13 +18093,14 @@ static void sfemi_guard_finish(sfem_body *b)
                 b->model->mesh.x[3 * (size_t)b->pin[k] + (size_t)c] + s->u[3 * (size_t)b->pin[k] + (size_t)c];
         sfemi_hold_advance(s->pin + k, x);
     }
-    for (i = 0; i < n; ++i) s->a[i] = redone ? 0 : b->acc[i];
+    for (i = 0; i < n; ++i) s->a[i] = g->rejected ? 0 : b->acc[i];
+    memcpy(s->f_past2, h1 > 0 ? s->f_past : s->f, n * sizeof *s->f);
     memcpy(s->f_past, s->f, n * sizeof *s->f);
     memcpy(s->f, g->f, n * sizeof *s->f);
     memcpy(s->u, g->u, n * sizeof *s->u);
     memcpy(s->w, g->w, n * sizeof *s->w);
     sfemi_turn_frames(b, s->frame);
-    head->started = redone ? SFEMI_RESTARTED : SFEMI_RUNNING;
+    head->started = g->rejected ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
 /* ---- breaking ----
@@ -18411,7 +18126,7 @@ static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
     }
     *kinetic = sum * sfemi_body_coefficients(b, b->p).r;
-    return *kinetic + (g->redone ? g->psi : (s->head->psi + g->psi) / 2 + (b->p - 0.5) / 2 * stretch);
+    return *kinetic + (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (b->p - 0.5) / 2 * stretch);
 }
 
 /* The way from where the last step's energy was taken to where this one's is. */
@@ -18420,7 +18135,7 @@ static sfem_real sfemi_fracture_way(const sfem_body *b, size_t i)
     const sfemi_guard *g = &b->guard;
     const sfemi_state *s = &b->state;
     const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
-    return h1 / 2 * s->w[i] + (g->redone ? g->u[i] - s->u[i] : b->step / 2 * g->w[i]);
+    return h1 / 2 * s->w[i] + (g->rejected ? g->u[i] - s->u[i] : b->step / 2 * g->w[i]);
 }
 
 /* The work of loads, handles and moved pins in the step. */
@@ -18432,19 +18147,19 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
-    sfem_real work = g->redone ? sfemi_guard_work(b) : 0;
+    sfem_real work = g->rejected ? sfemi_guard_held_work(b) : 0;
     sfem_int k;
     size_t i;
     int l, c;
     for (i = 0; i < n; ++i) {
         sfem_real load = mass[i / 3] * gravity[i % 3];
         if (b->mask[i / 3] >> (i % 3) & 1) continue;
-        if (loaded && !g->redone)
+        if (loaded && !g->rejected)
             load += t.load[0] * s->force[0][i] + t.load[1] * s->force[1][i] + t.load[2] * s->force[2][i];
         else if (loaded) load += s->force[1][i];
         work += load * sfemi_fracture_way(b, i);
     }
-    if (g->redone) return work;
+    if (g->rejected) return work;
     for (k = 0; k < b->grip.count; ++k) {
         const sfemi_handle *h = s->handle + b->grip.slot[k];
         for (l = 0; l < 4; ++l)
@@ -18474,7 +18189,7 @@ static sfem_real sfemi_fracture_damping(sfem_body *b)
     const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
     sfem_real sum = 0;
     size_t i;
-    if (g->redone || (b->alpha == 0 && b->beta == 0 && !b->zd)) return 0;
+    if (g->rejected || (b->alpha == 0 && b->beta == 0 && !b->zd)) return 0;
     for (i = 0; i < n; ++i) {
         const sfem_real v = running ? (s->w[i] + g->w[i]) / 2 : g->w[i];
         b->zk[i] = b->beta * v;
@@ -18505,7 +18220,7 @@ static void sfemi_fracture_account(sfem_body *b)
     if (k->open) {
         const sfem_real work = sfemi_fracture_work(b);
         k->work += work;
-        if (b->guard.redone) k->guarded += k->now + work - energy;
+        if (b->guard.rejected) k->guarded += k->now + work - energy;
         else k->damped += b->guard.damped = sfemi_fracture_damping(b);
     } else {
         k->start = energy;
@@ -18544,19 +18259,19 @@ static void sfemi_fracture_round(sfem_body *b)
     sfemi_damage_change change;
     sfem_real fallen;
     sfemi_fracture_account(b);
-    step.u0 = g->redone ? g->u : b->state.u;
+    step.u0 = g->rejected ? g->u : b->state.u;
     step.u1 = g->u;
-    step.a0 = g->redone ? 0 : 0.5;
-    step.a1 = g->redone ? 1 : 0.5;
-    step.ac = g->redone ? 0 : 0.25;
-    step.f0 = g->redone ? NULL : b->state.f;
+    step.a0 = g->rejected ? 0 : 0.5;
+    step.a1 = g->rejected ? 1 : 0.5;
+    step.ac = g->rejected ? 0 : 0.25;
+    step.f0 = g->rejected ? NULL : b->state.f;
     step.f1 = g->f;
     step.exec = &b->exec;
     sfemi_damage_round(b->damage, &step, &change);
     if (!change.broken && !change.softened) return;
     b->renewal.quiet = 0;
-    fallen = g->redone ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
-    if (!g->redone) head->psi += change.psi0;
+    fallen = g->rejected ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
+    if (!g->rejected) head->psi += change.psi0;
     g->psi += change.psi1;
     head->budget += fallen;
     b->state.books->now += fallen;
@@ -18568,7 +18283,7 @@ static void sfemi_fracture_round(sfem_body *b)
         sfemi_fracture_regroup(b);
         sfemi_turn_locate(b, b->state.u);
         after = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
-        head->budget += g->redone ? after.ec - before.ec : after.eb - before.eb;
+        head->budget += g->rejected ? after.ec - before.ec : after.eb - before.eb;
     }
 }
 
@@ -18904,7 +18619,7 @@ static void sfemi_renew_watch(sfem_body *b)
         wmw += m * b->model->node_mass[i / 3] * b->zk[i] * b->zk[i]; /* turned and free of rigid motion now */
         if (!(b->mask[i / 3] >> (i % 3) & 1)) wkw += s->w[i] * b->zm[i];
     }
-    r->wrong = fade * r->wrong + (b->guard.redone ? wmw + b->p * h * h * wkw
+    r->wrong = fade * r->wrong + (b->guard.rejected ? wmw + b->p * h * h * wkw
                                                   : fabs(b->p * h * h * wkw - b->p * h * truth));
     r->all = fade * r->all + wmw + b->p * h * h * wkw;
 }
@@ -18997,7 +18712,8 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.p = SFEM_P_SAFE;
     d.beta = 0.25;
     d.q = d.r = 1;
-    d.correction_tolerance = 1e-3;
+    d.accuracy = 1e-6;
+    d.dissipation = 0.2;
     d.gamma = 0.5;
     d.rho_inf = 0.8;
     d.gui_lambda = 4;
@@ -19024,9 +18740,11 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
           d->renew_drift >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "renew_flops and renew_drift (%g, %g) must be >= 0",
                           d->renew_flops, d->renew_drift);
-    if (d->corrections < 0 || !(sfemi_finite(d->correction_tolerance) && d->correction_tolerance >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "corrections (%d, to %g) must be >= 0", (int)d->corrections,
-                          d->correction_tolerance);
+    if (!(d->accuracy > 0 && d->accuracy <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "accuracy is %g, must be above 0 and at most 1 (one solve)",
+                          d->accuracy);
+    if (!(d->dissipation >= 0 && d->dissipation <= 1. / 3))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "dissipation is %g, must be 0 to 1/3", d->dissipation);
     if (!(sfemi_finite(d->q) && d->q >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "q is %g, must be >= 0", d->q);
     if (!(sfemi_finite(d->r) && d->r > 0))
@@ -19188,13 +18906,14 @@ done:
 }
 
 /* The pieces, and what only a body that turns needs. */
-static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_error *err)
+static sfem_status sfemi_body_allocate_turn(sfem_body *b, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_guard *g = &b->guard;
-    sfem_real **const vector[] = {&b->turn.v, &g->u,    &g->w,   &g->f,       &g->external, &g->added,
-                                  &g->y,      &g->grad, &g->dir, &g->trial_u, &g->trial_f};
+    sfem_real **const vector[] = {&b->turn.v, &g->u,       &g->w,       &g->f,       &g->external,   &g->known, &g->added,
+                                  &g->grad,   &g->dir,     &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad,
+                                  &g->other};
     sfem_status status = SFEM_OK;
     size_t i;
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
@@ -19204,19 +18923,16 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, size_t handles, sfem_e
     if (!b->turns) return sfemi_body_allocate_lever(b, err);
     SFEMI_NEW(sfem_real, b->turn.work, al,
               sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + n +
-                  (3 + 3 + 3 + 3 + 3 + sizeof vector / sizeof *vector) * n);
+                  (3 + 3 + 3 + 2 * SFEMI_MEMORY + sizeof vector / sizeof *vector) * n);
     b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
     b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
     b->turn.fresh = b->turn.sum + 3 * n;
     b->turn.over = b->turn.fresh + 3 * n;
     b->turn.trace = b->turn.over + n / 3;
-    b->turn.heavy = b->turn.trace + n / 3;
-    b->turn.longer = b->turn.heavy + n / 3;
-    g->frame = b->turn.longer + 3 * n;
-    g->unit = g->frame + 3 * n;
-    for (i = 0; i < 3 * n; ++i) g->unit[i] = i % 9 % 4 ? 0 : 1;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->unit + (3 + i) * n;
-    for (i = 0; i < SFEMI_REDOS; ++i) SFEMI_TRY(sfemi_body_allocate_grip(b, handles, &g->redo[i].grip, err));
+    b->turn.diagonal = b->turn.trace + n / 3;
+    g->frame = b->turn.diagonal + n / 3;
+    g->pair = g->frame + 3 * n;
+    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->pair + (2 * SFEMI_MEMORY + i) * n;
 done:
     return status;
 }
@@ -19224,19 +18940,11 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
-    int k;
     sfemi_implicit_destroy(b);
     sfemi_renew_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
     sfemi_body_free_grip(b, &b->grip);
-    for (k = 0; k < SFEMI_REDOS; ++k) {
-        sfemi_factor_release(b->model, b->guard.redo[k].factor);
-        sfemi_body_free_grip(b, &b->guard.redo[k].grip);
-    }
-    sfemi_system_close(b, &b->guard.system);
-    sfemi_delete(&al, b->guard.tangent.val);
-    sfemi_delete(&al, b->guard.pair);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.work);
@@ -19280,7 +18988,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
     if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
-    if (b->turns || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, k, err));
+    if (b->turns || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
     if (b->bonds) {
         SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
@@ -19288,10 +18996,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
         sfemi_damage_reset(b->damage);
         sfemi_fracture_regroup(b);
     }
-    if (b->turns) {
-        sfemi_turn_weigh(b);
-        sfemi_turn_find_heavy(b);
-    }
+    if (b->turns) sfemi_turn_weigh(b);
     sfemi_body_find_held(b);
 done:
     return status;
@@ -19315,6 +19020,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->beta = model->beta + def->beta_k;
     b->model = model;
     b->turns = (model->turns && sfemi_body_keeps_mean(b)) ||
+               (def->damping_force.force && def->integrator == SFEM_PQR) ||
                (def->damage && (b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL));
     b->sleeps = def->sleep_tolerance > 0;
     b->def.damage = NULL;
@@ -19382,8 +19088,6 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    for (i = 0; b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard && i < SFEMI_REDOS; ++i)
-        SFEMI_TRY(sfemi_guard_prepare_redo(b, i, err));
     g->dirty = 0;
 done:
     return status;
@@ -19392,10 +19096,7 @@ done:
 static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
-    int k;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
-        for (i = 0; i < b->def.max_handles; ++i) b->guard.redo[k].grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
@@ -19427,8 +19128,8 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
                                              : b->def.p;
     if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
-        status = sfemi_pqr_keep_margin(b, h, p, err);
-        if (status != SFEM_OK) return status;
+        const sfem_real a = b->def.dissipation;
+        *p = sfemi_correct_serves(b) ? (1 + a) * (1 + a) * (1 - a) / 4 : b->model->margin;
         *p = fmax(*p, sfemi_fracture_least_p(b));
     }
     if (*p < sfemi_fracture_least_p(b))
@@ -19507,6 +19208,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         sfemi_body_adopt(b, f);
         b->h = h;
         b->p = p;
+        if (b->turns) sfemi_correct_weigh(b);
     }
     return sfemi_body_prepare_handles(b, err);
 }
@@ -19547,7 +19249,10 @@ static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
     head->budget = before->budget;
     head->scale = before->scale;
     head->last = before->last;
-    head->descents = before->descents;
+    head->solves = before->solves;
+    head->evaluations = before->evaluations;
+    head->estimate = before->estimate;
+    head->skipped = before->skipped;
     if (head->load_age > before->load_age) head->load_age = before->load_age;
     if (head->rebase < before->rebase) head->rebase = before->rebase;
     if (head->current && !before->current) head->rebase = SFEMI_NEW_LEDGER;
@@ -19606,7 +19311,11 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     if (!b->turns)
         sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
     if (!b->turns) sfemi_body_settle(b);
-    if (b->turns) sfemi_guard_solve(b);
+    if (b->turns) {
+        sfemi_guard_try(b);
+        sfemi_guard_advance(b);
+        if (sfemi_correct_serves(b)) sfemi_correct(b);
+    }
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     if (!sfemi_all_finite(b->acc, n)) {
@@ -19817,7 +19526,9 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->load_age = 2;
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
-    b->state.head->steps = b->state.head->redone = b->state.head->descents = 0;
+    b->state.head->steps = b->state.head->rejected = b->state.head->solves = b->state.head->evaluations = 0;
+    b->state.head->estimate = 0;
+    b->state.head->skipped = 0;
     if (b->damage) memset(b->state.books, 0, sizeof *b->state.books);
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
@@ -19940,7 +19651,6 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfem_int *list = NULL, listed;
     void *block = NULL;
     size_t bytes, damage;
-    int k;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
@@ -19970,10 +19680,6 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfemi_renew_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    for (k = 0; k < SFEMI_REDOS; ++k) {
-        sfemi_factor_release(b->model, b->guard.redo[k].factor);
-        b->guard.redo[k].factor = NULL;
-    }
     sfemi_body_forget_columns(b);
     sfemi_sleep_rouse(b);
     sfemi_body_place_pins(b);
@@ -20021,7 +19727,6 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     sfem_body_handle_position(b, k, h->hold.target);
     memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
     b->grip.ready[k] = 0;
-    for (c = 0; b->turns && c < SFEMI_REDOS; ++c) b->guard.redo[c].grip.ready[k] = 0;
     b->grip.dirty = 1;
     sfemi_sleep_rouse(b);
     sfemi_body_held_changed(b);
@@ -20762,7 +20467,6 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_body_info info;
     sfem_int i;
-    int k;
     memset(&info, 0, sizeof info);
     info.nodes = b->model->mesh.nodes;
     info.tets = b->model->mesh.tets;
@@ -20771,20 +20475,18 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.omega_max = b->omega_max;
     info.factors_made = b->factors_made;
     info.steps = b->state.head->steps;
-    info.redone = b->state.head->redone;
-    info.descents = b->state.head->descents;
+    info.rejected = b->state.head->rejected;
+    info.solves = b->state.head->solves;
+    info.evaluations = b->state.head->evaluations;
     info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size +
                       ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + b->work_size) * sizeof(sfem_real);
-    for (i = 0; i < b->def.max_handles; ++i) {
+    for (i = 0; i < b->def.max_handles; ++i)
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-        for (k = 0; b->turns && k < SFEMI_REDOS; ++k)
-            info.body_bytes += 3 * n * (size_t)b->guard.redo[k].grip.parts[i] * sizeof(sfem_real);
-    }
-    if (b->turns) /* as sfemi_body_allocate_turn and sfemi_guard_prepare_redo lay it out */
+    if (b->turns) /* as sfemi_body_allocate_turn lays it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
-                            27 * n + (b->guard.pair ? 2 * SFEMI_MEMORY * n : 0)) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b) + sfemi_guard_bytes(b);
+                            (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
