@@ -14386,8 +14386,10 @@ typedef struct sfemi_state_head {
     sfem_real energy;                   /* and what it conserves */
     sfem_real gamma;    /* >>correct: of the last step; */
     sfem_real estimate; /* what a correction is worth over what its cheap estimate says; 0: not known */
+    sfem_real rate;     /* by what factor one gains less than the one before; 0: not known */
     sfem_int skipped;   /* steps since the last correction */
-    sfem_int spare;
+    sfem_int pairs;     /* that L-BFGS made since these are of use, and the step they are for */
+    sfem_real pair_h;
     int64_t solves, evaluations;
     sfem_real calm;     /* s */
 } sfemi_state_head;
@@ -14414,6 +14416,7 @@ typedef struct sfemi_state {
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
     sfem_real *f, *f_past, *f_past2; /* [nodes][3] the internal force at u, one and two steps before; */
     sfem_real *frame;      /* [nodes][3][3] Q: these only where the body rotates */
+    float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
@@ -14421,10 +14424,17 @@ typedef struct sfemi_state {
     void *damage;          /* [bytes] >>damage's own state */
 } sfemi_state;
 
-/* reals a node: u, w, a and three loads; three forces and the frame besides; before */
+/* Does a body rotate, and if so, is it corrected? */
+enum { SFEMI_STILL, SFEMI_ROTATES, SFEMI_CORRECTS };
+
+/* Pairs of steps and changes of the residual that L-BFGS remembers. */
+enum { SFEMI_MEMORY = 6 };
+
+/* reals a node: u, w, a and three loads; three forces and the frame besides; pairs, of floats; before */
 static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
 {
-    return ((turns ? 36 : 18) + (sleeps ? 3u : 0u)) * (size_t)nodes;
+    return ((turns ? 36u : 18u) + (turns == SFEMI_CORRECTS ? 3u * SFEMI_MEMORY : 0u) + (sleeps ? 3u : 0u)) *
+           (size_t)nodes;
 }
 
 /* damage: how many bytes of it, 0 where the body cannot break */
@@ -14451,7 +14461,8 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->f_past = turns ? at + 7 * n : NULL;
     s->f_past2 = turns ? at + 8 * n : NULL;
     s->frame = turns ? at + 9 * n : NULL;
-    s->before = sleeps ? at + (turns ? 12 : 6) * n : NULL;
+    s->pair = turns == SFEMI_CORRECTS ? (float *)(void *)(at + 12 * n) : NULL;
+    s->before = sleeps ? at + sfemi_state_reals(nodes, turns, 0) : NULL;
     s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
     s->handle = (sfemi_handle *)(void *)(s->pin + pins);
     s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
@@ -14681,9 +14692,6 @@ typedef struct sfemi_turn {
     int by_hand;         /* the caller may add to the right side of the step under way */
 } sfemi_turn;
 
-/* Pairs of steps and changes of the residual that L-BFGS remembers. */
-enum { SFEMI_MEMORY = 6 };
-
 typedef struct sfemi_guard_energies {
     sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
     sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
@@ -14778,7 +14786,7 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    int turns;             /* a nonlinear law or damage: >>turn and >>guard apply */
+    int turns;             /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
     int sleeps;            /* it may */
     sfemi_state state;
     sfemi_grip grip;
@@ -17286,6 +17294,52 @@ static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
     return 1;
 }
 
+/* What of r, see below, does not depend on nodes. */
+typedef struct sfemi_equation {
+    sfem_real h, d;          /* s: the step, and between the centres of w and w' */
+    sfem_real end;           /* weight of f' */
+    sfem_real before, after; /* of w and w' in the velocity that is damped */
+} sfemi_equation;
+
+/* The equation of the step under way, and the forces of the past in it: guard.known. */
+static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0, h2 = b->step;
+    const sfem_real a = b->def.dissipation, beta = (1 + a) * (1 + a) / 4, gamma = s->head->gamma;
+    const sfem_real k1 = h2 * beta / t.d, k2 = (h2 * (0.5 - beta) + h1 * (gamma - beta)) / t.d;
+    const sfem_real k3 = h1 * (0.5 - gamma + beta) / t.d;
+    const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
+    size_t i;
+    q->h = h2;
+    q->d = t.d;
+    q->end = k1 * (1 - a);
+    q->after = sfemi_body_coefficients(b, b->p).q / 2 * h2 / t.d;
+    q->before = t.cd - q->after;
+    for (i = 0; i < n; ++i) b->guard.known[i] = now * s->f[i] + past * s->f_past[i];
+    for (i = 0; h1 > 0 && a != 0 && i < n; ++i) b->guard.known[i] += k3 * a * s->f_past2[i];
+}
+
+/* The internal force by which the trial goes: f; where the step goes on, what that equation has of forces if f'
+ * lies on a line with f and f-. Of a linear body at constant steps the trial is then the solution. */
+static const sfem_real *sfemi_correct_forecast(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *f = b->guard.f, ahead;
+    sfemi_equation q;
+    size_t i;
+    if (!sfemi_correct_serves(b)) return s->f;
+    sfemi_correct_open(b, &q);
+    if (s->head->started != SFEMI_RUNNING) return s->f;
+    ahead = q.h / s->head->h;
+    for (i = 0; i < n; ++i)
+        f[i] = b->guard.known[i] + q.end * (s->f[i] + ahead * (s->f[i] - s->f_past[i]));
+    return f;
+}
+
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
@@ -17293,6 +17347,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     const sfem_real *base = sfemi_pqr_base(b);
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real *force;
     int stiff, c;
     sfemi_pqr_terms t;
     sfem_int j;
@@ -17300,6 +17355,8 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     b->step = h;
     sfemi_guard_refresh(b, h);
     t = sfemi_pqr_weigh(b, h);
+    force = sfemi_correct_forecast(b);
+    if (force != s->f) t.ck = 0;
     if (b->base) {
         sfemi_guard_predict_alpha(b, h, t.back);
         t.ck = 0; /* forces at the end of the last step are at hand */
@@ -17328,11 +17385,11 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
                 if (b->zd) b->zd[i] += k.q / 2 * h * b->guard.grad[i];
             }
         sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
-        for (i = 0; i < n; ++i) b->rhs[i] += s->f[i];
+        for (i = 0; i < n; ++i) b->rhs[i] += force[i];
         for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
         if (b->beta != 0) sfemi_fracture_soften(b, b->zk, b->rhs);
     } else {
-        memcpy(b->rhs, s->f, n * sizeof *b->rhs);
+        memcpy(b->rhs, force, n * sizeof *b->rhs);
     }
     for (i = 0; (b->alpha != 0 || t.am != 0) && i < n; ++i)
         b->rhs[i] += model->node_mass[i / 3] *
@@ -17544,13 +17601,6 @@ static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real 
  * On free pieces r and the steps lose their rigid part: momenta are those of the trial, by the loads alone. A
  * step that moves handles or held axes is none: the columns of A^-1 H^T take it back. */
 
-/* What of r does not depend on nodes. */
-typedef struct sfemi_equation {
-    sfem_real h, d;          /* s: the step, and between the centres of w and w' */
-    sfem_real end;           /* weight of f' */
-    sfem_real before, after; /* of w and w' in the velocity that is damped */
-} sfemi_equation;
-
 /* out += D v of what q damps. */
 static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, const sfem_real *w1, sfem_real *out)
 {
@@ -17656,11 +17706,15 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q)
         sfemi_turn_motion(b, b->state.u, g->dir, 1);
         sfemi_turn_add_motion(b, b->state.u, -1, 0, g->dir);
     }
+    if (b->grip.count && count) { /* pairs of other frames may move the handles */
+        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+        sfemi_guard_hold(b, &b->grip, g->frame, g->dir);
+    }
     return q->h * sfemi_correct_dot(g->dir, g->grad, n);
 }
 
-/* The step and the change of r that it made, if r has changed along the step as it must. */
-static void sfemi_correct_remember(sfem_body *b, sfem_real length)
+/* The step and the change of r that it made, if r has changed along the step as it must. Returns whether. */
+static int sfemi_correct_remember(sfem_body *b, sfem_real length)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -17674,9 +17728,10 @@ static void sfemi_correct_remember(sfem_body *b, sfem_real length)
     sy = sfemi_correct_dot(s, y, n);
     ss = sfemi_correct_dot(s, s, n);
     yy = sfemi_correct_dot(y, y, n);
-    if (!(sy > 1e-8 * sqrt(ss * yy))) return;
+    if (!(sy > 1e-8 * sqrt(ss * yy))) return 0;
     g->curvature[at] = sy;
     ++g->pairs;
+    return 1;
 }
 
 static void sfemi_correct_swap(sfem_real **a, sfem_real **b)
@@ -17778,56 +17833,79 @@ static sfem_real sfemi_guard_excess(sfem_body *b)
     return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_guard_fallback_work(b);
 }
 
+/* guard.pair: the pairs of earlier steps of this length, in the frames of the trial. The stiffness that the rotated
+ * factor has wrong turns with the body: half of the corrections are saved on a bar that swings far. */
+static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    int k, count;
+    size_t i;
+    if (head->pair_h != q->h) head->pairs = 0;
+    count = head->pairs < SFEMI_MEMORY ? (int)head->pairs : SFEMI_MEMORY;
+    for (k = 0; k < count; ++k) {
+        const float *from = b->state.pair + 2 * n * (size_t)((head->pairs - count + k) % SFEMI_MEMORY);
+        sfem_real *s = g->pair + 2 * n * (size_t)g->pairs;
+        for (i = 0; i < 2 * n; ++i) s[i] = (sfem_real)from[i];
+        sfemi_turn_rotate(g->frame, nodes, 0, s, s);
+        sfemi_turn_rotate(g->frame, nodes, 0, s + n, s + n);
+        g->curvature[g->pairs] = sfemi_correct_dot(s, s + n, n);
+        if (g->curvature[g->pairs] > 0) ++g->pairs;
+    }
+}
+
+/* The last `made` pairs go to the state. */
+static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_state_head *head = b->state.head;
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    int k;
+    size_t i;
+    for (k = made < SFEMI_MEMORY ? made : SFEMI_MEMORY; k > 0; --k) {
+        sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - k) % SFEMI_MEMORY);
+        float *to = b->state.pair + 2 * n * (size_t)(head->pairs++ % SFEMI_MEMORY);
+        sfemi_turn_rotate(g->frame, nodes, 1, s, s);
+        sfemi_turn_rotate(g->frame, nodes, 1, s + n, s + n);
+        for (i = 0; i < 2 * n; ++i) to[i] = (float)s[i];
+    }
+    if (head->pairs >= 1 << 20) head->pairs = head->pairs % SFEMI_MEMORY + SFEMI_MEMORY;
+    head->pair_h = q->h;
+}
+
 /* Corrects guard.w until little is to be gained, `most` times at most; in a fallback until its energy is low
  * enough, too. guard.grad is r at the start and at the end. Returns the first decrement. */
 static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, int most, sfem_real tolerance,
                                        int fallback)
 {
     sfemi_guard *g = &b->guard;
-    sfem_real first = 0, last = 0, rho = 0.3;
-    int k;
+    sfem_real first = 0, last = 0, rate = b->state.head->rate > 0 ? b->state.head->rate : 0.3;
+    int k, made = 0;
     g->pairs = 0;
     memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
     sfemi_turn_frames(b, g->frame);
+    if (!fallback) sfemi_correct_recall(b, q);
     for (k = 0; k < most; ++k) {
         const sfem_real decrement = sfemi_correct_direction(b, q);
         sfem_real length = 0;
         if (k == 0) first = decrement;
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
-        if (length > 0) sfemi_correct_remember(b, length);
+        if (length > 0) made += sfemi_correct_remember(b, length);
         else if (g->pairs == 0) break;
-        else g->pairs = 0;
+        else g->pairs = made = b->state.head->pairs = 0;
         ++g->corrections;
         if (!(length > 0)) continue;
-        if (last > 0) rho = (rho + fmin(1, decrement / last)) / 2;
+        if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
         last = decrement;
-        if (rho * decrement < tolerance && (!fallback || sfemi_guard_excess(b) <= 0)) break;
+        if (rate * decrement < tolerance && (!fallback || sfemi_guard_excess(b) <= 0)) break;
     }
+    if (fallback) return first;
+    b->state.head->rate = rate;
+    sfemi_correct_store(b, q, made);
     return first;
-}
-
-/* The equation of the step under way, with what of it is known: guard.known, guard.external. */
-static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
-{
-    const sfemi_state *s = &b->state;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
-    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0, h2 = b->step;
-    const sfem_real a = b->def.dissipation, beta = (1 + a) * (1 + a) / 4, gamma = s->head->gamma;
-    const sfem_real k1 = h2 * beta / t.d, k2 = (h2 * (0.5 - beta) + h1 * (gamma - beta)) / t.d;
-    const sfem_real k3 = h1 * (0.5 - gamma + beta) / t.d;
-    const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
-    size_t i;
-    q->h = h2;
-    q->d = t.d;
-    q->end = k1 * (1 - a);
-    q->after = sfemi_body_coefficients(b, b->p).q / 2 * h2 / t.d;
-    q->before = t.cd - q->after;
-    for (i = 0; i < n; ++i) b->guard.known[i] = now * s->f[i] + past * s->f_past[i];
-    for (i = 0; h1 > 0 && a != 0 && i < n; ++i) b->guard.known[i] += k3 * a * s->f_past2[i];
-    memset(b->guard.external, 0, n * sizeof *b->guard.external);
-    sfemi_body_take_from_load(b, t.load, b->guard.external, b->guard.external);
-    for (i = 0; i < n; ++i) b->guard.external[i] += b->guard.added[i];
 }
 
 /* turn.diagonal of the body's factor. */
@@ -17856,6 +17934,9 @@ static void sfemi_correct(sfem_body *b)
     size_t i;
     if (!sfemi_finite(g->psi)) return;
     sfemi_correct_open(b, &q);
+    memset(g->external, 0, n * sizeof *g->external);
+    sfemi_body_take_from_load(b, sfemi_pqr_weigh(b, q.h).load, g->external, g->external);
+    for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
     for (i = 0; i < n; ++i) cheap += g->grad[i] * g->grad[i] * b->turn.diagonal[i / 3];
     cheap *= q.h * q.d;
@@ -19020,8 +19101,9 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->beta = model->beta + def->beta_k;
     b->model = model;
     b->turns = (model->turns && sfemi_body_keeps_mean(b)) ||
-               (def->damping_force.force && def->integrator == SFEM_PQR) ||
+               (def->damping_force.force && b->def.integrator == SFEM_PQR) ||
                (def->damage && (b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL));
+    if (sfemi_correct_serves(b)) b->turns = SFEMI_CORRECTS;
     b->sleeps = def->sleep_tolerance > 0;
     b->def.damage = NULL;
     sfemi_lock(&model->lock);
@@ -19252,6 +19334,7 @@ static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
     head->solves = before->solves;
     head->evaluations = before->evaluations;
     head->estimate = before->estimate;
+    head->rate = before->rate;
     head->skipped = before->skipped;
     if (head->load_age > before->load_age) head->load_age = before->load_age;
     if (head->rebase < before->rebase) head->rebase = before->rebase;
@@ -19527,7 +19610,8 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->started = SFEMI_NOT_STARTED;
     b->state.head->current = 0;
     b->state.head->steps = b->state.head->rejected = b->state.head->solves = b->state.head->evaluations = 0;
-    b->state.head->estimate = 0;
+    b->state.head->estimate = b->state.head->rate = 0;
+    b->state.head->pairs = 0;
     b->state.head->skipped = 0;
     if (b->damage) memset(b->state.books, 0, sizeof *b->state.books);
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
