@@ -14716,6 +14716,9 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
     sfem_real curvature[SFEMI_MEMORY]; /* and their products */
     int pairs;             /* so many so far in this step */
+    int converged;         /* the corrections went as far as they should */
+    sfemi_system system;   /* of Newton's iteration in a fallback, made when first needed, as is */
+    sfem_matrix tangent;   /* K(u') itself, on K's pattern */
     sfem_real psi;         /* at u */
     sfemi_guard_energies energies; /* of the step, if measured */
     int measured;
@@ -17581,6 +17584,13 @@ static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real 
            e->ec <= *budget + e->rounding + 0.3 * scale;
 }
 
+static void sfemi_body_forget_columns(sfem_body *b)
+{
+    sfem_int i;
+    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
+    b->grip.dirty = 1;
+}
+
 /* ---- the corrected step ----
  *
  * One solve a step is good while the rotated factor bounds the tangent. On real meshes it does not: tets whose
@@ -17666,11 +17676,11 @@ static sfem_real sfemi_correct_dot(const sfem_real *a, const sfem_real *b, size_
 }
 
 /* x = d A^-1 x in the frames of the trial, leaving constraints alone. */
-static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, sfem_real *x)
+static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, sfem_real *x)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t i;
-    sfemi_turn_solve(b, sfemi_body_active(b), b->state.u, b->guard.frame, x);
+    sfemi_turn_solve(b, f, b->state.u, b->guard.frame, x);
     if (b->grip.count) {
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
         sfemi_guard_hold(b, &b->grip, b->guard.frame, x);
@@ -17680,7 +17690,7 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, sf
 }
 
 /* guard.dir: the step to be taken from w'. Returns h dir.r, twice the energy that it is expected to gain. */
-static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q)
+static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, const sfem_factor *f)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -17695,7 +17705,7 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q)
         part[k] = sfemi_correct_dot(s, g->dir, n) / g->curvature[at];
         for (i = 0; i < n; ++i) g->dir[i] -= part[k] * y[i];
     }
-    sfemi_correct_precondition(b, q, g->dir);
+    sfemi_correct_precondition(b, q, f, g->dir);
     for (k = count - 1; k >= 0; --k) {
         const int at = (g->pairs - 1 - k) % SFEMI_MEMORY;
         const sfem_real *s = g->pair + 2 * n * (size_t)at, *y = s + n;
@@ -17884,12 +17894,12 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, in
     sfemi_guard *g = &b->guard;
     sfem_real first = 0, last = 0, rate = b->state.head->rate > 0 ? b->state.head->rate : 0.3;
     int k, made = 0;
-    g->pairs = 0;
+    g->pairs = g->converged = 0;
     memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
     sfemi_turn_frames(b, g->frame);
     if (!fallback) sfemi_correct_recall(b, q);
     for (k = 0; k < most; ++k) {
-        const sfem_real decrement = sfemi_correct_direction(b, q);
+        const sfem_real decrement = sfemi_correct_direction(b, q, sfemi_body_active(b));
         sfem_real length = 0;
         if (k == 0) first = decrement;
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
@@ -17900,7 +17910,8 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, in
         if (!(length > 0)) continue;
         if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
         last = decrement;
-        if (rate * decrement < tolerance && (!fallback || sfemi_guard_excess(b) <= 0)) break;
+        g->converged = rate * decrement < tolerance && (!fallback || sfemi_guard_excess(b) <= 0);
+        if (g->converged) break;
     }
     if (fallback) return first;
     b->state.head->rate = rate;
@@ -18055,16 +18066,146 @@ static void sfemi_guard_move_rigidly(sfem_body *b)
     g->psi = sfemi_guard_forces(b, g->u, g->f);
 }
 
-/* The step in place of a rejected one, to guard. */
-static void sfemi_guard_fall_back(sfem_body *b)
+static void sfemi_guard_close_system(sfem_body *b)
 {
-    enum { MOST = 40 };
+    sfemi_factor_release(b->model, b->guard.system.factor);
+    sfemi_system_close(b, &b->guard.system);
+}
+
+/* Room for K(z), and a factor of the body's own. */
+static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    sfemi_factor_key key = b->factor->key;
+    sfem_status status = SFEM_OK;
+    if (g->system.factor) return sfemi_body_reserve_work(b, g->system.factor, 3, err);
+    key.majorant = 0;
+    key.ck = b->h * b->h;
+    key.cm = sfemi_body_coefficients(b, b->p).r;
+    key.cd = 0;
+    if (!g->tangent.val) {
+        sfem_real *val = NULL;
+        SFEMI_NEW(sfem_real, val, &b->allocator, 9 * (size_t)model->row[model->mesh.nodes]);
+        g->tangent = model->stiffness;
+        g->tangent.val = val;
+    }
+    SFEMI_TRY(sfemi_system_open(b, &key, &g->system, err));
+    SFEMI_TRY(sfemi_body_reserve_work(b, g->system.factor, 3, err));
+done:
+    return status;
+}
+
+/* What that takes. */
+static size_t sfemi_guard_bytes(const sfem_body *b)
+{
+    const sfemi_guard *g = &b->guard;
+    size_t bytes = 0;
+    if (g->tangent.val) bytes += 9 * (size_t)g->tangent.row[g->tangent.n] * sizeof(sfem_real);
+    if (!g->system.factor) return bytes;
+    bytes += 76 * (size_t)g->system.matrix.row[g->system.matrix.n];
+    if (g->system.factor->ldl) {
+        const sfem_ldl_info info = sfem_ldl_get_info(g->system.factor->ldl);
+        bytes += info.factor_bytes + info.work_bytes;
+    }
+    return bytes;
+}
+
+/* A factor of (r + shift) M + h^2 K(z) with the projected K(z) that is in guard.tangent. */
+static sfem_status sfemi_guard_factor_tangent(sfem_body *b, sfem_real shift)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    const sfemi_system *y = &g->system;
+    const sfem_real h2 = b->step * b->step, cm = sfemi_body_coefficients(b, b->p).r + b->step * b->alpha + shift;
+    sfem_int k, at = 0;
+    int r, c;
+    for (k = 0; k < y->matrix.n; ++k) {
+        const sfem_int i = y->factor->node[k];
+        for (; at < y->matrix.row[k + 1]; ++at) {
+            const size_t from = 9 * (size_t)y->source[at];
+            const sfem_int j = model->col[y->source[at]];
+            const int mask_i = y->factor->mask[i], mask_j = y->factor->mask[j];
+            sfem_real *to = y->matrix.val + 9 * (size_t)at;
+            for (c = 0; c < 9; ++c) to[c] = h2 * g->tangent.val[from + (size_t)c];
+            for (c = 0; c < 9 && i == j; c += 4) to[c] += cm * model->node_mass[i];
+            for (r = 0; (mask_i | mask_j) && r < 3; ++r)
+                for (c = 0; c < 3; ++c)
+                    if (((mask_i >> r & 1) || (mask_j >> c & 1)) && !(i == j && r == c)) to[3 * r + c] = 0;
+        }
+    }
+    return sfem_ldl_refactor(y->factor->ldl, &y->matrix, NULL);
+}
+
+/* K(z), each tet's projected to be positive semidefinite, and its factor; where rounding has eaten the mass,
+ * with more of that. 0 if there is none. */
+static int sfemi_guard_linearise(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfemi_guard *g = &b->guard;
+    sfemi_grip *grip = &b->grip;
+    const sfem_factor *f = g->system.factor;
+    sfem_real fastest = 0;
+    sfem_status status;
+    sfem_int i;
+    int c, tries;
+    if (!f->ldl) return 0;
+    if (b->damage) sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    else sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    status = sfemi_guard_factor_tangent(b, 0);
+    if (status != SFEM_OK) { /* the largest (h omega)^2 of a node alone */
+        for (i = 0; i < model->mesh.nodes; ++i)
+            for (c = 0; c < 9 && model->node_mass[i] > 0; c += 4)
+                fastest = fmax(fastest, g->tangent.val[9 * (size_t)(model->row[i + 1] - 1) + (size_t)c] /
+                                            model->node_mass[i]);
+        fastest *= b->step * b->step;
+        for (tries = 0; status != SFEM_OK && tries < 4; ++tries)
+            status = sfemi_guard_factor_tangent(b, fastest * pow(10.0, 2.0 * tries - 12));
+    }
+    if (status != SFEM_OK) return 0;
+    for (i = 0; i < grip->count; ++i)
+        sfemi_grip_columns(f, b->state.handle + grip->slot[i], model->mesh.nodes, 1, grip->y[grip->slot[i]],
+                           b->work, &b->exec);
+    return 1;
+}
+
+/* Newton's iteration in place of L-BFGS: each step by a factor of its own, of the tets' tangents made positive
+ * semidefinite. It goes on where the rotated factor is no guide: in bodies that are strongly distorted. The handles'
+ * columns are this factor's until the next step. */
+static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sfem_real tolerance, sfem_error *err)
+{
+    enum { MOST = 10 };
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_status status = SFEM_OK;
+    int k;
+    size_t i;
+    SFEMI_TRY(sfemi_guard_open_system(b, err));
+    for (i = 0; i < 3 * n; ++i) g->frame[i] = i % 9 % 4 ? 0 : 1;
+    g->pairs = 0;
+    for (k = 0; k < MOST; ++k) {
+        sfem_real decrement;
+        if (!sfemi_guard_linearise(b)) break;
+        decrement = sfemi_correct_direction(b, q, g->system.factor);
+        if (!(decrement > 0) || !(sfemi_correct_search(b, q, decrement) > 0)) break;
+        if (decrement < tolerance && sfemi_guard_excess(b) <= 0) break;
+    }
+done:
+    if (b->grip.count) sfemi_body_forget_columns(b);
+    return status;
+}
+
+/* The step in place of a rejected one, to guard. */
+static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
+{
+    enum { MOST = 20 };
     static const sfem_real at_start[3] = {0, 1, 0};
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_equation q;
     sfem_real excess, psi;
+    sfem_status status = SFEM_OK;
     size_t i;
     q.h = q.d = b->step;
     q.end = q.after = 1;
@@ -18087,6 +18228,7 @@ static void sfemi_guard_fall_back(sfem_body *b)
         g->psi = sfemi_guard_forces(b, g->u, g->f);
     }
     (void)sfemi_correct_iterate(b, &q, MOST, 0.01 * head->scale, 1);
+    if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, 0.01 * head->scale, err));
     excess = sfemi_guard_excess(b);
     if (excess > 0) {
         sfemi_guard_slow_down(b, excess);
@@ -18094,6 +18236,8 @@ static void sfemi_guard_fall_back(sfem_body *b)
     }
     if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) sfemi_guard_move_rigidly(b);
     head->budget += sfemi_guard_fallback_work(b);
+done:
+    return status;
 }
 
 /* Judges the step, and puts another one in its place where it would make energy. The state is not changed but
@@ -18104,13 +18248,14 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real before = head->budget;
+    sfem_status status;
     sfem_real budget;
     g->rejected = g->measured = 0;
     if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && (b->model->turns || sfemi_correct_serves(b))) {
         g->rejected = !sfemi_guard_accepts(b, &g->energies, &budget);
         g->measured = !g->rejected;
-        if (g->rejected) sfemi_guard_fall_back(b);
-        else head->budget = budget;
+        if (!g->rejected) head->budget = budget;
+        else if ((status = sfemi_guard_fall_back(b, err)) != SFEM_OK) return status;
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
     head->budget = before;
@@ -19026,6 +19171,8 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
     sfemi_body_free_grip(b, &b->grip);
+    sfemi_guard_close_system(b);
+    sfemi_delete(&al, b->guard.tangent.val);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
     sfemi_delete(&al, b->turn.work);
@@ -19170,16 +19317,11 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
+    if (b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard)
+        SFEMI_TRY(sfemi_guard_open_system(b, err));
     g->dirty = 0;
 done:
     return status;
-}
-
-static void sfemi_body_forget_columns(sfem_body *b)
-{
-    sfem_int i;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
 }
 
 /* Takes over a factor that the body owns a reference to. */
@@ -19764,6 +19906,8 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfemi_renew_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
+    sfemi_guard_close_system(b);
+    b->state.head->pairs = 0;
     sfemi_body_forget_columns(b);
     sfemi_sleep_rouse(b);
     sfemi_body_place_pins(b);
@@ -20570,7 +20714,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     if (b->turns) /* as sfemi_body_allocate_turn lays it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
                             (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b) + sfemi_guard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;

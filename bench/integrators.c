@@ -273,7 +273,7 @@ static double run(const scene *s, sfem_body *body, int halvings, double *out, po
         if (out) memcpy(out + (size_t)i * n, u, n * sizeof *u);
     }
     p->steps = sfem_body_get_info(body).steps;
-    p->redone = sfem_body_get_info(body).redone + unconverged;
+    p->redone = sfem_body_get_info(body).rejected + unconverged;
     p->iterations = iterations / (SAMPLES << halvings);
     return spent;
 }

@@ -343,7 +343,7 @@ static void time_parts(sfem_body *b, parts *p)
 static double redone(const sfem_body *b) /* per cent of the steps */
 {
     const sfem_body_info info = sfem_body_get_info(b);
-    return 100.0 * (double)info.redone / (double)info.steps;
+    return 100.0 * (double)info.rejected / (double)info.steps;
 }
 
 static void run(const char *name, sfem_model *model, sfem_int pin_count, const sfem_int *pins,

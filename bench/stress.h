@@ -74,8 +74,8 @@ typedef enum stress_family {
 } stress_family;
 
 #define STRESS_FORMS(X)                                                                            \
-    X(DEFAULT, "default", "(p,q,r), factor turned with each node, guarded")                        \
-    X(CORRECTED, "corrected", "the same with two corrections")                                     \
+    X(DEFAULT, "default", "(p,q,r), rotated factor, corrected, with the energy safeguard")          \
+    X(ONE_SOLVE, "one-solve", "the same with one solve a step, never corrected")                      \
     X(UNGUARDED, "unguarded", "the default without its guard")                                     \
     X(REST, "rest-pose", "factor of the rest pose, p = 1/4, no guard: the source's form")          \
     X(MAJORANT, "majorant", "the isotropic majorant for a factor, guarded")                        \
@@ -348,13 +348,15 @@ STRESS_STATIC sfem_body_def stress_def(const stress_body *s, stress_form form, d
     def.max_handles = 2;
     if (s->broken) def.damage = &s->damage;
     switch (form) {
-    case STRESS_FORM_CORRECTED:
-        def.corrections = 2;
+    case STRESS_FORM_ONE_SOLVE:
+        def.accuracy = 1;
         break;
     case STRESS_FORM_UNGUARDED:
+        def.accuracy = 1;
         def.no_guard = 1;
         break;
     case STRESS_FORM_REST:
+        def.accuracy = 1;
         def.no_guard = 1;
         def.frame = SFEM_FRAME_REST;
         def.p = 0.25;
@@ -682,7 +684,7 @@ STRESS_STATIC int stress_check(stress_body *s, stress_form form, stress_watch *w
     push = sqrt(2 * s->mass * w->largest) + stress_norm3(w->p0, (const double[3]){0, 0, 0}) + noise;
     allowed = STRESS_MOMENTUM_TOLERANCE;
     r->linear = fmax(r->linear, (stress_norm3(p, w->p0) - noise) / push);
-    if (stress_keeps_angular(s, form) && sfem_body_get_info(s->body).redone == 0)
+    if (stress_keeps_angular(s, form) && sfem_body_get_info(s->body).rejected == 0)
         r->angular = fmax(r->angular, (stress_norm3(l, w->l0) / (reach + s->size) - noise) / push);
     if (!(r->linear <= allowed && r->angular <= allowed)) {
         char why[96];
@@ -839,7 +841,7 @@ STRESS_STATIC double stress_twin(const stress_body *s, stress_form form, double 
 /* Work in all is bounded, by the forces that it takes: a run of the implicit methods, or one that does all its
  * steps again, may be shorter. */
 #define STRESS_ITERATIONS 2500
-#define STRESS_DESCENTS   40000
+#define STRESS_DESCENTS   200000
 
 /* The undamped part. */
 STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, uint64_t *random,
@@ -856,7 +858,7 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
     memset(&deed, 0, sizeof deed);
     stress_begin(s, &w, h);
     for (k = 0; k < s->scene->steps && iterations < STRESS_ITERATIONS &&
-                sfem_body_get_info(s->body).descents < STRESS_DESCENTS;
+                sfem_body_get_info(s->body).solves < STRESS_DESCENTS;
          ++k) {
         sfem_status status = SFEM_OK;
         if (k < wield) status = stress_wield(s, &deed, k, h, random, &err);
@@ -909,7 +911,7 @@ STRESS_STATIC void stress_violence(stress_body *s, stress_form form, double h, u
             }
         }
     }
-    r->redo = r->steps ? (double)sfem_body_get_info(s->body).redone / r->steps : 0;
+    r->redo = r->steps ? (double)sfem_body_get_info(s->body).rejected / r->steps : 0;
     if (count[0] && count[1])
         r->lost =
             (swing[0] / count[0] - swing[1] / count[1]) / (w.largest * (r->steps / per_swing));
@@ -998,7 +1000,7 @@ STRESS_STATIC double stress_settle(stress_body *s, double h, int steps, stress_r
     double shape = INFINITY, last;
     sfem_error err;
     int k;
-    for (k = 0; k < steps && sfem_body_get_info(s->body).descents < STRESS_DESCENTS; ++k) {
+    for (k = 0; k < steps && sfem_body_get_info(s->body).solves < STRESS_DESCENTS; ++k) {
         if (sfem_body_step(s->body, h, &err)) {
             stress_failed(r, &err);
             return INFINITY;

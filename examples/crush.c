@@ -127,7 +127,7 @@ static void crush(run *r)
     for (i = 0; i < 3 * r->mesh.nodes; ++i) u[i] = middle[i % 3] - r->mesh.x[i];
     must(sfem_body_set_state(r->body, u, NULL, &err), &err);
     r->steps += info.steps;
-    r->redone += info.redone;
+    r->redone += info.rejected;
     free(u);
 }
 
@@ -223,7 +223,7 @@ int main(int argc, char **argv)
     printf("wrote %s/crush.png\n", ex_text(&r.o, "--out"));
     printf("nodes %d\ntets %d\nsteps %ld\nredone %ld\nseconds %.3f\nshape_error %.3g\n",
            (int)r.mesh.nodes, (int)r.mesh.tets, (long)(r.steps + info.steps),
-           (long)(r.redone + info.redone), start, error);
+           (long)(r.redone + info.rejected), start, error);
     for (k = 0; k < r.frames; ++k) free(r.frame[k]);
     sfem_body_free(r.body);
     sfem_model_free(r.model);

@@ -395,7 +395,7 @@ static void play(const ex_options *o, int scene)
     f = sfem_body_fracture(r.body);
     info = sfem_body_get_info(r.body);
     printf("scene %s\nnodes %d\ntets %d\nsteps %d\nredone %d\nfactors %d\nseconds %.2f\n",
-           name[scene], (int)r.mesh.nodes, (int)r.mesh.tets, (int)r.steps, (int)info.redone,
+           name[scene], (int)r.mesh.nodes, (int)r.mesh.tets, (int)r.steps, (int)info.rejected,
            (int)info.factors_made, start);
     printf("work %.4g\nreleased %.4g\nsurface %.4g\ndamped %.4g\nguarded %.4g\n", f.work,
            f.released, f.surface, f.damped, f.guarded);

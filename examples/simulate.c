@@ -587,7 +587,7 @@ static void report(run *r)
     printf("nnz_factor %lu\n", (unsigned long)info.factor_nnz);
     printf("setup_ms %.3f\n", 1e3 * r->setup);
     printf("step_us %.3f\n", r->steps > 0 ? 1e6 * r->stepping / r->steps : 0);
-    printf("redone %d\n", (int)info.redone);
+    printf("redone %d\n", (int)info.rejected);
     if (r->breaks) {
         const sfem_fracture f = sfem_body_fracture(r->body);
         printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,

@@ -309,7 +309,7 @@ static void a_swinging_bar_is_nearly_as_good_as_by_newton(void **state)
                 def.corrections = k;
                 info = swing(&b, def, steps[j], path);
                 error[k] = rms(path, reference);
-                redone[k] = (int)info.redone;
+                redone[k] = (int)info.rejected;
             }
             print_message("    Y %.0e Pa, h 1/%d s: trapezoidal %.5f of %.2f m; default %.2f times "
                           "that (%d steps "
