@@ -14717,6 +14717,8 @@ typedef struct sfemi_guard {
     sfem_real curvature[SFEMI_MEMORY]; /* and their products */
     int pairs;             /* so many so far in this step */
     int converged;         /* the corrections went as far as they should */
+    sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
+    sfem_real isotropic_h;
     sfemi_system system;   /* of Newton's iteration in a fallback, made when first needed, as is */
     sfem_matrix tangent;   /* K(u') itself, on K's pattern */
     sfem_real psi;         /* at u */
@@ -17142,8 +17144,7 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     head->last = e.ec;
     head->budget = e.ec + e.rounding;
     if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
-    if (e.kinetic + head->psi > head->scale) head->scale = e.kinetic + head->psi;
-    if (e.floor > head->scale) head->scale = e.floor;
+    head->scale = fmax(head->scale, fmax(e.kinetic, e.floor));
     head->rebase = SFEMI_LEDGER;
 }
 
@@ -17573,13 +17574,22 @@ static sfem_real sfemi_guard_fallback_work(const sfem_body *b)
     return sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
 }
 
+/* The energy in motion, S: the largest kinetic energy, or change of Psi in a step, of the last steps and this one.
+ * Not Psi itself: what is stored in a load, or locked in another minimum, does not move. */
+static sfem_real sfemi_guard_in_motion(const sfem_body *b, const sfemi_guard_energies *e)
+{
+    const sfem_real change = fabs(b->guard.psi - b->state.head->psi);
+    return fmax(fmax(b->state.head->scale, e->floor), fmax(e->kinetic, change));
+}
+
 /* Is the energy of the step in guard in order? *budget: what it may be, the work done in the step included. */
 static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real *budget)
 {
     const sfemi_guard *g = &b->guard;
-    const sfem_real scale = b->state.head->scale;
+    sfem_real scale;
     *budget = b->state.head->budget + sfemi_guard_step_work(b);
     *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+    scale = sfemi_guard_in_motion(b, e);
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
            e->ec <= *budget + e->rounding + 0.3 * scale;
 }
@@ -17886,20 +17896,29 @@ static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
     head->pair_h = q->h;
 }
 
+static void sfemi_guard_do_not_rotate(sfem_body *b)
+{
+    size_t i;
+    for (i = 0; i < 9 * (size_t)b->model->mesh.nodes; ++i) b->guard.frame[i] = i % 9 % 4 ? 0 : 1;
+}
+
 /* Corrects guard.w until little is to be gained, `most` times at most; in a fallback until its energy is low
  * enough, too. guard.grad is r at the start and at the end. Returns the first decrement. */
-static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, int most, sfem_real tolerance,
-                                       int fallback)
+static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, int most,
+                                       sfem_real tolerance, int fallback)
 {
     sfemi_guard *g = &b->guard;
     sfem_real first = 0, last = 0, rate = b->state.head->rate > 0 ? b->state.head->rate : 0.3;
     int k, made = 0;
     g->pairs = g->converged = 0;
-    memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
-    sfemi_turn_frames(b, g->frame);
+    if (f->key.majorant) sfemi_guard_do_not_rotate(b);
+    else {
+        memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
+        sfemi_turn_frames(b, g->frame);
+    }
     if (!fallback) sfemi_correct_recall(b, q);
     for (k = 0; k < most; ++k) {
-        const sfem_real decrement = sfemi_correct_direction(b, q, sfemi_body_active(b));
+        const sfem_real decrement = sfemi_correct_direction(b, q, f);
         sfem_real length = 0;
         if (k == 0) first = decrement;
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
@@ -17958,7 +17977,7 @@ static void sfemi_correct(sfem_body *b)
     }
     head->skipped = 0;
     tolerance = fmax(b->def.accuracy * head->scale, sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, q.h).rounding);
-    first = sfemi_correct_iterate(b, &q, head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST, tolerance, 0);
+    first = sfemi_correct_iterate(b, &q, sfemi_body_active(b), head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST, tolerance, 0);
     if (cheap > 0 && first > 0)
         head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
     if (b->grip.count) sfemi_correct_find_handle_forces(b);
@@ -18066,8 +18085,44 @@ static void sfemi_guard_move_rigidly(sfem_body *b)
     g->psi = sfemi_guard_forces(b, g->u, g->f);
 }
 
+/* The handles' columns for f, in place of those of the body's factor. */
+static void sfemi_guard_find_columns(sfem_body *b, const sfem_factor *f)
+{
+    sfem_int i;
+    for (i = 0; i < b->grip.count; ++i) {
+        const sfem_int slot = b->grip.slot[i];
+        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->work, &b->exec);
+    }
+}
+
+/* The factor of r M + h^2 (2 mu + 3 lambda) L (x) I, of n x n scalars, shared: an upper bound of the corotational
+ * tangent whatever rotates, so that full steps lower the energy of bodies that are scattered or inside out, where
+ * each tet's rotation jumps and Newton's steps get as short as 1e-3. */
+static sfem_status sfemi_guard_prepare_isotropic(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard *g = &b->guard;
+    sfemi_factor_key key = b->factor->key;
+    sfem_factor *f = NULL;
+    sfem_status status = SFEM_OK;
+    if (!g->isotropic || g->isotropic_h != b->h) {
+        key.majorant = 1;
+        key.ck = b->h * b->h;
+        key.cm = sfemi_body_coefficients(b, b->p).r + b->h * b->alpha;
+        key.cd = 0;
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        sfemi_factor_release(b->model, g->isotropic);
+        g->isotropic = f;
+        g->isotropic_h = b->h;
+    }
+    return sfemi_body_reserve_work(b, g->isotropic, 3, err);
+done:
+    return status;
+}
+
 static void sfemi_guard_close_system(sfem_body *b)
 {
+    sfemi_factor_release(b->model, b->guard.isotropic);
+    b->guard.isotropic = NULL;
     sfemi_factor_release(b->model, b->guard.system.factor);
     sfemi_system_close(b, &b->guard.system);
 }
@@ -18143,7 +18198,6 @@ static int sfemi_guard_linearise(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfemi_guard *g = &b->guard;
-    sfemi_grip *grip = &b->grip;
     const sfem_factor *f = g->system.factor;
     sfem_real fastest = 0;
     sfem_status status;
@@ -18163,9 +18217,7 @@ static int sfemi_guard_linearise(sfem_body *b)
             status = sfemi_guard_factor_tangent(b, fastest * pow(10.0, 2.0 * tries - 12));
     }
     if (status != SFEM_OK) return 0;
-    for (i = 0; i < grip->count; ++i)
-        sfemi_grip_columns(f, b->state.handle + grip->slot[i], model->mesh.nodes, 1, grip->y[grip->slot[i]],
-                           b->work, &b->exec);
+    sfemi_guard_find_columns(b, f);
     return 1;
 }
 
@@ -18176,12 +18228,10 @@ static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sf
 {
     enum { MOST = 10 };
     sfemi_guard *g = &b->guard;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
     int k;
-    size_t i;
     SFEMI_TRY(sfemi_guard_open_system(b, err));
-    for (i = 0; i < 3 * n; ++i) g->frame[i] = i % 9 % 4 ? 0 : 1;
+    sfemi_guard_do_not_rotate(b);
     g->pairs = 0;
     for (k = 0; k < MOST; ++k) {
         sfem_real decrement;
@@ -18191,14 +18241,13 @@ static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sf
         if (decrement < tolerance && sfemi_guard_excess(b) <= 0) break;
     }
 done:
-    if (b->grip.count) sfemi_body_forget_columns(b);
     return status;
 }
 
 /* The step in place of a rejected one, to guard. */
 static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
 {
-    enum { MOST = 20 };
+    enum { MOST = 20, LONGEST = 80 };
     static const sfem_real at_start[3] = {0, 1, 0};
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
@@ -18227,7 +18276,12 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
         sfemi_correct_swap_trial(g);
         g->psi = sfemi_guard_forces(b, g->u, g->f);
     }
-    (void)sfemi_correct_iterate(b, &q, MOST, 0.01 * head->scale, 1);
+    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, 0.01 * head->scale, 1);
+    if (!g->converged) {
+        SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
+        sfemi_guard_find_columns(b, g->isotropic);
+        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * head->scale, 1);
+    }
     if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, 0.01 * head->scale, err));
     excess = sfemi_guard_excess(b);
     if (excess > 0) {
@@ -18237,6 +18291,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) sfemi_guard_move_rigidly(b);
     head->budget += sfemi_guard_fallback_work(b);
 done:
+    if (b->grip.count) sfemi_body_forget_columns(b);
     return status;
 }
 
@@ -18283,14 +18338,14 @@ static void sfemi_guard_settle_budget(sfem_body *b)
     sfemi_state_head *head = b->state.head;
     const sfemi_guard_energies e =
         g->measured ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
-    const sfem_real moving = e.kinetic + (g->rejected ? g->psi : (head->psi + g->psi) / 2);
     sfem_real least;
     head->energy = g->rejected ? e.ec : e.eb;
     /* what damping takes may not come back, as it would where fragments spin too fast for the frames of D */
     least = head->energy + e.rounding;
     if (b->damage && least < head->budget) head->budget = fmax(least, head->budget - g->damped);
     if (least < head->budget) head->budget = least + (head->budget - least) * sfemi_budget_kept;
-    head->scale = fmax(fmax(head->scale * sfemi_scale_kept, moving), e.floor);
+    head->scale *= sfemi_scale_kept;
+    head->scale = sfemi_guard_in_motion(b, &e);
     if (g->rejected) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
     head->last = e.ec;
 }
@@ -19317,8 +19372,10 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    if (b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard)
+    if (b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard) {
+        SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         SFEMI_TRY(sfemi_guard_open_system(b, err));
+    }
     g->dirty = 0;
 done:
     return status;
