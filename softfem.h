@@ -17303,6 +17303,7 @@ typedef struct sfemi_equation {
     sfem_real h, d;          /* s: the step, and between the centres of w and w' */
     sfem_real end;           /* weight of f' */
     sfem_real before, after; /* of w and w' in the velocity that is damped */
+    int fallback;            /* momenta are put right when it is solved, not by each step */
 } sfemi_equation;
 
 /* The equation of the step under way, and the forces of the past in it: guard.known. */
@@ -17317,6 +17318,7 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     const sfem_real k3 = h1 * (0.5 - gamma + beta) / t.d;
     const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
     size_t i;
+    q->fallback = 0;
     q->h = h2;
     q->d = t.d;
     q->end = k1 * (1 - a);
@@ -17649,7 +17651,7 @@ static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const 
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *w = b->state.w, *mass = b->model->node_mass;
     const sfem_real r = sfemi_body_coefficients(b, b->p).r;
-    const int projects = sfemi_turn_projects(b);
+    const int projects = !q->fallback && sfemi_turn_projects(b);
     size_t i;
     for (i = 0; i < n; ++i) out[i] = q->end * f1[i] + b->guard.known[i];
     sfemi_correct_add_damping(b, q, w1, out);
@@ -17689,8 +17691,11 @@ static sfem_real sfemi_correct_dot(const sfem_real *a, const sfem_real *b, size_
 static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, sfem_real *x)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const int upper = q->fallback && f != sfemi_body_active(b); /* bounds that a projection would break */
     size_t i;
-    sfemi_turn_solve(b, f, b->state.u, b->guard.frame, x);
+    if (q->fallback && !upper) sfemi_turn_locate(b, b->guard.u);
+    sfemi_turn_solve(b, f, upper ? NULL : q->fallback ? b->guard.u : b->state.u, b->guard.frame, x);
+    if (q->fallback && !upper) sfemi_turn_locate(b, b->state.u);
     if (b->grip.count) {
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
         sfemi_guard_hold(b, &b->grip, b->guard.frame, x);
@@ -17722,7 +17727,7 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, 
         const sfem_real back = sfemi_correct_dot(y, g->dir, n) / g->curvature[at];
         for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
     }
-    if (sfemi_turn_projects(b) && !sfemi_correct_is_braked(b)) {
+    if (!q->fallback && sfemi_turn_projects(b) && !sfemi_correct_is_braked(b)) {
         sfemi_turn_motion(b, b->state.u, g->dir, 1);
         sfemi_turn_add_motion(b, b->state.u, -1, 0, g->dir);
     }
@@ -17905,7 +17910,7 @@ static void sfemi_guard_do_not_rotate(sfem_body *b)
 /* Corrects guard.w until little is to be gained, `most` times at most; in a fallback until its energy is low
  * enough, too. guard.grad is r at the start and at the end. Returns the first decrement. */
 static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, int most,
-                                       sfem_real tolerance, int fallback)
+                                       sfem_real tolerance)
 {
     sfemi_guard *g = &b->guard;
     sfem_real first = 0, last = 0, rate = b->state.head->rate > 0 ? b->state.head->rate : 0.3;
@@ -17916,7 +17921,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
         sfemi_turn_frames(b, g->frame);
     }
-    if (!fallback) sfemi_correct_recall(b, q);
+    if (!q->fallback) sfemi_correct_recall(b, q);
     for (k = 0; k < most; ++k) {
         const sfem_real decrement = sfemi_correct_direction(b, q, f);
         sfem_real length = 0;
@@ -17929,10 +17934,10 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         if (!(length > 0)) continue;
         if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
         last = decrement;
-        g->converged = rate * decrement < tolerance && (!fallback || sfemi_guard_excess(b) <= 0);
+        g->converged = rate * decrement < tolerance && (!q->fallback || sfemi_guard_excess(b) <= 0);
         if (g->converged) break;
     }
-    if (fallback) return first;
+    if (q->fallback) return first;
     b->state.head->rate = rate;
     sfemi_correct_store(b, q, made);
     return first;
@@ -17977,7 +17982,8 @@ static void sfemi_correct(sfem_body *b)
     }
     head->skipped = 0;
     tolerance = fmax(b->def.accuracy * head->scale, sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, q.h).rounding);
-    first = sfemi_correct_iterate(b, &q, sfemi_body_active(b), head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST, tolerance, 0);
+    first = sfemi_correct_iterate(b, &q, sfemi_body_active(b), head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST,
+                                  tolerance);
     if (cheap > 0 && first > 0)
         head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
     if (b->grip.count) sfemi_correct_find_handle_forces(b);
@@ -17988,43 +17994,108 @@ static void sfemi_correct(sfem_body *b)
  *
  * A rejected step is taken back, and backward Euler's is taken in its place, by the same iteration:
  *     M (w' - w)/h + D w' + f' - L = 0,   the least of |w' - w|_M^2/2 + Psi(u + h w') - h L.w'
- * from the better of w and a rigid motion. It loses energy. Should there be too much all the same, what of w' is
- * not rigid motion of free pieces is scaled down; and at last the pieces move rigidly, which leaves Psi as it was.
- * The momenta stay right in all three. Then the motion starts afresh from there. */
+ * from the better of w and a rigid motion; where the rotated factor is no guide, by an isotropic upper bound of the
+ * tangent, at last by Newton's iteration. It loses energy. Momenta of free pieces are put right by a rigid motion;
+ * should there be too much energy then, what of w' is not rigid motion is scaled down; and where that is not enough
+ * the pieces move rigidly, which leaves Psi as it was. Then the motion starts afresh from there. */
 
-/* guard.w: the rigid motion that momenta and loads give free pieces, plus `inner` of what else is in w; held
- * axes and handles where they are to be. The pieces' momenta stay in `kept`. */
-static void sfemi_guard_start_fallback(sfem_body *b, sfem_real inner)
+/* The momenta that free pieces are to have after the step, in `push`: what w has, and the loads. */
+static void sfemi_guard_keep_momentum(sfem_body *b)
+{
+    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
+    sfem_int k;
+    size_t i;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->guard.external[i]) / (r + h * b->alpha);
+    sfemi_turn_momentum(b, b->state.u, b->zk, 0);
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].push, b->turn.piece[k].motion, sizeof b->turn.piece[k].push);
+}
+
+/* Gives free pieces these momenta, by a rigid motion at u' in w'; `moving` their centres to where that takes them. */
+static void sfemi_guard_restore_momentum(sfem_body *b, int moving)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_int nodes = b->model->mesh.nodes, *of = b->turn.piece_of;
+    sfem_int i, k;
+    int c;
+    if (!sfemi_turn_projects(b)) return;
+    sfemi_turn_locate(b, g->u);
+    sfemi_turn_momentum(b, g->u, g->w, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c)
+            b->turn.piece[k].motion[c] = b->turn.piece[k].push[c] - b->turn.piece[k].motion[c];
+    sfemi_turn_divide(b);
+    sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
+    for (i = 0; moving && i < nodes; ++i)
+        for (c = 0; c < 3 && of[i] >= 0 && !b->turn.piece[of[i]].held; ++c)
+            g->u[3 * (size_t)i + (size_t)c] += b->step * b->turn.piece[of[i]].motion[c];
+    sfemi_turn_locate(b, b->state.u);
+}
+
+/* guard.w for held axes and handles where they are to be. */
+static void sfemi_guard_constrain(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     const sfemi_state *s = &b->state;
-    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_int k;
-    size_t i;
     int c;
-    for (i = 0; i < n; ++i) {
-        b->zk[i] = (r * mass[i / 3] * s->w[i] + h * g->external[i]) / (r + h * b->alpha);
-        g->w[i] = inner * s->w[i];
-    }
-    if (sfemi_turn_projects(b)) {
-        sfemi_turn_motion(b, s->u, g->w, 1);
-        sfemi_turn_add_motion(b, s->u, -1, 0, g->w);
-        sfemi_turn_momentum(b, s->u, b->zk, 0);
-        for (k = 0; k < b->turn.pieces; ++k)
-            memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
-        sfemi_turn_divide(b);
-        sfemi_turn_add_motion(b, s->u, 1, 0, g->w);
-    }
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1)
-                g->w[at] = (s->pin[k].target[c] - b->model->mesh.x[at] - s->u[at]) / h;
+                g->w[at] = (s->pin[k].target[c] - b->model->mesh.x[at] - s->u[at]) / b->step;
         }
     if (!b->grip.count) return;
-    sfemi_body_handle_gap(b, &b->grip, s->u, h);
+    sfemi_body_handle_gap(b, &b->grip, s->u, b->step);
     sfemi_guard_hold(b, &b->grip, s->frame, g->w);
+}
+
+/* guard.w by which free pieces move and rotate as their momenta have it, held ones not at all. */
+static void sfemi_guard_move_rigidly(sfem_body *b)
+{
+    sfemi_guard *g = &b->guard;
+    const sfem_real h = b->step;
+    sfem_int i, k;
+    int c;
+    memset(g->w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *g->w);
+    if (!sfemi_turn_projects(b)) return;
+    for (k = 0; k < b->turn.pieces; ++k)
+        memcpy(b->turn.piece[k].motion, b->turn.piece[k].push, sizeof b->turn.piece[k].motion);
+    sfemi_turn_divide(b);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real arm[3], angle[3], rotation[9];
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
+        for (c = 0; c < 3; ++c) angle[c] = h * p->motion[3 + c];
+        sfemi_rotate_by(angle, rotation);
+        for (c = 0; c < 3; ++c)
+            g->w[3 * i + c] = (sfemi_dot3(rotation + 3 * c, arm) - arm[c]) / h + p->motion[c];
+    }
+}
+
+/* guard.w, u, f, psi, grad of the better of w and a rigid motion, the one whose potential is lower. */
+static void sfemi_guard_start_fallback(sfem_body *b, const sfemi_equation *q)
+{
+    sfemi_guard *g = &b->guard;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real psi;
+    size_t i;
+    memcpy(g->w, b->state.w, n * sizeof *g->w);
+    sfemi_guard_constrain(b);
+    sfemi_correct_evaluate(b, q);
+    sfemi_correct_residual(b, q, g->w, g->f, g->grad);
+    psi = g->psi;
+    sfemi_correct_swap_trial(g);
+    sfemi_guard_move_rigidly(b);
+    sfemi_guard_constrain(b);
+    sfemi_correct_evaluate(b, q);
+    sfemi_correct_residual(b, q, g->w, g->f, g->grad);
+    for (i = 0; i < n; ++i) g->dir[i] = g->trial_w[i] - g->w[i];
+    if (!sfemi_finite(psi) || sfemi_correct_fall(b, q, g->dir, 1, psi, g->psi) > 0) return;
+    sfemi_correct_swap_trial(g);
+    g->psi = sfemi_guard_forces(b, g->u, g->f);
 }
 
 /* What of w' is no rigid motion at u', scaled until there is no excess of energy, or to nothing. */
@@ -18049,40 +18120,18 @@ static void sfemi_guard_slow_down(sfem_body *b, sfem_real excess)
     sfemi_turn_locate(b, b->state.u);
 }
 
-/* Free pieces turn and move on as they are, held ones stay where their constraints put them. */
-static void sfemi_guard_move_rigidly(sfem_body *b)
+/* At last: what moves rigidly has the energy that it had, and no other motion. */
+static void sfemi_guard_freeze(sfem_body *b, const sfemi_equation *q)
 {
     sfemi_guard *g = &b->guard;
-    const sfem_real h = b->step, *x = b->model->mesh.x;
-    sfem_int i, k;
-    int c;
-    sfemi_guard_start_fallback(b, 0);
-    for (i = 0; i < 3 * b->model->mesh.nodes; ++i) g->u[i] = b->state.u[i] + h * g->w[i];
-    if (sfemi_turn_projects(b)) {
-        sfemi_turn_motion(b, b->state.u, g->w, 1);
-        for (i = 0; i < b->model->mesh.nodes; ++i) {
-            const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-            sfem_real arm[3], angle[3], rotation[9], moved[3];
-            if (b->turn.piece_of[i] < 0 || p->held) continue;
-            sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
-            for (c = 0; c < 3; ++c) angle[c] = h * p->motion[3 + c];
-            sfemi_rotate_by(angle, rotation);
-            for (c = 0; c < 3; ++c) {
-                moved[c] = sfemi_dot3(rotation + 3 * c, arm) + p->centre[c] + h * p->motion[c];
-                g->u[3 * i + c] = moved[c] - x[3 * i + c];
-            }
-        }
-        sfemi_turn_locate(b, g->u);
-        for (k = 0; k < b->turn.pieces; ++k)
-            memcpy(b->turn.piece[k].motion, b->turn.piece[k].kept, sizeof b->turn.piece[k].motion);
-        sfemi_turn_divide(b);
-        for (i = 0; i < b->model->mesh.nodes; ++i)
-            if (b->turn.piece_of[i] >= 0 && !b->turn.piece[b->turn.piece_of[i]].held)
-                memset(g->w + 3 * i, 0, 3 * sizeof *g->w);
-        sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
-        sfemi_turn_locate(b, b->state.u);
-    }
-    g->psi = sfemi_guard_forces(b, g->u, g->f);
+    const sfem_int *of = b->turn.piece_of;
+    sfem_int i;
+    sfemi_guard_move_rigidly(b);
+    sfemi_guard_constrain(b);
+    sfemi_correct_evaluate(b, q);
+    for (i = 0; i < b->model->mesh.nodes; ++i)
+        if (of[i] >= 0 && !b->turn.piece[of[i]].held) memset(g->w + 3 * (size_t)i, 0, 3 * sizeof *g->w);
+    sfemi_guard_restore_momentum(b, 0);
 }
 
 /* The handles' columns for f, in place of those of the body's factor. */
@@ -18253,9 +18302,10 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_equation q;
-    sfem_real excess, psi;
+    sfem_real excess;
     sfem_status status = SFEM_OK;
     size_t i;
+    q.fallback = 1;
     q.h = q.d = b->step;
     q.end = q.after = 1;
     q.before = 0;
@@ -18263,32 +18313,22 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     memset(g->external, 0, n * sizeof *g->external);
     sfemi_body_take_from_load(b, at_start, g->external, g->external);
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
-    sfemi_guard_start_fallback(b, 1);
-    sfemi_correct_evaluate(b, &q);
-    sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
-    psi = g->psi;
-    sfemi_correct_swap_trial(g);
-    sfemi_guard_start_fallback(b, 0);
-    sfemi_correct_evaluate(b, &q);
-    sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
-    for (i = 0; i < n; ++i) g->dir[i] = g->trial_w[i] - g->w[i];
-    if (sfemi_finite(psi) && !(sfemi_correct_fall(b, &q, g->dir, 1, psi, g->psi) > 0)) {
-        sfemi_correct_swap_trial(g);
-        g->psi = sfemi_guard_forces(b, g->u, g->f);
-    }
-    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, 0.01 * head->scale, 1);
+    sfemi_guard_keep_momentum(b);
+    sfemi_guard_start_fallback(b, &q);
+    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, 0.01 * head->scale);
     if (!g->converged) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         sfemi_guard_find_columns(b, g->isotropic);
-        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * head->scale, 1);
+        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * head->scale);
     }
     if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, 0.01 * head->scale, err));
+    sfemi_guard_restore_momentum(b, 1);
     excess = sfemi_guard_excess(b);
     if (excess > 0) {
         sfemi_guard_slow_down(b, excess);
         excess = sfemi_guard_excess(b);
     }
-    if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) sfemi_guard_move_rigidly(b);
+    if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) sfemi_guard_freeze(b, &q);
     head->budget += sfemi_guard_fallback_work(b);
 done:
     if (b->grip.count) sfemi_body_forget_columns(b);
