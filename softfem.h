@@ -17997,7 +17997,8 @@ static void sfemi_correct(sfem_body *b)
  * from the better of w and a rigid motion; where the rotated factor is no guide, by an isotropic upper bound of the
  * tangent, at last by Newton's iteration. It loses energy. Momenta of free pieces are put right by a rigid motion;
  * should there be too much energy then, what of w' is not rigid motion is scaled down; and where that is not enough
- * the pieces move rigidly, which leaves Psi as it was. Then the motion starts afresh from there. */
+ * the pieces move rigidly, which leaves Psi as it was, and lose angular momentum if that would take energy. Then the
+ * motion starts afresh from there. */
 
 /* The momenta that free pieces are to have after the step, in `push`: what w has, and the loads. */
 static void sfemi_guard_keep_momentum(sfem_body *b)
@@ -18098,17 +18099,20 @@ static void sfemi_guard_start_fallback(sfem_body *b, const sfemi_equation *q)
     g->psi = sfemi_guard_forces(b, g->u, g->f);
 }
 
-/* What of w' is no rigid motion at u', scaled until there is no excess of energy, or to nothing. */
-static void sfemi_guard_slow_down(sfem_body *b, sfem_real excess)
+/* What of w' is no rigid motion at u', or with `all` no motion of the pieces' centres, scaled until there is no
+ * excess of energy, or to nothing. */
+static void sfemi_guard_slow_down(sfem_body *b, sfem_real excess, int all)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real inner = 0, scale;
+    sfem_int k;
     size_t i;
     memcpy(b->zk, g->w, n * sizeof *b->zk);
     sfemi_turn_locate(b, g->u);
     if (sfemi_turn_projects(b)) {
         sfemi_turn_motion(b, g->u, b->zk, 1);
+        for (k = 0; all && k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
         sfemi_turn_add_motion(b, g->u, -1, 0, b->zk);
     }
     for (i = 0; i < n; ++i)
@@ -18325,10 +18329,14 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     sfemi_guard_restore_momentum(b, 1);
     excess = sfemi_guard_excess(b);
     if (excess > 0) {
-        sfemi_guard_slow_down(b, excess);
+        sfemi_guard_slow_down(b, excess, 0);
         excess = sfemi_guard_excess(b);
     }
-    if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) sfemi_guard_freeze(b, &q);
+    if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) {
+        sfemi_guard_freeze(b, &q);
+        excess = sfemi_guard_excess(b); /* of a body that tumbles: its inertia is less about the new axis */
+        if (excess > 0) sfemi_guard_slow_down(b, excess, 1);
+    }
     head->budget += sfemi_guard_fallback_work(b);
 done:
     if (b->grip.count) sfemi_body_forget_columns(b);
