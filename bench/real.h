@@ -57,7 +57,7 @@ static const real_def real_table[] = {
     REAL_FILE("shark 1e6", "mj_shark_ascii22.msh", 1e6, 0, 1, 1, 32, 0),
     REAL_FILE("simpleBridge 1e6", "vega_simpleBridge.veg", 1e6, 0, 1, 1, 8, 0),
     REAL_FILE("octopus free", "igl_octopus_low.mesh", 2e5, 1, 0, 1, 32, 0),
-    REAL_FILE("armadillo free", "pbd_armadillo_4k.node", 2e5, 1, 1, 1, 16, 1),
+    REAL_FILE("armadillo free", "pbd_armadillo_4k.node", 1e6, 1, 1, 1, 16, 1),
     REAL_BODY("scattered soft", 2e5, 0, 1, 0, 3000, 0.1),
     REAL_BODY("scattered stiff", 1e7, 0, 1, 1, 3000, 0.1),
     REAL_BODY("scattered soft free", 2e5, 1, 1, 1, 3000, 0.1),
