@@ -55,7 +55,7 @@ static const real_def real_table[] = {
     REAL_BAR("far bar 5k", 1e6, 1, 16, 24, 6, 6, 4, 1, 1),
     REAL_BAR("bar 20k", 1e6, 1, 8, 42, 9, 9, 2, 0.43, 0.43),
     REAL_FILE("shark 1e6", "mj_shark_ascii22.msh", 1e6, 0, 1, 1, 32, 0),
-    REAL_FILE("simpleBridge 1e6", "vega_simpleBridge.veg", 1e6, 0, 1, 1, 8, 0),
+    REAL_FILE("simpleBridge 1e6", "vega_simpleBridge.veg", 1e6, 0, 1, 0, 8, 0),
     REAL_FILE("octopus free", "igl_octopus_low.mesh", 2e5, 1, 0, 1, 32, 0),
     REAL_FILE("armadillo free", "pbd_armadillo_4k.node", 1e6, 1, 1, 1, 16, 1),
     REAL_BODY("scattered soft", 2e5, 0, 1, 0, 3000, 0.1),
