@@ -92,6 +92,9 @@ bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a st
 bench-step: $(BUILD)/bench/step ## the default step beside semi-implicit Newmark, also on CHOLMOD
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/step
 
+bench-real: $(BUILD)/bench/real ## the step on real and unstructured meshes: error, rejected, time
+	OMP_THREAD_LIMIT=1 $(ENVIRONMENT) $(BUILD)/bench/real --out $(BUILD)/bench-real
+
 bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where installed; who lost which
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/eigen
 
@@ -173,6 +176,8 @@ $(BUILD)/tests/%: tests/%.c $(wildcard tests/*.h) softfem.h $(BUILD)/softfem.o $
 	$(CC) $(FLAGS) $(FLAGS_$*) -pthread -o $@ $< $(BUILD)/softfem.o $(LDFLAGS) -lcmocka -lm
 
 $(BUILD)/tests/test_stress: bench/stress.h
+
+$(BUILD)/bench/real: tests/bodies.h
 
 $(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)

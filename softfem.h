@@ -319,6 +319,9 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  *                            region is the first physical group of the tet, in 4.1 of its volume (0
  *                            without one), if any has one, else the number of its entity
  *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
+ *   Medit ASCII (.mesh)      format versions 1 to 4 (as text they are the same), dimension 3;
+ *                            region is the reference of the tet; keywords in either case, Vertices
+ *                            before Tetrahedra, all others passed over, End may be missing
  *   Vega (.veg)              *ELEMENTS TET; region is the material's number, from 0 in the order of
  *                            *MATERIAL, by the last *REGION with the tet in its *SET (-1 if none
  *                            has; NULL without any); its constants are not read. sfem_mesh_read
@@ -326,9 +329,9 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  *                            count has to stand in one file with what it counts
  *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number; attributes
  *                            and markers of nodes are passed over
- * The last two are numbered from 0, from 1 or from elsewhere, without gaps, and may have comments
- * (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh and VTK files, and
- * refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from
+ * The last two are numbered from 0, from 1 or from elsewhere, without gaps; the last three may have
+ * comments (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh, VTK and
+ * Medit files, and refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from
  * 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are
  * turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
  * Numbers are read exactly, whatever the locale: the double nearest to the text.
@@ -3662,7 +3665,8 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
  * manual, MSH file formats 2.2 and 4.1. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
- * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. */
+ * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
+ * interactive mesh visualization software, INRIA RT-0253, 2001. */
 
 /* ---- numbers as text, the same in any locale ---- */
 
@@ -3754,9 +3758,9 @@ static sfem_real sfemi_big_scale(sfemi_big *b, int exponent, int sticky)
     return sfemi_big_round(b, sticky, -shift);
 }
 
-/* Reads [+-]digits[.digits][e[+-]digits]; returns where it ends, or NULL if that is not there. Too
- * large numbers give infinity. */
-static const char *sfemi_text_real(const char *p, const char *end, sfem_real *out)
+/* Reads [+-]digits[.digits][e[+-]digits], in Fortran's way also with d for e; returns where it ends,
+ * or NULL if that is not there. Too large numbers give infinity. */
+static const char *sfemi_text_real(const char *p, const char *end, int fortran, sfem_real *out)
 {
     sfemi_big b;
     int negative, any = 0, point = 0, digits = 0, sticky = 0, minus;
@@ -3780,7 +3784,7 @@ static const char *sfemi_text_real(const char *p, const char *end, sfem_real *ou
         }
     }
     if (!any) return NULL;
-    if (p < end && (*p == 'e' || *p == 'E')) {
+    if (p < end && (*p == 'e' || *p == 'E' || (fortran && (*p == 'd' || *p == 'D')))) {
         ++p;
         minus = p < end && *p == '-';
         if (p < end && (*p == '-' || *p == '+')) ++p;
@@ -3806,6 +3810,7 @@ typedef struct sfemi_scan {
     sfem_int line;       /* of p, from 1 */
     int in_row;          /* numbers are looked for up to the end of the line only */
     char blank, comment; /* counts as a blank, too; begins a comment: ' ' and '\n' are none */
+    int fortran;         /* 1d-3 is a number */
     int order;      /* numbers are binary, low bytes first (1) or high bytes first (2); 0 = text */
     int size, real; /* bytes of a count and of a real in binary; other integers have 4 */
     const char *start; /* of binary data, whose places are told in bytes from here; or NULL */
@@ -4040,7 +4045,7 @@ static sfem_status sfemi_scan_real(sfemi_scan *s, const char *what, sfem_real *o
     size_t sign;
     if (s->order) return sfemi_scan_binary_real(s, what, out);
     w = sfemi_scan_peek(s);
-    q = sfemi_text_real(w.p, w.p + w.n, out);
+    q = sfemi_text_real(w.p, w.p + w.n, s->fortran, out);
     if (q && q == w.p + w.n && sfemi_finite(*out)) {
         s->p += w.n;
         return SFEM_OK;
@@ -4280,7 +4285,7 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
     char text[25];
     if (g->has_format) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $MeshFormat section");
     w = sfemi_scan_peek(s);
-    if (sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
+    if (sfemi_text_real(w.p, w.p + w.n, 0, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
     g->version = version >= 2 && version <= 2.2 ? 2 : 4;
     if (g->version == 4 && !sfemi_word_is(w, "4.1"))
@@ -4740,7 +4745,7 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     s->in_row = 1;
     w = sfemi_scan_peek(s);
     s->in_row = 0;
-    if (!w.n || sfemi_text_real(w.p, w.p + w.n, &version) != w.p + w.n)
+    if (!w.n || sfemi_text_real(w.p, w.p + w.n, 0, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a VTK version", w);
     if (version < 1 || version >= 6)
         return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy %s: only 1.0 to 5.1 are read",
@@ -4966,6 +4971,170 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
                                : r->has_cells ? "CELL_TYPES"
                                               : "CELLS");
     return sfemi_vtk_tets(r);
+}
+
+/* ---- Medit .mesh ---- */
+
+/* Keywords, each followed by numbers in free format: lines mean nothing. */
+typedef struct sfemi_medit {
+    sfemi_scan s;
+    sfem_mesh m;
+    int has_dimension, has_vertices, has_tets;
+} sfemi_medit;
+
+static sfem_status sfemi_medit_dimension(sfemi_medit *r)
+{
+    int64_t v = 0;
+    sfem_status status = sfemi_scan_integer(&r->s, 1, INT32_MAX, "the dimension", &v);
+    if (status == SFEM_OK && v != 3)
+        status = sfemi_scan_fail(&r->s, SFEM_FORMAT, "vertices in %ld dimensions, not 3", (long)v);
+    r->has_dimension = 1;
+    return status;
+}
+
+/* The count; rows of place and reference. */
+static sfem_status sfemi_medit_vertices(sfemi_medit *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n = 0, i;
+    int64_t v;
+    int k;
+    if (r->has_vertices) return sfemi_scan_fail(s, SFEM_FORMAT, "Vertices a second time");
+    if (!r->has_dimension) return sfemi_scan_fail(s, SFEM_FORMAT, "Vertices come before Dimension");
+    SFEMI_TRY(sfemi_scan_count(s, 8, "the count of vertices", &n));
+    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
+    for (i = 0; i < n; ++i) {
+        for (k = 0; k < 3; ++k)
+            SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + 3 * (size_t)i + k));
+        SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "the reference of a vertex", &v));
+    }
+    r->m.nodes = n;
+    r->has_vertices = 1;
+done:
+    return status;
+}
+
+/* The count; rows of four vertices, numbered from 1, and the reference. */
+static sfem_status sfemi_medit_tets(sfemi_medit *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int n = 0, i;
+    int64_t v;
+    int k;
+    if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra a second time");
+    if (!r->has_vertices) return sfemi_scan_fail(s, SFEM_FORMAT, "Tetrahedra come before Vertices");
+    SFEMI_TRY(sfemi_scan_count(s, 10, "the count of tets", &n));
+    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
+    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
+    for (i = 0; i < n; ++i) {
+        for (k = 0; k < 4; ++k) {
+            SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
+            if (v < 1 || v > r->m.nodes) {
+                status = sfemi_scan_fail(s, SFEM_BAD_MESH,
+                                         "tet %ld names vertex %lld, the vertices are 1 .. %ld",
+                                         (long)i, (long long)v, (long)r->m.nodes);
+                if (s->err) s->err->tet = i;
+                goto done;
+            }
+            r->m.tet[4 * (size_t)i + (size_t)k] = (sfem_int)v - 1;
+        }
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the reference of a tet", &v));
+        r->m.region[i] = (sfem_int)v;
+    }
+    r->m.tets = n;
+    r->has_tets = 1;
+done:
+    return status;
+}
+
+/* Is the next word a keyword, which no number begins like, or missing? */
+static int sfemi_medit_at_keyword(sfemi_scan *s)
+{
+    const sfemi_word w = sfemi_scan_peek(s);
+    return !w.n || (*w.p >= 'a' && *w.p <= 'z') || (*w.p >= 'A' && *w.p <= 'Z');
+}
+
+/* Goes past what belongs to a keyword that is not needed: its count, and the numbers of each thing,
+ * if the keyword is known; else all up to the next keyword. */
+static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
+{
+    static const struct {
+        const char *name;
+        int numbers;
+    } known[] = {{"Edges", 3},
+                 {"Triangles", 4},
+                 {"Quadrilaterals", 5},
+                 {"Pyramids", 6},
+                 {"Prisms", 7},
+                 {"Pentahedra", 7},
+                 {"Hexahedra", 9},
+                 {"Corners", 1},
+                 {"Ridges", 1},
+                 {"RequiredVertices", 1},
+                 {"RequiredEdges", 1},
+                 {"RequiredTriangles", 1},
+                 {"RequiredQuadrilaterals", 1},
+                 {"Normals", 3},
+                 {"Tangents", 3},
+                 {"NormalAtVertices", 2},
+                 {"NormalAtTriangleVertices", 3},
+                 {"NormalAtQuadrilateralVertices", 4},
+                 {"TangentAtVertices", 2},
+                 {"TangentAtEdgeVertices", 3}};
+    char what[64];
+    sfem_status status;
+    sfem_int n = 0;
+    int64_t left;
+    size_t k;
+    for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(name, known[k].name);) ++k;
+    if (k == sizeof known / sizeof *known) {
+        while (!sfemi_medit_at_keyword(s)) sfemi_scan_word(s);
+        return SFEM_OK;
+    }
+    snprintf(what, sizeof what, "the count of %s", known[k].name);
+    status = sfemi_scan_count(s, (size_t)(2 * known[k].numbers), what, &n);
+    snprintf(what, sizeof what, "another number of %s", known[k].name);
+    for (left = (int64_t)n * known[k].numbers; left > 0 && status == SFEM_OK; --left)
+        if (sfemi_medit_at_keyword(s))
+            status = sfemi_scan_expected(s, what, sfemi_scan_peek(s));
+        else
+            sfemi_scan_word(s);
+    return status;
+}
+
+static sfem_status sfemi_medit_read(sfemi_medit *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status;
+    sfemi_word w;
+    int64_t v;
+    s->comment = '#';
+    s->fortran = 1;
+    SFEMI_TRY(sfemi_scan_skip_words(s, 1, "MeshVersionFormatted")); /* which led here */
+    SFEMI_TRY(sfemi_scan_integer(s, 1, 4, "the version of Medit's format", &v));
+    for (;;) {
+        w = sfemi_scan_peek(s);
+        if (!w.n || sfemi_word_is(w, "End")) break;
+        if (!sfemi_medit_at_keyword(s)) return sfemi_scan_expected(s, "a keyword like Vertices", w);
+        s->p += w.n;
+        if (sfemi_word_is(w, "Dimension"))
+            SFEMI_TRY(sfemi_medit_dimension(r));
+        else if (sfemi_word_is(w, "Vertices"))
+            SFEMI_TRY(sfemi_medit_vertices(r));
+        else if (sfemi_word_is(w, "Tetrahedra"))
+            SFEMI_TRY(sfemi_medit_tets(r));
+        else
+            SFEMI_TRY(sfemi_medit_skip(s, w));
+    }
+    if (!r->has_tets)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
+                                 r->has_vertices ? "Tetrahedra" : "Vertices");
+done:
+    return status;
 }
 
 /* ---- Vega .veg, TetGen .node and .ele ---- */
@@ -5434,6 +5603,19 @@ static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, const sfem_allocato
     return status;
 }
 
+static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, const sfem_allocator *a,
+                                          sfem_mesh *out)
+{
+    sfemi_medit r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.m.allocator = *a;
+    status = sfemi_medit_read(&r);
+    *out = r.m;
+    return status;
+}
+
 /* A .veg; with a second text, the .node and the .ele file of TetGen. */
 static sfem_status sfemi_mesh_parse_rows(const sfemi_scan *s, const sfemi_scan *ele,
                                          const char *path, const sfem_allocator *a, sfem_mesh *out)
@@ -5481,24 +5663,26 @@ static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *
     sfem_status status;
     char begin[25];
     sfem_mesh m;
-    sfemi_scan s = sfemi_scan_of(data, bytes, err), veg;
+    sfemi_scan s = sfemi_scan_of(data, bytes, err), behind; /* the comments at the start */
     memset(&m, 0, sizeof m);
     sfemi_scan_space(&s);
-    veg = s;
-    veg.comment = '#';
-    sfemi_scan_space(&veg);
+    behind = s;
+    behind.comment = '#';
+    sfemi_scan_space(&behind);
     if (sfemi_scan_begins(&s, "$"))
         status = sfemi_mesh_parse_gmsh(&s, a, &m);
     else if (sfemi_scan_begins(&s, "# vtk DataFile Version"))
         status = sfemi_mesh_parse_vtk(&s, a, &m);
-    else if (sfemi_scan_begins(&veg, "*"))
+    else if (sfemi_scan_begins(&behind, "*"))
         status = sfemi_mesh_parse_rows(&s, NULL, path, a, &m);
+    else if (sfemi_scan_begins(&behind, "MeshVersionFormatted"))
+        status = sfemi_mesh_parse_medit(&s, a, &m);
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
     else
         status = sfemi_scan_fail(&s, SFEM_FORMAT,
-                                 "only Gmsh 2.2 and 4.1, VTK legacy ASCII and Vega .veg are read, "
-                                 "this begins with '%s'",
+                                 "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII and Vega .veg "
+                                 "are read, this begins with '%s'",
                                  sfemi_word_text(sfemi_scan_peek(&s), begin));
     return sfemi_mesh_parsed(status, &m, out, err);
 }
@@ -5624,7 +5808,7 @@ static void sfemi_file_real(FILE *f, sfem_real x, const char *after)
             *p++ = '.';
             memmove(p, q, (size_t)(text + n + 1 - q));
         }
-        if (sfemi_text_real(text, text + strlen(text), &back) && !memcmp(&back, &x, sizeof x))
+        if (sfemi_text_real(text, text + strlen(text), 0, &back) && !memcmp(&back, &x, sizeof x))
             break;
     }
     fputs(text, f);

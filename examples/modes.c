@@ -13,7 +13,8 @@
 #include "softfem.h"
 
 static const ex_option table[] = {
-    {"MESH", "FILE", NULL, ".msh, .vtk, .veg, .node or .ele; without it a bar of 4 x 1 x 1 m"},
+    {"MESH", "FILE", NULL,
+     ".msh, .vtk, .mesh, .veg, .node or .ele; without it a bar of 4 x 1 x 1 m"},
     {"--modes", "N", "12", "how many"},
     {"--below", "HZ", "0", "instead, all below this frequency"},
     {"--young", "E", "1e6", "Young's modulus, Pa"},

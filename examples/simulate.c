@@ -15,7 +15,8 @@
 enum { FRAMES = 6, MAX_LOADS = 16 };
 
 static const ex_option table[] = {
-    {"MESH", "FILE", NULL, "Gmsh, VTK legacy, Vega or TetGen; without it a bar of 1 x 0.2 x 0.2 m"},
+    {"MESH", "FILE", NULL,
+     "Gmsh, VTK legacy, Medit, Vega or TetGen; without it a bar of 1 x 0.2 x 0.2 m"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},

@@ -158,8 +158,37 @@ static const char *const ele_lines[] = {
     NULL,
 };
 
-static const char *const *const all_lines[] = {gmsh_lines, vtk_lines, vtk5_lines, gmsh2_lines,
-                                               veg_lines};
+static const char *const medit_lines[] = {
+    "# a comment",            /* 1 */
+    "MeshVersionFormatted 2", /* 2 */
+    "Dimension",              /* 3 */
+    "3",                      /* 4 */
+    "Vertices",               /* 5 */
+    "6 # a comment",          /* 6 */
+    "0 0 0 0",                /* 7 */
+    "1d0 0 0 0",              /* 8 */
+    "0 1 0 -3",               /* 9 */
+    "0 0 1 0",                /* 10 */
+    "5D+0 50d-1 .5e+1 0",     /* 11 */
+    "0 0 -1 99",              /* 12 */
+    "Triangles 1",            /* 13 */
+    "1 2 3 7",                /* 14 */
+    "Normals",                /* 15 */
+    "2",                      /* 16 */
+    "0 0 1",                  /* 17 */
+    "1 0 0",                  /* 18 */
+    "NewInAVersionToCome 1",  /* 19 */
+    "1 .5 -3",                /* 20 */
+    "Tetrahedra",             /* 21 */
+    "2",                      /* 22 */
+    "1 2 3 4 4",              /* 23 */
+    "1 2 3 6 5",              /* 24 */
+    "End",                    /* 25 */
+    NULL,
+};
+
+static const char *const *const all_lines[] = {gmsh_lines,  vtk_lines, vtk5_lines,
+                                               gmsh2_lines, veg_lines, medit_lines};
 
 /* The lines joined, line number `line` replaced; with NULL the text ends before it. Free it. */
 static char *join(const char *const *lines, int line, const char *replacement, const char *newline)
@@ -307,7 +336,7 @@ static void put_gmsh4(binary *b)
     put_text(b, "\n$EndElements\n");
 }
 
-#define TEXTS   5
+#define TEXTS   6
 #define SAMPLES (TEXTS + 8)
 
 /* The mesh in its texts, then in bytes: 2.2 with doubles and floats, 4.1 with sizes of 8 and 4, each
@@ -355,6 +384,8 @@ static void the_same_mesh_comes_from_each_format(void **state)
                 assert_int_equal(m.region[0], 4); /* the entity's number */
             else if (i == 4)
                 assert_true(m.region[0] == 0 && m.region[1] == 1);
+            else if (i == 5)
+                assert_true(m.region[0] == 4 && m.region[1] == 5);
             else
                 assert_null(m.region);
             sfem_mesh_free(&m);
@@ -614,7 +645,7 @@ static void malformed_gmsh_is_refused_with_its_line(void **state)
 {
     static const malformed table[] = {
         {1, "$Meshformat2", SFEM_FORMAT, 1, "$MeshFormat"},
-        {1, "", SFEM_FORMAT, 2, "only Gmsh 2.2 and 4.1, VTK legacy ASCII and Vega"},
+        {1, "", SFEM_FORMAT, 2, "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII"},
         {2, "1 0 8", SFEM_FORMAT, 2, "Gmsh 1: only 2.0 to 2.2 and 4.1"},
         {2, "4 0 8", SFEM_FORMAT, 2, "Gmsh 4: only 2.0 to 2.2 and 4.1"},
         {2, "4.1 1 7", SFEM_FORMAT, 2, "the data size of a binary file is 7"},
@@ -812,6 +843,48 @@ static void malformed_veg_is_refused_with_its_line(void **state)
     assert_refused(veg_lines, table, TEST_COUNT(table));
 }
 
+static void malformed_medit_is_refused_with_its_line(void **state)
+{
+    static const malformed table[] = {
+        {2, "MeshVersionUnformatted 2", SFEM_FORMAT, 1, "this begins with '#'"},
+        {2, "MeshVersionFormatted x", SFEM_FORMAT, 2, "expected the version of Medit's format"},
+        {2, "MeshVersionFormatted 5", SFEM_FORMAT, 2, "format is 5, not in 1 .. 4"},
+        {3, NULL, SFEM_FORMAT, 3, "there are no Vertices"},
+        {3, "", SFEM_FORMAT, 4, "expected a keyword like Vertices, found '3'"},
+        {4, "2", SFEM_FORMAT, 4, "vertices in 2 dimensions, not 3"},
+        {4, "", SFEM_FORMAT, 5, "expected the dimension, found 'Vertices'"},
+        {5, "Dimension 3\nVertex", SFEM_FORMAT, 22, "Tetrahedra come before Vertices"},
+        {6, "-6", SFEM_FORMAT, 6, "the count of vertices is -6, not in 0"},
+        {6, "600000", SFEM_FORMAT, 6, "more than the rest of the data can hold"},
+        {6, "5", SFEM_FORMAT, 12, "expected a keyword like Vertices, found '0'"},
+        {6, "7", SFEM_FORMAT, 13, "expected a coordinate, found 'Triangles'"},
+        {8, "1d 0 0 0", SFEM_FORMAT, 8, "expected a coordinate, found '1d'"},
+        {8, "1f0 0 0 0", SFEM_FORMAT, 8, "expected a coordinate, found '1f0'"},
+        {8, "1d999 0 0 0", SFEM_NOT_FINITE, 8, "a coordinate is too large for a double"},
+        {9, "0 1 nan 0", SFEM_NOT_FINITE, 9, "a coordinate is not finite"},
+        {9, "0 1 0 0.5", SFEM_FORMAT, 9, "expected the reference of a vertex, found '0.5'"},
+        {13, "Vertices 1", SFEM_FORMAT, 13, "Vertices a second time"},
+        {13, "tetrahedra 1", SFEM_BAD_MESH, 14, "tet 0 names vertex 7"},
+        {13, "Triangles 100000", SFEM_FORMAT, 13, "the count of Triangles is 100000, more than"},
+        {13, "Triangles 0", SFEM_FORMAT, 14, "expected a keyword like Vertices, found '1'"},
+        {16, "3", SFEM_FORMAT, 19, "expected another number of Normals, found 'NewInA"},
+        {17, NULL, SFEM_FORMAT, 16, "the count of Normals is 2, more than the rest"},
+        {18, NULL, SFEM_FORMAT, 16, "the count of Normals is 2, more than the rest"},
+        {19, "Edges 2 11 12", SFEM_FORMAT, 21, "another number of Edges, found 'Tetrahedra'"},
+        {21, NULL, SFEM_FORMAT, 21, "there are no Tetrahedra"},
+        {22, "3", SFEM_FORMAT, 22, "the count of tets is 3, more than the rest of the data"},
+        {23, "1 2 3 4", SFEM_FORMAT, 25, "expected the reference of a tet, found 'End'"},
+        {22, "1", SFEM_FORMAT, 24, "expected a keyword like Vertices, found '1'"},
+        {22, "0\nCorners 10", SFEM_BAD_MESH, -1, "there are 6 nodes, but no 4-node tets"},
+        {23, "1 2 3 0 4", SFEM_BAD_MESH, 23, "tet 0 names vertex 0, the vertices are 1 .. 6"},
+        {24, "1 2 3 7 4", SFEM_BAD_MESH, 24, "tet 1 names vertex 7, the vertices are 1 .. 6"},
+        {24, "1 2 3 6 9999999999", SFEM_FORMAT, 24, "the reference of a tet is 9999999999"},
+        {25, "Tetrahedra 0", SFEM_FORMAT, 25, "Tetrahedra a second time"},
+    };
+    (void)state;
+    assert_refused(medit_lines, table, TEST_COUNT(table));
+}
+
 static void malformed_tetgen_is_refused_with_file_and_line(void **state)
 {
     static const struct {
@@ -954,6 +1027,7 @@ static void a_text_cut_anywhere_is_refused(void **state)
         char *text = sample(i, &bytes);
         --bytes; /* without the last newline it is whole */
         if (i == 4) bytes = (size_t)(strstr(text, "*MATERIAL") - text - 1); /* as it is here */
+        if (i == 5) bytes = (size_t)(strstr(text, "End") - text - 1);       /* likewise */
         for (n = 0; n < bytes; ++n) {
             char *cut = (char *)malloc(n ? n : 1);
             test_memory memory = {0};
@@ -1494,6 +1568,7 @@ static void real_meshes_are_read(void **state)
                 {"vega_simpleBridge.veg", 4000, 12827, -50},
                 {"vega_helix.veg", 4532, 16226, 0},
                 {"bullet_torus.vtk", 1036, 4436, 0},
+                {"igl_octopus_low.mesh", 452, 1140, 2},
                 {"ipc_rod300x33.msh", 13333, 50511, 2},
                 {"vega_yeahright.veg", 21122, 71577, -363}};
     sfem_real shark = 0;
@@ -1548,6 +1623,7 @@ int main(void)
         cmocka_unit_test(malformed_vtk_is_refused_with_its_line),
         cmocka_unit_test(malformed_gmsh_2_is_refused_with_its_line),
         cmocka_unit_test(malformed_veg_is_refused_with_its_line),
+        cmocka_unit_test(malformed_medit_is_refused_with_its_line),
         cmocka_unit_test(malformed_tetgen_is_refused_with_file_and_line),
         cmocka_unit_test(malformed_bytes_are_refused_with_their_place),
         cmocka_unit_test(other_data_is_refused),
