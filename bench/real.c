@@ -37,7 +37,7 @@ typedef struct form {
     sfem_integrator integrator;
     int iterations; /* of Newton; 0: its default, to 1e-5 */
     double p;       /* 0: the default */
-    int corrections;
+    double accuracy; /* 0: the default */
     sfem_precision precision;
 } form;
 
@@ -47,8 +47,9 @@ static const form forms[] = {
     {"backward Euler, 1", SFEM_BACKWARD_EULER, 1, 0, 0, SFEM_DOUBLE},
     {"default", SFEM_PQR, 0, 0, 0, SFEM_DOUBLE},
     {"default, mixed", SFEM_PQR, 0, 0, 0, SFEM_MIXED},
-    {"default, p = .5", SFEM_PQR, 0, 0.5, 0, SFEM_DOUBLE},
-    {"default, 2 corrections", SFEM_PQR, 0, 0, 2, SFEM_DOUBLE},
+    {"default, accuracy 1e-4", SFEM_PQR, 0, 0, 1e-4, SFEM_DOUBLE},
+    {"default, accuracy 1e-8", SFEM_PQR, 0, 0, 1e-8, SFEM_DOUBLE},
+    {"default, one solve", SFEM_PQR, 0, 0, 1, SFEM_DOUBLE},
     {"KR-alpha", SFEM_KR_ALPHA, 0, 0, 0, SFEM_DOUBLE},
 };
 enum { FORMS = sizeof forms / sizeof *forms };
@@ -66,27 +67,24 @@ static sfem_body_def def_of(const form *f, const real_scene *s)
     d.newton.tolerance = 1e-5;
     if (f->iterations) d.newton.iterations = f->iterations;
     if (f->p > 0) d.p = f->p;
-    d.corrections = f->corrections;
+    if (f->accuracy > 0) d.accuracy = f->accuracy;
     d.precision = f->precision;
     return d;
 }
 
 /* Rejected steps since the state was set. */
-static int64_t count_rejected(const sfem_body *b) { return sfem_body_get_info(b).redone; }
+static int64_t count_rejected(const sfem_body *b) { return sfem_body_get_info(b).rejected; }
 
-/* Solves since the state was set; gathered: those of Newton's iteration and corrections, which only the last step
- * tells. */
+/* Solves since the state was set; gathered: Newton's, which only the last step tells. */
 static int64_t count_solves(const sfem_body *b, const form *f, int64_t gathered)
 {
-    const sfem_body_info i = sfem_body_get_info(b);
-    return is_newton(f) ? gathered : i.steps + i.descents + gathered;
+    return is_newton(f) ? gathered : sfem_body_get_info(b).solves;
 }
 
+/* Of the last step. */
 static int64_t gather_solves(const sfem_body *b, const form *f)
 {
-    return is_newton(f)     ? sfem_body_newton(b).iterations
-           : f->corrections ? sfem_body_get_info(b).corrections
-                            : 0;
+    return is_newton(f) ? sfem_body_newton(b).iterations : 0;
 }
 
 /* --------------------------------------------------------------------------------------------
