@@ -14923,13 +14923,13 @@ static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
 }
 
 /* x = what is nearest to y, in the norm of M, of all that has x on held axes and grip.lambda at the handles'
- * points; in the norm of a lumped M where there is no room for more. Uses the step's scratch; y may be x. */
+ * points. Uses the step's scratch; y may be x. */
 static void sfemi_body_project(sfem_body *b, const sfem_real *y, sfem_real *x)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real *given = b->spare;
+    sfem_real *given = b->spare ? b->spare : b->implicit.step;
     size_t i;
-    if (!b->model->block_mass || !b->spare) {
+    if (!b->model->block_mass) {
         for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : y[i];
         if (b->grip.count) sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, x);
         return;
@@ -17285,7 +17285,8 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
         sfem_real w[3], a[3];
         sfemi_grip_mean(s->handle + b->grip.slot[k], s->w, w);
         sfemi_grip_mean(s->handle + b->grip.slot[k], s->a, a);
-        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = w[c] + half * a[c];
+        for (c = 0; c < 3; ++c) /* new ones stop what they take */
+            b->grip.lambda[3 * k + c] = s->handle[b->grip.slot[k]].hold.age > 0 ? w[c] + half * a[c] : 0;
     }
     if (b->grip.count) sfemi_grip_project(&b->grip, s->handle, b->model, b->mask, v);
     for (i = 0; i < n; ++i) {
@@ -17330,7 +17331,8 @@ static void sfemi_resume_newmark(sfem_body *b, const sfemi_inertia *t, sfem_real
     for (k = 0; k < b->grip.count; ++k) {
         sfem_real w[3];
         sfemi_grip_mean(s->handle + b->grip.slot[k], s->w, w);
-        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = w[c];
+        for (c = 0; c < 3; ++c)
+            b->grip.lambda[3 * k + c] = s->handle[b->grip.slot[k]].hold.age > 0 ? w[c] : 0;
     }
     if (b->grip.count) sfemi_grip_project(&b->grip, s->handle, b->model, b->mask, x);
     sfemi_resume_multiply(b, t, x, b->spare);
@@ -17401,8 +17403,8 @@ static void sfemi_resume_between_leading(sfem_body *b, sfem_real h, sfem_real *v
         memcpy(s->handle[b->grip.slot[k]].hold.target, hand + 3 * k, 3 * sizeof *hand);
 }
 
-/* Before something is let go: brings a running body to u, v, its v or Newmark's in w. */
-static void sfemi_resume_stop(sfem_body *b)
+/* Before something is let go, pins or handles: brings a running body to u, v, its v or Newmark's in w. */
+static void sfemi_resume_stop(sfem_body *b, int pins)
 {
     sfemi_state *s = &b->state;
     const int newmark = b->def.integrator == SFEM_NEWMARK;
@@ -17410,9 +17412,13 @@ static void sfemi_resume_stop(sfem_body *b)
     sfemi_inertia t;
     sfem_real *v = b->velocity;
     size_t i;
-    if (!sfemi_resume_serves(b) || s->head->started != SFEMI_RUNNING) return;
+    if (s->head->started != SFEMI_RUNNING || !(sfemi_resume_serves(b) || newmark)) return;
     b->phase = SFEMI_IDLE;
     b->fresh = 0;
+    if (!sfemi_resume_serves(b)) { /* Newton's: its a is stale, too */
+        s->head->started = SFEMI_RESTARTED;
+        return;
+    }
     t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     sfemi_resume_gather(b);
     if (b->base && b->factor && b->h == s->head->h && !b->grip.dirty) {
@@ -17425,7 +17431,7 @@ static void sfemi_resume_stop(sfem_body *b)
         sfemi_resume_newmark(b, &t, v);
         sfemi_resume_multiply(b, &t, v, b->spare);
         for (i = 0; i < n; ++i)
-            if (b->model->node_mass[i / 3] > 0)
+            if (b->model->node_mass[i / 3] > 0 && (pins || !(b->mask[i / 3] >> (i % 3) & 1)))
                 s->w[i] = b->model->block_mass ? v[i] : b->spare[i] / b->model->node_mass[i / 3];
     }
     if (b->turns) memcpy(s->f_past, s->f, n * sizeof *v);
@@ -17434,9 +17440,9 @@ static void sfemi_resume_stop(sfem_body *b)
     if (b->turns && s->head->rebase == SFEMI_LEDGER) s->head->rebase = SFEMI_REBASE;
 }
 
-/* v projected in the norm of M to what is held in the step under way: new handles, or all that holds, have the
- * velocity that takes them to their targets, others that which is in v. */
-static void sfemi_resume_hold(sfem_body *b, int all, sfem_real *v)
+/* v projected in the norm of M to what is held in the step under way, which has the velocity that takes it to
+ * its target. */
+static void sfemi_resume_hold(sfem_body *b, sfem_real *v)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real *m = b->spare + n;
@@ -17445,20 +17451,17 @@ static void sfemi_resume_hold(sfem_body *b, int all, sfem_real *v)
     int c;
     sfemi_resume_gather(b);
     memcpy(m, v, n * sizeof *m);
-    for (k = 0; all && k < b->pin_count; ++k)
+    for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1)
                 v[i] = (b->state.pin[k].target[c] - b->model->mesh.x[i] - b->state.u[i]) / b->step;
         }
     for (k = 0; k < b->grip.count; ++k) {
-        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
-        const int goes = all || h->hold.age == 0;
-        sfem_real mean[3];
-        sfemi_grip_mean(h, m, mean);
-        if (goes) sfem_body_handle_position(b, b->grip.slot[k], mean);
+        sfem_real at[3];
+        sfem_body_handle_position(b, b->grip.slot[k], at);
         for (c = 0; c < 3; ++c)
-            b->grip.lambda[3 * k + c] = goes ? (h->hold.target[c] - mean[c]) / b->step : mean[c];
+            b->grip.lambda[3 * k + c] = (b->state.handle[b->grip.slot[k]].hold.target[c] - at[c]) / b->step;
     }
     sfemi_body_project(b, m, v);
 }
@@ -17473,7 +17476,7 @@ static void sfemi_resume_pin(sfem_body *b)
         return;
     if (sfemi_resume_serves(b) && b->model->block_mass && b->state.head->steps > 0) {
         b->step = 1;
-        sfemi_resume_hold(b, 1, w); /* pins are where they go: they stand still */
+        sfemi_resume_hold(b, w); /* pins are where they go: they stand still */
     }
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) w[i] = b->state.a[i] = 0;
@@ -17542,12 +17545,7 @@ static int sfemi_resume_change(sfem_body *b, sfem_real h)
         for (i = 0; i < n; ++i) b->velocity[i] = -b->velocity[i];
         return 1;
     }
-    if (newmark && b->model->block_mass && sfemi_resume_takes(b)) {
-        memcpy(b->velocity, s->w, n * sizeof *v);
-        sfemi_resume_hold(b, 0, b->velocity);
-        return b->fresh = 1;
-    }
-    if (!change || s->head->started != SFEMI_RUNNING) return 0;
+    if (!change || (s->head->started != SFEMI_RUNNING && !newmark)) return 0;
     if (!newmark) {
         sfemi_resume_velocity(b, v);
         sfemi_resume_rescale(b, &from, &to, v, b->velocity);
@@ -17576,7 +17574,7 @@ static int sfemi_resume_bridges(sfem_body *b, sfem_real h)
         if (!other && head->started != SFEMI_RESTARTED) return 0;
         memcpy(b->velocity, b->state.w, 3 * (size_t)b->model->mesh.nodes * sizeof *b->velocity);
     }
-    sfemi_resume_hold(b, 1, b->velocity);
+    sfemi_resume_hold(b, b->velocity);
     return 1;
 }
 
@@ -20602,7 +20600,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
     sfemi_state_lay_out(&fresh, block, nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
-    sfemi_resume_stop(b);
+    sfemi_resume_stop(b, 1);
     memcpy(fresh.head, old.head,
            sizeof *old.head + sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
@@ -20720,7 +20718,7 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
 SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    if (b->state.handle[handle].hold.age > 0) sfemi_resume_stop(b);
+    if (b->state.handle[handle].hold.age > 0) sfemi_resume_stop(b, 0);
     memset(b->state.handle + handle, 0, sizeof *b->state.handle);
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
