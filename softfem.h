@@ -17232,7 +17232,7 @@ static void sfemi_resume_solve(sfem_body *b, const sfemi_inertia *t, sfem_real *
     memcpy(p, z, n * sizeof *p);
     first = rz = 0;
     for (i = 0; i < n; ++i) first += r[i] * z[i];
-    for (k = 0, rz = first; k < 200 && rz > 1e-28 * first; ++k) {
+    for (k = 0, rz = first; k < 500 && rz > 1e-28 * first; ++k) {
         sfem_real pbp = 0, length, next = 0;
         sfemi_resume_multiply(b, t, p, bp);
         for (i = 0; i < n; ++i) pbp += p[i] * bp[i];
@@ -17329,10 +17329,13 @@ static void sfemi_resume_newmark(sfem_body *b, const sfemi_inertia *t, sfem_real
     int c;
     for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? s->w[i] : 0;
     for (k = 0; k < b->grip.count; ++k) {
-        sfem_real w[3];
+        const sfemi_hold *hold = &s->handle[b->grip.slot[k]].hold;
+        sfem_real at[3], w[3];
+        sfem_body_handle_position(b, b->grip.slot[k], at);
         sfemi_grip_mean(s->handle + b->grip.slot[k], s->w, w);
-        for (c = 0; c < 3; ++c)
-            b->grip.lambda[3 * k + c] = s->handle[b->grip.slot[k]].hold.age > 0 ? w[c] : 0;
+        if (s->head->started != SFEMI_RUNNING) /* something has been let go since: w is not the velocity here */
+            for (c = 0; c < 3; ++c) w[c] = (at[c] - hold->past[c]) / s->head->h;
+        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = hold->age > 0 ? w[c] : 0;
     }
     if (b->grip.count) sfemi_grip_project(&b->grip, s->handle, b->model, b->mask, x);
     sfemi_resume_multiply(b, t, x, b->spare);
@@ -17500,22 +17503,31 @@ static int sfemi_resume_compare(const sfem_body *b, const sfemi_inertia *from, c
     return k > all || to->m - from->m > 1e-12 * from->m || to->d - from->d > 1e-12 * fabs(from->d);
 }
 
-/* What is to be taken from m where B changes, to out, see 3 above; v = B1^-1 m is overwritten. */
-static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const sfemi_inertia *to, sfem_real *v,
-                                 sfem_real *out)
+/* What is to be taken from m where B changes, to out, see 3 above. v is overwritten: B1^-1 m where B falls. */
+static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const sfemi_inertia *to, int change,
+                                 sfem_real *v, sfem_real *out)
 {
+    const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int falls = sfemi_resume_compare(b, from, to) < 0;
     sfemi_inertia less;
     size_t i;
     less.k = from->k - to->k;
     less.bound = from->bound - to->bound;
     less.m = from->m - to->m;
     less.d = from->d - to->d;
-    sfemi_resume_multiply(b, falls ? &less : from, v, b->acc);
-    for (i = 0; i < n; ++i) out[i] = falls ? b->acc[i] / 2 : 0;
-    for (i = 0; i < n; ++i) v[i] = 0;
-    sfemi_resume_solve(b, falls ? from : to, b->acc, v);
+    memset(out, 0, n * sizeof *out);
+    if (change < 0) {
+        sfemi_resume_multiply(b, &less, v, b->acc);
+        for (i = 0; i < n; ++i) out[i] = b->acc[i] / 2;
+    } else if (b->def.integrator == SFEM_NEWMARK) {
+        sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
+    } else {
+        sfemi_resume_mean_force(b);
+        sfemi_resume_multiply(b, from, s->w, b->acc);
+        for (i = 0; i < n; ++i) b->acc[i] += s->head->h / 2 * b->rhs[i];
+    }
+    memset(v, 0, n * sizeof *v);
+    sfemi_resume_solve(b, change < 0 ? from : to, b->acc, v);
     sfemi_resume_multiply(b, &less, v, b->acc);
     for (i = 0; i < n; ++i) out[i] += b->acc[i] / 2;
 }
@@ -17547,12 +17559,12 @@ static int sfemi_resume_change(sfem_body *b, sfem_real h)
     }
     if (!change || (s->head->started != SFEMI_RUNNING && !newmark)) return 0;
     if (!newmark) {
-        sfemi_resume_velocity(b, v);
-        sfemi_resume_rescale(b, &from, &to, v, b->velocity);
+        if (change < 0) sfemi_resume_velocity(b, v);
+        sfemi_resume_rescale(b, &from, &to, change, v, b->velocity);
         return 1;
     }
-    sfemi_resume_newmark(b, &from, v);
-    sfemi_resume_rescale(b, &from, &to, v, b->rhs);
+    if (change < 0) sfemi_resume_newmark(b, &from, v);
+    sfemi_resume_rescale(b, &from, &to, change, v, b->rhs);
     sfemi_body_mass_solve(b, b->velocity);
     for (i = 0; i < n; ++i) b->velocity[i] = s->w[i] - b->velocity[i];
     return b->fresh = 1;
