@@ -16169,7 +16169,7 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
     t.d = (h1 + h2) / 2;
     t.ck = (p1 * h1 * h1 - k.p * h2 * h2) / t.d;
     t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
-    t.ca = first ? (0.25 - k.p) * h2 * h2 / t.d : 0; /* later it would make energy of stiff modes, see >>resume */
+    t.ca = first && b->beta == 0 && !b->zd ? (0.25 - k.p) * h2 * h2 / t.d : 0; /* by K it would make energy */
     t.load[0] = k.p * h2 / t.d;
     t.load[2] = p1 * h1 / t.d;
     if (first && sfemi_pqr_starts_at_fourth_order(b)) {
@@ -17232,7 +17232,7 @@ static void sfemi_resume_solve(sfem_body *b, const sfemi_inertia *t, sfem_real *
     memcpy(p, z, n * sizeof *p);
     first = rz = 0;
     for (i = 0; i < n; ++i) first += r[i] * z[i];
-    for (k = 0, rz = first; k < 500 && rz > 1e-28 * first; ++k) {
+    for (k = 0, rz = first; k < 500 && rz > 1e-24 * first; ++k) {
         sfem_real pbp = 0, length, next = 0;
         sfemi_resume_multiply(b, t, p, bp);
         for (i = 0; i < n; ++i) pbp += p[i] * bp[i];
