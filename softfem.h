@@ -953,14 +953,25 @@ typedef struct sfem_piece {
  *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
  *   SFEM_KR_ALPHA [Kolay and Ricles 2014], one solve with a constant A, second order, unconditionally
  *                 stable for linear bodies; it damps the fastest modes by rho_inf a step, the slow ones
- *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]. Steps may
- *                 change, but by more than a tenth all the time they drive modes that are not resolved
+ *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]. Where the step,
+ *                 pins or handles of a linear body change, one step of an L-stable method with the same
+ *                 factor (three solves) is taken, and KR-alpha starts afresh. It may overshoot: 20 times
+ *                 (rho_inf = .8) to 50 times (.95) the energy of modes that start displaced and not resolved
  *   SFEM_GUI      [Gui et al. 2014] with gui_lambda: (1/gui_lambda, 1, 1) under the load at the start of the
  *                 step, whatever p, q, r say; unconditionally stable up to 4, which is CR
  *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
  *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
  *                 body is nonlinear or its load changes.)
  * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
+ * Energy of linear bodies by (p,q,r) with p >= 1/4, q >= 1, Gui's method up to 4, Chang's, and Newmark with
+ * gamma = 1/2, beta >= 1/4: it never exceeds its start plus the work of loads and of what is moved, beyond
+ * rounding, whatever the sequence of steps, and however pins and handles are set, exchanged and released. For
+ * (p,q,r) that is E = 1/2 v.B v + 1/2 u.K u, B = A - h/2 D - h^2/4 K, see >>resume, so that it bounds the elastic
+ * energy; the kinetic energy of sfem_body_energy, whose velocities are half a step of acceleration ahead of the mean
+ * velocity, may reach 4 times that. Newmark with beta > 1/4 moves modes that are not resolved at up to
+ * (1 + (beta - 1/4) (h omega)^2)^(1/2) times the velocity that this energy allows. What lets go leaves a node with the
+ * velocity of sfem_body_velocities; what takes hold stops what it holds, an inelastic impulse. Where a step of
+ * another length follows and p is not 1/4, or the body is damaged, that costs 15 to 60 more solves.
  * In these, and in Newmark's of linear bodies, the momenta of a free piece are changed by its loads alone, to
  * rounding of the velocities: however stiff the body and long the step, internal forces are not asked.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
@@ -1274,8 +1285,9 @@ typedef struct sfem_renewal {
 SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *body);
 
 /* Pins hold a node where it was when it was pinned. Those of the definition are eliminated; this call
- * replaces them all, and the next step prepares a new factor. move_pin sets where a pinned node is to be
- * at the end of the next step. A reaction is the force of the support on the body, N, in the present
+ * replaces them all, and the next step prepares a new factor. Of a running linear body it is to be called where
+ * pins change only: (p,q,r) with p other than 1/4 then solves some 40 times for the velocity. move_pin sets where
+ * a pinned node is to be at the end of the next step. A reaction is the force of the support on the body, N, in the present
  * state, by the equation of motion; zero on axes that are not held. */
 SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *body, sfem_int count, const sfem_int *pins,
                                         const unsigned char *axes, sfem_error *err);
@@ -16106,13 +16118,15 @@ static sfem_real sfemi_alpha_p(const sfem_body *b)
  * the load p F+ + (1-2p) F + p F-; p = 0 is central difference. The source starts with w = v0, which is
  * first order; here the first step is Newmark's own,
  *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
- * and a step of another length, h1 before and h2 now, follows from the same two half-steps:
- *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + ((1/4-p) h2^2 - (1/4-p1) h1^2) D a
- *           + p h2 (F+ - F) + p1 h1 (F- - F),   where p may be another one, p1, too.
+ * but without the part of a0 where D has more than the mass: it makes energy of stiff modes (15 000-fold at p = 1/2,
+ * beta = .001 s, h omega = 600), and the order stays. A step of another length, h1 before and h2 now, follows from
+ * the same two half-steps,
+ *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + p h2 (F+ - F) + p1 h1 (F- - F),
+ * where p may be another one, p1, too; see >>resume for what is added to it.
  * Both are put as one equation for a = (w' - w)/d, d = (h1 + h2)/2 being the time between the centres of the
  * two means and h1 = 0 the start: A a = b, where every force in b has weight one,
  *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p1 (h1/d)(F- - F),
- *   ck = (p1 h1^2 - p h2^2)/d,  cd = (h1 - (q/2)(h1 - h2))/d,  ca = ((1/4-p) h2^2 - (1/4-p1) h1^2)/d.
+ *   ck = (p1 h1^2 - p h2^2)/d,  cd = (h1 - (q/2)(h1 - h2))/d,  ca = (1/4-p) h2^2/d at the start, else 0.
  * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
 
@@ -17129,7 +17143,9 @@ done:
  *        m - C v/2 - C B1^-1 C v/2,  C = B1 - B2, where B falls: 1 - t/2 - t^2/2 <= (1 - t)^(1/2), 0 <= t <= 1,
  *        m - C B2^-1 m/2,            where B grows: 1 + t/2 <= (1 - t)^(-1/2),
  *      t an eigenvalue of B1^-1 C or -B2^-1 C, so that E does not rise; it falls by O(W^4), of second order.
- *      In a damaged body A has the intact K0, and B - r M = h^2 (p K0 - K/4) is not zero at p = 1/4 either.
+ *      In a damaged body A has the intact K0, and B - r M = h^2 (p K0 - K/4) is not zero at p = 1/4 either. Where
+ *      pieces of it are free, their rigid motion is projected out of A (>>turn), which this B does not know:
+ *      there energy still grows by steps in turn (17-fold in 150 of 1/60 and 1/30 s, one free node).
  *   4. Newmark(beta, gamma) is (beta, 2 gamma, 1) with m = M v. Its a, M a = F - D v - K u, is stale where
  *      something is let go, and is computed again.
  *   5. KR-alpha has no such energy, and its fast modes overshoot before they decay (18 times the energy of a start
@@ -20197,8 +20213,15 @@ static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
     if (head->current && !before->current) head->rebase = SFEMI_NEW_LEDGER;
 }
 
+/* Has a step under way put an acceleration in the state? A body that does not go on has none there. */
+static int sfemi_body_lends(const sfem_body *b)
+{
+    return b->begun && !b->turns && sfemi_resume_serves(b) && b->state.head->started != SFEMI_RUNNING;
+}
+
 static void sfemi_body_undo(sfem_body *b)
 {
+    if (sfemi_body_lends(b)) memset(b->state.a, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->state.a);
     sfemi_body_take_back(b, b->state.head);
     b->begun = 0;
     b->phase = SFEMI_IDLE;
@@ -20296,6 +20319,31 @@ static void sfemi_body_finish_linear(sfem_body *b)
     b->state.head->started = b->bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
 }
 
+/* Are u and w of a linear body's step finite at its end? */
+static int sfemi_body_ends_finite(const sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step, *u = b->state.u;
+    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const sfem_real *base = b->bridges ? b->velocity : sfemi_pqr_base(b);
+    /* a bridging step has two stages more, which T, a contraction in energy, may rotate between u and v */
+    const sfem_real d = newmark ? 0 : b->bridges ? 1e6 * h : sfemi_pqr_weigh(b, h).d;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        sfem_real x, v;
+        if (newmark) {
+            sfemi_newmark_guess(b, i, h, &x, &v);
+            x += b->def.beta * h * h * b->acc[i];
+            v += b->def.gamma * h * b->acc[i];
+        } else {
+            v = base[i] + d * b->acc[i];
+            x = u[i] + h * v;
+        }
+        if (!sfemi_finite(x) || !sfemi_finite(v)) return 0;
+    }
+    return 1;
+}
+
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
 {
     sfemi_grip *g = &b->grip;
@@ -20308,6 +20356,10 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
             sfemi_body_undo(b);
             return status;
         }
+    }
+    if (!b->turns && sfemi_resume_serves(b) && !sfemi_body_ends_finite(b)) {
+        sfemi_body_undo(b);
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to a displacement that is not finite");
     }
     b->begun = 0;
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
@@ -20515,6 +20567,9 @@ SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
     sfemi_body_take_back(b, &head);
     memcpy(memory, b->state.head, bytes);
     memcpy(memory, &head, sizeof head);
+    if (sfemi_body_lends(b))
+        memset((char *)memory + ((const char *)b->state.a - (const char *)b->state.head), 0,
+               3 * (size_t)b->model->mesh.nodes * sizeof *b->state.a);
     sum = sfemi_state_checksum(memory, bytes);
     memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
 }
@@ -21440,7 +21495,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.descents = b->state.head->descents;
     info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size +
-                      ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) * sizeof(sfem_real);
+                      ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
+                          sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i) {
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
         for (k = 0; b->turns && k < SFEMI_REDOS; ++k)

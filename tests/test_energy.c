@@ -67,7 +67,8 @@ static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double 
         for (c = 0; c < 2; ++c)
             if (fabs(s->mesh->x[3 * i] - 4 * c) < 1e-9) s->end[c][s->ends[c]++] = i;
     body.integrator = k->integrator;
-    if (k->p != 0) body.p = body.beta = k->p;
+    if (k->p != 0) body.p = k->p;
+    if (k->p > 0) body.beta = k->p;
     body.rho_inf = k->rho;
     if (k->lambda > 0) body.gui_lambda = k->lambda;
     body.alpha = k->alpha;
@@ -241,12 +242,96 @@ static void damage_makes_no_energy(void **state)
                 }
 }
 
+/* ---- failed steps ---- */
+
+static const scheme others[] = {
+    {"pqr auto", SFEM_PQR, SFEM_P_AUTO, 0, 0, 0, 0, SFEM_MASS_LUMPED, 0, 0},
+    {"pqr .3, damped", SFEM_PQR, .3, 0, 0, .1, 0, SFEM_MASS_CONSISTENT, 0, 0},
+    {"backward Euler", SFEM_BACKWARD_EULER, 0, 0, 0, 0, 0, SFEM_MASS_LUMPED, 0, 0},
+    {"HHT", SFEM_HHT, 0, 0, 0, 0, 0, SFEM_MASS_LUMPED, 0, 0},
+    {"generalized-alpha", SFEM_GENERALIZED_ALPHA, 0, .8, 0, 0, 0, SFEM_MASS_CONSISTENT, 0, 0},
+    {"Bathe", SFEM_BATHE, 0, 0, 0, 0, 0, SFEM_MASS_LUMPED, 0, 0},
+};
+
+enum { FIRST_STEP, RUNNING, RELEASED, REPINNED, OTHER_STEP, MOMENTS };
+
+/* Brings a body to where a step may fail; the length of that step. */
+static double come_to(scene *s, int moment)
+{
+    sfem_error err;
+    sfem_int handle;
+    int i;
+    if (moment == FIRST_STEP) return 1. / 60;
+    assert_ok(sfem_body_grab_node(s->body, s->mesh->nodes - 1, &handle, &err), err);
+    for (i = 0; i < 5; ++i) assert_ok(sfem_body_step(s->body, 1. / 60, &err), err);
+    if (moment == RELEASED) sfem_body_release_handle(s->body, handle);
+    if (moment == REPINNED) assert_ok(sfem_body_set_pins(s->body, s->ends[1], s->end[1], NULL, &err), err);
+    return moment == OTHER_STEP ? 1. / 90 : 1. / 60;
+}
+
+/* A step that fails leaves the saved block as it was, and what comes later, too. */
+static void a_failed_step_leaves_no_trace(void **state)
+{
+    static const double force[2] = {NAN, 1e308};
+    size_t k, bytes;
+    int moment, way, failed = 0;
+    sfem_int i;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(schemes) + TEST_COUNT(others); ++k)
+        for (moment = 0; moment < MOMENTS; ++moment)
+            for (way = 0; way < 4; ++way) {
+                const scheme *row = k < TEST_COUNT(schemes) ? schemes + k : others + k - TEST_COUNT(schemes);
+                scene s[2];
+                char *before, *after;
+                sfem_status status;
+                sfem_error err;
+                double h;
+                int j;
+                for (j = 0; j < 2; ++j) open_scene(s + j, row, SFEM_CELL_5_TETS, 1e6, 1, NULL);
+                h = come_to(s, moment);
+                (void)come_to(s + 1, moment);
+                bytes = sfem_body_state_size(s->body);
+                before = (char *)malloc(2 * bytes);
+                after = before + bytes;
+                sfem_body_save_state(s->body, before);
+                if (way == 2) {
+                    status = sfem_body_step(s->body, 1e200, &err);
+                } else {
+                    assert_ok(sfem_body_predict(s->body, h, &err), err);
+                    sfem_body_save_state(s->body, after); /* also while a step is under way */
+                    assert_memory_equal(before, after, bytes);
+                    for (i = 0; way < 2 && i < 3 * s->mesh->nodes; ++i) sfem_body_rhs(s->body)[i] += force[way];
+                    status = sfem_body_solve(s->body, &err);
+                    if (status == SFEM_OK && way == 3) sfem_body_acceleration(s->body)[3 * s->mesh->nodes - 1] = 1e308;
+                    if (status == SFEM_OK) status = sfem_body_finish(s->body, &err);
+                }
+                if (status != SFEM_OK) {
+                    ++failed;
+                    sfem_body_save_state(s->body, after);
+                    if (memcmp(before, after, bytes) != 0)
+                        fail_msg("%s, moment %d, way %d: the state has changed", row->name, moment, way);
+                    for (j = 0; j < 2; ++j)
+                        for (i = 0; i < 4; ++i) assert_ok(sfem_body_step(s[j].body, h, &err), err);
+                    sfem_body_save_state(s[0].body, before);
+                    sfem_body_save_state(s[1].body, after);
+                    if (memcmp(before, after, bytes) != 0)
+                        fail_msg("%s, moment %d, way %d: later steps differ", row->name, moment, way);
+                } else if (way == 0) {
+                    fail_msg("%s, moment %d: a force that is not a number is taken", row->name, moment);
+                }
+                free(before);
+                for (j = 0; j < 2; ++j) close_scene(s + j);
+            }
+    assert_true(failed > 200);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_is_held_makes_no_energy),
         cmocka_unit_test(steps_in_turn_make_no_energy),
         cmocka_unit_test(damage_makes_no_energy),
+        cmocka_unit_test(a_failed_step_leaves_no_trace),
     };
     return run_all_tests(tests);
 }
