@@ -1144,19 +1144,24 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
  *   cost    one product with K and one solve, O(nnz(L)) */
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
-/* The same in three parts, for callers who put forces and constraints of their own (contact) between
- * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps. (Where a
- * changed load wakes it in a whole step, that step goes without the caller's forces.)
- * predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
- * during this step, as F at its start does. solve leaves the step's acceleration where
- * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step
- * up. */
+/* The same in three parts, for callers who put forces of their own (contact) between them.
+ *   predict  fills the right side. sfem_body_rhs points at it until solve: a force added there acts during this
+ *            step, as F at its start does. Called again it gives the step up. It wakes a sleeping body: while there
+ *            is no contact that changes, give such a body whole steps. (Where a changed load wakes it in a whole
+ *            step, that step goes without the caller's forces.)
+ *   solve    leaves the step's acceleration where sfem_body_acceleration points, to be read.
+ *   finish   takes the step, or in its place the one that the energy safeguard puts there.
+ * sfem_body_add_impulse adds j, N s, to a node between predict and finish: M dv = j over the step. After solve the
+ * step is solved again, in finish, for all that was added. Forces and impulses act in rejected steps, too, and
+ * their work counts in the energy budget.
+ *   errors  of add_impulse: SFEM_BAD_ARGUMENT (no such node; not between predict and finish), SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
-                                                               * the method is implicit */
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const sfem_real j[3],
+                                           sfem_error *err);
 
 /* Sleep. With def.sleep_tolerance > 0 a body falls asleep at the end of a step where for sleep_time seconds
  * no node has moved faster than the tolerance and none has changed its velocity by more than a quarter of it
@@ -1285,7 +1290,7 @@ typedef struct sfem_renewal {
     double flops, done;  /* of the one under way, or of the last: all, so far */
     sfem_real drift;     /* by what part the inertia that the factor puts in the way of the motion is wrong:
                           * |p h^2 w.A_K w - p h w.(f - f-)| over w.(r M + p h^2 A_K) w, A_K the factor's K,
-                          * turned, both averaged over a quarter second; 1 for a step that the guard does
+                          * rotated, both averaged over the last 16 steps; 1 for a step that the guard does
                           * again. Only with renew_drift > 0 (a product with K a step); else 0 */
     int64_t made, failed;
 } sfem_renewal;
@@ -14913,6 +14918,7 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
     sfem_real curvature[SFEMI_MEMORY]; /* and their products */
     int pairs;             /* so many so far in this step */
+    int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
     int converged;         /* the corrections went as far as they should */
     sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
     sfem_real isotropic_h;
@@ -15010,6 +15016,9 @@ struct sfem_body {
     sfemi_state_head before; /* what was when it began */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+    sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
+    sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
+    int is_late;
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
     sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
     sfem_real *velocity; /* >>resume: [nodes][3] what a step that starts afresh (fresh) starts from, */
@@ -18293,6 +18302,7 @@ static void sfemi_guard_advance(sfem_body *b)
     g->psi = sfemi_guard_forces(b, g->u, g->f);
     ++b->state.head->evaluations;
     g->corrections = 0;
+    g->made = g->dropped = 0;
 }
 
 /* The work along part (u' - u) + back w of what the caller added to the right side, and of so much of the newer
@@ -18702,13 +18712,12 @@ static sfem_real sfemi_guard_excess(sfem_body *b)
 static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
 {
     sfemi_guard *g = &b->guard;
-    sfemi_state_head *head = b->state.head;
+    const sfemi_state_head *head = b->state.head;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes;
     int k, count;
     size_t i;
-    if (head->pair_h != q->h) head->pairs = 0;
-    count = head->pairs < SFEMI_MEMORY ? (int)head->pairs : SFEMI_MEMORY;
+    count = head->pair_h != q->h ? 0 : head->pairs < SFEMI_MEMORY ? (int)head->pairs : SFEMI_MEMORY;
     for (k = 0; k < count; ++k) {
         const float *from = b->state.pair + 2 * n * (size_t)((head->pairs - count + k) % SFEMI_MEMORY);
         sfem_real *s = g->pair + 2 * n * (size_t)g->pairs;
@@ -18720,8 +18729,8 @@ static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
     }
 }
 
-/* The last `made` pairs go to the state. */
-static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
+/* The pairs that a step has made go to the state, when it is taken. */
+static void sfemi_correct_store(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
@@ -18729,7 +18738,9 @@ static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
     const size_t n = 3 * (size_t)nodes;
     int k;
     size_t i;
-    for (k = made < SFEMI_MEMORY ? made : SFEMI_MEMORY; k > 0; --k) {
+    if (g->dropped || head->pair_h != b->step) head->pairs = 0;
+    head->pair_h = b->step;
+    for (k = g->made < SFEMI_MEMORY ? g->made : SFEMI_MEMORY; k > 0; --k) {
         sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - k) % SFEMI_MEMORY);
         float *to = b->state.pair + 2 * n * (size_t)(head->pairs++ % SFEMI_MEMORY);
         sfemi_turn_rotate(g->frame, nodes, 1, s, s);
@@ -18737,7 +18748,6 @@ static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
         for (i = 0; i < 2 * n; ++i) to[i] = (float)s[i];
     }
     if (head->pairs >= 1 << 20) head->pairs = head->pairs % SFEMI_MEMORY + SFEMI_MEMORY;
-    head->pair_h = q->h;
 }
 
 static void sfemi_guard_do_not_rotate(sfem_body *b)
@@ -18753,8 +18763,8 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
 {
     sfemi_guard *g = &b->guard;
     sfem_real first = 0, last = 0, rate = b->state.head->rate > 0 ? b->state.head->rate : 0.3;
-    int k, made = 0;
-    g->pairs = g->converged = 0;
+    int k;
+    g->pairs = g->made = g->dropped = g->converged = 0;
     if (f->key.majorant) sfemi_guard_do_not_rotate(b);
     else {
         memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
@@ -18766,9 +18776,12 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         sfem_real length = 0;
         if (k == 0) first = decrement;
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
-        if (length > 0) made += sfemi_correct_remember(b, length);
+        if (length > 0) g->made += sfemi_correct_remember(b, length);
         else if (g->pairs == 0) break;
-        else g->pairs = made = b->state.head->pairs = 0;
+        else {
+            g->pairs = g->made = 0;
+            g->dropped = 1;
+        }
         ++g->corrections;
         if (!(length > 0)) continue;
         if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
@@ -18776,9 +18789,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         g->converged = rate * decrement < tolerance && (!q->fallback || sfemi_guard_excess(b) <= 0);
         if (g->converged) break;
     }
-    if (q->fallback) return first;
-    b->state.head->rate = rate;
-    sfemi_correct_store(b, q, made);
+    if (!q->fallback) b->state.head->rate = rate;
     return first;
 }
 
@@ -19254,6 +19265,7 @@ static void sfemi_guard_finish(sfem_body *b)
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
     head->gamma = (b->step / 2 + a * h1) / ((1 - a) * b->step + a * h1);
     head->rejected += g->rejected;
+    if (b->turns == SFEMI_CORRECTS && !g->rejected) sfemi_correct_store(b);
     for (k = 0; k < b->pin_count; ++k) {
         sfem_real x[3];
         for (c = 0; c < 3; ++c)
@@ -19772,7 +19784,8 @@ static void sfemi_renew_swap(sfem_body *b)
 static void sfemi_renew_watch(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, fade = exp(-h / .25), m = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real h = b->step, m = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real fade = 1 - 1.0 / 16; /* per step, so that units of time are the caller's */
     const sfemi_state *s = &b->state;
     sfemi_renewal *r = &b->renewal;
     sfem_real wmw = 0, wkw = 0, truth = 0;
@@ -20137,7 +20150,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
-    const size_t vectors = b->model->damping ? 5 : 4;
+    const size_t vectors = b->model->damping ? 7 : 6;
     sfem_status status = SFEM_OK;
     size_t bytes, damage;
     void *block = NULL;
@@ -20156,7 +20169,9 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->acc = b->rhs + n;
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
-    b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
+    b->predicted = b->rhs + 4 * n;
+    b->late = b->rhs + 5 * n;
+    b->zd = b->model->damping ? b->rhs + 6 * n : NULL;
     if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     if (sfemi_resume_serves(b)) {
         SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
@@ -20482,9 +20497,16 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
 
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
 {
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_status status;
     SFEM_ASSERT(b);
     b->turn.by_hand = 1;
-    return sfemi_body_predict(b, h, err);
+    status = sfemi_body_predict(b, h, err);
+    if (status != SFEM_OK) return status;
+    memcpy(b->predicted, b->rhs, bytes);
+    if (b->is_late) memset(b->late, 0, bytes);
+    b->is_late = 0;
+    return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
@@ -20566,11 +20588,31 @@ static int sfemi_body_ends_finite(const sfem_body *b)
     return 1;
 }
 
+/* The step solved again, for what the caller has added since: all of that is in `late` then. */
+static sfem_status sfemi_body_solve_again(sfem_body *b, sfem_error *err)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_status status;
+    size_t i;
+    for (i = 0; i < n; ++i) b->late[i] += b->rhs[i] - b->predicted[i];
+    status = sfemi_body_predict(b, b->step, err);
+    for (i = 0; i < n; ++i) {
+        b->rhs[i] += b->late[i];
+        b->late[i] = 0;
+    }
+    b->is_late = 0;
+    return status == SFEM_OK ? sfem_body_solve(b, err) : status;
+}
+
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
 {
     sfemi_grip *g = &b->grip;
     sfem_int i;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    if (b->is_late) {
+        const sfem_status status = sfemi_body_solve_again(b, err);
+        if (status != SFEM_OK) return status;
+    }
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         const sfem_status status = sfemi_guard_judge_step(b, err);
@@ -20618,7 +20660,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 }
 
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *b) { return b->rhs; }
-SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *b) { return b->acc; }
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *b) { return b->acc; }
 
 /* ---- loads and state ---- */
 
@@ -20658,6 +20700,33 @@ static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, cons
     if (x && !sfemi_all_finite(x, 3))
         return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the %s of node %d is not finite", what,
                              (int)node);
+    return SFEM_OK;
+}
+
+/* How long a force on the right side acts, so that d F is the change of momentum. */
+static sfem_real sfemi_body_span(const sfem_body *b)
+{
+    sfemi_pqr_terms t;
+    if (!sfemi_body_keeps_mean(b)) return b->step;
+    t = sfemi_pqr_weigh(b, b->step);
+    return t.d - t.back;
+}
+
+SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sfem_real j[3], sfem_error *err)
+{
+    sfem_real *to, sum[3];
+    sfem_status status;
+    int c;
+    SFEM_ASSERT(b && j);
+    status = sfemi_body_check_node(b, node, j, "impulse", err);
+    if (status != SFEM_OK) return status;
+    if (b->phase == SFEMI_IDLE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "an impulse is added between sfem_body_predict and _finish");
+    to = (b->phase == SFEMI_PREDICTED ? b->rhs : b->late) + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = to[c] + j[c] / sfemi_body_span(b);
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "impulse", err);
+    memcpy(to, sum, sizeof sum);
+    if (b->phase == SFEMI_SOLVED) b->is_late = 1;
     return SFEM_OK;
 }
 
@@ -21716,7 +21785,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size +
-                      ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
+                      ((b->zd ? 7u : 6u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
                           sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
