@@ -44,7 +44,7 @@
  *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
  *            >>resume       linear bodies whose step, pins or handles change
- *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again; breaking
+ *            >>guard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>renew        a factor of the present tangent, made in slices
  *            >>body         the pipeline that a user calls: create, prepare, step, read
@@ -949,9 +949,14 @@ typedef struct sfem_piece {
 
 /* M u'' + D u' + K u = F. All three are of the family  A a = rhs, A = r M + (q/2) h D + p h^2 K, and
  * share factors:
- *   SFEM_PQR      one solve with a constant A:  A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w'
+ *   SFEM_PQR      linear: one solve with a constant A:  A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w'
  *                 [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for
  *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
+ *                 Bodies of nonlinear laws, and with a damping force of the caller's: the same solve is a trial,
+ *                 with the factor of the rest pose rotated by a frame for each node, and is corrected by L-BFGS with
+ *                 that factor towards HHT's equation, as often as def.accuracy asks for, 2 to 3 solves a step on
+ *                 good meshes at 1/60 s, 1.1 at 1/240 s. Every step's energy is tested; one that would make
+ *                 energy is rejected, and backward Euler's taken in its place
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
  *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
  *   SFEM_KR_ALPHA [Kolay and Ricles 2014], one solve with a constant A, second order, unconditionally
@@ -965,16 +970,8 @@ typedef struct sfem_piece {
  *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
  *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
  *                 body is nonlinear or its load changes.)
- * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
- * Energy of linear bodies by (p,q,r) with p >= 1/4, q >= 1, Gui's method up to 4, Chang's, and Newmark with
- * gamma = 1/2, beta >= 1/4: it never exceeds its start plus the work of loads and of what is moved, beyond
- * rounding, whatever the sequence of steps, and however pins and handles are set, exchanged and released. For
- * (p,q,r) that is E = 1/2 v.B v + 1/2 u.K u, B = A - h/2 D - h^2/4 K, see >>resume, so that it bounds the elastic
- * energy; the kinetic energy of sfem_body_energy, whose velocities are half a step of acceleration ahead of the mean
- * velocity, may reach 4 times that. Newmark with beta > 1/4 moves modes that are not resolved at up to
- * (1 + (beta - 1/4) (h omega)^2)^(1/2) times the velocity that this energy allows. What lets go leaves a node with the
- * velocity of sfem_body_velocities; what takes hold stops what it holds, an inelastic impulse. Where a step of
- * another length follows and p is not 1/4, or the body is damaged, that costs 15 to 60 more solves.
+ * These three rotate the factor and have the energy safeguard of (p,q,r), and hold pins and handles as it does, but
+ * make one solve a step: they are never corrected.
  * In these, and in Newmark's of linear bodies, the momenta of a free piece are changed by its loads alone, to
  * rounding of the velocities: however stiff the body and long the step, internal forces are not asked.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
@@ -1006,11 +1003,9 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 
 /* linear body: 1/12 where every mode is resolved (omega_max h < 2), else 1/4; others as SFEM_P_SAFE */
 #define SFEM_P_AUTO (-1.0)
-/* 1/4 for a linear body; for others m = .28 if corotational (.27 if it may break), 1/2 if it hardens:
- * margins for tangents that outgrow that at rest. Where a step resolves every mode or nearly, the mass is
- * margin enough, and p falls with W = h omega_max (of the free body at rest; found by the first body of a model
- * that may need it, the time of some 20 products with K) as m + .1 - 1/W^2, from m at W = 3.2 to 1/12 at W =
- * 1.8: errors are then a tenth of the trapezoidal rule's. Bodies that break, correct or renew keep m. */
+/* 1/4 for a linear body. For others, corrected ones: what the equation has that they are corrected towards, (1+a)^2
+ * (1-a)/4 with a = dissipation, 0.288. With one solve a step: 0.27 if corotational, 1/2 if it hardens, margins for
+ * tangents that outgrow that at rest. More where the law of damage asks for it. */
 #define SFEM_P_SAFE (-2.0)
 
 /* The frame in which the constant factor of a body that turns is used: turned with each node (default), with
@@ -1060,13 +1055,14 @@ typedef struct sfem_newton_info {
     sfem_real residual;      /* relative, see tolerance; the last that was computed */
 } sfem_newton_info;
 
-/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods. Called from the
- * thread that steps. */
+/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods, and for SFEM_PQR with an
+ * accuracy below 1, which corrects its steps for it: up to 40 solves where h dD/dv exceeds the mass, since its
+ * factor does not know it. Called from the thread that steps. */
 typedef struct sfem_damping_force {
     /* adds D(v), N, to force [nodes][3]: it is subtracted from the load, so that v.D(v) >= 0 damps */
     void (*force)(void *user, const sfem_real *v /* [nodes][3] */, sfem_real *force);
     /* adds dD/dv, symmetric, to a matrix on K's pattern (zero when it comes); or NULL: the force is then
-     * iterated upon, which converges while h dD/dv stays below the mass, linearly */
+     * iterated upon, which converges while h dD/dv stays below the mass, linearly. SFEM_PQR does not ask for it */
     void (*tangent)(void *user, const sfem_real *v, sfem_matrix *tangent);
     void *user;
 } sfem_damping_force;
@@ -1083,14 +1079,15 @@ typedef struct sfem_body_def {
     sfem_newton_def newton;
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
-    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
-    int no_guard;             /* take every step as it comes, even if it makes energy */
+    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next one: */
+    int no_guard;             /* no energy safeguard: every step is taken as it comes, even if it makes energy */
     const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
                                * NULL, the default: it does not, and pays nothing for it. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws: a step is corrected, by further solves with the same
-                               * factor, until another one is expected to gain less than this part of the energy
-                               * in motion. 1e-6, the default: errors of full Newton within a factor of two;
-                               * 1: one solve a step, never corrected; 1e-12: as far as rounding goes */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, above 0, at most 1: a step is corrected, by further solves
+                               * with the same factor, until another one is expected to gain less than this part of
+                               * the energy in motion (the largest kinetic energy of late). 1e-6, the default: errors
+                               * of full Newton within a factor of two; 1e-4: a third fewer solves; 1: one solve a
+                               * step, never corrected; 1e-12: as far as rounding goes */
     sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.2
                                * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
@@ -1109,7 +1106,7 @@ typedef struct sfem_body_def {
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
     sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use; of a body that
-                               * turns up to 4 times that, and 4 times more for each factor of redone steps */
+                               * rotates up to 4 times that */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
     sfem_precision precision;
@@ -1131,7 +1128,7 @@ SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
  * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
  * a loop, the only function that allocates; set_pins and solve_static do, too, and, unless no_allocation
- * has it all made here, the first step that is done again. sfem_body_step calls it where it has to. Where
+ * has it all made here, the first rejected step of a strongly distorted body. sfem_body_step calls it where it has to. Where
  * Newton's matrix changes, what is made serves steps of any length.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
@@ -1141,7 +1138,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
  *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE;
  *           where Newton iterates SFEM_NOT_CONVERGED ("the step did not converge: residual 3e-05
  *           after 20 iterations") and SFEM_NOT_SPD
- *   cost    one product with K and one solve, O(nnz(L)) */
+ *   cost    linear: one product with K and one solve, O(nnz(L)). Nonlinear (p,q,r): 1 to 41 solves, and as many
+ *           evaluations of the forces or more, see sfem_body_info; 100 solves and ten factors where a strongly
+ *           distorted body has its step rejected */
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* The same in three parts, for callers who put forces of their own (contact) between them.
@@ -1230,8 +1229,8 @@ typedef struct sfem_energy {
     sfem_real total;                  /* their sum */
     sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
                           * nonlinear body nearly, without the motion of free pieces' centres of mass: for
-                          * its guarded steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
-                          * - F.(u+u-)/2, after a step done again 1/2 w.r M w + E - F.u; for a linear body
+                          * its steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
+                          * - F.(u+u-)/2, after a rejected one 1/2 w.r M w + E - F.u; for a linear body
                           * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
                           * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a */
 } sfem_energy;
@@ -17847,40 +17846,17 @@ static void sfemi_resume_lessen(const sfem_body *b, int falls, sfem_real d, sfem
 }
 
 /* ============================================================================================
- * >>guard   (p,q,r) for bodies that turn: the guarded step
+ * >>guard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
  *
- * Turning the factor is not enough in violent motion. Two energies are watched, with L the loads and v_r,
- * L_r the parts of w' and L that do not move a free piece's centre of mass:
+ * A trial of one solve, corrections of it, an energy safeguard, and a step in place of one that would make energy.
+ * The safeguard tests two energies, L being the loads and v_r, L_r the parts of w' and L that do not move a free
+ * piece's centre of mass:
  *   Eb = 1/2 v_r.r M v_r + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2 - L_r.(u + u')/2
  *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
- * Eb is conserved exactly where the body is linear and undamped, but blind to fast modes; Ec is not, and
- * is tested loosely. They may not pass a ledger B (the least energy so far, forgotten over half a
- * second, plus the work of handles, moved pins and changing loads) by more than .02 and .3 of a scale S,
- * the energy in motion over the last second. A step that does is taken back and done again as a
- * minimisation of
- *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
- * by descent with the factor of p = 1, turned and projected at z, from the best of u, y and u moved rigidly
- * to where y is nearest, until Ec is in order and a step gains less than .01 S; Phi(z) <= Phi(u) alone
- * implies Psi(z) - L.z <= Ec(u), so the last resort, less velocity, always ends it. What the caller adds to
- * the right side is part of L here. Then the motion starts
- * afresh from there. Projected at u instead, where rigid motions of z are none, a stiff body that turns
- * took up to 88 steps of descent; now 1 to 3. The mean velocity of such a step, taken for that at its end, is
- * that of a chord: of a turn by .7 rad it misses a tenth of L, and another ninth of its energy points
- * inward. L is therefore put right, at the cost of what is not rigid motion: momenta are kept to
- * rounding unless the ledger has not even the energy of a rigid body that turns so.
- *   In a crumpled body neighbouring tets turn so differently that the turned factor is no guide: the steps
- * of descent get short, and the body would creep for minutes. Where one is shorter than 1/8, the isotropic
- * majorant of >>factor takes over, which bounds the corotational Phi so that length 1 lowers it, hastened
- * by the memory of the last steps (L-BFGS). Bodies crushed to a point, scattered or turned inside out are
- * back in shape after a few steps at nu = .3; at nu = .49 many scattered ones stay locked in a knot.
- *   The majorant bounds no neo-Hookean tet that is stretched a thousandfold, and where moduli are 1e6 apart
- * soft parts creep by it. Where it is stuck, or has gained little though by the turned factor's measure Phi is
- * not near its least, Newton's iteration goes on, with each tet's K(z) projected (absolute values of its
- * eigenvalues in place of that were no better). Its factors cost no more time in a step than a hundred
- * descents.
- *   S is energy in motion. What a redo has not reached by far, Psi - 4 (kinetic + what Phi fell by), is locked
- * in, until Psi is below: counted in S, that of a knot let steps there, whose factor does not bound K, chatter
- * with a fiftieth of it for ever. Without it knots come to rest, though each step is done again.
+ * Eb is conserved exactly where the body is linear and undamped, but blind to modes that are not resolved; Ec is
+ * not, and is tested loosely. They may exceed a budget B by 0.02 and 0.3 of S, the energy in motion. B is the least
+ * Eb so far, forgotten over 32 steps, plus the work of handles, moved pins, changing loads and what the caller adds
+ * to the right side. A step that fails the test is rejected. On calm bodies of good meshes none is.
  * ============================================================================================ */
 
 /* Does the rigid part of a free piece's step need corrections? Only where the caller's damping brakes it. */
@@ -20879,6 +20855,7 @@ static int sfemi_body_state_sound(const sfem_body *b, const sfemi_state_head *he
     if (!sfemi_finite(head->time) || !(head->h >= 0 && sfemi_finite(head->h)) ||
         !sfemi_all_finite(head->gravity, 3) || head->started < SFEMI_NOT_STARTED ||
         head->started > SFEMI_RUNNING || (head->started == SFEMI_RUNNING && head->h == 0) ||
+        head->pairs < 0 || head->pairs > 1 << 20 || head->skipped < 0 || !sfemi_finite(head->gamma) ||
         head->rebase < SFEMI_LEDGER || head->rebase > SFEMI_NEW_LEDGER || head->sleep < SFEMI_AWAKE ||
         head->sleep > SFEMI_ASLEEP)
         return 0;
