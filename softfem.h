@@ -1234,7 +1234,9 @@ typedef struct sfem_energy {
                           * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
                           * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a */
 } sfem_energy;
-SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
+/* Two products with K; allocates nothing. This and sfem_body_reactions may be called at any time, also between
+ * predict, solve and finish, of which they see the state before the step, and change no later bit. */
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body);
 
 typedef struct sfem_body_info {
     sfem_int nodes, tets, free_nodes;
@@ -15019,6 +15021,7 @@ struct sfem_body {
     sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
     int is_late;
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
+    sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
     sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
     sfem_real *velocity; /* >>resume: [nodes][3] what a step that starts afresh (fresh) starts from, */
     int fresh;           /* the state being that of a running body; w otherwise */
@@ -20116,6 +20119,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->rhs);
     sfemi_delete(&al, b->base);
     sfemi_delete(&al, b->spare);
+    sfemi_delete(&al, b->aside);
     sfemi_delete(&al, b->work);
     sfem_model_free(b->model);
     sfemi_delete(&al, b);
@@ -20142,6 +20146,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
+    SFEMI_NEW(sfem_real, b->aside, al, 7 * n);
     b->acc = b->rhs + n;
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
@@ -21079,7 +21084,46 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfe
     for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
-SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
+/* A step's temporaries. */
+typedef struct sfemi_scratch {
+    sfem_real *rhs, *acc, *zk, *zm, *zd, *f, *q;
+} sfemi_scratch;
+
+static void sfemi_body_use(sfem_body *b, const sfemi_scratch *s)
+{
+    b->rhs = s->rhs;
+    b->acc = s->acc;
+    b->zk = s->zk;
+    b->zm = s->zm;
+    b->zd = s->zd;
+    b->implicit.f = s->f;
+    b->implicit.q = s->q;
+}
+
+/* Puts others in their place, so that a step under way keeps its own; returns those. */
+static sfemi_scratch sfemi_body_look_aside(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_scratch own, other;
+    own.rhs = b->rhs;
+    own.acc = b->acc;
+    own.zk = b->zk;
+    own.zm = b->zm;
+    own.zd = b->zd;
+    own.f = b->implicit.f;
+    own.q = b->implicit.q;
+    other.rhs = b->aside;
+    other.acc = b->aside + n;
+    other.zk = b->aside + 2 * n;
+    other.zm = b->aside + 3 * n;
+    other.zd = b->zd ? b->aside + 4 * n : NULL;
+    other.f = own.f ? b->aside + 5 * n : NULL;
+    other.q = own.q ? b->aside + 6 * n : NULL;
+    sfemi_body_use(b, &other);
+    return own;
+}
+
+static void sfemi_body_find_reactions(sfem_body *b, sfem_real *force)
 {
     const sfem_real load[3] = {1, 0, 0};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -21089,7 +21133,6 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     sfem_body_velocities(b, v);
     if (sfemi_implicit_serves(b)) {
         memcpy(b->zm, b->state.a, n * sizeof *b->zm);
-        b->phase = SFEMI_IDLE;
         sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
         for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
         return;
@@ -21099,7 +21142,6 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         b->zm[i] = b->state.a[i] + b->alpha * v[i];
         if (b->zd) b->zd[i] = v[i];
     }
-    b->phase = SFEMI_IDLE;
     if (b->turns) {
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
         sfemi_guard_look(b);
@@ -21113,6 +21155,13 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
     }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+}
+
+SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
+{
+    const sfemi_scratch own = sfemi_body_look_aside(b);
+    sfemi_body_find_reactions(b, force);
+    sfemi_body_use(b, &own);
 }
 
 /* ---- fracture ---- */
@@ -21153,8 +21202,8 @@ SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
 SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
 {
     SFEM_ASSERT(b && b->damage && out);
-    sfem_body_velocities(b, b->zk); /* scratch between steps */
-    sfemi_damage_pieces(b->damage, b->state.u, b->zk, out);
+    sfem_body_velocities(b, b->aside);
+    sfemi_damage_pieces(b->damage, b->state.u, b->aside, out);
 }
 
 SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
@@ -21694,7 +21743,7 @@ static sfem_real sfemi_body_dot(const sfem_real *a, const sfem_real *b, size_t n
     return sum;
 }
 
-SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+static sfem_energy sfemi_body_find_energy(sfem_body *b)
 {
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
@@ -21703,7 +21752,6 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     const int running = s->head->started == SFEMI_RUNNING;
     sfem_energy e;
     size_t i;
-    b->phase = SFEMI_IDLE;
     sfem_body_velocities(b, b->acc);
     sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
@@ -21744,6 +21792,14 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     return e;
 }
 
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+{
+    const sfemi_scratch own = sfemi_body_look_aside(b);
+    const sfem_energy e = sfemi_body_find_energy(b);
+    sfemi_body_use(b, &own);
+    return e;
+}
+
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -21762,7 +21818,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size +
-                      ((b->zd ? 7u : 6u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
+                      ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
                           sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
