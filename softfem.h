@@ -18741,7 +18741,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
                                        sfem_real tolerance)
 {
     sfemi_guard *g = &b->guard;
-    sfem_real first = 0, last = 0, rate = b->state.head->rate > 0 ? b->state.head->rate : 0.3;
+    sfem_real first = 0, last = 0, rate = !q->fallback && b->state.head->rate > 0 ? b->state.head->rate : 0.3;
     int k;
     g->pairs = g->made = g->dropped = g->converged = 0;
     if (f->key.majorant) sfemi_guard_do_not_rotate(b);
@@ -18765,7 +18765,8 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         if (!(length > 0)) continue;
         if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
         last = decrement;
-        g->converged = rate * decrement < tolerance && (!q->fallback || sfemi_guard_excess(b) <= 0);
+        g->converged = fmax(rate, 1 - length) * decrement < tolerance && /* a short step has not gained it */
+                       (!q->fallback || sfemi_guard_excess(b) <= 0);
         if (g->converged) break;
     }
     if (!q->fallback) b->state.head->rate = rate;
@@ -19116,11 +19117,12 @@ static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sf
     sfemi_guard_do_not_rotate(b);
     g->pairs = 0;
     for (k = 0; k < MOST; ++k) {
-        sfem_real decrement;
+        sfem_real decrement, length;
         if (!sfemi_guard_linearise(b)) break;
         decrement = sfemi_correct_direction(b, q, g->system.factor);
-        if (!(decrement > 0) || !(sfemi_correct_search(b, q, decrement) > 0)) break;
-        if (decrement < tolerance && sfemi_guard_excess(b) <= 0) break;
+        length = decrement > 0 ? sfemi_correct_search(b, q, decrement) : 0;
+        if (!(length > 0)) break;
+        if (length > 0.5 && decrement < tolerance && sfemi_guard_excess(b) <= 0) break;
     }
 done:
     return status;
