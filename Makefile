@@ -177,7 +177,7 @@ $(BUILD)/tests/%: tests/%.c $(wildcard tests/*.h) softfem.h $(BUILD)/softfem.o $
 
 $(BUILD)/tests/test_stress: bench/stress.h
 
-$(BUILD)/bench/real: tests/bodies.h
+$(BUILD)/bench/real $(BUILD)/bench/integrators $(BUILD)/bench/accuracy: tests/bodies.h
 
 $(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)
