@@ -71,8 +71,9 @@ bench-scalar: $(BUILD)/bench/scalar ## a matrix S (x) I by the factor of S besid
 bench-link: $(BUILD)/bench/link ## packets of a lossy link: bytes, time, distortion against loss
 	$(BUILD)/bench/link
 
-bench-integrators: $(BUILD)/bench/integrators ## run time against error of every integrator
-	OMP_THREAD_LIMIT=1 $(BUILD)/bench/integrators --out $(BUILD)/bench-integrators
+bench-integrators: $(BUILD)/bench/integrators ## run time against error of every integrator, bars and real meshes
+	OMP_THREAD_LIMIT=1 $(ENVIRONMENT) $(BUILD)/bench/integrators --out $(BUILD)/bench-integrators \
+	    --references $(BUILD)/bench-real
 
 bench-source: $(BUILD)/bench/source ## the experiments of the (p,q,r) paper, with their mistakes shown
 	OMP_THREAD_LIMIT=1 $(BUILD)/bench/source --out $(BUILD)/bench-source

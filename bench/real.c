@@ -36,8 +36,8 @@ typedef struct settings {
 typedef struct form {
     const char *name;
     sfem_integrator integrator;
-    int iterations; /* of Newton; 0: its default, to 1e-5 */
-    double p;       /* 0: the default */
+    int iterations;  /* of Newton; 0: its default, to 1e-5 */
+    double p;        /* 0: the default */
     double accuracy; /* 0: the default */
     sfem_precision precision;
 } form;
