@@ -90,7 +90,7 @@ bench-solver: $(BUILD)/bench/solver ## the solver beside CHOLMOD, Eigen, METIS, 
 bench-warp: $(BUILD)/bench/warp ## modal bodies: run time against error, of a step and of warping
 	$(BUILD)/bench/warp
 
-bench-step: $(BUILD)/bench/step ## the default step beside semi-implicit Newmark, also on CHOLMOD
+bench-step: $(BUILD)/bench/step ## mean, median, worst step beside semi-implicit Newmark, also on CHOLMOD
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/step
 
 bench-real: $(BUILD)/bench/real ## the step on real and unstructured meshes: error, rejected, time
@@ -216,7 +216,7 @@ $(BUILD)/bench/solver: bench/solver.c $(wildcard bench/solver_*.cpp bench/*.h) s
 	    $(BUILD)/softfem.o $(LDFLAGS) $$libraries -lm
 
 # bench/step.c holds the implementation itself, to time its parts.
-$(BUILD)/bench/step: bench/step.c examples/support.h softfem.h $(BUILD)/flags
+$(BUILD)/bench/step: bench/step.c bench/real.h tests/bodies.h examples/support.h softfem.h $(BUILD)/flags
 	@mkdir -p $(@D)
 	@cholmod=; printf '#include <suitesparse/cholmod.h>\nint main(void){return 0;}\n' | \
 	    $(CC) -x c - -o /dev/null -lcholmod >/dev/null 2>&1 && \
