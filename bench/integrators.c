@@ -1,6 +1,6 @@
 /* integrators - run time against error: every integrator of the library over a sweep of steps.
  *
- *     bench/integrators [--quick] [--out build/bench-integrators] [--cells 10,2,2] [--scene N|TEXT]
+ *     bench/integrators [--quick] [--out build/bench-integrators] [--cells 10,2,2] [--scene TEXT]
  *                       [--references build/bench-real]
  *
  * Bars. A bar of 1 x 0.25 x 0.25 m, nu = 0.4, 1000 kg/m^3, for a second: it falls from the horizontal, held at one
@@ -830,8 +830,8 @@ int main(int argc, char **argv)
         {"--out", "DIR", "build/bench-integrators", "where to write"},
         {"--references", "DIR", "build/bench-real", "where those of real meshes are kept"},
         {"--cells", "A,B,C", "10,2,2", "cells along the bar, five tets each"},
-        {"--scene", "N|TEXT", NULL,
-         "only the Nth of the bars, or scenes with this in their names, also others of real.h"},
+        {"--scene", "TEXT", NULL,
+         "only scenes with this in their names, also others of real.h; a number: that bar"},
         {NULL, NULL, NULL, NULL}};
     static kind kinds[2];
     static const char *const what[2] = {"bars", "real and unstructured meshes"};
