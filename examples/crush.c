@@ -4,12 +4,13 @@
  *       rest                 a full turn        let go         a point     as it was
  *
  * A corotational body under the default step, which no violence makes explode: (p,q,r) with a factor
- * turned node by node, guarded [softfem.h, >>guard]. A contact sheet is left in the --out directory.
+ * rotated node by node, corrected, with an energy safeguard [softfem.h, >>guard]. A contact sheet is left in the
+ * --out directory.
  *
  *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/crush.c softfem.o -lm
  *
  * The last lines on stdout are `key value`: shape_error is the largest distance from the rest shape
- * at the end, best turned and moved, over the length of the bar.
+ * at the end, best rotated and moved, over the length of the bar.
  */
 #include "support.h"
 #include "softfem.h"
@@ -34,7 +35,7 @@ typedef struct run {
     sfem_model *model;
     sfem_body *body;
     double h;
-    int64_t steps, redone; /* before the state was last set */
+    int64_t steps, rejected, solves; /* before the state was last set */
     double *frame[FRAMES];
     char caption[FRAMES][48];
     int frames;
@@ -95,7 +96,7 @@ static void go(run *r, double seconds)
         must(sfem_body_step(r->body, r->h, &err), &err);
 }
 
-/* 2. The right end turns about the bar's axis, in a second. */
+/* 2. The right end rotates about the bar's axis, in a second. */
 static void twist(run *r, double turns)
 {
     const sfem_int steps = ex_steps(1, r->h);
@@ -127,11 +128,12 @@ static void crush(run *r)
     for (i = 0; i < 3 * r->mesh.nodes; ++i) u[i] = middle[i % 3] - r->mesh.x[i];
     must(sfem_body_set_state(r->body, u, NULL, &err), &err);
     r->steps += info.steps;
-    r->redone += info.rejected;
+    r->rejected += info.rejected;
+    r->solves += info.solves;
     free(u);
 }
 
-/* The largest distance from the rest shape, turned by the mean deformation's rotation. */
+/* The largest distance from the rest shape, rotated by the mean deformation's rotation. */
 static double shape_error(const run *r, const double *x)
 {
     const double *mass = sfem_model_node_mass(r->model), total = sfem_model_total_mass(r->model);
@@ -221,9 +223,10 @@ int main(int argc, char **argv)
     info = sfem_body_get_info(r.body);
     error = shape_error(&r, r.frame[r.frames - 1]);
     printf("wrote %s/crush.png\n", ex_text(&r.o, "--out"));
-    printf("nodes %d\ntets %d\nsteps %ld\nredone %ld\nseconds %.3f\nshape_error %.3g\n",
+    printf("nodes %d\ntets %d\nsteps %ld\nrejected %ld\nsolves %ld\nseconds %.3f\n"
+           "shape_error %.3g\n",
            (int)r.mesh.nodes, (int)r.mesh.tets, (long)(r.steps + info.steps),
-           (long)(r.redone + info.rejected), start, error);
+           (long)(r.rejected + info.rejected), (long)(r.solves + info.solves), start, error);
     for (k = 0; k < r.frames; ++k) free(r.frame[k]);
     sfem_body_free(r.body);
     sfem_model_free(r.model);
