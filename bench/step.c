@@ -29,6 +29,9 @@
 #include "../examples/support.h"
 #include "real.h"
 
+#ifndef SFEM_BENCH_FLAGS
+#define SFEM_BENCH_FLAGS "not stated"
+#endif
 #define STEP (1 / 60.0)
 enum { MOST = 400 };
 enum { DEFAULT, ONE_SOLVE, COARSE, FINE, FLOATS, NEWMARK, PARTS, BODIES };

@@ -24,6 +24,9 @@ static const ex_option table[] = {
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--turns", "N", "1", "how far one end is twisted"},
     {"--dt", "H", "0.016666666666666666", "time step, s"},
+    {"--accuracy", "A", "1e-6",
+     "corrections stop below this part of the energy in motion; 1: one solve a step"},
+    {"--dissipation", "ALPHA", "0.2", "0 to 1/3: damps what a step does not resolve"},
     {"--out", "DIR", "build/crush", "where files go"},
     {"--quick", NULL, NULL, "a small run: a coarse bar"},
     {NULL, NULL, NULL, NULL}};
@@ -67,6 +70,8 @@ static void make(run *r)
     model.material.alpha = 0.5;
     model.material.beta = 0.004;
     must(sfem_model_create(&model, &r->model, &err), &err);
+    body.accuracy = ex_real(&r->o, "--accuracy");
+    body.dissipation = ex_real(&r->o, "--dissipation");
     must(sfem_body_create(r->model, &body, &r->body, &err), &err);
 }
 

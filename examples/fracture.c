@@ -24,6 +24,9 @@ static const ex_option table[] = {
     {"--scene", "bend|tensile|plate|blade|all", "all", "what breaks"},
     {"--toughness", "GC", NULL, "J/m^2, instead of the scene's own"},
     {"--dt", "H", NULL, "time step, s, instead of the scene's own"},
+    {"--accuracy", "A", "1e-6",
+     "corrections stop below this part of the energy in motion; 1: one solve a step"},
+    {"--dissipation", "ALPHA", "0.2", "0 to 1/3: damps what a step does not resolve"},
     {"--damage", "zsz|condensed", "condensed", "the law of damaged tets"},
     {"--renew", "FLOPS", "0", "operations a step on a new factor, once it has been quiet"},
     {"--threads", "N", "1", "threads"},
@@ -180,6 +183,8 @@ static void make_body(run *r)
     def.renew_flops = ex_real(&r->o, "--renew");
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
     if (r->scene == PLATE) def.gravity[2] = -9.81;
+    def.accuracy = ex_real(&r->o, "--accuracy");
+    def.dissipation = ex_real(&r->o, "--dissipation");
     must(sfem_body_create(r->model, &def, &r->body, &err), &err);
     if (r->scene == BEND) { /* the notch: a blade that comes from below */
         const double from[9] = {0.49, -1, -0.1, 0.51, -1, -0.1, 0.5, 1, -0.1};
