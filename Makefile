@@ -78,7 +78,7 @@ bench-integrators: $(BUILD)/bench/integrators ## run time against error of every
 bench-source: $(BUILD)/bench/source ## the experiments of the (p,q,r) paper, with their mistakes shown
 	OMP_THREAD_LIMIT=1 $(BUILD)/bench/source --out $(BUILD)/bench-source
 
-stress: $(BUILD)/bench/stress ## which integrator survives what: 488 scenes, the default in all of them
+stress: $(BUILD)/bench/stress ## which integrator survives what: 488 scenes; the default has to survive all
 	$(BUILD)/bench/stress
 
 accuracy: $(BUILD)/bench/accuracy ## the verification table: expected beside found; CalculiX if there
