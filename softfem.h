@@ -18838,7 +18838,9 @@ static void sfemi_sleep_begin(sfem_body *b)
     for (k = 0; k < b->def.max_handles; ++k)
         memcpy(s->handle[k].hold.past, s->handle[k].hold.target, sizeof s->handle[k].hold.past);
     s->head->sleep = SFEMI_ASLEEP;
-    s->head->started = SFEMI_RESTARTED;
+    s->head->started = SFEMI_LOAD_FIXED;
+    s->head->pairs = s->head->skipped = 0;
+    s->head->estimate = s->head->rate = 0;
     if (!b->turns) return;
     memcpy(s->f_past, s->f, bytes);
     s->head->energy = sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
