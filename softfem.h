@@ -1078,7 +1078,8 @@ typedef struct sfem_body_def {
     sfem_real accuracy;       /* (p,q,r) of nonlinear laws: a step is corrected, by further solves with the same
                                * factor, until another one is expected to gain less than this part of the energy
                                * in motion. 1e-6, the default: errors of full Newton within a factor of two;
-                               * 1: one solve a step, never corrected; 1e-12: as far as rounding goes */
+                               * 1: one solve a step, never corrected; 1e-20: as far as rounding goes (an energy: the
+                               * velocity is off by its square root) */
     sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.2
                                * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
@@ -17530,6 +17531,23 @@ static const sfem_real *sfemi_correct_forecast(sfem_body *b)
     return f;
 }
 
+/* The caller's damping at the velocity that is expected, to b->rhs and to the motion of free pieces: corrections take
+ * what is left. All of it, which is of first order, would be lost in steps that need none by accuracy. */
+static void sfemi_correct_brake(sfem_body *b, const sfemi_pqr_terms *t)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real ahead = sfemi_body_coefficients(b, b->p).q / 2 * b->step;
+    sfem_real *v = b->guard.dir, *force = b->guard.other;
+    size_t i;
+    if (!sfemi_correct_is_braked(b)) return;
+    for (i = 0; i < n; ++i) v[i] = t->cd * s->w[i] + ahead * s->a[i];
+    memset(force, 0, n * sizeof *force);
+    b->def.damping_force.force(b->def.damping_force.user, v, force);
+    for (i = 0; i < n; ++i) b->rhs[i] += force[i];
+    if (sfemi_turn_projects(b)) sfemi_turn_push_more(b, s->u, force, -1);
+}
+
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
@@ -17585,6 +17603,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         b->rhs[i] += model->node_mass[i / 3] *
                      (b->alpha * t.cd * s->w[i] - (b->alpha * t.ca - t.am) * s->a[i]);
     for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
+    sfemi_correct_brake(b, &t);
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
@@ -18140,6 +18159,23 @@ static void sfemi_correct_weigh(sfem_body *b)
     }
 }
 
+/* The decrement that rounding of places leaves: r is wrong by 1e-16 k |x| at a node whose own stiffness is k. Energies
+ * are no measure of it, for the decrement is of second order in r. */
+static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation *q)
+{
+    const sfemi_factor_key *key = &b->factor->key;
+    const sfem_real *x = b->model->mesh.x, *u = b->guard.u;
+    sfem_real sum = 0;
+    sfem_int i;
+    for (i = 0; key->ck > 0 && i < b->model->mesh.nodes; ++i) {
+        const sfem_real inverse = b->turn.diagonal[i];
+        const sfem_real k = inverse > 0 ? (1 / inverse - key->cm * b->model->node_mass[i]) / key->ck : 0;
+        const sfem_real p[3] = {x[3 * i] + u[3 * i], x[3 * i + 1] + u[3 * i + 1], x[3 * i + 2] + u[3 * i + 2]};
+        sum += k * k * sfemi_dot3(p, p) * inverse;
+    }
+    return 1e-32 * q->h * q->d * sum;
+}
+
 /* From the trial in guard to the solution of the equation. A trial that is not finite is left to be rejected. */
 static void sfemi_correct(sfem_body *b)
 {
@@ -18159,13 +18195,14 @@ static void sfemi_correct(sfem_body *b)
     sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
     for (i = 0; i < n; ++i) cheap += g->grad[i] * g->grad[i] * b->turn.diagonal[i / 3];
     cheap *= q.h * q.d;
+    if (!(cheap > 0)) return; /* at rest */
     if (head->estimate > 0 && head->estimate * cheap < 10 * b->def.accuracy * head->scale &&
         head->skipped < SKIPS && sfemi_guard_accepts(b, &e, &budget)) {
         ++head->skipped;
         return;
     }
     head->skipped = 0;
-    tolerance = fmax(b->def.accuracy * head->scale, sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, q.h).rounding);
+    tolerance = fmax(b->def.accuracy * head->scale, sfemi_correct_rounding(b, &q));
     first = sfemi_correct_iterate(b, &q, sfemi_body_active(b), head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST,
                                   tolerance);
     if (cheap > 0 && first > 0)
