@@ -18273,7 +18273,9 @@ static void sfemi_guard_constrain(sfem_body *b)
     sfemi_guard_hold(b, &b->grip, s->frame, g->w);
 }
 
-/* guard.w by which free pieces move and rotate as their momenta have it, held ones not at all. */
+/* guard.w by which free pieces move and rotate as their momenta have it, held ones not at all. They rotate about their
+ * angular momentum L, at its rate along it: L.J^-1 L, and with it the energy, stay what they are. About the angular
+ * velocity J^-1 L of a piece that tumbles, it would change in a step of finite length. */
 static void sfemi_guard_move_rigidly(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
@@ -18287,10 +18289,12 @@ static void sfemi_guard_move_rigidly(sfem_body *b)
     sfemi_turn_divide(b);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-        sfem_real arm[3], angle[3], rotation[9];
+        sfem_real arm[3], angle[3], rotation[9], rate;
         if (b->turn.piece_of[i] < 0 || p->held) continue;
         sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
-        for (c = 0; c < 3; ++c) angle[c] = h * p->motion[3 + c];
+        rate = sfemi_dot3(p->push + 3, p->push + 3);
+        if (rate > 0) rate = sfemi_dot3(p->motion + 3, p->push + 3) / rate;
+        for (c = 0; c < 3; ++c) angle[c] = h * rate * p->push[3 + c];
         sfemi_rotate_by(angle, rotation);
         for (c = 0; c < 3; ++c)
             g->w[3 * i + c] = (sfemi_dot3(rotation + 3 * c, arm) - arm[c]) / h + p->motion[c];
