@@ -43,7 +43,8 @@
  *            >>alpha        dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *            >>pqr          the (p,q,r) family, central difference
  *            >>turn         A^-1 in a body that turns: frames, rigid projection
- *            >>guard        (p,q,r) for nonlinear laws: energies watched, steps done again; breaking
+ *            >>resume       linear bodies whose step, pins or handles change
+ *            >>guard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>renew        a factor of the present tangent, made in slices
  *            >>body         the pipeline that a user calls: create, prepare, step, read
@@ -948,21 +949,29 @@ typedef struct sfem_piece {
 
 /* M u'' + D u' + K u = F. All three are of the family  A a = rhs, A = r M + (q/2) h D + p h^2 K, and
  * share factors:
- *   SFEM_PQR      one solve with a constant A:  A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w'
+ *   SFEM_PQR      linear: one solve with a constant A:  A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w'
  *                 [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for
  *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
+ *                 Bodies of nonlinear laws, and with a damping force of the caller's: the same solve is a trial,
+ *                 with the factor of the rest pose rotated by a frame for each node, and is corrected by L-BFGS with
+ *                 that factor towards HHT's equation, as often as def.accuracy asks for, 2 to 3 solves a step on
+ *                 good meshes at 1/60 s, 1.1 at 1/240 s. Every step's energy is tested; one that would make
+ *                 energy is rejected, and backward Euler's taken in its place
  *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
  *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
  *   SFEM_KR_ALPHA [Kolay and Ricles 2014], one solve with a constant A, second order, unconditionally
  *                 stable for linear bodies; it damps the fastest modes by rho_inf a step, the slow ones
- *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]. Steps may
- *                 change, but by more than a tenth all the time they drive modes that are not resolved
+ *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]. Where the step,
+ *                 pins or handles of a linear body change, one step of an L-stable method with the same
+ *                 factor (three solves) is taken, and KR-alpha starts afresh. It may overshoot: 20 times
+ *                 (rho_inf = .8) to 50 times (.95) the energy of modes that start displaced and not resolved
  *   SFEM_GUI      [Gui et al. 2014] with gui_lambda: (1/gui_lambda, 1, 1) under the load at the start of the
  *                 step, whatever p, q, r say; unconditionally stable up to 4, which is CR
  *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
  *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
  *                 body is nonlinear or its load changes.)
- * These three turn, are guarded, hold pins and handles as (p,q,r) does; KR-alpha knows no corrections.
+ * These three rotate the factor and have the energy safeguard of (p,q,r), and hold pins and handles as it does, but
+ * make one solve a step: they are never corrected.
  * In these, and in Newmark's of linear bodies, the momenta of a free piece are changed by its loads alone, to
  * rounding of the velocities: however stiff the body and long the step, internal forces are not asked.
  * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
@@ -994,11 +1003,9 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 
 /* linear body: 1/12 where every mode is resolved (omega_max h < 2), else 1/4; others as SFEM_P_SAFE */
 #define SFEM_P_AUTO (-1.0)
-/* 1/4 for a linear body; for others m = .28 if corotational (.27 if it may break), 1/2 if it hardens:
- * margins for tangents that outgrow that at rest. Where a step resolves every mode or nearly, the mass is
- * margin enough, and p falls with W = h omega_max (of the free body at rest; found by the first body of a model
- * that may need it, the time of some 20 products with K) as m + .1 - 1/W^2, from m at W = 3.2 to 1/12 at W =
- * 1.8: errors are then a tenth of the trapezoidal rule's. Bodies that break, correct or renew keep m. */
+/* 1/4 for a linear body. For others, corrected ones: what the equation has that they are corrected towards, (1+a)^2
+ * (1-a)/4 with a = dissipation, 0.288. With one solve a step: 0.27 if corotational, 1/2 if it hardens, margins for
+ * tangents that outgrow that at rest. More where the law of damage asks for it. */
 #define SFEM_P_SAFE (-2.0)
 
 /* The frame in which the constant factor of a body that turns is used: turned with each node (default), with
@@ -1048,13 +1055,14 @@ typedef struct sfem_newton_info {
     sfem_real residual;      /* relative, see tolerance; the last that was computed */
 } sfem_newton_info;
 
-/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods. Called from the
- * thread that steps. */
+/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods, and for SFEM_PQR with an
+ * accuracy below 1, which corrects its steps for it: up to 40 solves where h dD/dv exceeds the mass, since its
+ * factor does not know it. Called from the thread that steps. */
 typedef struct sfem_damping_force {
     /* adds D(v), N, to force [nodes][3]: it is subtracted from the load, so that v.D(v) >= 0 damps */
     void (*force)(void *user, const sfem_real *v /* [nodes][3] */, sfem_real *force);
     /* adds dD/dv, symmetric, to a matrix on K's pattern (zero when it comes); or NULL: the force is then
-     * iterated upon, which converges while h dD/dv stays below the mass, linearly */
+     * iterated upon, which converges while h dD/dv stays below the mass, linearly. SFEM_PQR does not ask for it */
     void (*tangent)(void *user, const sfem_real *v, sfem_matrix *tangent);
     void *user;
 } sfem_damping_force;
@@ -1071,15 +1079,16 @@ typedef struct sfem_body_def {
     sfem_newton_def newton;
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
-    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next three: */
-    int no_guard;             /* take every step as it comes, even if it makes energy */
+    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next one: */
+    int no_guard;             /* no energy safeguard: every step is taken as it comes, even if it makes energy */
     const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
                                * NULL, the default: it does not, and pays nothing for it. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws: a step is corrected, by further solves with the same
-                               * factor, until another one is expected to gain less than this part of the energy
-                               * in motion. 1e-6, the default: errors of full Newton within a factor of two;
-                               * 1: one solve a step, never corrected; 1e-20: as far as rounding goes (an energy: the
-                               * velocity is off by its square root) */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, above 0, at most 1: a step is corrected, by further solves
+                               * with the same factor, until another one is expected to gain less than this part of
+                               * the energy in motion (the largest kinetic energy of late). 1e-6, the default: errors
+                               * of full Newton within a factor of two; 1e-4: a third fewer solves; 1: one solve a
+                               * step, never corrected; 1e-20: as far as rounding goes (it is an energy: velocities
+                               * are off by its square root) */
     sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.2
                                * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
@@ -1098,7 +1107,7 @@ typedef struct sfem_body_def {
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
     sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use; of a body that
-                               * turns up to 4 times that, and 4 times more for each factor of redone steps */
+                               * rotates up to 4 times that */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
     sfem_precision precision;
@@ -1120,7 +1129,7 @@ SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
  * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
  * a loop, the only function that allocates; set_pins and solve_static do, too, and, unless no_allocation
- * has it all made here, the first step that is done again. sfem_body_step calls it where it has to. Where
+ * has it all made here, the first rejected step of a strongly distorted body. sfem_body_step calls it where it has to. Where
  * Newton's matrix changes, what is made serves steps of any length.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
@@ -1130,22 +1139,29 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
  *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE;
  *           where Newton iterates SFEM_NOT_CONVERGED ("the step did not converge: residual 3e-05
  *           after 20 iterations") and SFEM_NOT_SPD
- *   cost    one product with K and one solve, O(nnz(L)) */
+ *   cost    linear: one product with K and one solve, O(nnz(L)). Nonlinear (p,q,r): 1 to 41 solves, and as many
+ *           evaluations of the forces or more, see sfem_body_info; 100 solves and ten factors where a strongly
+ *           distorted body has its step rejected */
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
-/* The same in three parts, for callers who put forces and constraints of their own (contact) between
- * them. predict wakes a sleeping body: while there is no contact that changes, give it whole steps. (Where a
- * changed load wakes it in a whole step, that step goes without the caller's forces.)
- * predict fills the right side; sfem_body_rhs points at it until solve: a force added there acts
- * during this step, as F at its start does. solve leaves the step's acceleration where
- * sfem_body_acceleration points. finish takes the step. predict may be called again to give a step
- * up. */
+/* The same in three parts, for callers who put forces of their own (contact) between them.
+ *   predict  fills the right side. sfem_body_rhs points at it until solve: a force added there acts during this
+ *            step, as F at its start does. Called again it gives the step up. It wakes a sleeping body: while there
+ *            is no contact that changes, give such a body whole steps. (Where a changed load wakes it in a whole
+ *            step, that step goes without the caller's forces.)
+ *   solve    leaves the step's acceleration where sfem_body_acceleration points, to be read.
+ *   finish   takes the step, or in its place the one that the energy safeguard puts there.
+ * sfem_body_add_impulse adds j, N s, to a node between predict and finish: M dv = j over the step. After solve the
+ * step is solved again, in finish, for all that was added. Forces and impulses act in rejected steps, too, and
+ * their work counts in the energy budget.
+ *   errors  of add_impulse: SFEM_BAD_ARGUMENT (no such node; not between predict and finish), SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *body); /* [nodes][3], m/s^2; only to be read where
-                                                               * the method is implicit */
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const sfem_real j[3],
+                                           sfem_error *err);
 
 /* Sleep. With def.sleep_tolerance > 0 a body falls asleep at the end of a step where for sleep_time seconds
  * no node has moved faster than the tolerance and none has changed its velocity by more than a quarter of it
@@ -1214,12 +1230,14 @@ typedef struct sfem_energy {
     sfem_real total;                  /* their sum */
     sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
                           * nonlinear body nearly, without the motion of free pieces' centres of mass: for
-                          * its guarded steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
-                          * - F.(u+u-)/2, after a step done again 1/2 w.r M w + E - F.u; for a linear body
+                          * its steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
+                          * - F.(u+u-)/2, after a rejected one 1/2 w.r M w + E - F.u; for a linear body
                           * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
                           * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a */
 } sfem_energy;
-SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body); /* two products with K; allocates nothing */
+/* Two products with K; allocates nothing. This and sfem_body_reactions may be called at any time, also between
+ * predict, solve and finish, of which they see the state before the step, and change no later bit. */
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body);
 
 typedef struct sfem_body_info {
     sfem_int nodes, tets, free_nodes;
@@ -1274,15 +1292,16 @@ typedef struct sfem_renewal {
     double flops, done;  /* of the one under way, or of the last: all, so far */
     sfem_real drift;     /* by what part the inertia that the factor puts in the way of the motion is wrong:
                           * |p h^2 w.A_K w - p h w.(f - f-)| over w.(r M + p h^2 A_K) w, A_K the factor's K,
-                          * turned, both averaged over a quarter second; 1 for a step that the guard does
+                          * rotated, both averaged over the last 16 steps; 1 for a step that the guard does
                           * again. Only with renew_drift > 0 (a product with K a step); else 0 */
     int64_t made, failed;
 } sfem_renewal;
 SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *body);
 
 /* Pins hold a node where it was when it was pinned. Those of the definition are eliminated; this call
- * replaces them all, and the next step prepares a new factor. move_pin sets where a pinned node is to be
- * at the end of the next step. A reaction is the force of the support on the body, N, in the present
+ * replaces them all, and the next step prepares a new factor. Of a running linear body it is to be called where
+ * pins change only: (p,q,r) with p other than 1/4 then solves some 40 times for the velocity. move_pin sets where
+ * a pinned node is to be at the end of the next step. A reaction is the force of the support on the body, N, in the present
  * state, by the equation of motion; zero on axes that are not held. */
 SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *body, sfem_int count, const sfem_int *pins,
                                         const unsigned char *axes, sfem_error *err);
@@ -14901,6 +14920,7 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
     sfem_real curvature[SFEMI_MEMORY]; /* and their products */
     int pairs;             /* so many so far in this step */
+    int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
     int converged;         /* the corrections went as far as they should */
     sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
     sfem_real isotropic_h;
@@ -14998,7 +15018,16 @@ struct sfem_body {
     sfemi_state_head before; /* what was when it began */
     sfem_real step;      /* its h */
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
+    sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
+    sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
+    int is_late;
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
+    sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
+    sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
+    sfem_real *velocity; /* >>resume: [nodes][3] what a step that starts afresh (fresh) starts from, */
+    int fresh;           /* the state being that of a running body; w otherwise */
+    int bridges;         /* >>resume: the step is one of another method */
+    int falls;           /* >>resume: velocity is to be taken from the right side */
     sfemi_implicit implicit;
     sfemi_renewal renewal;
 };
@@ -15026,6 +15055,15 @@ static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real 
     if (b->def.integrator == SFEM_KR_ALPHA)
         k.q = (3 - b->def.rho_inf) / ((1 + b->def.rho_inf) * (2 - b->def.rho_inf));
     return k;
+}
+
+/* The velocity, or mean velocity, that the step under way starts from. */
+static const sfem_real *sfemi_body_way(const sfem_body *b) { return b->fresh ? b->velocity : b->state.w; }
+
+/* Does the step under way go on from one before it? */
+static int sfemi_body_goes_on(const sfem_body *b)
+{
+    return b->state.head->started == SFEMI_RUNNING && !b->fresh;
 }
 
 /* out = load[0] F+ + load[1] F + load[2] F- + their sum M g - rhs; out may be rhs. */
@@ -15102,6 +15140,7 @@ static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
         sfem_real pap = 0, length, next;
         sfem_model_multiply_mass(model, p, ap, &b->exec);
         for (i = 0; i < n; ++i) pap += p[i] * ap[i];
+        if (!(pap > 0)) break; /* it underflows in a body at rest */
         length = rz / pap;
         for (i = 0; i < n; ++i) {
             a[i] += length * p[i];
@@ -15111,6 +15150,26 @@ static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
         for (i = 0; i < n; ++i) p[i] = z[i] + next / rz * p[i];
         rz = next;
     }
+}
+
+/* x = what is nearest to y, in the norm of M, of all that has x on held axes and grip.lambda at the handles'
+ * points. Uses the step's scratch; y may be x. */
+static void sfemi_body_project(sfem_body *b, const sfem_real *y, sfem_real *x)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *given = b->spare ? b->spare : b->implicit.step;
+    size_t i;
+    if (!b->model->block_mass) {
+        for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : y[i];
+        if (b->grip.count) sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, x);
+        return;
+    }
+    for (i = 0; i < n; ++i) given[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : 0;
+    if (b->grip.count) sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, given);
+    for (i = 0; i < n; ++i) x[i] = y[i] - given[i];
+    sfem_model_multiply_mass(b->model, x, b->rhs, &b->exec);
+    sfemi_body_mass_solve(b, x);
+    for (i = 0; i < n; ++i) x[i] += given[i];
 }
 
 /* a0 = (scale M)^-1 (F - K u - D v), the acceleration at the start; zero where pins and handles hold. */
@@ -15161,8 +15220,9 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_
 static void sfemi_newmark_guess(const sfem_body *b, size_t i, sfem_real h, sfem_real *u, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    *u = s->u[i] + h * (s->w[i] + h * (0.5 - b->def.beta) * s->a[i]);
-    *v = s->w[i] + (1 - b->def.gamma) * h * s->a[i];
+    const sfem_real w = sfemi_body_way(b)[i];
+    *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * s->a[i]);
+    *v = w + (1 - b->def.gamma) * h * s->a[i];
 }
 
 static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
@@ -15255,7 +15315,7 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
                               b->state.head->h, motion[0], motion[1]);
             for (c = 0; c < 3; ++c) b->grip.lambda[3 * i + c] = motion[pass][c];
         }
-        sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, array[pass]);
+        sfemi_body_project(b, array[pass], array[pass]);
     }
 }
 
@@ -16278,13 +16338,15 @@ static sfem_real sfemi_alpha_p(const sfem_body *b)
  * the load p F+ + (1-2p) F + p F-; p = 0 is central difference. The source starts with w = v0, which is
  * first order; here the first step is Newmark's own,
  *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
- * and a step of another length, h1 before and h2 now, follows from the same two half-steps:
- *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + ((1/4-p) h2^2 - (1/4-p1) h1^2) D a
- *           + p h2 (F+ - F) + p1 h1 (F- - F),   where p may be another one, p1, too.
+ * but without the part of a0 where D has more than the mass: it makes energy of stiff modes (15 000-fold at p = 1/2,
+ * beta = .001 s, h omega = 600), and the order stays. A step of another length, h1 before and h2 now, follows from
+ * the same two half-steps,
+ *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + p h2 (F+ - F) + p1 h1 (F- - F),
+ * where p may be another one, p1, too; see >>resume for what is added to it.
  * Both are put as one equation for a = (w' - w)/d, d = (h1 + h2)/2 being the time between the centres of the
  * two means and h1 = 0 the start: A a = b, where every force in b has weight one,
  *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p1 (h1/d)(F- - F),
- *   ck = (p1 h1^2 - p h2^2)/d,  cd = (h1 - (q/2)(h1 - h2))/d,  ca = ((1/4-p) h2^2 - (1/4-p1) h1^2)/d.
+ *   ck = (p1 h1^2 - p h2^2)/d,  cd = (h1 - (q/2)(h1 - h2))/d,  ca = (1/4-p) h2^2/d at the start, else 0.
  * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
 
@@ -16333,7 +16395,7 @@ static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
 static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
 {
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
-    const int running = b->state.head->started == SFEMI_RUNNING;
+    const int running = sfemi_body_goes_on(b), first = b->state.head->started <= SFEMI_LOAD_FIXED;
     const sfem_real h1 = running ? b->state.head->h : 0, p1 = h1 > 0 ? b->state.head->p : 0;
     sfemi_pqr_terms t;
     if (b->def.integrator == SFEM_KR_ALPHA) return sfemi_alpha_weigh(b, h1, h2);
@@ -16341,10 +16403,10 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
     t.d = (h1 + h2) / 2;
     t.ck = (p1 * h1 * h1 - k.p * h2 * h2) / t.d;
     t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
-    t.ca = ((0.25 - k.p) * h2 * h2 - (0.25 - p1) * h1 * h1) / t.d;
+    t.ca = first && b->beta == 0 && !b->zd ? (0.25 - k.p) * h2 * h2 / t.d : 0; /* by K it would make energy */
     t.load[0] = k.p * h2 / t.d;
     t.load[2] = p1 * h1 / t.d;
-    if (!running && sfemi_pqr_starts_at_fourth_order(b)) {
+    if (first && sfemi_pqr_starts_at_fourth_order(b)) {
         t.ck = -h2 / 3;
         t.load[0] = 1.0 / 3;
     }
@@ -16360,9 +16422,9 @@ static const sfem_real *sfemi_pqr_base(const sfem_body *b) { return b->base ? b-
 static void sfemi_alpha_predict(sfem_body *b, sfem_real h, sfem_real back)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real *w = b->state.w, *a = b->state.a;
+    const sfem_real *w = sfemi_body_way(b), *a = b->state.a;
     size_t i;
-    if (b->state.head->started == SFEMI_RUNNING) {
+    if (sfemi_body_goes_on(b)) {
         for (i = 0; i < n; ++i) b->base[i] = w[i] - back * a[i];
         return;
     }
@@ -16383,19 +16445,19 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
     const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
-    const sfem_real *base = sfemi_pqr_base(b);
+    const sfem_real *base = sfemi_pqr_base(b), *w = sfemi_body_way(b);
     int with_mass, c;
     sfemi_pqr_terms t;
     sfem_int j;
     size_t i;
-    if (s->head->started != SFEMI_RUNNING && damped && b->p != 0.25 && !b->base)
+    if (s->head->started <= SFEMI_LOAD_FIXED && damped && b->p != 0.25 && !b->base)
         sfemi_body_initial_acceleration(b, k.r);
     t = sfemi_pqr_weigh(b, h);
     if (b->base) sfemi_alpha_predict(b, h, t.back);
     with_mass = b->alpha != 0 || t.am != 0;
     for (i = 0; i < n; ++i) {
-        const sfem_real dv = damped ? t.cd * s->w[i] - t.ca * s->a[i] : 0;
-        b->zk[i] = s->u[i] - t.ck * s->w[i] + t.cka * s->a[i] + b->beta * dv;
+        const sfem_real dv = damped ? t.cd * w[i] - t.ca * s->a[i] : 0;
+        b->zk[i] = s->u[i] - t.ck * w[i] + t.cka * s->a[i] + b->beta * dv;
         b->zm[i] = b->alpha * dv + t.am * s->a[i];
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
@@ -16908,6 +16970,16 @@ static void sfemi_turn_push_more(sfem_body *b, const sfem_real *u, const sfem_re
         for (c = 0; c < 6; ++c) b->turn.piece[k].push[c] += scale * b->turn.piece[k].motion[c];
 }
 
+/* The push of pieces whose velocities, not forces, are given. */
+static void sfemi_turn_push_velocity(sfem_body *b, const sfem_real *v)
+{
+    sfem_int k;
+    int c;
+    sfemi_turn_motion(b, NULL, v, 1);
+    for (k = 0; k < b->turn.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->turn.piece[k].push[c] = b->turn.piece[k].motion[c];
+}
+
 /* Of a body of linear laws: gives the acceleration the rigid part that the loads give it. What A^-1 has
  * made of it differs by rounding, times the condition of A. */
 static void sfemi_turn_settle(sfem_body *b, sfem_real cm, sfem_real *a)
@@ -17185,40 +17257,610 @@ done:
 }
 
 /* ============================================================================================
- * >>guard   (p,q,r) for bodies that turn: the guarded step
+ * >>resume   linear bodies whose step, pins or handles change
  *
- * Turning the factor is not enough in violent motion. Two energies are watched, with L the loads and v_r,
- * L_r the parts of w' and L that do not move a free piece's centre of mass:
+ * With B = A - h/2 D - h^2/4 K, which is r M + (p - 1/4) h^2 K for q = 1, a step of (p,q,r) is
+ *   B (v' - v)/h = F - K (u + u')/2 - D w' + H^T l,   (u' - u)/h = (v + v')/2 = w',
+ * v being a velocity at u, and H^T l the forces that hold. So it changes
+ *   E = 1/2 v.B v + 1/2 u.K u
+ * by the work of F and l, less h w'.D w'. E bounds the elastic energy of every step; the mean energy of
+ * sfem_body_energy does not: it is E times (1 + (p - 1/4) W^2)/(1 + p W^2) in a mode of W = h omega. What
+ * follows keeps E from rising by itself.
+ *   1. What held is let go. The history of (p,q,r), m = A w - h/2 (K u + D w - F) = B v, lacks H^T l: in stiff
+ *      bodies most of it is the force that the hand had taken up, and it would become motion. So
+ *        v = w + B^-1 (h/2) (F - K (u + u-)/2 - D w + H^T l)
+ *      is found, l by H v = the velocity of what held, and the next step starts from it with m = B v.
+ *   2. Something is held. The step that follows has a given H w'; what m has of H^T plays no part in it, and
+ *      E falls by 1/2 |H v|^2 in the norm of (H B^-1 H^T)^-1: an inelastic impulse. That needs m as it was:
+ *      w of new pins is not set to zero before it.
+ *   3. The step changes. (p,q,r) keeps m, and so E - 1/2 u.K u changes from 1/2 m.B1^-1 m to 1/2 m.B2^-1 m: by
+ *      random steps that grows without bound (p = 1/2, W to 60: 1e135-fold in 1000 steps), but not where B is
+ *      M, at p = 1/4, q = 1. To keep it m would have to be multiplied by the root of B2 B1^-1. m is therefore
+ *        m - C v/2 - C B1^-1 C v/2,  C = B1 - B2, where B falls: 1 - t/2 - t^2/2 <= (1 - t)^(1/2), 0 <= t <= 1,
+ *        m - C B2^-1 m/2,            where B grows: 1 + t/2 <= (1 - t)^(-1/2),
+ *      t an eigenvalue of B1^-1 C or -B2^-1 C, so that E does not rise; it falls by O(W^4), of second order.
+ *      In a damaged body A has the intact K0, and B - r M = h^2 (p K0 - K/4) is not zero at p = 1/4 either. Where
+ *      pieces of it are free, their rigid motion is projected out of A (>>turn), which this B does not know:
+ *      there energy still grows by steps in turn (17-fold in 150 of 1/60 and 1/30 s, one free node).
+ *   4. Newmark(beta, gamma) is (beta, 2 gamma, 1) with m = M v. Its a, M a = F - D v - K u, is stale where
+ *      something is let go, and is computed again.
+ *   5. KR-alpha has no such energy, and its fast modes overshoot before they decay (18 times the energy of a start
+ *      at W = 600, rho_inf = .8). Where its step or what is held changes, v is taken between w and the w that it
+ *      would go on with, and one step of another method follows, from which it starts afresh: with y = (u, v),
+ *      y' = J y + .., T = (1 - g h J)^-1, g = p^(1/2), which is a solve with the same A,
+ *        k1 = T h y', k2 = T k1, k3 = T k2,  y + g k1 + (3 - 2 g - 1/(2 g)) k2 + (1/(2 g) - 2 + g) k3:
+ *      of second order, stiff modes gone after one step, and |R(iW)| <= 1 for all W, so that it lowers 1/2 v.M v +
+ *      1/2 u.K u whatever the motion. A change every n steps, n to 41, then has spectral radii below .9999 at all
+ *      W, rho_inf 0 to .99 (computed; with v = w + h/2 b 1.12, with w - h/2 A^-1 K (u + u-)/2 1.002).
+ * Solves with B are by conjugate gradients preconditioned by the factor at hand: B is between (1 - 1/(4p)) A
+ * and A, or nearly where the step changes. Some 15 solves at p = 1/2, 40 at p = .28; at p = 1/4, q = 1 none.
+ * ============================================================================================ */
+
+static int sfemi_resume_serves(const sfem_body *b)
+{
+    return !b->model->turns && b->turns != SFEMI_CORRECTS && !sfemi_implicit_serves(b);
+}
+
+/* B = k K + bound (K in A) + m M + d (rest of D). */
+typedef struct sfemi_inertia {
+    sfem_real k, bound, m, d;
+} sfemi_inertia;
+
+static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_real p)
+{
+    const sfemi_coefficients k = sfemi_body_coefficients(b, p);
+    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    sfemi_inertia t;
+    t.d = newmark ? 0 : (k.q - 1) / 2 * h;
+    t.m = k.r + t.d * b->alpha;
+    t.bound = p * h * h + t.d * b->beta;
+    t.k = newmark ? -b->def.gamma / 2 * h * h : -h * h / 4;
+    return t;
+}
+
+/* Is what A holds of K another matrix than K? */
+static int sfemi_resume_bounded(const sfem_body *b)
+{
+    return b->turns && (b->damage->tets > 0 || b->renewal.live || b->def.frame == SFEM_FRAME_MAJORANT);
+}
+
+/* y = B x; x and y apart. */
+static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sfem_real *x, sfem_real *y)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const int bounded = sfemi_resume_bounded(b);
+    const sfem_real own = bounded ? t->bound : t->bound + t->k;
+    sfem_real *z = b->spare + 3 * n;
+    size_t i;
+    if (bounded && b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(model, x, y);
+    else if (own == 0) memset(y, 0, n * sizeof *y);
+    else sfem_matrix_multiply(bounded && b->renewal.live ? b->renewal.k + b->renewal.live - 1 : &model->stiffness,
+                              x, y, &b->exec);
+    for (i = 0; i < n; ++i) y[i] *= own;
+    if (bounded) {
+        sfem_matrix_multiply(&model->stiffness, x, z, &b->exec);
+        sfemi_fracture_multiply(b, x, z);
+        for (i = 0; i < n; ++i) y[i] += t->k * z[i];
+    }
+    sfemi_fem_add_mass(model, t->m, x, y);
+    if (t->d == 0 || !model->damping) return;
+    for (i = 0; i < n; ++i) z[i] = t->d * x[i];
+    sfemi_fem_add_damping_rest(model, z, y);
+}
+
+/* x less the least change, in the lumped mass, that makes the handles' points stand in it. */
+static void sfemi_resume_still(sfem_body *b, sfem_real *x)
+{
+    if (!b->grip.count) return;
+    memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+    sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, x);
+}
+
+/* r = P^T r, z = P A^-1 r, P taking out held axes and the handles' motion; M in place of A without a factor. */
+static void sfemi_resume_precondition(sfem_body *b, sfem_real *r, sfem_real *z)
+{
+    const sfem_real *mass = b->model->node_mass;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    for (i = 0; i < n; ++i) z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / mass[i / 3];
+    sfemi_resume_still(b, z);
+    for (i = 0; i < n; ++i) r[i] = mass[i / 3] * z[i];
+    if (!b->factor) return;
+    memcpy(z, r, n * sizeof *z);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, z, z, b->work, &b->exec);
+    sfemi_resume_still(b, z);
+}
+
+/* x += the solution of B x = r on the free axes, the handles' points standing. r is overwritten. Cut short it
+ * is dissipative: the M~-norm of the iterates rises to the solution's. */
+static void sfemi_resume_solve(sfem_body *b, const sfemi_inertia *t, sfem_real *r, sfem_real *x)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *z = b->spare, *p = b->spare + n, *bp = b->spare + 2 * n, rz, first;
+    size_t i;
+    int k;
+    sfemi_resume_precondition(b, r, z);
+    memcpy(p, z, n * sizeof *p);
+    first = rz = 0;
+    for (i = 0; i < n; ++i) first += r[i] * z[i];
+    for (k = 0, rz = first; k < 500 && rz > 1e-24 * first; ++k) {
+        sfem_real pbp = 0, length, next = 0;
+        sfemi_resume_multiply(b, t, p, bp);
+        for (i = 0; i < n; ++i) pbp += p[i] * bp[i];
+        if (!(pbp > 0)) return;
+        length = rz / pbp;
+        for (i = 0; i < n; ++i) {
+            x[i] += length * p[i];
+            r[i] -= length * bp[i];
+        }
+        sfemi_resume_precondition(b, r, z);
+        for (i = 0; i < n; ++i) next += r[i] * z[i];
+        for (i = 0; i < n; ++i) p[i] = z[i] + next / rz * p[i];
+        rz = next;
+    }
+}
+
+/* To b->rhs: F - K (u + u-)/2 - D w over the last step, its load the mean that the method has taken. */
+static void sfemi_resume_mean_force(sfem_body *b)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real past = b->def.plain_load ? 0 : b->base ? 0.5 : 2 * s->head->p;
+    const sfem_real load[3] = {0, 1 - past, past}, half = s->head->h / 2;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = (b->turns ? 0 : s->u[i] - half * s->w[i]) + b->beta * s->w[i];
+        b->zm[i] = b->alpha * s->w[i];
+        if (b->zd) b->zd[i] = s->w[i];
+        b->acc[i] = 0;
+    }
+    if (b->turns && b->beta != 0) sfemi_fracture_multiply(b, b->zk, b->acc);
+    sfemi_body_residual(b, load, b->alpha != 0);
+    for (i = 0; b->turns && i < n; ++i) b->rhs[i] -= (s->f[i] + s->f_past[i]) / 2 + b->acc[i];
+}
+
+/* The velocity v at the end of the last step, see above, to v: what holds has that of sfem_body_velocities. */
+static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
+{
+    const sfemi_state *s = &b->state;
+    const sfemi_inertia t = sfemi_resume_inertia(b, s->head->h, s->head->p);
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real half = s->head->h / 2;
+    sfem_real *r = b->rhs, *change = b->spare;
+    sfem_int k;
+    size_t i;
+    int c, moved = 0;
+    sfemi_resume_mean_force(b);
+    for (i = 0; i < n; ++i) v[i] = s->w[i] + (b->mask[i / 3] >> (i % 3) & 1 ? half * s->a[i] : 0);
+    for (k = 0; k < b->grip.count; ++k) {
+        sfem_real w[3], a[3];
+        sfemi_grip_mean(s->handle + b->grip.slot[k], s->w, w);
+        sfemi_grip_mean(s->handle + b->grip.slot[k], s->a, a);
+        for (c = 0; c < 3; ++c) /* new ones stop what they take */
+            b->grip.lambda[3 * k + c] = s->handle[b->grip.slot[k]].hold.age > 0 ? w[c] + half * a[c] : 0;
+    }
+    if (b->grip.count) sfemi_grip_project(&b->grip, s->handle, b->model, b->mask, v);
+    for (i = 0; i < n; ++i) {
+        r[i] *= half;
+        change[i] = v[i] - s->w[i];
+        moved |= change[i] != 0;
+    }
+    if (moved) {
+        sfemi_resume_multiply(b, &t, change, b->spare + n);
+        for (i = 0; i < n; ++i) r[i] -= b->spare[n + i];
+    }
+    if (t.bound + t.k == 0 && t.d == 0 && !sfemi_resume_bounded(b)) {
+        sfemi_body_mass_solve(b, change);
+        for (i = 0; i < n; ++i) v[i] += change[i] / t.m;
+    } else {
+        memcpy(b->acc, r, n * sizeof *r);
+        sfemi_resume_solve(b, &t, b->acc, v);
+    }
+}
+
+/* The handles that are there now, for projections in the mass norm; their columns may wait. */
+static void sfemi_resume_gather(sfem_body *b)
+{
+    sfemi_grip *g = &b->grip;
+    sfem_int k;
+    if (!g->dirty) return;
+    g->count = 0;
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used) g->slot[g->count++] = k;
+    sfemi_grip_gather(g, b->state.handle, b->model, 1, b->mask);
+}
+
+/* Newmark's M v = m to x = B^-1 m: the v of (p,q,r). */
+static void sfemi_resume_newmark(sfem_body *b, const sfemi_inertia *t, sfem_real *x)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_int k;
+    size_t i;
+    int c;
+    for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? s->w[i] : 0;
+    for (k = 0; k < b->grip.count; ++k) {
+        const sfemi_hold *hold = &s->handle[b->grip.slot[k]].hold;
+        sfem_real at[3], w[3];
+        sfem_body_handle_position(b, b->grip.slot[k], at);
+        sfemi_grip_mean(s->handle + b->grip.slot[k], s->w, w);
+        if (s->head->started != SFEMI_RUNNING) /* something has been let go since: w is not the velocity here */
+            for (c = 0; c < 3; ++c) w[c] = (at[c] - hold->past[c]) / s->head->h;
+        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = hold->age > 0 ? w[c] : 0;
+    }
+    if (b->grip.count) sfemi_grip_project(&b->grip, s->handle, b->model, b->mask, x);
+    sfemi_resume_multiply(b, t, x, b->spare);
+    sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
+    for (i = 0; i < n; ++i) b->acc[i] -= b->spare[i];
+    sfemi_resume_solve(b, t, b->acc, x);
+}
+
+/* Lets what holds go on as it has, for a step of h: its acceleration stays. */
+static void sfemi_resume_lead(sfem_body *b, sfem_real h)
+{
+    sfemi_state *s = &b->state;
+    const sfem_real d = (s->head->h + h) / 2;
+    sfem_int k;
+    int c;
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            const size_t i = 3 * (size_t)b->pin[k] + (size_t)c;
+            s->pin[k].target[c] = b->model->mesh.x[i] + s->u[i] + h * (s->w[i] + d * s->a[i]);
+        }
+    for (k = 0; k < b->grip.count; ++k) {
+        sfemi_handle *hand = s->handle + b->grip.slot[k];
+        sfem_real w[3], a[3];
+        sfem_body_handle_position(b, b->grip.slot[k], hand->hold.target);
+        sfemi_grip_mean(hand, s->w, w);
+        sfemi_grip_mean(hand, s->a, a);
+        for (c = 0; c < 3; ++c) hand->hold.target[c] += h * (w[c] + d * a[c]);
+    }
+}
+
+/* KR-alpha's velocity between the last step and one of h that goes on under what has held so far, to v. The
+ * factor is for h. */
+static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real before = b->state.head->h, d = sfemi_pqr_weigh(b, h).d;
+    sfemi_grip *g = &b->grip;
+    const sfem_int count = g->count;
+    sfem_int k;
+    size_t i;
+    b->step = h;
+    for (g->count = k = 0; k < count; ++k)
+        if (b->state.handle[g->slot[k]].hold.age > 0) g->slot[g->count++] = g->slot[k];
+    if (g->count < count) sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
+    sfemi_pqr_predict(b, h);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_pqr_solve(b);
+    for (i = 0; i < n; ++i) v[i] = (h * b->state.w[i] + before * (b->base[i] + d * b->acc[i])) / (before + h);
+    if (g->count == count) return;
+    for (g->count = k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used) g->slot[g->count++] = k;
+    sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
+}
+
+/* The same, what holds going on as it has: before a change nobody has told where it would have gone. */
+static void sfemi_resume_between_leading(sfem_body *b, sfem_real h, sfem_real *v)
+{
+    sfemi_state *s = &b->state;
+    sfem_real *pin = b->spare, *hand = b->grip.place;
+    sfem_int k;
+    for (k = 0; k < b->pin_count; ++k) memcpy(pin + 3 * k, s->pin[k].target, sizeof s->pin[k].target);
+    for (k = 0; k < b->grip.count; ++k)
+        memcpy(hand + 3 * k, s->handle[b->grip.slot[k]].hold.target, 3 * sizeof *hand);
+    sfemi_resume_lead(b, h);
+    sfemi_resume_between(b, h, v);
+    for (k = 0; k < b->pin_count; ++k) memcpy(s->pin[k].target, pin + 3 * k, sizeof s->pin[k].target);
+    for (k = 0; k < b->grip.count; ++k)
+        memcpy(s->handle[b->grip.slot[k]].hold.target, hand + 3 * k, 3 * sizeof *hand);
+}
+
+/* Before something is let go, pins or handles: brings a running body to u, v, its v or Newmark's in w. */
+static void sfemi_resume_stop(sfem_body *b, int pins)
+{
+    sfemi_state *s = &b->state;
+    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_inertia t;
+    sfem_real *v = b->velocity;
+    size_t i;
+    if (s->head->started != SFEMI_RUNNING || !(sfemi_resume_serves(b) || newmark)) return;
+    b->phase = SFEMI_IDLE;
+    b->fresh = 0;
+    if (!sfemi_resume_serves(b)) { /* Newton's: its a is stale, too */
+        s->head->started = SFEMI_RESTARTED;
+        return;
+    }
+    t = sfemi_resume_inertia(b, s->head->h, s->head->p);
+    sfemi_resume_gather(b);
+    if (b->base && b->factor && b->h == s->head->h && !b->grip.dirty) {
+        sfemi_resume_between_leading(b, b->h, v);
+        memcpy(s->w, v, n * sizeof *v);
+    } else if (!newmark) {
+        sfemi_resume_velocity(b, v);
+        memcpy(s->w, v, n * sizeof *v);
+    } else if (t.bound + t.k != 0) { /* m of what is let go is that of B v, too */
+        sfemi_resume_newmark(b, &t, v);
+        sfemi_resume_multiply(b, &t, v, b->spare);
+        for (i = 0; i < n; ++i)
+            if (b->model->node_mass[i / 3] > 0 && (pins || !(b->mask[i / 3] >> (i % 3) & 1)))
+                s->w[i] = b->model->block_mass ? v[i] : b->spare[i] / b->model->node_mass[i / 3];
+    }
+    if (b->turns) memcpy(s->f_past, s->f, n * sizeof *v);
+    memset(s->a, 0, n * sizeof *s->a);
+    s->head->started = SFEMI_RESTARTED;
+    if (b->turns && s->head->rebase == SFEMI_LEDGER) s->head->rebase = SFEMI_REBASE;
+}
+
+/* v projected in the norm of M to what is held in the step under way, which has the velocity that takes it to
+ * its target. */
+static void sfemi_resume_hold(sfem_body *b, sfem_real *v)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *m = b->spare + n;
+    sfem_int k;
+    size_t i;
+    int c;
+    sfemi_resume_gather(b);
+    memcpy(m, v, n * sizeof *m);
+    for (k = 0; k < b->pin_count; ++k)
+        for (c = 0; c < 3; ++c) {
+            i = 3 * (size_t)b->pin[k] + (size_t)c;
+            if (b->mask[b->pin[k]] >> c & 1)
+                v[i] = (b->state.pin[k].target[c] - b->model->mesh.x[i] - b->state.u[i]) / b->step;
+        }
+    for (k = 0; k < b->grip.count; ++k) {
+        sfem_real at[3];
+        sfem_body_handle_position(b, b->grip.slot[k], at);
+        for (c = 0; c < 3; ++c)
+            b->grip.lambda[3 * k + c] = (b->state.handle[b->grip.slot[k]].hold.target[c] - at[c]) / b->step;
+    }
+    sfemi_body_project(b, m, v);
+}
+
+/* After pins were set. (p,q,r) needs w as it was; Newmark has no other record of v than what it moves by. */
+static void sfemi_resume_pin(sfem_body *b)
+{
+    sfem_real *w = b->state.w;
+    size_t i;
+    if (sfemi_resume_serves(b) && b->def.integrator != SFEM_NEWMARK &&
+        b->state.head->started >= SFEMI_RESTARTED)
+        return;
+    if (sfemi_resume_serves(b) && b->model->block_mass && b->state.head->steps > 0) {
+        b->step = 1;
+        sfemi_resume_hold(b, w); /* pins are where they go: they stand still */
+    }
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        if (b->mask[i / 3] >> (i % 3) & 1) w[i] = b->state.a[i] = 0;
+}
+
+static int sfemi_resume_takes(const sfem_body *b)
+{
+    sfem_int k;
+    for (k = 0; k < b->grip.count; ++k)
+        if (b->state.handle[b->grip.slot[k]].hold.age == 0) return 1;
+    return 0;
+}
+
+/* How B changes from the last step to one of h: -1 it falls, 1 it grows. */
+static int sfemi_resume_compare(const sfem_body *b, const sfemi_inertia *from, const sfemi_inertia *to)
+{
+    const int bounded = sfemi_resume_bounded(b);
+    const sfem_real k = bounded ? to->bound - from->bound : to->bound + to->k - from->bound - from->k;
+    const sfem_real all = 1e-12 * (from->bound + to->bound);
+    if (k < -all || to->m - from->m < -1e-12 * from->m || to->d - from->d < -1e-12 * fabs(from->d)) return -1;
+    return k > all || to->m - from->m > 1e-12 * from->m || to->d - from->d > 1e-12 * fabs(from->d);
+}
+
+/* What is to be taken from m where B changes, to out, see 3 above. v is overwritten: B1^-1 m where B falls. */
+static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const sfemi_inertia *to, int change,
+                                 sfem_real *v, sfem_real *out)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_inertia less;
+    size_t i;
+    less.k = from->k - to->k;
+    less.bound = from->bound - to->bound;
+    less.m = from->m - to->m;
+    less.d = from->d - to->d;
+    memset(out, 0, n * sizeof *out);
+    if (change < 0) {
+        sfemi_resume_multiply(b, &less, v, b->acc);
+        for (i = 0; i < n; ++i) out[i] = b->acc[i] / 2;
+    } else if (b->def.integrator == SFEM_NEWMARK) {
+        sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
+    } else {
+        sfemi_resume_mean_force(b);
+        sfemi_resume_multiply(b, from, s->w, b->acc);
+        for (i = 0; i < n; ++i) b->acc[i] += s->head->h / 2 * b->rhs[i];
+    }
+    memset(v, 0, n * sizeof *v);
+    sfemi_resume_solve(b, change < 0 ? from : to, b->acc, v);
+    sfemi_resume_multiply(b, &less, v, b->acc);
+    for (i = 0; i < n; ++i) out[i] += b->acc[i] / 2;
+}
+
+/* Before a step of h: what is to be taken from its m, to b->velocity; or, fresh, the v that Newmark's starts
+ * from. Returns whether there is any. The state is not changed. */
+static int sfemi_resume_change(sfem_body *b, sfem_real h)
+{
+    const sfemi_state *s = &b->state;
+    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_inertia from, to;
+    sfem_real *v = b->spare + 4 * n;
+    size_t i;
+    int change;
+    b->fresh = 0;
+    if (!sfemi_resume_serves(b) || s->head->started < SFEMI_RESTARTED) return 0;
+    from = sfemi_resume_inertia(b, s->head->h, s->head->p);
+    to = sfemi_resume_inertia(b, h, sfemi_body_coefficients(b, b->p).p);
+    change = sfemi_resume_compare(b, &from, &to);
+    if (b->base) return 0;
+    if (s->head->started == SFEMI_RESTARTED && !newmark) { /* m is the lesser B v, not r M v */
+        sfemi_inertia more = change < 0 ? to : from;
+        more.m -= sfemi_body_coefficients(b, b->p).r;
+        if (more.bound + more.k == 0 && more.m == 0 && more.d == 0 && !sfemi_resume_bounded(b)) return 0;
+        sfemi_resume_multiply(b, &more, s->w, b->velocity);
+        for (i = 0; i < n; ++i) b->velocity[i] = -b->velocity[i];
+        return 1;
+    }
+    if (!change || (s->head->started != SFEMI_RUNNING && !newmark)) return 0;
+    if (!newmark) {
+        if (change < 0) sfemi_resume_velocity(b, v);
+        sfemi_resume_rescale(b, &from, &to, change, v, b->velocity);
+        return 1;
+    }
+    if (change < 0) sfemi_resume_newmark(b, &from, v);
+    sfemi_resume_rescale(b, &from, &to, change, v, b->rhs);
+    sfemi_body_mass_solve(b, b->velocity);
+    for (i = 0; i < n; ++i) b->velocity[i] = s->w[i] - b->velocity[i];
+    return b->fresh = 1;
+}
+
+/* ---- the step of another method, see 5 ---- */
+
+/* Does KR-alpha's next step, of h, bridge a change? Then what it starts from goes to b->velocity. */
+static int sfemi_resume_bridges(sfem_body *b, sfem_real h)
+{
+    const sfemi_state_head *head = b->state.head;
+    const int other = head->steps > 0 && h != head->h;
+    if (!b->base || !sfemi_resume_serves(b)) return 0;
+    if (head->started == SFEMI_RUNNING) {
+        if (!other && !sfemi_resume_takes(b)) return 0;
+        b->fresh = 0;
+        sfemi_resume_between_leading(b, h, b->velocity);
+    } else {
+        if (!other && head->started != SFEMI_RESTARTED) return 0;
+        memcpy(b->velocity, b->state.w, 3 * (size_t)b->model->mesh.nodes * sizeof *b->velocity);
+    }
+    sfemi_resume_hold(b, b->velocity);
+    return 1;
+}
+
+/* A a = (F+ + F)/2 - K u - D v - g h K v, a = dv1/h. */
+static void sfemi_resume_bridge_predict(sfem_body *b, sfem_real h)
+{
+    static const sfem_real load[3] = {0.5, 0.5, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real g = sqrt(b->p), *v = b->velocity;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = b->state.u[i] + (g * h + b->beta) * v[i];
+        b->zm[i] = b->alpha * v[i];
+        if (b->zd) b->zd[i] = v[i];
+        b->acc[i] = 0;
+    }
+    sfemi_body_residual(b, load, b->alpha != 0);
+    if (!sfemi_turn_projects(b)) return;
+    sfemi_turn_push(b, NULL, load, b->zm, b->alpha != 0);
+    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, -1);
+}
+
+static void sfemi_resume_bridge_hold(sfem_body *b, sfem_real *a)
+{
+    if (!b->grip.count) return;
+    memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
+    sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, a);
+}
+
+/* a = T's part of it, from a = A^-1 (..), with the handles held. D has g h in place of q h/2 there: one iteration,
+ * a - A^-1 E a, E = (g - q/2) h D, makes up for that to second order. Rigid motion is by the pieces' push. */
+static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes, rows = 3 * (size_t)b->grip.count;
+    const sfem_real c = (sqrt(b->p) - sfemi_body_coefficients(b, b->p).q / 2) * b->step;
+    sfem_real *x = b->spare + 2 * n, *y = b->spare + 3 * n;
+    size_t i;
+    sfemi_resume_bridge_hold(b, a);
+    if (c != 0 && (b->alpha != 0 || b->beta != 0 || b->zd)) {
+        sfem_matrix_multiply(&model->stiffness, a, x, &b->exec);
+        for (i = 0; i < n; ++i) x[i] *= c * b->beta;
+        sfemi_fem_add_mass(model, c * b->alpha, a, x);
+        for (i = 0; b->zd && i < n; ++i) y[i] = c * a[i];
+        if (b->zd) sfemi_fem_add_damping_rest(model, y, x);
+        memset(y, 0, n * sizeof *y);
+        sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->work, &b->exec);
+        if (rows) memcpy(b->grip.place, b->grip.lambda, rows * sizeof *b->grip.lambda);
+        sfemi_resume_bridge_hold(b, y);
+        for (i = 0; i < rows; ++i) b->grip.lambda[i] = b->grip.place[i] - b->grip.lambda[i];
+        for (i = 0; i < n; ++i) a[i] -= y[i];
+    }
+    if (sfemi_turn_projects(b)) sfemi_turn_settle(b, b->factor->key.cm, a);
+}
+
+/* (du, dv) = T (du, dv). */
+static void sfemi_resume_bridge_stage(sfem_body *b, sfem_real *du, sfem_real *dv)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real gh = sqrt(b->p) * b->step;
+    size_t i;
+    if (sfemi_turn_projects(b)) sfemi_turn_push_velocity(b, dv);
+    for (i = 0; i < n; ++i) b->zk[i] = -gh * du[i];
+    sfem_model_multiply_stiffness(b->model, b->zk, b->rhs, &b->exec);
+    sfemi_fem_add_mass(b->model, 1, dv, b->rhs);
+    memset(dv, 0, n * sizeof *dv);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->work, &b->exec);
+    sfemi_resume_bridge_settle(b, dv);
+    for (i = 0; i < n; ++i) du[i] += gh * dv[i];
+}
+
+static void sfemi_resume_bridge_finish(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real g = sqrt(b->p), h = b->step;
+    const sfem_real weight[3] = {g, 3 - 2 * g - 1 / (2 * g), 1 / (2 * g) - 2 + g};
+    sfem_real *du = b->spare, *dv = b->spare + n, *v = b->velocity;
+    sfemi_state *s = &b->state;
+    sfem_int k;
+    size_t i;
+    int c, stage;
+    for (k = 0; k < b->pin_count; ++k) {
+        sfem_real x[3];
+        for (c = 0; c < 3; ++c)
+            x[c] = b->model->mesh.x[3 * (size_t)b->pin[k] + (size_t)c] + s->u[3 * (size_t)b->pin[k] + (size_t)c];
+        sfemi_hold_advance(s->pin + k, x);
+    }
+    for (i = 0; i < n; ++i) {
+        dv[i] = h * b->acc[i];
+        du[i] = h * (v[i] + g * dv[i]);
+        s->w[i] = v[i];
+    }
+    for (stage = 0; stage < 3; ++stage) {
+        if (stage > 0) sfemi_resume_bridge_stage(b, du, dv);
+        for (i = 0; i < n; ++i) {
+            s->u[i] += weight[stage] * du[i];
+            s->w[i] += weight[stage] * dv[i];
+        }
+    }
+    memset(s->a, 0, n * sizeof *s->a);
+    s->head->lag = 0;
+}
+
+/* Takes it from the right side of a step of (p,q,r). */
+static void sfemi_resume_lessen(const sfem_body *b, int falls, sfem_real d, sfem_real *rhs)
+{
+    size_t i;
+    for (i = 0; falls && !b->fresh && i < 3 * (size_t)b->model->mesh.nodes; ++i) rhs[i] -= b->velocity[i] / d;
+}
+
+/* ============================================================================================
+ * >>guard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
+ *
+ * A trial of one solve, corrections of it, an energy safeguard, and a step in place of one that would make energy.
+ * The safeguard tests two energies, L being the loads and v_r, L_r the parts of w' and L that do not move a free
+ * piece's centre of mass:
  *   Eb = 1/2 v_r.r M v_r + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2 - L_r.(u + u')/2
  *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
- * Eb is conserved exactly where the body is linear and undamped, but blind to fast modes; Ec is not, and
- * is tested loosely. They may not pass a ledger B (the least energy so far, forgotten over half a
- * second, plus the work of handles, moved pins and changing loads) by more than .02 and .3 of a scale S,
- * the energy in motion over the last second. A step that does is taken back and done again as a
- * minimisation of
- *   Phi(z) = |z - y|_M^2/(2 h^2) + Psi(z),  y = u + h w + h^2 M^-1 L,
- * by descent with the factor of p = 1, turned and projected at z, from the best of u, y and u moved rigidly
- * to where y is nearest, until Ec is in order and a step gains less than .01 S; Phi(z) <= Phi(u) alone
- * implies Psi(z) - L.z <= Ec(u), so the last resort, less velocity, always ends it. What the caller adds to
- * the right side is part of L here. Then the motion starts
- * afresh from there. Projected at u instead, where rigid motions of z are none, a stiff body that turns
- * took up to 88 steps of descent; now 1 to 3. The mean velocity of such a step, taken for that at its end, is
- * that of a chord: of a turn by .7 rad it misses a tenth of L, and another ninth of its energy points
- * inward. L is therefore put right, at the cost of what is not rigid motion: momenta are kept to
- * rounding unless the ledger has not even the energy of a rigid body that turns so.
- *   In a crumpled body neighbouring tets turn so differently that the turned factor is no guide: the steps
- * of descent get short, and the body would creep for minutes. Where one is shorter than 1/8, the isotropic
- * majorant of >>factor takes over, which bounds the corotational Phi so that length 1 lowers it, hastened
- * by the memory of the last steps (L-BFGS). Bodies crushed to a point, scattered or turned inside out are
- * back in shape after a few steps at nu = .3; at nu = .49 many scattered ones stay locked in a knot.
- *   The majorant bounds no neo-Hookean tet that is stretched a thousandfold, and where moduli are 1e6 apart
- * soft parts creep by it. Where it is stuck, or has gained little though by the turned factor's measure Phi is
- * not near its least, Newton's iteration goes on, with each tet's K(z) projected (absolute values of its
- * eigenvalues in place of that were no better). Its factors cost no more time in a step than a hundred
- * descents.
- *   S is energy in motion. What a redo has not reached by far, Psi - 4 (kinetic + what Phi fell by), is locked
- * in, until Psi is below: counted in S, that of a knot let steps there, whose factor does not bound K, chatter
- * with a fiftieth of it for ever. Without it knots come to rest, though each step is done again.
+ * Eb is conserved exactly where the body is linear and undamped, but blind to modes that are not resolved; Ec is
+ * not, and is tested loosely. They may exceed a budget B by 0.02 and 0.3 of S, the energy in motion. B is the least
+ * Eb so far, forgotten over 32 steps, plus the work of handles, moved pins, changing loads and what the caller adds
+ * to the right side. A step that fails the test is rejected. On calm bodies of good meshes none is.
  * ============================================================================================ */
 
 /* Does the rigid part of a free piece's step need corrections? Only where the caller's damping brakes it. */
@@ -17605,6 +18247,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
     sfemi_correct_brake(b, &t);
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
+    sfemi_resume_lessen(b, b->falls, t.d, b->rhs);
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
 
@@ -17657,6 +18300,7 @@ static void sfemi_guard_advance(sfem_body *b)
     g->psi = sfemi_guard_forces(b, g->u, g->f);
     ++b->state.head->evaluations;
     g->corrections = 0;
+    g->made = g->dropped = 0;
 }
 
 /* The work along part (u' - u) + back w of what the caller added to the right side, and of so much of the newer
@@ -18066,13 +18710,12 @@ static sfem_real sfemi_guard_excess(sfem_body *b)
 static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
 {
     sfemi_guard *g = &b->guard;
-    sfemi_state_head *head = b->state.head;
+    const sfemi_state_head *head = b->state.head;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes;
     int k, count;
     size_t i;
-    if (head->pair_h != q->h) head->pairs = 0;
-    count = head->pairs < SFEMI_MEMORY ? (int)head->pairs : SFEMI_MEMORY;
+    count = head->pair_h != q->h ? 0 : head->pairs < SFEMI_MEMORY ? (int)head->pairs : SFEMI_MEMORY;
     for (k = 0; k < count; ++k) {
         const float *from = b->state.pair + 2 * n * (size_t)((head->pairs - count + k) % SFEMI_MEMORY);
         sfem_real *s = g->pair + 2 * n * (size_t)g->pairs;
@@ -18084,8 +18727,8 @@ static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
     }
 }
 
-/* The last `made` pairs go to the state. */
-static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
+/* The pairs that a step has made go to the state, when it is taken. */
+static void sfemi_correct_store(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
@@ -18093,7 +18736,9 @@ static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
     const size_t n = 3 * (size_t)nodes;
     int k;
     size_t i;
-    for (k = made < SFEMI_MEMORY ? made : SFEMI_MEMORY; k > 0; --k) {
+    if (g->dropped || head->pair_h != b->step) head->pairs = 0;
+    head->pair_h = b->step;
+    for (k = g->made < SFEMI_MEMORY ? g->made : SFEMI_MEMORY; k > 0; --k) {
         sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - k) % SFEMI_MEMORY);
         float *to = b->state.pair + 2 * n * (size_t)(head->pairs++ % SFEMI_MEMORY);
         sfemi_turn_rotate(g->frame, nodes, 1, s, s);
@@ -18101,7 +18746,6 @@ static void sfemi_correct_store(sfem_body *b, const sfemi_equation *q, int made)
         for (i = 0; i < 2 * n; ++i) to[i] = (float)s[i];
     }
     if (head->pairs >= 1 << 20) head->pairs = head->pairs % SFEMI_MEMORY + SFEMI_MEMORY;
-    head->pair_h = q->h;
 }
 
 static void sfemi_guard_do_not_rotate(sfem_body *b)
@@ -18116,9 +18760,9 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
                                        sfem_real tolerance)
 {
     sfemi_guard *g = &b->guard;
-    sfem_real first = 0, last = 0, rate = b->state.head->rate > 0 ? b->state.head->rate : 0.3;
-    int k, made = 0;
-    g->pairs = g->converged = 0;
+    sfem_real first = 0, last = 0, rate = !q->fallback && b->state.head->rate > 0 ? b->state.head->rate : 0.3;
+    int k;
+    g->pairs = g->made = g->dropped = g->converged = 0;
     if (f->key.majorant) sfemi_guard_do_not_rotate(b);
     else {
         memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
@@ -18130,19 +18774,21 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         sfem_real length = 0;
         if (k == 0) first = decrement;
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
-        if (length > 0) made += sfemi_correct_remember(b, length);
+        if (length > 0) g->made += sfemi_correct_remember(b, length);
         else if (g->pairs == 0) break;
-        else g->pairs = made = b->state.head->pairs = 0;
+        else {
+            g->pairs = g->made = 0;
+            g->dropped = 1;
+        }
         ++g->corrections;
         if (!(length > 0)) continue;
         if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
         last = decrement;
-        g->converged = rate * decrement < tolerance && (!q->fallback || sfemi_guard_excess(b) <= 0);
+        g->converged = fmax(rate, 1 - length) * decrement < tolerance && /* a short step has not gained it */
+                       (!q->fallback || sfemi_guard_excess(b) <= 0);
         if (g->converged) break;
     }
-    if (q->fallback) return first;
-    b->state.head->rate = rate;
-    sfemi_correct_store(b, q, made);
+    if (!q->fallback) b->state.head->rate = rate;
     return first;
 }
 
@@ -18512,11 +19158,12 @@ static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sf
     sfemi_guard_do_not_rotate(b);
     g->pairs = 0;
     for (k = 0; k < MOST; ++k) {
-        sfem_real decrement;
+        sfem_real decrement, length;
         if (!sfemi_guard_linearise(b)) break;
         decrement = sfemi_correct_direction(b, q, g->system.factor);
-        if (!(decrement > 0) || !(sfemi_correct_search(b, q, decrement) > 0)) break;
-        if (decrement < tolerance && sfemi_guard_excess(b) <= 0) break;
+        length = decrement > 0 ? sfemi_correct_search(b, q, decrement) : 0;
+        if (!(length > 0)) break;
+        if (length > 0.5 && decrement < tolerance && sfemi_guard_excess(b) <= 0) break;
     }
 done:
     return status;
@@ -18640,6 +19287,7 @@ static void sfemi_guard_finish(sfem_body *b)
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
     head->gamma = (b->step / 2 + a * h1) / ((1 - a) * b->step + a * h1);
     head->rejected += g->rejected;
+    if (b->turns == SFEMI_CORRECTS && !g->rejected) sfemi_correct_store(b);
     for (k = 0; k < b->pin_count; ++k) {
         sfem_real x[3];
         for (c = 0; c < 3; ++c)
@@ -19160,7 +19808,8 @@ static void sfemi_renew_swap(sfem_body *b)
 static void sfemi_renew_watch(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, fade = exp(-h / .25), m = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real h = b->step, m = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real fade = 1 - 1.0 / 16; /* per step, so that units of time are the caller's */
     const sfemi_state *s = &b->state;
     sfemi_renewal *r = &b->renewal;
     sfem_real wmw = 0, wkw = 0, truth = 0;
@@ -19388,10 +20037,10 @@ static void sfemi_body_place_pins(sfem_body *b)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             hold->target[c] = hold->past[c] = b->model->mesh.x[at] + b->state.u[at];
-            if (b->mask[b->pin[k]] >> c & 1) b->state.w[at] = b->state.a[at] = 0;
         }
         hold->age = 0;
     }
+    sfemi_resume_pin(b);
 }
 
 /* A body of linear laws that steps by one solve has the momentum of its free pieces set right, see >>turn; not
@@ -19514,6 +20163,8 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->state.head);
     sfemi_delete(&al, b->rhs);
     sfemi_delete(&al, b->base);
+    sfemi_delete(&al, b->spare);
+    sfemi_delete(&al, b->aside);
     sfemi_delete(&al, b->work);
     sfem_model_free(b->model);
     sfemi_delete(&al, b);
@@ -19524,7 +20175,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
-    const size_t vectors = b->model->damping ? 5 : 4;
+    const size_t vectors = b->model->damping ? 7 : 6;
     sfem_status status = SFEM_OK;
     size_t bytes, damage;
     void *block = NULL;
@@ -19540,11 +20191,18 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
+    SFEMI_NEW(sfem_real, b->aside, al, 7 * n);
     b->acc = b->rhs + n;
     b->zk = b->rhs + 2 * n;
     b->zm = b->rhs + 3 * n;
-    b->zd = b->model->damping ? b->rhs + 4 * n : NULL;
+    b->predicted = b->rhs + 4 * n;
+    b->late = b->rhs + 5 * n;
+    b->zd = b->model->damping ? b->rhs + 6 * n : NULL;
     if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
+    if (sfemi_resume_serves(b)) {
+        SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
+        b->velocity = b->spare + 5 * n;
+    }
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->turns || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
     if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
@@ -19780,8 +20438,8 @@ static void sfemi_body_push(sfem_body *b)
     size_t i;
     if (!sfemi_turn_projects(b)) return;
     t = sfemi_pqr_weigh(b, b->step);
-    if (b->base && b->state.head->started != SFEMI_RUNNING) { /* at a start base comes from a solve, too */
-        for (i = 0; i < n; ++i) b->zk[i] = b->state.w[i] - b->base[i];
+    if (b->base && !sfemi_body_goes_on(b)) { /* at a start base comes from a solve, too */
+        for (i = 0; i < n; ++i) b->zk[i] = sfemi_body_way(b)[i] - b->base[i];
         sfemi_turn_motion(b, NULL, b->zk, 1);
         sfemi_turn_add_motion(b, NULL, 1, 0, b->base);
     }
@@ -19815,8 +20473,15 @@ static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
     if (head->current && !before->current) head->rebase = SFEMI_NEW_LEDGER;
 }
 
+/* Has a step under way put an acceleration in the state? A body that does not go on has none there. */
+static int sfemi_body_lends(const sfem_body *b)
+{
+    return b->begun && !b->turns && sfemi_resume_serves(b) && b->state.head->started != SFEMI_RUNNING;
+}
+
 static void sfemi_body_undo(sfem_body *b)
 {
+    if (sfemi_body_lends(b)) memset(b->state.a, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->state.a);
     sfemi_body_take_back(b, b->state.head);
     b->begun = 0;
     b->phase = SFEMI_IDLE;
@@ -19839,10 +20504,18 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     b->step = h;
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
     sfemi_sleep_compare_load(b);
+    b->bridges = sfemi_resume_bridges(b, h);
+    b->falls = sfemi_resume_change(b, h);
+    if (b->bridges) {
+        sfemi_resume_bridge_predict(b, h);
+        b->phase = SFEMI_PREDICTED;
+        return SFEM_OK;
+    }
     if (b->turns) sfemi_guard_predict(b, h);
     else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
     else sfemi_pqr_predict(b, h);
+    if (!b->turns) sfemi_resume_lessen(b, b->falls, sfemi_pqr_weigh(b, h).d, b->rhs);
     if (!b->turns) sfemi_body_push(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
@@ -19850,9 +20523,16 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
 
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
 {
+    const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
+    sfem_status status;
     SFEM_ASSERT(b);
     b->turn.by_hand = 1;
-    return sfemi_body_predict(b, h, err);
+    status = sfemi_body_predict(b, h, err);
+    if (status != SFEM_OK) return status;
+    memcpy(b->predicted, b->rhs, bytes);
+    if (b->is_late) memset(b->late, 0, bytes);
+    b->is_late = 0;
+    return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
@@ -19872,7 +20552,7 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
         sfemi_guard_try(b);
         sfemi_guard_advance(b);
         if (sfemi_correct_serves(b)) sfemi_correct(b);
-    }
+    } else if (b->bridges) sfemi_resume_bridge_settle(b, b->acc);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     if (!sfemi_all_finite(b->acc, n)) {
@@ -19902,10 +20582,52 @@ static void sfemi_body_finish_linear(sfem_body *b)
     for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
     if (sfemi_implicit_serves(b)) sfemi_implicit_finish(b);
+    else if (b->bridges) sfemi_resume_bridge_finish(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
     if (!sfemi_body_keeps_mean(b)) sfemi_newmark_settle_handles(b, g->place);
-    b->state.head->started = SFEMI_RUNNING;
+    b->state.head->started = b->bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
+}
+
+/* Are u and w of a linear body's step finite at its end? */
+static int sfemi_body_ends_finite(const sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step, *u = b->state.u;
+    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const sfem_real *base = b->bridges ? b->velocity : sfemi_pqr_base(b);
+    /* a bridging step has two stages more, which T, a contraction in energy, may rotate between u and v */
+    const sfem_real d = newmark ? 0 : b->bridges ? 1e6 * h : sfemi_pqr_weigh(b, h).d;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        sfem_real x, v;
+        if (newmark) {
+            sfemi_newmark_guess(b, i, h, &x, &v);
+            x += b->def.beta * h * h * b->acc[i];
+            v += b->def.gamma * h * b->acc[i];
+        } else {
+            v = base[i] + d * b->acc[i];
+            x = u[i] + h * v;
+        }
+        if (!sfemi_finite(x) || !sfemi_finite(v)) return 0;
+    }
+    return 1;
+}
+
+/* The step solved again, for what the caller has added since: all of that is in `late` then. */
+static sfem_status sfemi_body_solve_again(sfem_body *b, sfem_error *err)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_status status;
+    size_t i;
+    for (i = 0; i < n; ++i) b->late[i] += b->rhs[i] - b->predicted[i];
+    status = sfemi_body_predict(b, b->step, err);
+    for (i = 0; i < n; ++i) {
+        b->rhs[i] += b->late[i];
+        b->late[i] = 0;
+    }
+    b->is_late = 0;
+    return status == SFEM_OK ? sfem_body_solve(b, err) : status;
 }
 
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
@@ -19913,6 +20635,10 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     sfemi_grip *g = &b->grip;
     sfem_int i;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
+    if (b->is_late) {
+        const sfem_status status = sfemi_body_solve_again(b, err);
+        if (status != SFEM_OK) return status;
+    }
     b->phase = SFEMI_IDLE;
     if (b->turns) {
         const sfem_status status = sfemi_guard_judge_step(b, err);
@@ -19920,6 +20646,10 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
             sfemi_body_undo(b);
             return status;
         }
+    }
+    if (!b->turns && sfemi_resume_serves(b) && !sfemi_body_ends_finite(b)) {
+        sfemi_body_undo(b);
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to a displacement that is not finite");
     }
     b->begun = 0;
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
@@ -19956,7 +20686,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
 }
 
 SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *b) { return b->rhs; }
-SFEM_DEF sfem_real *sfem_body_acceleration(sfem_body *b) { return b->acc; }
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *b) { return b->acc; }
 
 /* ---- loads and state ---- */
 
@@ -19996,6 +20726,33 @@ static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, cons
     if (x && !sfemi_all_finite(x, 3))
         return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the %s of node %d is not finite", what,
                              (int)node);
+    return SFEM_OK;
+}
+
+/* How long a force on the right side acts, so that d F is the change of momentum. */
+static sfem_real sfemi_body_span(const sfem_body *b)
+{
+    sfemi_pqr_terms t;
+    if (!sfemi_body_keeps_mean(b)) return b->step;
+    t = sfemi_pqr_weigh(b, b->step);
+    return t.d - t.back;
+}
+
+SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sfem_real j[3], sfem_error *err)
+{
+    sfem_real *to, sum[3];
+    sfem_status status;
+    int c;
+    SFEM_ASSERT(b && j);
+    status = sfemi_body_check_node(b, node, j, "impulse", err);
+    if (status != SFEM_OK) return status;
+    if (b->phase == SFEMI_IDLE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "an impulse is added between sfem_body_predict and _finish");
+    to = (b->phase == SFEMI_PREDICTED ? b->rhs : b->late) + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = to[c] + j[c] / sfemi_body_span(b);
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "impulse", err);
+    memcpy(to, sum, sizeof sum);
+    if (b->phase == SFEMI_SOLVED) b->is_late = 1;
     return SFEM_OK;
 }
 
@@ -20051,7 +20808,12 @@ SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
     const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
     size_t i;
+    sfem_int k;
+    int c;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] = s->w[i] + half * s->a[i];
+    for (k = 0; k < b->pin_count; ++k) /* set since the last step: w is still that of before */
+        for (c = 0; s->pin[k].age == 0 && c < 3; ++c)
+            if (b->mask[b->pin[k]] >> c & 1) v[3 * (size_t)b->pin[k] + (size_t)c] = 0;
 }
 
 SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t stride)
@@ -20059,6 +20821,7 @@ SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t
     const sfemi_state *s = &b->state;
     const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
+    sfem_int k;
     size_t i, at;
     int c;
     SFEM_ASSERT(b && stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
@@ -20068,6 +20831,9 @@ SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t
             if (x) x[to] = (float)(b->model->mesh.x[at] + s->u[at]);
             if (v) v[to] = (float)(s->w[at] + half * s->a[at]);
         }
+    for (k = 0; v && k < b->pin_count; ++k)
+        for (c = 0; s->pin[k].age == 0 && c < 3; ++c)
+            if (b->mask[b->pin[k]] >> c & 1) v[(size_t)b->pin[k] * (stride / sizeof(float)) + (size_t)c] = 0;
 }
 
 /* Starts the integrator afresh from u and the velocity in w. */
@@ -20121,6 +20887,9 @@ SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
     sfemi_body_take_back(b, &head);
     memcpy(memory, b->state.head, bytes);
     memcpy(memory, &head, sizeof head);
+    if (sfemi_body_lends(b))
+        memset((char *)memory + ((const char *)b->state.a - (const char *)b->state.head), 0,
+               3 * (size_t)b->model->mesh.nodes * sizeof *b->state.a);
     sum = sfemi_state_checksum(memory, bytes);
     memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
 }
@@ -20136,6 +20905,7 @@ static int sfemi_body_state_sound(const sfem_body *b, const sfemi_state_head *he
     if (!sfemi_finite(head->time) || !(head->h >= 0 && sfemi_finite(head->h)) ||
         !sfemi_all_finite(head->gravity, 3) || head->started < SFEMI_NOT_STARTED ||
         head->started > SFEMI_RUNNING || (head->started == SFEMI_RUNNING && head->h == 0) ||
+        head->pairs < 0 || head->pairs > 1 << 20 || head->skipped < 0 || !sfemi_finite(head->gamma) ||
         head->rebase < SFEMI_LEDGER || head->rebase > SFEMI_NEW_LEDGER || head->sleep < SFEMI_AWAKE ||
         head->sleep > SFEMI_ASLEEP)
         return 0;
@@ -20217,6 +20987,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
     sfemi_state_lay_out(&fresh, block, nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
+    sfemi_resume_stop(b, 1);
     memcpy(fresh.head, old.head,
            sizeof *old.head + sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
@@ -20331,6 +21102,7 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
 SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    if (b->state.handle[handle].hold.age > 0) sfemi_resume_stop(b, 0);
     memset(b->state.handle + handle, 0, sizeof *b->state.handle);
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->grip.ready[handle] = 0;
@@ -20357,7 +21129,46 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfe
     for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
-SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
+/* A step's temporaries. */
+typedef struct sfemi_scratch {
+    sfem_real *rhs, *acc, *zk, *zm, *zd, *f, *q;
+} sfemi_scratch;
+
+static void sfemi_body_use(sfem_body *b, const sfemi_scratch *s)
+{
+    b->rhs = s->rhs;
+    b->acc = s->acc;
+    b->zk = s->zk;
+    b->zm = s->zm;
+    b->zd = s->zd;
+    b->implicit.f = s->f;
+    b->implicit.q = s->q;
+}
+
+/* Puts others in their place, so that a step under way keeps its own; returns those. */
+static sfemi_scratch sfemi_body_look_aside(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_scratch own, other;
+    own.rhs = b->rhs;
+    own.acc = b->acc;
+    own.zk = b->zk;
+    own.zm = b->zm;
+    own.zd = b->zd;
+    own.f = b->implicit.f;
+    own.q = b->implicit.q;
+    other.rhs = b->aside;
+    other.acc = b->aside + n;
+    other.zk = b->aside + 2 * n;
+    other.zm = b->aside + 3 * n;
+    other.zd = b->zd ? b->aside + 4 * n : NULL;
+    other.f = own.f ? b->aside + 5 * n : NULL;
+    other.q = own.q ? b->aside + 6 * n : NULL;
+    sfemi_body_use(b, &other);
+    return own;
+}
+
+static void sfemi_body_find_reactions(sfem_body *b, sfem_real *force)
 {
     const sfem_real load[3] = {1, 0, 0};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -20367,7 +21178,6 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     sfem_body_velocities(b, v);
     if (sfemi_implicit_serves(b)) {
         memcpy(b->zm, b->state.a, n * sizeof *b->zm);
-        b->phase = SFEMI_IDLE;
         sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
         for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
         return;
@@ -20377,7 +21187,6 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         b->zm[i] = b->state.a[i] + b->alpha * v[i];
         if (b->zd) b->zd[i] = v[i];
     }
-    b->phase = SFEMI_IDLE;
     if (b->turns) {
         for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
         sfemi_guard_look(b);
@@ -20391,6 +21200,13 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
         sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
     }
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
+}
+
+SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
+{
+    const sfemi_scratch own = sfemi_body_look_aside(b);
+    sfemi_body_find_reactions(b, force);
+    sfemi_body_use(b, &own);
 }
 
 /* ---- fracture ---- */
@@ -20431,8 +21247,8 @@ SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
 SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
 {
     SFEM_ASSERT(b && b->damage && out);
-    sfem_body_velocities(b, b->zk); /* scratch between steps */
-    sfemi_damage_pieces(b->damage, b->state.u, b->zk, out);
+    sfem_body_velocities(b, b->aside);
+    sfemi_damage_pieces(b->damage, b->state.u, b->aside, out);
 }
 
 SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
@@ -20972,7 +21788,7 @@ static sfem_real sfemi_body_dot(const sfem_real *a, const sfem_real *b, size_t n
     return sum;
 }
 
-SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+static sfem_energy sfemi_body_find_energy(sfem_body *b)
 {
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
@@ -20981,7 +21797,6 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     const int running = s->head->started == SFEMI_RUNNING;
     sfem_energy e;
     size_t i;
-    b->phase = SFEMI_IDLE;
     sfem_body_velocities(b, b->acc);
     sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
     e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
@@ -21022,6 +21837,14 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
     return e;
 }
 
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+{
+    const sfemi_scratch own = sfemi_body_look_aside(b);
+    const sfem_energy e = sfemi_body_find_energy(b);
+    sfemi_body_use(b, &own);
+    return e;
+}
+
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -21040,7 +21863,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->guard.corrections;
     info.body_bytes = (size_t)b->state.head->size +
-                      ((b->zd ? 5u : 4u) * n + (b->base ? n : 0) + b->work_size) * sizeof(sfem_real);
+                      ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
+                          sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
     if (b->turns) /* as sfemi_body_allocate_turn lays it out */

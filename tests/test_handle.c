@@ -187,7 +187,7 @@ static void handles_set_moved_and_released_equal_moved_pins(void **state)
         sfem_int handle[2] = {-1, -1};
         const sfem_int node[2] = {FIRST, SECOND}, begin[2] = {50, 60}, end[2] = {100, 150};
         int i, j, c;
-        if (!s->exact) continue;
+        if (!s->exact || s->integrator == SFEM_KR_ALPHA) continue; /* the one starts afresh */
         model = beam_of(s);
         pinned = make_body(model, &def);
         def.pin_count = CLAMPED;
@@ -374,6 +374,8 @@ static void pins_set_at_run_time_take_over_from_handles(void **state)
         assert_ok(sfem_body_set_pins(body[1], CLAMPED + 2, clamp, NULL, &err), err);
         sfem_body_release_handle(body[1], 0);
         sfem_body_release_handle(body[1], 1);
+        if (s->integrator == SFEM_KR_ALPHA) /* starts afresh: so must the other one */
+            assert_ok(sfem_body_set_pins(body[0], CLAMPED, clamp, NULL, &err), err);
         for (i = 0; i < 50; ++i) {
             for (j = 0; j < 2; ++j) step(body[j], 0.01);
             same_displacement(body[0], body[1], 1e-9, s->name);
