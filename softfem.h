@@ -19177,8 +19177,11 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_guard_energies there = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+    /* what has moved before is no measure where most of it has been lost since */
+    const sfem_real tolerance = 0.01 * fmin(head->scale, head->psi + there.kinetic + there.floor);
     sfemi_equation q;
-    sfem_real excess;
+    sfem_real excess, above;
     sfem_status status = SFEM_OK;
     size_t i;
     q.fallback = 1;
@@ -19191,17 +19194,18 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_guard_keep_momentum(b);
     sfemi_guard_start_fallback(b, &q);
-    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, 0.01 * head->scale);
+    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, tolerance);
     if (!g->converged) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         sfemi_guard_find_columns(b, g->isotropic);
-        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * head->scale);
+        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, tolerance);
     }
-    if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, 0.01 * head->scale, err));
+    if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, tolerance, err));
     sfemi_guard_restore_momentum(b, 1);
     excess = sfemi_guard_excess(b);
-    if (excess > 0) {
-        sfemi_guard_slow_down(b, excess, 0);
+    above = excess + fmax(0, head->last - head->budget - 0.01 * head->scale); /* what was let pass goes first */
+    if (above > 0) {
+        sfemi_guard_slow_down(b, above, 0);
         excess = sfemi_guard_excess(b);
     }
     if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) {

@@ -171,21 +171,33 @@ TEST_STATIC void momentum(const scene *s, const double *u0, const double *u1, do
     }
 }
 
-/* The same of the body's velocities; L about the centre, to see what becomes of the spin. */
-TEST_STATIC void body_momentum(const scene *s, double p[3], double l[3])
+/* L about the centre of mass, of P and L about the origin, to see what becomes of the spin. */
+TEST_STATIC void about_centre(const scene *s, const double p[3], double l[3])
 {
-    double u[3 * MAX_NODES], v[3 * MAX_NODES], c[3] = {0, 0, 0}, t[3];
-    const double *mass = sfem_model_node_mass(s->model);
+    const double *mass = sfem_model_node_mass(s->model), *u = sfem_body_displacement(s->body);
+    double c[3] = {0, 0, 0}, t[3];
     sfem_int i;
     int k;
-    sfem_body_velocities(s->body, v);
-    for (i = 0; i < 3 * s->n; ++i) u[i] = sfem_body_displacement(s->body)[i] - v[i];
-    momentum(s, u, sfem_body_displacement(s->body), 1, p, l);
     for (i = 0; i < 3 * s->n; ++i)
-        c[i % 3] += mass[i / 3] * (s->mesh.x[i] + sfem_body_displacement(s->body)[i]) /
-                    sfem_model_total_mass(s->model);
+        c[i % 3] += mass[i / 3] * (s->mesh.x[i] + u[i]) / sfem_model_total_mass(s->model);
     cross(c, p, t);
     for (k = 0; k < 3; ++k) l[k] -= t[k];
+}
+
+TEST_STATIC void central_momentum(const scene *s, const double *before, double h, double p[3], double l[3])
+{
+    momentum(s, before, sfem_body_displacement(s->body), h, p, l);
+    about_centre(s, p, l);
+}
+
+/* The same of the body's velocities. */
+TEST_STATIC void body_momentum(const scene *s, double p[3], double l[3])
+{
+    double u[3 * MAX_NODES], v[3 * MAX_NODES];
+    sfem_int i;
+    sfem_body_velocities(s->body, v);
+    for (i = 0; i < 3 * s->n; ++i) u[i] = sfem_body_displacement(s->body)[i] - v[i];
+    central_momentum(s, u, 1, p, l);
 }
 
 TEST_STATIC void distance3(const double *a, const double *b, double *out)

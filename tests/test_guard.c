@@ -334,7 +334,7 @@ static void rejected_steps_keep_momenta(void **state)
     int which, k;
     (void)state;
     for (which = 0; which < 3; ++which) {
-        double p[2][3], l[2][3], d, most = 0, energy;
+        double p[2][3], l[2][3], d, most = 0, energy, before[3 * MAX_NODES];
         sfem_body_def def = sfem_default_body_def();
         scene s = bar(8, 2, rubber(young[which]));
         sfem_body_info info;
@@ -343,8 +343,14 @@ static void rejected_steps_keep_momenta(void **state)
         body_momentum(&s, p[0], l[0]);
         energy = sfem_body_energy(s.body).total;
         for (k = 0; k < 60; ++k) {
+            const int64_t rejected = sfem_body_get_info(s.body).rejected;
+            memcpy(before, sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof *before);
             step(s.body, 1.0 / 30);
-            body_momentum(&s, p[1], l[1]);
+            if (sfem_body_get_info(s.body).rejected == rejected) { /* one that was taken has them in its mean velocity */
+                central_momentum(&s, before, 1.0 / 30, p[1], l[1]);
+            } else {
+                body_momentum(&s, p[1], l[1]);
+            }
             distance3(p[0], p[1], &d);
             assert_near(d, 0, 0, 1e-10 * sfem_model_total_mass(s.model));
             distance3(l[0], l[1], &d);
@@ -542,6 +548,7 @@ static double excess(int kind, double young, double poisson, double h, double se
                    sfem_model_node_mass(s.model)[i / 3],
             largest += f[0];
     }
+    largest = fmax(largest, 1e-22 * young * 0.1 * 0.2 * 0.2 * s.n); /* inside out, StVK is in equilibrium but for rounding */
     for (k = 0; k < steps; ++k) {
         sfem_error err;
         double e;
@@ -1411,7 +1418,7 @@ static sfem_status run_with(sfem_allocator allocator, const sfem_mesh *mesh, int
     }
     if (status == SFEM_OK)
         assert_true(sfem_body_get_info(b).rejected > 0 &&
-                    sfem_body_get_info(b).factors_made == 3 + torn);
+                    sfem_body_get_info(b).factors_made == 2 + torn);
     sfem_body_free(b);
     sfem_model_free(model);
     return status;
