@@ -18645,8 +18645,8 @@ static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q,
     return q->end / q->h * (psi_from - psi_to) + length / 2 * sum;
 }
 
-/* Goes along dir by Armijo's rule, and not far beyond the least: where the slope there is half the first one, the
- * secant's length. 0 where no length will do; all is as it was then. */
+/* Goes along dir by Armijo's rule, and, but in a fallback, not far beyond the least: where the slope there is half the
+ * first one, the secant's length. (Where tets flip, slopes jump, and secants get short for nothing.) 0 where no length will do; all is as it was then. */
 static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfem_real decrement)
 {
     enum { TRIES = 10 };
@@ -18665,7 +18665,8 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
         sfemi_correct_residual(b, q, g->w, g->f, g->grad);
         ahead = sfemi_correct_dot(g->dir, g->grad, n); /* what is left of the slope; < 0: beyond the least */
         fall = sfemi_correct_fall(b, q, g->dir, length, psi, g->psi);
-        if (sfemi_finite(g->psi) && fall >= 1e-4 * length * slope - noise && (-ahead <= 0.5 * slope || tries > 1))
+        if (sfemi_finite(g->psi) && fall >= 1e-4 * length * slope - noise &&
+            (q->fallback || -ahead <= 0.5 * slope || tries > 1))
             return length;
         secant = ahead < slope ? length * slope / (slope - ahead) : 0.5 * length;
         length = fmax(0.1 * length, fmin(secant, 0.8 * length));
