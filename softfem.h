@@ -18131,6 +18131,7 @@ typedef struct sfemi_equation {
     sfem_real end;           /* weight of f' */
     sfem_real before, after; /* of w and w' in the velocity that is damped */
     int fallback;            /* momenta are put right when it is solved, not by each step */
+    sfem_real moving;        /* in a fallback: kinetic energy at the start. S may be that of a collapse long past */
 } sfemi_equation;
 
 /* The equation of the step under way, and the forces of the past in it: guard.known. */
@@ -18146,6 +18147,7 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
     size_t i;
     q->fallback = 0;
+    q->moving = 0;
     q->h = h2;
     q->d = t.d;
     q->end = k1 * (1 - a);
@@ -18774,6 +18776,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         const sfem_real decrement = sfemi_correct_direction(b, q, f);
         sfem_real length = 0;
         if (k == 0) first = decrement;
+        if (k == 0 && q->fallback) tolerance = fmin(tolerance, 0.01 * (q->moving + first));
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
         if (length > 0) g->made += sfemi_correct_remember(b, length);
         else if (g->pairs == 0) break;
@@ -19186,6 +19189,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     sfem_status status = SFEM_OK;
     size_t i;
     q.fallback = 1;
+    q.moving = there.kinetic + there.floor;
     q.h = q.d = b->step;
     q.end = q.after = 1;
     q.before = 0;
