@@ -98,7 +98,8 @@ TEST_STATIC double length(const double *a, size_t n)
 }
 
 /* v = velocity + spin x (X - centre) */
-TEST_STATIC void rigid_velocity(const scene *s, const double *velocity, const double *spin, double *v)
+TEST_STATIC void rigid_velocity(const scene *s, const double *velocity, const double *spin,
+                                double *v)
 {
     sfem_int i;
     int c;
@@ -152,7 +153,7 @@ TEST_STATIC double forces(const scene *s, const double *u, double *f)
 
 /* P and L of the mean velocity over the last step, from positions before and after. */
 TEST_STATIC void momentum(const scene *s, const double *u0, const double *u1, double h, double p[3],
-                     double l[3])
+                          double l[3])
 {
     const double *mass = sfem_model_node_mass(s->model);
     sfem_int i;
@@ -184,7 +185,8 @@ TEST_STATIC void about_centre(const scene *s, const double p[3], double l[3])
     for (k = 0; k < 3; ++k) l[k] -= t[k];
 }
 
-TEST_STATIC void central_momentum(const scene *s, const double *before, double h, double p[3], double l[3])
+TEST_STATIC void central_momentum(const scene *s, const double *before, double h, double p[3],
+                                  double l[3])
 {
     momentum(s, before, sfem_body_displacement(s->body), h, p, l);
     about_centre(s, p, l);

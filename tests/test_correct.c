@@ -40,7 +40,8 @@ static double apart(const double *a, const double *b, size_t n)
  * -------------------------------------------------------------------------------------------- */
 
 /* Where a bar that sags from rest is after 0.4 s, in `steps` steps of equal or of random lengths. */
-static void sag(sfem_law law, double accuracy, sfem_integrator integrator, int steps, uint64_t seed, double *u)
+static void sag(sfem_law law, double accuracy, sfem_integrator integrator, int steps, uint64_t seed,
+                double *u)
 {
     scene s = bar_of(5, law, 3e4);
     sfem_body_def def = sfem_default_body_def();
@@ -77,9 +78,10 @@ static void the_order_is_two(void **state)
                 sag(laws[law], accuracy[which], SFEM_PQR, 40 << k, 0, u);
                 error[k] = apart(u, truth, n);
             }
-            print_message("    law %d, accuracy %g: error %.1e to %.1e of %.2f, orders %.2f %.2f %.2f\n", law,
-                          accuracy[which], error[0], error[3], length(truth, n), log2(error[0] / error[1]),
-                          log2(error[1] / error[2]), log2(error[2] / error[3]));
+            print_message(
+                "    law %d, accuracy %g: error %.1e to %.1e of %.2f, orders %.2f %.2f %.2f\n", law,
+                accuracy[which], error[0], error[3], length(truth, n), log2(error[0] / error[1]),
+                log2(error[1] / error[2]), log2(error[2] / error[3]));
             assert_near(log2(error[0] / error[3]) / 3, 2, 0, 0.15);
         }
     }
@@ -102,11 +104,12 @@ static void the_order_is_two_at_random_steps(void **state)
             }
         sag(laws[law], 1e-6, SFEM_PQR, 320, 0, u);
         even = apart(u, truth, n);
-        print_message("    law %d: error %.1e to %.1e, by even steps %.1e, orders %.2f %.2f %.2f\n", law, error[0],
-                      error[3], even, log2(error[0] / error[1]), log2(error[1] / error[2]),
-                      log2(error[2] / error[3]));
+        print_message("    law %d: error %.1e to %.1e, by even steps %.1e, orders %.2f %.2f %.2f\n",
+                      law, error[0], error[3], even, log2(error[0] / error[1]),
+                      log2(error[1] / error[2]), log2(error[2] / error[3]));
         assert_near(log2(error[0] / error[3]) / 3, 2, 0, 0.15);
-        assert_true(error[3] < 2 * even); /* the mean square of the steps is 1.08 of that of even ones */
+        assert_true(error[3] <
+                    2 * even); /* the mean square of the steps is 1.08 of that of even ones */
     }
 }
 
@@ -146,16 +149,18 @@ static void without_dissipation_it_is_newmark(void **state)
             }
             for (k = 0; k < 30; ++k) {
                 const double h = changing && k % 3 == 1 ? 1.0 / 100 : 1.0 / 60;
-                for (i = 0; i < n; ++i) f[i] = 3 * (sin(0.2 * k + 0.1 * (double)i) - sin(0.1 * (double)i));
+                for (i = 0; i < n; ++i)
+                    f[i] = 3 * (sin(0.2 * k + 0.1 * (double)i) - sin(0.1 * (double)i));
                 for (j = 0; j < 2; ++j) {
                     assert_ok(sfem_body_set_force(body[j], f, &err), err);
                     step(body[j], h);
                 }
-                difference = fmax(difference, apart(sfem_body_displacement(body[0]), sfem_body_displacement(body[1]), n));
+                difference = fmax(difference, apart(sfem_body_displacement(body[0]),
+                                                    sfem_body_displacement(body[1]), n));
                 size = fmax(size, length(sfem_body_displacement(body[1]), n));
             }
-            print_message("    law %d, %s steps: difference %.1e of %.1f m\n", law, changing ? "changing" : "even",
-                          difference, size);
+            print_message("    law %d, %s steps: difference %.1e of %.1f m\n", law,
+                          changing ? "changing" : "even", difference, size);
             assert_true(size > 0.5);
             assert_near(difference, 0, 0, 1e-8 * size);
             sfem_body_free(body[0]);
@@ -186,8 +191,8 @@ static void corrections_are_counted(void **state)
                 corrections += sfem_body_get_info(s.body).corrections;
             }
             info = sfem_body_get_info(s.body);
-            print_message("    law %d, accuracy %g: %.2f solves a step, %.2f forces\n", 2 * law, accuracy[which],
-                          (double)info.solves / 60, (double)info.evaluations / 60);
+            print_message("    law %d, accuracy %g: %.2f solves a step, %.2f forces\n", 2 * law,
+                          accuracy[which], (double)info.solves / 60, (double)info.evaluations / 60);
             assert_int_equal(info.steps, 60);
             assert_int_equal(info.rejected, 0);
             assert_int_equal(info.solves, 60 + corrections);
@@ -210,7 +215,8 @@ static void corrections_are_counted(void **state)
 
 static void an_accuracy_out_of_range_is_refused(void **state)
 {
-    static const double accuracy[5] = {0, -1, 1.1, NAN, 1e-6}, dissipation[5] = {0.2, 0.2, 0.2, 0.2, 0.34};
+    static const double accuracy[5] = {0, -1, 1.1, NAN, 1e-6},
+                        dissipation[5] = {0.2, 0.2, 0.2, 0.2, 0.34};
     scene s = bar_of(3, SFEM_COROTATIONAL, 1e5);
     int k;
     (void)state;
@@ -254,8 +260,9 @@ static void corrections_keep_the_momenta_of_free_bodies(void **state)
                 distance3(l[0], l[1], &d);
                 off[1] = fmax(off[1], d / length(l[0], 3));
             }
-            print_message("    law %d, damping %g, accuracy %g: %.2f corrections a step, P off by %.1e, L by %.1e\n", law,
-                          def.beta_k, def.accuracy, (double)corrections / 300, off[0], off[1]);
+            print_message("    law %d, damping %g, accuracy %g: %.2f corrections a step, P off by "
+                          "%.1e, L by %.1e\n",
+                          law, def.beta_k, def.accuracy, (double)corrections / 300, off[0], off[1]);
             assert_int_equal(sfem_body_get_info(s.body).rejected, 0);
             assert_true(corrections > (way ? 300 : 30));
             assert_true(off[0] < 1e-12 && off[1] < 1e-12);
@@ -281,7 +288,8 @@ static void drag_force(void *user, const sfem_real *v, sfem_real *force)
     int c;
     for (i = 0; i < d->nodes; ++i) {
         const double speed = length(v + 3 * i, 3);
-        for (c = 0; c < 3; ++c) force[3 * i + c] += d->factor * d->mass[i] * speed * speed * v[3 * i + c];
+        for (c = 0; c < 3; ++c)
+            force[3 * i + c] += d->factor * d->mass[i] * speed * speed * v[3 * i + c];
     }
 }
 
@@ -323,8 +331,8 @@ static void damped_swing(sfem_law law, int kind, int handle, int form, int steps
         step(s.body, h);
         last = sfem_body_energy(s.body).conserved;
         if (integrator == SFEM_PQR && !(last <= least + 2e-3 * first))
-            fail_msg("law %d, damping %d, handle %d, step %d of %d: %g J of %g, after %g", (int)law, kind, handle, k,
-                     steps, last, first, least);
+            fail_msg("law %d, damping %d, handle %d, step %d of %d: %g J of %g, after %g", (int)law,
+                     kind, handle, k, steps, last, first, least);
         least = fmin(least, last);
     }
     if (integrator == SFEM_PQR) assert_int_equal(sfem_body_get_info(s.body).rejected, 0);
@@ -355,8 +363,9 @@ static void damping_is_newmarks(void **state)
                         off[form][k] = apart(a[form], b, n) / size;
                     }
                 }
-                print_message("    law %d, damping %d, %d handle: apart by %.1e %.1e, without dissipation %.1e %.1e\n", law,
-                              kind, handle, off[0][0], off[0][1], off[1][0], off[1][1]);
+                print_message("    law %d, damping %d, %d handle: apart by %.1e %.1e, without "
+                              "dissipation %.1e %.1e\n",
+                              law, kind, handle, off[0][0], off[0][1], off[1][0], off[1][1]);
                 for (form = DEFAULT; form <= EXACT; ++form) {
                     if (off[form][1] < 1e-8) continue;
                     assert_true(law > 0 || kind == DRAG);
@@ -409,7 +418,8 @@ static void a_saved_state_continues_with_its_pairs(void **state)
             sfem_body_save_state(first, memory);
             sfem_body_save_state(other, (char *)memory + bytes);
             assert_memory_equal(memory, (char *)memory + bytes, bytes);
-            assert_int_equal(sfem_body_get_info(first).corrections, sfem_body_get_info(other).corrections);
+            assert_int_equal(sfem_body_get_info(first).corrections,
+                             sfem_body_get_info(other).corrections);
         }
         sfem_body_free(other);
         free(memory);
@@ -479,13 +489,15 @@ static void the_unit_of_time_changes_no_bit(void **state)
  * unstructured bodies
  * -------------------------------------------------------------------------------------------- */
 
-/* Six seconds of a body with limbs: held by its tail end, swinging by gravity, or free and spinning at 6 rad/s. */
-static void live(const sfem_mesh *mesh, int free_body, double h, int good)
+/* Six seconds of a body with limbs: held by the ends of its legs, swinging by gravity, or free and spinning at 6 rad/s.
+ * A good mesh has no step rejected. Returns the energy lost, over its peak. */
+static double live(const sfem_mesh *mesh, double young, int free_body, double h, int good)
 {
     const size_t n = 3 * (size_t)mesh->nodes;
     sfem_model_def model_def = sfem_default_model_def();
     sfem_body_def def = sfem_default_body_def();
-    double *v = (double *)calloc(n, sizeof *v), centre[3] = {0, 0, 0}, peak = 0, first, last, low = 0;
+    double *v = (double *)calloc(n, sizeof *v), centre[3] = {0, 0, 0}, peak = 0, first, last,
+           low = 0;
     sfem_int *pins = (sfem_int *)malloc((size_t)mesh->nodes * sizeof *pins), i;
     const int steps = (int)(6 / h + 0.5);
     sfem_model *model;
@@ -494,7 +506,7 @@ static void live(const sfem_mesh *mesh, int free_body, double h, int good)
     sfem_error err;
     int k;
     model_def.mesh = mesh;
-    model_def.material = rubber(free_body ? 1e6 : 3e5);
+    model_def.material = rubber(young);
     model_def.material.poisson = 0.38;
     assert_ok(sfem_model_create(&model_def, &model, &err), err);
     for (i = 0; i < mesh->nodes; ++i) {
@@ -519,20 +531,25 @@ static void live(const sfem_mesh *mesh, int free_body, double h, int good)
         last = e.total;
         peak = fmax(peak, e.kinetic + e.elastic);
         if (!(last <= first + 0.05 * peak))
-            fail_msg("%s, h %g: total energy %g above its start, of %g, after %d steps", free_body ? "free" : "held", h,
-                     last - first, peak, k + 1);
+            fail_msg("%s, h %g: total energy %g above its start, of %g, after %d steps",
+                     free_body ? "free" : "held", h, last - first, peak, k + 1);
     }
     info = sfem_body_get_info(body);
-    print_message("    %s, %s, h 1/%.0f: %d of %d rejected, %.2f solves a step, energy lost %.4f of its peak\n",
-                  good ? "q > 0.1" : "q > 0.01", free_body ? "free" : "held", 1 / h, (int)info.rejected, steps,
-                  (double)info.solves / steps, (first - last) / peak);
-    if (!(first - last <= 0.05 * peak)) print_message("        too much\n");
+    print_message("    %s, %s, Y %g, h 1/%.0f: %d of %d rejected, %.2f solves a step, energy lost "
+                  "%.4f of its peak\n",
+                  good ? "q > 0.1" : "q > 0.01", free_body ? "free" : "held", young, 1 / h,
+                  (int)info.rejected, steps, (double)info.solves / steps, (first - last) / peak);
+    if (good) assert_int_equal(info.rejected, 0);
+    assert_true(info.rejected * 100 < steps);
     sfem_body_free(body);
     sfem_model_free(model);
     free(pins);
     free(v);
+    return (first - last) / peak;
 }
 
+/* Where limbs swing as they stand, and do not bend until they crumple: a soft body's energy goes into motions that no
+ * step resolves, and is lost; what counts there is that no step is rejected. */
 static void unstructured_bodies_swing_and_spin_on(void **state)
 {
     static const double q_min[2] = {0.1, 0.01};
@@ -543,9 +560,10 @@ static void unstructured_bodies_swing_and_spin_on(void **state)
         sfem_error err;
         assert_ok(body_scattered(1200, q_min[k], 1, &mesh, &err), err);
         for (free_body = 0; free_body < 2; ++free_body) {
-            live(&mesh, free_body, 1.0 / 30, k == 0);
-            live(&mesh, free_body, 1.0 / 60, k == 0);
+            assert_true(live(&mesh, 5e6, free_body, 1.0 / 30, k == 0) <= 0.05);
+            assert_true(live(&mesh, 5e6, free_body, 1.0 / 60, k == 0) <= 0.05);
         }
+        assert_true(live(&mesh, 3e5, 0, 1.0 / 60, k == 0) <= 0.25);
         sfem_mesh_free(&mesh);
     }
 }

@@ -321,8 +321,8 @@ static void a_stretched_string_swings_as_by_newton(void **state)
     info[2] = pluck(&s, def, 1, 1, by[2], PLUCKED);
     for (k = 0; k < 5; ++k) {
         error[k] = distance(by[k], truth);
-        print_message("    error %.4f, %d of %d rejected, %d solves\n", error[k], (int)info[k].rejected, PLUCKED,
-                      (int)info[k].solves);
+        print_message("    error %.4f, %d of %d rejected, %d solves\n", error[k],
+                      (int)info[k].rejected, PLUCKED, (int)info[k].solves);
     }
     assert_true(info[1].rejected > PLUCKED / 6 && info[2].rejected == 0);
     assert_true(error[2] < 1.5 * error[0] && error[1] > 4 * error[2]);
