@@ -18774,7 +18774,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
     if (!q->fallback) sfemi_correct_recall(b, q);
     for (k = 0; k < most; ++k) {
         const sfem_real decrement = sfemi_correct_direction(b, q, f);
-        sfem_real length = 0;
+        sfem_real length = 0, left;
         if (k == 0) first = decrement;
         if (k == 0 && q->fallback) tolerance = fmin(tolerance, 0.01 * (q->moving + first));
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
@@ -18788,7 +18788,9 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         if (!(length > 0)) continue;
         if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
         last = decrement;
-        g->converged = fmax(rate, 1 - length) * decrement < tolerance && /* a short step has not gained it */
+        left = fmax(rate, 1 - length) * decrement; /* a short step has not gained what it was expected to */
+        if (q->fallback) left /= 1 - fmin(rate, 0.98); /* the sum of all that follow, by slow convergence */
+        g->converged = left < tolerance &&
                        (!q->fallback || sfemi_guard_excess(b) <= 0);
         if (g->converged) break;
     }
@@ -19203,7 +19205,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     if (!g->converged) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         sfemi_guard_find_columns(b, g->isotropic);
-        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, tolerance);
+        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * tolerance); /* too stiff to tell */
     }
     if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, tolerance, err));
     sfemi_guard_restore_momentum(b, 1);
