@@ -1087,7 +1087,8 @@ typedef struct sfem_body_def {
                                * with the same factor, until another one is expected to gain less than this part of
                                * the energy in motion (the largest kinetic energy of late). 1e-6, the default: errors
                                * of full Newton within a factor of two; 1e-4: a third fewer solves; 1: one solve a
-                               * step, never corrected; 1e-12: as far as rounding goes */
+                               * step, never corrected; 1e-20: as far as rounding goes (it is an energy: velocities
+                               * are off by its square root) */
     sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.2
                                * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
@@ -18130,6 +18131,7 @@ typedef struct sfemi_equation {
     sfem_real end;           /* weight of f' */
     sfem_real before, after; /* of w and w' in the velocity that is damped */
     int fallback;            /* momenta are put right when it is solved, not by each step */
+    sfem_real moving;        /* in a fallback: kinetic energy at the start. S may be that of a collapse long past */
 } sfemi_equation;
 
 /* The equation of the step under way, and the forces of the past in it: guard.known. */
@@ -18145,6 +18147,7 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     const sfem_real now = k1 * a + k2 * (h1 > 0 ? 1 - a : 1), past = h1 > 0 ? k2 * a + k3 * (1 - a) : 0;
     size_t i;
     q->fallback = 0;
+    q->moving = 0;
     q->h = h2;
     q->d = t.d;
     q->end = k1 * (1 - a);
@@ -18170,6 +18173,23 @@ static const sfem_real *sfemi_correct_forecast(sfem_body *b)
     for (i = 0; i < n; ++i)
         f[i] = b->guard.known[i] + q.end * (s->f[i] + ahead * (s->f[i] - s->f_past[i]));
     return f;
+}
+
+/* The caller's damping at the velocity that is expected, to b->rhs and to the motion of free pieces: corrections take
+ * what is left. All of it, which is of first order, would be lost in steps that need none by accuracy. */
+static void sfemi_correct_brake(sfem_body *b, const sfemi_pqr_terms *t)
+{
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real ahead = sfemi_body_coefficients(b, b->p).q / 2 * b->step;
+    sfem_real *v = b->guard.dir, *force = b->guard.other;
+    size_t i;
+    if (!sfemi_correct_is_braked(b)) return;
+    for (i = 0; i < n; ++i) v[i] = t->cd * s->w[i] + ahead * s->a[i];
+    memset(force, 0, n * sizeof *force);
+    b->def.damping_force.force(b->def.damping_force.user, v, force);
+    for (i = 0; i < n; ++i) b->rhs[i] += force[i];
+    if (sfemi_turn_projects(b)) sfemi_turn_push_more(b, s->u, force, -1);
 }
 
 static void sfemi_guard_predict(sfem_body *b, sfem_real h)
@@ -18227,6 +18247,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         b->rhs[i] += model->node_mass[i / 3] *
                      (b->alpha * t.cd * s->w[i] - (b->alpha * t.ca - t.am) * s->a[i]);
     for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
+    sfemi_correct_brake(b, &t);
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     sfemi_resume_lessen(b, b->falls, t.d, b->rhs);
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
@@ -18755,6 +18776,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         const sfem_real decrement = sfemi_correct_direction(b, q, f);
         sfem_real length = 0, left;
         if (k == 0) first = decrement;
+        if (k == 0 && q->fallback) tolerance = fmin(tolerance, 0.01 * (q->moving + first));
         if (decrement > 0) length = sfemi_correct_search(b, q, decrement);
         if (length > 0) g->made += sfemi_correct_remember(b, length);
         else if (g->pairs == 0) break;
@@ -18789,6 +18811,23 @@ static void sfemi_correct_weigh(sfem_body *b)
     }
 }
 
+/* The decrement that rounding of places leaves: r is wrong by 1e-16 k |x| at a node whose own stiffness is k. Energies
+ * are no measure of it, for the decrement is of second order in r. */
+static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation *q)
+{
+    const sfemi_factor_key *key = &b->factor->key;
+    const sfem_real *x = b->model->mesh.x, *u = b->guard.u;
+    sfem_real sum = 0;
+    sfem_int i;
+    for (i = 0; key->ck > 0 && i < b->model->mesh.nodes; ++i) {
+        const sfem_real inverse = b->turn.diagonal[i];
+        const sfem_real k = inverse > 0 ? (1 / inverse - key->cm * b->model->node_mass[i]) / key->ck : 0;
+        const sfem_real p[3] = {x[3 * i] + u[3 * i], x[3 * i + 1] + u[3 * i + 1], x[3 * i + 2] + u[3 * i + 2]};
+        sum += k * k * sfemi_dot3(p, p) * inverse;
+    }
+    return 1e-32 * q->h * q->d * sum;
+}
+
 /* From the trial in guard to the solution of the equation. A trial that is not finite is left to be rejected. */
 static void sfemi_correct(sfem_body *b)
 {
@@ -18808,13 +18847,14 @@ static void sfemi_correct(sfem_body *b)
     sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
     for (i = 0; i < n; ++i) cheap += g->grad[i] * g->grad[i] * b->turn.diagonal[i / 3];
     cheap *= q.h * q.d;
+    if (!(cheap > 0)) return; /* at rest */
     if (head->estimate > 0 && head->estimate * cheap < 10 * b->def.accuracy * head->scale &&
         head->skipped < SKIPS && sfemi_guard_accepts(b, &e, &budget)) {
         ++head->skipped;
         return;
     }
     head->skipped = 0;
-    tolerance = fmax(b->def.accuracy * head->scale, sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, q.h).rounding);
+    tolerance = fmax(b->def.accuracy * head->scale, sfemi_correct_rounding(b, &q));
     first = sfemi_correct_iterate(b, &q, sfemi_body_active(b), head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST,
                                   tolerance);
     if (cheap > 0 && first > 0)
@@ -18885,7 +18925,9 @@ static void sfemi_guard_constrain(sfem_body *b)
     sfemi_guard_hold(b, &b->grip, s->frame, g->w);
 }
 
-/* guard.w by which free pieces move and rotate as their momenta have it, held ones not at all. */
+/* guard.w by which free pieces move and rotate as their momenta have it, held ones not at all. They rotate about their
+ * angular momentum L, at its rate along it: L.J^-1 L, and with it the energy, stay what they are. About the angular
+ * velocity J^-1 L of a piece that tumbles, it would change in a step of finite length. */
 static void sfemi_guard_move_rigidly(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
@@ -18899,10 +18941,12 @@ static void sfemi_guard_move_rigidly(sfem_body *b)
     sfemi_turn_divide(b);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
         const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
-        sfem_real arm[3], angle[3], rotation[9];
+        sfem_real arm[3], angle[3], rotation[9], rate;
         if (b->turn.piece_of[i] < 0 || p->held) continue;
         sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
-        for (c = 0; c < 3; ++c) angle[c] = h * p->motion[3 + c];
+        rate = sfemi_dot3(p->push + 3, p->push + 3);
+        if (rate > 0) rate = sfemi_dot3(p->motion + 3, p->push + 3) / rate;
+        for (c = 0; c < 3; ++c) angle[c] = h * rate * p->push[3 + c];
         sfemi_rotate_by(angle, rotation);
         for (c = 0; c < 3; ++c)
             g->w[3 * i + c] = (sfemi_dot3(rotation + 3 * c, arm) - arm[c]) / h + p->motion[c];
@@ -19139,11 +19183,15 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_guard_energies there = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+    /* what has moved before is no measure where most of it has been lost since */
+    const sfem_real tolerance = 0.01 * fmin(head->scale, head->psi + there.kinetic + there.floor);
     sfemi_equation q;
-    sfem_real excess;
+    sfem_real excess, above;
     sfem_status status = SFEM_OK;
     size_t i;
     q.fallback = 1;
+    q.moving = there.kinetic + there.floor;
     q.h = q.d = b->step;
     q.end = q.after = 1;
     q.before = 0;
@@ -19153,17 +19201,18 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_guard_keep_momentum(b);
     sfemi_guard_start_fallback(b, &q);
-    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, 0.01 * head->scale);
+    (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, tolerance);
     if (!g->converged) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         sfemi_guard_find_columns(b, g->isotropic);
-        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 1e-4 * head->scale); /* too stiff to tell */
+        (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * tolerance); /* too stiff to tell */
     }
-    if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, 0.01 * head->scale, err));
+    if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, tolerance, err));
     sfemi_guard_restore_momentum(b, 1);
     excess = sfemi_guard_excess(b);
-    if (excess > 0) {
-        sfemi_guard_slow_down(b, excess, 0);
+    above = excess + fmax(0, head->last - head->budget - 0.01 * head->scale); /* what was let pass goes first */
+    if (above > 0) {
+        sfemi_guard_slow_down(b, above, 0);
         excess = sfemi_guard_excess(b);
     }
     if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) {
@@ -19489,7 +19538,9 @@ static void sfemi_sleep_begin(sfem_body *b)
     for (k = 0; k < b->def.max_handles; ++k)
         memcpy(s->handle[k].hold.past, s->handle[k].hold.target, sizeof s->handle[k].hold.past);
     s->head->sleep = SFEMI_ASLEEP;
-    s->head->started = SFEMI_RESTARTED;
+    s->head->started = SFEMI_LOAD_FIXED;
+    s->head->pairs = s->head->skipped = 0;
+    s->head->estimate = s->head->rate = 0;
     if (!b->turns) return;
     memcpy(s->f_past, s->f, bytes);
     s->head->energy = sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;

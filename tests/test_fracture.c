@@ -738,7 +738,7 @@ static void a_state_saved_in_mid_fracture_goes_on_with_the_same_bits(void **stat
             void *memory;
             sfem_error err;
             sfem_int broken;
-            def.corrections = ductile;
+            if (!ductile) def.accuracy = 1;
             if (ductile) {
                 damage.criterion = SFEM_BREAK_DUCTILE;
                 damage.soften[0] = 0.002;

@@ -1,149 +1,5 @@
-/* Nonlinear bodies by (p,q,r): the turned factor, the guarded step and its redo, corrections. */
-#include "support.h"
-
-/* --------------------------------------------------------------------------------------------
- * scenes
- * -------------------------------------------------------------------------------------------- */
-
-enum { MAX_NODES = 400 };
-
-typedef struct scene {
-    sfem_mesh mesh;
-    sfem_model *model;
-    sfem_body *body;
-    sfem_int pins[64], n; /* the face at x = 0; nodes */
-    sfem_int pin_count;
-    double centre[3];
-} scene;
-
-static sfem_material rubber(double young)
-{
-    sfem_material m = sfem_default_material();
-    m.young = young;
-    m.law = SFEM_COROTATIONAL;
-    return m;
-}
-
-/* The model of a bar along x, its nodes moved a little so that no symmetry hides a mistake. */
-static scene bar(sfem_int nx, sfem_int ny, sfem_material material)
-{
-    const sfem_int cells[3] = {nx, ny, ny};
-    const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * ny};
-    sfem_model_def def = sfem_default_model_def();
-    test_random random = {11};
-    sfem_error err;
-    sfem_int i;
-    scene s;
-    memset(&s, 0, sizeof s);
-    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &s.mesh, &err), err);
-    for (i = 0; i < s.mesh.nodes; ++i)
-        if (s.mesh.x[3 * i] < 1e-9) s.pins[s.pin_count++] = i;
-    for (i = 0; i < 3 * s.mesh.nodes; ++i) s.mesh.x[i] += random_uniform(&random, -0.01, 0.01);
-    for (i = 0; i < 3; ++i) s.centre[i] = size[i] / 2;
-    s.n = s.mesh.nodes;
-    assert_true(s.n <= MAX_NODES);
-    def.mesh = &s.mesh;
-    def.material = material;
-    assert_ok(sfem_model_create(&def, &s.model, &err), err);
-    return s;
-}
-
-static void add_body(scene *s, sfem_body_def def, int held)
-{
-    sfem_error err;
-    if (held) {
-        def.pins = s->pins;
-        def.pin_count = s->pin_count;
-    }
-    assert_ok(sfem_body_create(s->model, &def, &s->body, &err), err);
-}
-
-static void drop(scene *s)
-{
-    sfem_body_free(s->body);
-    sfem_model_free(s->model);
-    sfem_mesh_free(&s->mesh);
-    memset(s, 0, sizeof *s);
-}
-
-static void step(sfem_body *body, double h)
-{
-    sfem_error err;
-    assert_ok(sfem_body_step(body, h, &err), err);
-}
-
-static void run(sfem_body *body, double h, int steps)
-{
-    while (steps-- > 0) step(body, h);
-}
-
-static void cross(const double *a, const double *b, double *out)
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
-
-static double length(const double *a, size_t n)
-{
-    double sum = 0;
-    size_t i;
-    for (i = 0; i < n; ++i) sum += a[i] * a[i];
-    return sqrt(sum);
-}
-
-/* v = velocity + spin x (X - centre) */
-static void rigid_velocity(const scene *s, const double *velocity, const double *spin, double *v)
-{
-    sfem_int i;
-    int c;
-    for (i = 0; i < s->n; ++i) {
-        double r[3];
-        for (c = 0; c < 3; ++c) r[c] = s->mesh.x[3 * i + c] - s->centre[c];
-        cross(spin, r, v + 3 * i);
-        for (c = 0; c < 3; ++c) v[3 * i + c] += velocity[c];
-    }
-}
-
-static void set_motion(scene *s, const double *velocity, const double *spin)
-{
-    double v[3 * MAX_NODES];
-    sfem_error err;
-    rigid_velocity(s, velocity, spin, v);
-    assert_ok(sfem_body_set_state(s->body, NULL, v, &err), err);
-}
-
-static const double zero3[3] = {0, 0, 0};
-
-/* A random proper rotation. */
-static void random_rotation(uint64_t seed, double r[9])
-{
-    test_random random = {seed};
-    double f[9];
-    int i;
-    for (i = 0; i < 9; ++i) f[i] = random_normal(&random);
-    sfem_polar(f, r, NULL);
-}
-
-static void turn(const double *r, const double *x, size_t nodes, double *y)
-{
-    size_t i;
-    int c;
-    for (i = 0; i < nodes; ++i) {
-        const double a = x[3 * i], b = x[3 * i + 1], d = x[3 * i + 2];
-        for (c = 0; c < 3; ++c)
-            y[3 * i + (size_t)c] = r[3 * c] * a + r[3 * c + 1] * b + r[3 * c + 2] * d;
-    }
-}
-
-/* Elastic energy and forces by themselves. */
-static double forces(const scene *s, const double *u, double *f)
-{
-    double *work = (double *)malloc(sfem_model_work_size(s->model) * sizeof *work), psi;
-    psi = sfem_model_forces(s->model, u, SFEM_DOUBLE, f, NULL, NULL, work, NULL);
-    free(work);
-    return psi;
-}
+/* Nonlinear bodies by (p,q,r): the rotated factor, the energy safeguard, rejected steps. (test_correct.c: corrections) */
+#include "scene.h"
 
 /* --------------------------------------------------------------------------------------------
  * small motions: what is linear
@@ -151,11 +7,12 @@ static double forces(const scene *s, const double *u, double *f)
 
 static void tiny_motions_are_those_of_the_linear_law(void **state)
 {
-    const double p[2] = {0.27, 0.25}, beta[2] = {0, 2e-3};
+    const double p[3] = {0.27, 0.25, 0.25}, beta[3] = {0, 2e-3, 0};
     int k;
     (void)state;
-    for (k = 0; k < 2;
-         ++k) { /* damped with p = 1/4: the start of a body that turns drops a term otherwise */
+    /* one solve, without and with damping (p = 1/4: the start of a body that rotates drops a term otherwise); and
+     * corrected towards Newmark(1/4, 1/2), which (1/4, 1, 1) is for a linear body */
+    for (k = 0; k < 3; ++k) {
         double u[2][3 * MAX_NODES], v[3 * MAX_NODES];
         int law;
         for (law = 0; law < 2; ++law) {
@@ -167,8 +24,10 @@ static void tiny_motions_are_those_of_the_linear_law(void **state)
             m.law = law ? SFEM_COROTATIONAL : SFEM_LINEAR;
             s = bar(6, 2, m);
             def.p = p[k];
-            def.alpha = k;
+            def.alpha = k < 2 ? k : 0;
             def.beta_k = beta[k];
+            def.accuracy = k < 2 ? 1 : 1e-20;
+            def.dissipation = 0;
             def.gravity[1] = -1e-6;
             add_body(&s, def, 1);
             random_fill(&random, v, 3 * (size_t)s.n, -1e-6, 1e-6);
@@ -267,6 +126,7 @@ static void the_invariant_holds_with_a_stale_factor(void **state)
     def.p = 0.3;
     def.frame = SFEM_FRAME_REST;
     def.no_guard = 1;
+    def.accuracy = 1;
     add_body(&s, def, 0);
     turn(r, s.mesh.x, (size_t)s.n, u);
     for (i = 0; i < 3 * s.n; ++i) u[i] -= s.mesh.x[i];
@@ -302,51 +162,6 @@ static void the_invariant_holds_with_a_stale_factor(void **state)
 /* --------------------------------------------------------------------------------------------
  * momentum, rotation, pieces, order
  * -------------------------------------------------------------------------------------------- */
-
-/* P and L of the mean velocity over the last step, from positions before and after. */
-static void momentum(const scene *s, const double *u0, const double *u1, double h, double p[3],
-                     double l[3])
-{
-    const double *mass = sfem_model_node_mass(s->model);
-    sfem_int i;
-    int c;
-    memset(p, 0, 3 * sizeof *p);
-    memset(l, 0, 3 * sizeof *l);
-    for (i = 0; i < s->n; ++i) {
-        double x[3], w[3], t[3];
-        for (c = 0; c < 3; ++c) {
-            x[c] = s->mesh.x[3 * i + c] + u1[3 * i + c];
-            w[c] = mass[i] * (u1[3 * i + c] - u0[3 * i + c]) / h;
-            p[c] += w[c];
-        }
-        cross(x, w, t);
-        for (c = 0; c < 3; ++c) l[c] += t[c];
-    }
-}
-
-/* The same of the body's velocities; L about the centre, to see what becomes of the spin. */
-static void body_momentum(const scene *s, double p[3], double l[3])
-{
-    double u[3 * MAX_NODES], v[3 * MAX_NODES], c[3] = {0, 0, 0}, t[3];
-    const double *mass = sfem_model_node_mass(s->model);
-    sfem_int i;
-    int k;
-    sfem_body_velocities(s->body, v);
-    for (i = 0; i < 3 * s->n; ++i) u[i] = sfem_body_displacement(s->body)[i] - v[i];
-    momentum(s, u, sfem_body_displacement(s->body), 1, p, l);
-    for (i = 0; i < 3 * s->n; ++i)
-        c[i % 3] += mass[i / 3] * (s->mesh.x[i] + sfem_body_displacement(s->body)[i]) /
-                    sfem_model_total_mass(s->model);
-    cross(c, p, t);
-    for (k = 0; k < 3; ++k) l[k] -= t[k];
-}
-
-static void distance3(const double *a, const double *b, double *out)
-{
-    int c;
-    for (*out = 0, c = 0; c < 3; ++c) *out += (a[c] - b[c]) * (a[c] - b[c]);
-    *out = sqrt(*out);
-}
 
 static void a_tumbling_body_keeps_its_momenta(void **state)
 {
@@ -480,18 +295,18 @@ static void linear_tets_among_others_have_their_torque(void **state)
 }
 
 /* .17 rad a step about z: what the stiff bar stretches by is the centrifugal force's doing, 8e-4 as it swings,
- * not that of a K0 that resists turning, which would make it p .17^2 = 8e-3 or have the steps done again. */
+ * not that of a K0 that resists rotation, which would make it p .17^2 = 8e-3 or have the steps rejected. */
 static void a_spinning_body_is_not_held_back(void **state)
 {
-    const double spin[3] = {0, 0, 10}, h = 1.0 / 60;
-    sfem_int corrections;
+    const double spin[3] = {0, 0, 10}, h = 1.0 / 60, accuracy[2] = {1, 1e-6};
+    int which;
     (void)state;
-    for (corrections = 0; corrections < 2; ++corrections) {
+    for (which = 0; which < 2; ++which) {
         sfem_body_def def = sfem_default_body_def();
         scene s = bar(5, 2, rubber(3e7));
         double x[3 * MAX_NODES], most = 0, length0;
         int k;
-        def.corrections = corrections;
+        def.accuracy = accuracy[which];
         add_body(&s, def, 0);
         set_motion(&s, zero3, spin);
         distance3(s.mesh.x, s.mesh.x + 3 * (s.n - 9), &length0);
@@ -502,24 +317,24 @@ static void a_spinning_body_is_not_held_back(void **state)
             distance3(x, x + 3 * (s.n - 9), &now);
             most = fmax(most, fabs(now / length0 - 1));
         }
-        print_message("    %d corrections: stretched by %.1e, %d of 120 steps redone\n",
-                      (int)corrections, most, (int)sfem_body_get_info(s.body).rejected);
+        print_message("    accuracy %g: stretched by %.1e, %d of 120 steps rejected\n",
+                      def.accuracy, most, (int)sfem_body_get_info(s.body).rejected);
         assert_true(most < 2e-3);
-        assert_true(sfem_body_get_info(s.body).rejected <= (corrections ? 6 : 0));
+        assert_int_equal(sfem_body_get_info(s.body).rejected, 0);
         drop(&s);
     }
 }
 
-/* A step that is done again, here every one, of 2/3 of a radian, keeps P and L to rounding; that of a stiff
- * body takes no more than a few solves. */
-static void steps_done_again_keep_momenta(void **state)
+/* A rejected step, here every one, of 2/3 of a radian, keeps P and L to rounding; that of a stiff body takes no more
+ * than a few solves. */
+static void rejected_steps_keep_momenta(void **state)
 {
     const double v[3] = {0.5, 0, -0.5}, spin[2][3] = {{0, 0, 40}, {6, 10, -24}};
     const double young[3] = {1e6, 1e6, 1e9};
     int which, k;
     (void)state;
     for (which = 0; which < 3; ++which) {
-        double p[2][3], l[2][3], d, most = 0, energy;
+        double p[2][3], l[2][3], d, most = 0, energy, before[3 * MAX_NODES];
         sfem_body_def def = sfem_default_body_def();
         scene s = bar(8, 2, rubber(young[which]));
         sfem_body_info info;
@@ -528,20 +343,28 @@ static void steps_done_again_keep_momenta(void **state)
         body_momentum(&s, p[0], l[0]);
         energy = sfem_body_energy(s.body).total;
         for (k = 0; k < 60; ++k) {
+            const int64_t rejected = sfem_body_get_info(s.body).rejected;
+            memcpy(before, sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof *before);
             step(s.body, 1.0 / 30);
-            body_momentum(&s, p[1], l[1]);
+            if (sfem_body_get_info(s.body).rejected ==
+                rejected) { /* one that was taken has them in its mean velocity */
+                central_momentum(&s, before, 1.0 / 30, p[1], l[1]);
+            } else {
+                body_momentum(&s, p[1], l[1]);
+            }
             distance3(p[0], p[1], &d);
             assert_near(d, 0, 0, 1e-10 * sfem_model_total_mass(s.model));
             distance3(l[0], l[1], &d);
             most = fmax(most, d / length(l[0], 3));
         }
         info = sfem_body_get_info(s.body);
-        print_message("    Y %g: %d of 60 steps redone, %.2f solves each, L off by at most %.1e, "
+        print_message("    Y %g: %d of 60 steps rejected, %.2f solves each, L off by at most %.1e, "
                       "energy by %.1e\n",
                       young[which], (int)info.rejected, (double)info.solves / (double)info.rejected,
                       most, sfem_body_energy(s.body).total / energy - 1);
         assert_true(info.rejected > 50);
-        assert_true(info.solves <= 4 * info.rejected);
+        assert_true(info.solves <=
+                    30 * info.rejected); /* those of the steps that were rejected, too */
         assert_true(most < 1e-8);
         assert_near(sfem_body_energy(s.body).total, energy, 0.05, 0);
         drop(&s);
@@ -591,13 +414,15 @@ static void a_turned_problem_has_the_turned_solution(void **state)
     }
 }
 
-/* Two bars in one mesh, the second two metres off, each as if alone. */
+/* Two bars in one mesh, the second two metres off, each as if alone: by one solve, and corrected until rounding ends
+ * it. (Else corrections end by the energy in motion of both.) */
 static void pieces_move_as_if_alone(void **state)
 {
     const double spin[3] = {1, 2, 3};
-    int held;
+    int way;
     (void)state;
-    for (held = 0; held < 2; ++held) {
+    for (way = 0; way < 4; ++way) {
+        const int held = way % 2;
         double alone[2][3 * MAX_NODES], v[3 * MAX_NODES], both[6 * MAX_NODES];
         sfem_body_def def = sfem_default_body_def();
         scene s = bar(4, 2, rubber(3e5));
@@ -607,6 +432,7 @@ static void pieces_move_as_if_alone(void **state)
         sfem_int i;
         int k;
         def.gravity[2] = -9.81;
+        def.accuracy = way < 2 ? 1 : 1e-20;
         rigid_velocity(&s, zero3, spin, v);
         for (k = 0; k < 2; ++k) { /* free, then held or free */
             add_body(&s, def, k && held);
@@ -640,38 +466,6 @@ static void pieces_move_as_if_alone(void **state)
         free(two.x);
         free(two.tet);
         drop(&s);
-    }
-}
-
-/* Halving h quarters the error of a bar that sags by its own length, from rest: a smooth motion. */
-static void the_order_is_two(void **state)
-{
-    int k, corrections;
-    (void)state;
-    for (corrections = 0; corrections < 3; corrections += 2) {
-        double u[4][3 * MAX_NODES], error[3];
-        for (k = 0; k < 4; ++k) {
-            scene s = bar(5, 2, rubber(2e4));
-            sfem_body_def def = sfem_default_body_def();
-            def.corrections = corrections;
-            def.correction_tolerance = 0;
-            def.gravity[1] = -9.81;
-            add_body(&s, def, 1);
-            run(s.body, 0.4 / (80 << k), 80 << k);
-            assert_int_equal(sfem_body_get_info(s.body).rejected, 0);
-            memcpy(u[k], sfem_body_displacement(s.body), sizeof u[k] / MAX_NODES * (size_t)s.n);
-            drop(&s);
-        }
-        for (k = 0; k < 3; ++k) {
-            double d[3 * MAX_NODES];
-            size_t i;
-            const size_t n = 3 * 54;
-            for (i = 0; i < n; ++i) d[i] = u[k][i] - u[k + 1][i];
-            error[k] = length(d, n);
-        }
-        print_message("    %d corrections: orders %.3f %.3f\n", corrections,
-                      log2(error[0] / error[1]), log2(error[1] / error[2]));
-        assert_near(log2(error[1] / error[2]), 2, 0, 0.2);
     }
 }
 
@@ -756,6 +550,8 @@ static double excess(int kind, double young, double poisson, double h, double se
                    sfem_model_node_mass(s.model)[i / 3],
             largest += f[0];
     }
+    largest = fmax(largest, 1e-22 * young * 0.1 * 0.2 * 0.2 *
+                                s.n); /* inside out, StVK is in equilibrium but for rounding */
     for (k = 0; k < steps; ++k) {
         sfem_error err;
         double e;
@@ -792,8 +588,9 @@ static void violent_runs_keep_their_energy(void **state)
                     const double e = excess(kind, young[i], poisson[j], h[k], k < 2 ? 1 : 0.3,
                                             sfem_default_body_def(), SFEM_COROTATIONAL, &info);
                     if (!(e <= 1))
-                        fail_msg("scene %d, Y %g, nu %g, h %g: %g scales, %d of %d redone", kind,
-                                 young[i], poisson[j], h[k], e, (int)info.rejected, (int)info.steps);
+                        fail_msg("scene %d, Y %g, nu %g, h %g: %g scales, %d of %d rejected", kind,
+                                 young[i], poisson[j], h[k], e, (int)info.rejected,
+                                 (int)info.steps);
                     worst = fmax(worst, e);
                 }
     print_message("    at most %.3f scales above the start\n", worst);
@@ -822,6 +619,7 @@ static void other_forms_explode(void **state)
     (void)state;
     rest.frame = SFEM_FRAME_REST;
     rest.no_guard = bare.no_guard = 1;
+    rest.accuracy = bare.accuracy = 1;
     for (p = 0.25; p <= 1; p *= 2) { /* the source's form, on a bar that swings */
         rest.p = p;
         assert_true(excess(SWUNG, 1e5, 0.3, 1.0 / 60, 4, rest, SFEM_COROTATIONAL, &info) > 100);
@@ -922,7 +720,7 @@ static double stand(scene *s, double h)
 }
 
 /* The ledger counts the work of the caller's forces as it counts energies, without the fall of the centre, and
- * along the way that a step done again has taken in the end: only the impact is worth a few. */
+ * along the way that a step put in place of a rejected one has taken: only the impact is worth a few. */
 static void a_body_on_a_floor_of_the_callers_is_left_alone(void **state)
 {
     const sfem_law laws[2] = {SFEM_COROTATIONAL, SFEM_NEOHOOKEAN};
@@ -973,7 +771,7 @@ static void crushed_bodies_come_back(void **state)
                 back += shape < 0.01;
                 if (!(shape < 0.01))
                     print_message(
-                        "    scene %d, Y %g, h %g: off by %.3f of its length, %d of %d redone\n",
+                        "    scene %d, Y %g, h %g: off by %.3f of its length, %d of %d rejected\n",
                         kind, young, h[k], shape, (int)sfem_body_get_info(s.body).rejected,
                         (int)sfem_body_get_info(s.body).steps);
                 assert_true(sfem_body_energy(s.body).kinetic < 1e-3 * start);
@@ -1015,7 +813,7 @@ static void bodies_torn_a_thousandfold_come_back(void **state)
         run(s.body, 1.0 / 60, 240);
         info = sfem_body_get_info(s.body);
         print_message(
-            "    Y %g: elastic %.2g of what a knot may have, kinetic %.1g, %d of 240 redone\n",
+            "    Y %g: elastic %.2g of what a knot may have, kinetic %.1g, %d of 240 rejected\n",
             young[k], sfem_body_energy(s.body).elastic / calm,
             sfem_body_energy(s.body).kinetic / calm, (int)info.rejected);
         assert_true(sfem_body_energy(s.body).elastic < 2 * calm);
@@ -1065,11 +863,11 @@ static void knots_come_to_rest(void **state)
         s = bar(5, 2, m);
         add_body(&s, sfem_default_body_def(), 0);
         set_scene(&s, SCATTERED);
-        run(s.body, h[k], 1500);
+        run(s.body, h[k], 3000); /* overdamped: its force falls by half in a second */
         forces(&s, sfem_body_displacement(s.body), f);
         for (i = 0; i < 3 * s.n; ++i) most = fmax(most, fabs(f[i]));
         print_message(
-            "    Y %g, h %g: off by %.3f of its length, force %.1e of Y A, %d of %d redone\n",
+            "    Y %g, h %g: off by %.3f of its length, force %.1e of Y A, %d of %d rejected\n",
             young[k], h[k], misshape(&s), most / (0.01 * young[k]),
             (int)sfem_body_get_info(s.body).rejected, (int)sfem_body_get_info(s.body).steps);
         assert_true(most < 1e-5 * 0.01 * young[k]);
@@ -1112,33 +910,31 @@ static void a_point_opens_the_same_way_whatever_its_rounding(void **state)
     }
 }
 
-/* The margin of p is kept by p itself where steps are long, and by the mass where they resolve every mode. */
-static void p_follows_law_and_step(void **state)
+/* One solve a step has the law's margin in p, the corrected step that of its own equation, whatever the step. */
+static void p_follows_the_law(void **state)
 {
-    static const double most[3] = {0.28, 0.5, 0.5}, h[4] = {1e-1, 4e-3, 2.8e-3, 1e-4};
+    static const sfem_law law[3] = {SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
+    static const double most[3] = {0.27, 0.5, 0.5}, h[3] = {1e-1, 2.8e-3, 1e-4};
     sfem_int k, j;
+    int corrected;
     (void)state;
-    for (k = 0; k < 3; ++k) {
-        double before = most[k];
-        static const sfem_law law[3] = {SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
-        sfem_material m = rubber(3e4);
-        sfem_body_def def = sfem_default_body_def();
-        scene s;
-        m.law = law[k];
-        s = bar(5, 2, m);
-        add_body(&s, def, 1);
-        for (j = 0; j < 4; ++j) {
-            sfem_error err;
-            double p;
-            assert_ok(sfem_body_prepare(s.body, h[j], &err), err);
-            p = sfem_body_get_info(s.body).p;
-            if (j == 0) assert_near(p, most[k], 0, 0);
-            if (j == 3) assert_near(p, 1.0 / 12, 1e-15, 0);
-            assert_true(p <= before);
-            before = p;
+    for (k = 0; k < 3; ++k)
+        for (corrected = 0; corrected < 2; ++corrected) {
+            sfem_material m = rubber(3e4);
+            sfem_body_def def = sfem_default_body_def();
+            scene s;
+            m.law = law[k];
+            s = bar(5, 2, m);
+            if (!corrected) def.accuracy = 1;
+            add_body(&s, def, 1);
+            for (j = 0; j < 3; ++j) {
+                sfem_error err;
+                assert_ok(sfem_body_prepare(s.body, h[j], &err), err);
+                assert_near(sfem_body_get_info(s.body).p, corrected ? 1.2 * 1.2 * 0.8 / 4 : most[k],
+                            1e-14, 0);
+            }
+            drop(&s);
         }
-        drop(&s);
-    }
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -1147,44 +943,43 @@ static void p_follows_law_and_step(void **state)
 
 static void a_changing_step_is_as_good_as_a_fixed_one(void **state)
 {
-    double u[4][3 * MAX_NODES], d[3][3 * MAX_NODES];
+    static const double accuracy[2] = {1, 1e-6};
+    double u[3][3 * MAX_NODES], d[2][3 * MAX_NODES];
     sfem_int i, n = 0;
-    int k;
+    int k, which;
     (void)state;
-    for (
-        k = 0; k < 4;
-        ++k) { /* fine, h = 1/240, and twice steps of 1/120 and 1/480 in turn: of one p, and of two */
-        scene s = bar(5, 2, rubber(3e4));
-        sfem_body_def def = sfem_default_body_def();
-        int j;
-        def.gravity[1] = -5;
-        if (k < 3) def.p = 0.28;
-        add_body(&s, def, 1);
-        set_motion(&s, zero3, zero3);
-        if (k == 0) run(s.body, 1.0 / 3840, 3840 / 2);
-        if (k == 1) run(s.body, 1.0 / 240, 120);
-        for (j = 0; k >= 2 && j < 48; ++j) {
-            run(s.body, 1.0 / 120, 1);
-            run(s.body, 1.0 / 480, 1);
+    for (which = 0; which < 2; ++which) {
+        for (k = 0; k < 3; ++k) { /* fine, h = 1/240, steps of 1/120 and 1/480 in turn */
+            scene s = bar(5, 2, rubber(3e4));
+            sfem_body_def def = sfem_default_body_def();
+            int j;
+            def.gravity[1] = -5;
+            def.accuracy = k ? accuracy[which] : 1e-6;
+            add_body(&s, def, 1);
+            set_motion(&s, zero3, zero3);
+            if (k == 0) run(s.body, 1.0 / 3840, 3840 / 2);
+            if (k == 1) run(s.body, 1.0 / 240, 120);
+            for (j = 0; k == 2 && j < 48; ++j) {
+                run(s.body, 1.0 / 120, 1);
+                run(s.body, 1.0 / 480, 1);
+            }
+            assert_near(sfem_body_time(s.body), 0.5, 1e-9, 0);
+            n = s.n;
+            memcpy(u[k], sfem_body_displacement(s.body), 3 * (size_t)n * sizeof(double));
+            drop(&s);
         }
-        assert_near(sfem_body_time(s.body), 0.5, 1e-9, 0);
-        n = s.n;
-        memcpy(u[k], sfem_body_displacement(s.body), 3 * (size_t)n * sizeof(double));
-        drop(&s);
+        for (i = 0; i < 3 * n; ++i) {
+            d[0][i] = u[1][i] - u[0][i];
+            d[1][i] = u[2][i] - u[0][i];
+        }
+        print_message(
+            "    accuracy %g: error %.5f with a fixed step, %.5f with a changing one, of %.3f\n",
+            accuracy[which], length(d[0], 3 * (size_t)n), length(d[1], 3 * (size_t)n),
+            length(u[0], 3 * (size_t)n));
+        assert_true(length(d[1], 3 * (size_t)n) <
+                    5 * length(d[0], 3 * (size_t)n)); /* 3.25 by the squares of the steps */
+        assert_true(length(d[1], 3 * (size_t)n) < 1e-3 * length(u[0], 3 * (size_t)n));
     }
-    for (i = 0; i < 3 * n; ++i) {
-        d[0][i] = u[1][i] - u[0][i];
-        d[1][i] = u[2][i] - u[0][i];
-        d[2][i] = u[3][i] - u[0][i];
-    }
-    print_message("    error %.5f with a fixed step, %.5f with a changing one, %.5f where p "
-                  "changes, too, of %.3f\n",
-                  length(d[0], 3 * (size_t)n), length(d[1], 3 * (size_t)n),
-                  length(d[2], 3 * (size_t)n), length(u[0], 3 * (size_t)n));
-    assert_true(length(d[1], 3 * (size_t)n) <
-                5 * length(d[0], 3 * (size_t)n)); /* 3.25 by the squares of the steps */
-    assert_true(length(d[1], 3 * (size_t)n) < 1e-3 * length(u[0], 3 * (size_t)n));
-    assert_true(length(d[2], 3 * (size_t)n) < length(d[1], 3 * (size_t)n));
 }
 
 /* What is done to the body adds energy; what it may have is bounded by the work of loads and targets. */
@@ -1216,7 +1011,7 @@ static void changes_make_no_energy(void **state)
         for (j = 0; j < 3 * s.n; ++j) total += sfem_model_node_mass(s.model)[j / 3];
         total /= 3;
         /* a force of 20 N a node and gravity of 35 m/s^2 over 1/3 s at most: 12 + 3 N s a node of .2 kg and more */
-        print_message("    Y %g: kinetic at most %.3g J, at last %.3g J, %d redone\n", young[k],
+        print_message("    Y %g: kinetic at most %.3g J, at last %.3g J, %d rejected\n", young[k],
                       most, sfem_body_energy(s.body).kinetic,
                       (int)sfem_body_get_info(s.body).rejected);
         assert_true(most < 0.5 * total * 60 * 60);
@@ -1270,7 +1065,7 @@ static void handles_are_where_they_should_be(void **state)
         }
 }
 
-/* A twist by moved pins, at a rate that is redone, then held; and pins of one axis each. */
+/* A twist by moved pins, at a rate at which steps are rejected, then held; and pins of one axis each. */
 static void pins_move_and_hold_single_axes(void **state)
 {
     const double young[2] = {1e6, 1e8};
@@ -1306,135 +1101,6 @@ static void pins_move_and_hold_single_axes(void **state)
         if (!(misshape(&s) < 0.01)) fail_msg("Y %g: off by %g", young[k], misshape(&s));
         drop(&s);
     }
-}
-
-/* --------------------------------------------------------------------------------------------
- * corrections
- * -------------------------------------------------------------------------------------------- */
-
-/* |r| after n corrections of each step, over that of none, for
- *   r = M (w' - w)/h + alpha M (w + w')/2 + f'/4 + f/2 + f-/4 - F, in the mass norm. */
-static double newmark_residual(sfem_int corrections, double *scale, int handle)
-{
-    scene s = bar(5, 2, rubber(2e5));
-    sfem_body_def def = sfem_default_body_def();
-    double u[3][3 * MAX_NODES], f[3][3 * MAX_NODES], worst = 0;
-    const double h = 1.0 / 60, spin[3] = {0, 0, 3}, *mass = sfem_model_node_mass(s.model);
-    unsigned char held[MAX_NODES] = {0};
-    sfem_error err;
-    sfem_int i, grip;
-    int k;
-    def.corrections = corrections;
-    def.correction_tolerance = 0;
-    def.alpha = 0.5;
-    def.gravity[1] = -9.81;
-    def.no_guard = 1;
-    add_body(&s, def, 1);
-    set_motion(&s, zero3, spin);
-    for (i = 0; i < s.pin_count; ++i) held[s.pins[i]] = 1;
-    if (handle) {
-        assert_ok(sfem_body_grab_node(s.body, s.n - 1, &grip, &err), err);
-        held[s.n - 1] = 1;
-    }
-    memset(u, 0, sizeof u);
-    memset(f, 0, sizeof f);
-    *scale = 0;
-    for (k = 0; k < 20; ++k) {
-        double r2 = 0, m2 = 0;
-        memcpy(u[0], u[1], sizeof *u);
-        memcpy(f[0], f[1], sizeof *f);
-        memcpy(u[1], sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof(double));
-        forces(&s, u[1], f[1]);
-        step(s.body, h);
-        assert_true(sfem_body_get_info(s.body).corrections == corrections);
-        memcpy(u[2], sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof(double));
-        forces(&s, u[2], f[2]);
-        if (k < 1) continue;
-        for (i = 0; i < 3 * s.n; ++i) {
-            const double w = (u[1][i] - u[0][i]) / h, w1 = (u[2][i] - u[1][i]) / h, m = mass[i / 3];
-            const double r = m * (w1 - w) / h + 0.5 * m * (w + w1) / 2 + f[2][i] / 4 + f[1][i] / 2 +
-                             f[0][i] / 4 - m * def.gravity[i % 3];
-            if (held[i / 3]) continue;
-            r2 += r * r / m;
-            m2 += m * (w1 - w) * (w1 - w) / (h * h);
-        }
-        worst = fmax(worst, sqrt(r2));
-        *scale = fmax(*scale, sqrt(m2));
-    }
-    drop(&s);
-    return worst;
-}
-
-static void corrections_lead_to_newmark(void **state)
-{
-    const sfem_int count[5] = {0, 1, 2, 3, 8};
-    int handle;
-    (void)state;
-    for (handle = 0; handle < 2; ++handle) {
-        double before = INFINITY, scale, r;
-        size_t k;
-        for (k = 0; k < TEST_COUNT(count); ++k) {
-            r = newmark_residual(count[k], &scale, handle);
-            print_message("    %d corrections: residual %.2e\n", (int)count[k], r / scale);
-            assert_true(r < before);
-            before = r;
-        }
-        assert_near(newmark_residual(100, &scale, handle) / scale, 0, 0, 1e-9);
-    }
-}
-
-/* Steps on the way to Newmark's, each with its own force at the end, add up to no momentum. */
-static void corrections_keep_the_momenta_of_free_bodies(void **state)
-{
-    const double v[3] = {0.3, -0.2, 0.1}, spin[3] = {2, 10, 3};
-    sfem_int corrections;
-    (void)state;
-    for (corrections = 1; corrections <= 3; ++corrections) {
-        double before[3 * MAX_NODES], p[2][3], l[2][3], d;
-        sfem_body_def def = sfem_default_body_def();
-        scene s = bar(5, 2, rubber(1e6));
-        int k;
-        def.corrections = corrections;
-        def.correction_tolerance = 0;
-        def.beta_k = 1e-3;
-        add_body(&s, def, 0);
-        set_motion(&s, v, spin);
-        for (k = 0; k < 500; ++k) {
-            memcpy(before, sfem_body_displacement(s.body), 3 * (size_t)s.n * sizeof(double));
-            step(s.body, 1.0 / 240);
-            momentum(&s, before, sfem_body_displacement(s.body), 1.0 / 240, p[k > 0], l[k > 0]);
-        }
-        assert_int_equal(sfem_body_get_info(s.body).rejected, 0);
-        assert_int_equal(sfem_body_get_info(s.body).corrections, corrections);
-        distance3(p[0], p[1], &d);
-        assert_near(d / length(p[0], 3), 0, 0, 1e-10);
-        distance3(l[0], l[1], &d);
-        assert_near(d / length(l[0], 3), 0, 0, 1e-10);
-        drop(&s);
-    }
-}
-
-static void corrections_stop_at_their_tolerance(void **state)
-{
-    scene s = bar(5, 2, rubber(2e5));
-    sfem_body_def def = sfem_default_body_def();
-    const double spin[3] = {0, 0, 3};
-    int loose, tight;
-    (void)state;
-    def.corrections = 50;
-    def.correction_tolerance = 1e-2;
-    add_body(&s, def, 1);
-    set_motion(&s, zero3, spin);
-    run(s.body, 1.0 / 60, 5);
-    loose = sfem_body_get_info(s.body).corrections;
-    sfem_body_free(s.body);
-    def.correction_tolerance = 1e-8;
-    add_body(&s, def, 1);
-    set_motion(&s, zero3, spin);
-    run(s.body, 1.0 / 60, 5);
-    tight = sfem_body_get_info(s.body).corrections;
-    assert_true(loose >= 1 && loose < tight && tight < 50);
-    drop(&s);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -1503,7 +1169,6 @@ static void damping_takes_energy_and_no_rotation(void **state)
 static sfem_body_def eventful(void)
 {
     sfem_body_def def = sfem_default_body_def();
-    def.corrections = 1;
     def.beta_k = 1e-3;
     def.gravity[2] = -9.81;
     return def;
@@ -1564,7 +1229,7 @@ static void a_saved_state_continues_bit_for_bit(void **state)
         }
 }
 
-/* What a handle left in the factors of redone steps is not taken for its successor's. */
+/* What a handle left in the factors of rejected steps is not taken for its successor's. */
 static void a_handle_that_follows_another_is_held_in_steps_done_again(void **state)
 {
     scene s = bar(5, 2, rubber(1e6));
@@ -1759,7 +1424,7 @@ static sfem_status run_with(sfem_allocator allocator, const sfem_mesh *mesh, int
     }
     if (status == SFEM_OK)
         assert_true(sfem_body_get_info(b).rejected > 0 &&
-                    sfem_body_get_info(b).factors_made == 3 + torn);
+                    sfem_body_get_info(b).factors_made == 2 + torn);
     sfem_body_free(b);
     sfem_model_free(model);
     return status;
@@ -1794,10 +1459,9 @@ int main(void)
         cmocka_unit_test(a_stiff_body_keeps_its_momenta),
         cmocka_unit_test(linear_tets_among_others_have_their_torque),
         cmocka_unit_test(a_spinning_body_is_not_held_back),
-        cmocka_unit_test(steps_done_again_keep_momenta),
+        cmocka_unit_test(rejected_steps_keep_momenta),
         cmocka_unit_test(a_turned_problem_has_the_turned_solution),
         cmocka_unit_test(pieces_move_as_if_alone),
-        cmocka_unit_test(the_order_is_two),
         cmocka_unit_test(violent_runs_keep_their_energy),
         cmocka_unit_test(violent_runs_of_other_laws_keep_their_energy),
         cmocka_unit_test(other_forms_explode),
@@ -1808,14 +1472,11 @@ int main(void)
         cmocka_unit_test(bodies_torn_a_thousandfold_come_back),
         cmocka_unit_test(knots_come_to_rest),
         cmocka_unit_test(a_point_opens_the_same_way_whatever_its_rounding),
-        cmocka_unit_test(p_follows_law_and_step),
+        cmocka_unit_test(p_follows_the_law),
         cmocka_unit_test(a_changing_step_is_as_good_as_a_fixed_one),
         cmocka_unit_test(changes_make_no_energy),
         cmocka_unit_test(handles_are_where_they_should_be),
         cmocka_unit_test(pins_move_and_hold_single_axes),
-        cmocka_unit_test(corrections_lead_to_newmark),
-        cmocka_unit_test(corrections_keep_the_momenta_of_free_bodies),
-        cmocka_unit_test(corrections_stop_at_their_tolerance),
         cmocka_unit_test(damping_takes_energy_and_no_rotation),
         cmocka_unit_test(a_saved_state_continues_bit_for_bit),
         cmocka_unit_test(a_handle_that_follows_another_is_held_in_steps_done_again),
