@@ -1004,7 +1004,7 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
 /* linear body: 1/12 where every mode is resolved (omega_max h < 2), else 1/4; others as SFEM_P_SAFE */
 #define SFEM_P_AUTO (-1.0)
 /* 1/4 for a linear body. For others, corrected ones: what the equation has that they are corrected towards, (1+a)^2
- * (1-a)/4 with a = dissipation, 0.288. With one solve a step: 0.27 if corotational, 1/2 if it hardens, margins for
+ * (1-a)/4 with a = dissipation, 0.272. With one solve a step: 0.27 if corotational, 1/2 if it hardens, margins for
  * tangents that outgrow that at rest. More where the law of damage asks for it. */
 #define SFEM_P_SAFE (-2.0)
 
@@ -1089,7 +1089,7 @@ typedef struct sfem_body_def {
                                * of full Newton within a factor of two; 1e-4: a third fewer solves; 1: one solve a
                                * step, never corrected; 1e-20: as far as rounding goes (it is an energy: velocities
                                * are off by its square root) */
-    sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.2
+    sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.1
                                * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
                                * no memory for it */
@@ -19929,7 +19929,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.beta = 0.25;
     d.q = d.r = 1;
     d.accuracy = 1e-6;
-    d.dissipation = 0.2;
+    d.dissipation = 0.1;
     d.gamma = 0.5;
     d.rho_inf = 0.8;
     d.gui_lambda = 4;
