@@ -18440,7 +18440,7 @@ static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real 
     sfem_real scale;
     *budget = b->state.head->budget + sfemi_guard_step_work(b);
     *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
-    scale = sfemi_guard_in_motion(b, e);
+    scale = sfemi_guard_in_motion(b, e) + fmin(b->state.head->psi, g->psi);
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
            e->ec <= *budget + e->rounding + 0.3 * scale;
 }

@@ -1,10 +1,12 @@
 /* The verification table: what theory says, what the library finds, and whether the two agree.
  *
- *     build/bench/accuracy [--no-ccx]
+ *     build/bench/accuracy [--no-ccx] [--references build/bench-real]
  *
  * Each line has what is expected, what was found, and how far apart they may be: by the digits of a table, by
  * rounding, or, for orders of convergence, by what the next term of the expansion is worth at these steps. Statics
- * are compared with CalculiX (Debian package calculix-ccx) where it is installed. Status 1 if a line fails. */
+ * are compared with CalculiX (Debian package calculix-ccx) where it is installed; real meshes, which SFEM_MESHES
+ * names the directory of, with references that are made where they are missing (reference.h). Status 1 if a line
+ * fails. */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <stdarg.h>
@@ -15,7 +17,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "bench.h"
+#include "reference.h"
 
 #define PI 3.14159265358979323846
 
@@ -387,23 +389,24 @@ static void completeness(void)
 typedef struct method {
     const char *name;
     sfem_integrator integrator;
-    double p;
-    int corrections, iterations;
+    double p, accuracy; /* accuracy 0: the default's */
+    int iterations;
     double order;
 } method;
 
 static const method methods[] = {
     {"(p,q,r), the default", SFEM_PQR, SFEM_P_SAFE, 0, 0, 2},
-    {"(p,q,r), two corrections", SFEM_PQR, SFEM_P_SAFE, 2, 0, 2},
-    {"KR-alpha .8", SFEM_KR_ALPHA, SFEM_P_SAFE, 0, 0, 2},
+    {"(p,q,r), accuracy 1e-12", SFEM_PQR, SFEM_P_SAFE, 1e-12, 0, 2},
+    {"(p,q,r), accuracy 1", SFEM_PQR, SFEM_P_SAFE, 1, 0, 2},
+    {"KR-alpha 0.8", SFEM_KR_ALPHA, SFEM_P_SAFE, 0, 0, 2},
     {"Gui 4 (= CR)", SFEM_GUI, SFEM_P_SAFE, 0, 0, 2},
     {"Chang 2002", SFEM_CHANG, SFEM_P_SAFE, 0, 0, 2},
     {"central difference", SFEM_CENTRAL, SFEM_P_SAFE, 0, 0, 2},
     {"Newmark, Newton", SFEM_NEWMARK, SFEM_P_SAFE, 0, 30, 2},
     {"Newmark, one iteration", SFEM_NEWMARK, SFEM_P_SAFE, 0, 1, 2},
     {"backward Euler", SFEM_BACKWARD_EULER, SFEM_P_SAFE, 0, 30, 1},
-    {"HHT .1", SFEM_HHT, SFEM_P_SAFE, 0, 30, 2},
-    {"generalized-alpha .8", SFEM_GENERALIZED_ALPHA, SFEM_P_SAFE, 0, 30, 2},
+    {"HHT 0.1", SFEM_HHT, SFEM_P_SAFE, 0, 30, 2},
+    {"generalized-alpha 0.8", SFEM_GENERALIZED_ALPHA, SFEM_P_SAFE, 0, 30, 2},
     {"Bathe", SFEM_BATHE, SFEM_P_SAFE, 0, 30, 2},
 };
 
@@ -424,8 +427,7 @@ static double time_order(const method *m, sfem_law law, double time, int first)
         sfem_error err;
         def.integrator = m->integrator;
         def.p = m->p;
-        def.corrections = m->corrections;
-        def.correction_tolerance = 0;
+        if (m->accuracy > 0) def.accuracy = m->accuracy;
         if (m->iterations) def.newton.iterations = m->iterations;
         if (m->iterations > 1) def.newton.tolerance = 1e-10;
         def.gravity[1] = -2;
@@ -475,6 +477,63 @@ static double fourth_order(void)
     for (k = 0; k < 2; ++k) e[k] = distance(u[k], u[k + 1], n);
     for (k = 0; k < 3; ++k) free(u[k]);
     return log2(e[0] / e[1]);
+}
+
+/* ---- real and unstructured meshes ---- */
+
+/* Of the tips, at h = 1/60 s, over how far they move: see bench/real. */
+static double real_error(const real_scene *s, const reference *r, sfem_integrator integrator)
+{
+    sfem_body_def def = real_body_def(s);
+    double off = 0, all = 0;
+    sfem_body *body;
+    sfem_error err;
+    int i, j, c;
+    def.integrator = integrator;
+    def.newton.accept_best = 1;
+    def.newton.tolerance = 1e-5;
+    bench_must(real_body(s, &def, &body, &err), &err);
+    for (i = 0; i < REFERENCE_SAMPLES; ++i) {
+        const double *exact = r->u + (size_t)i * 3 * (size_t)s->mesh.nodes;
+        run(body, 1.0 / 60, 2);
+        for (j = 0; j < REAL_TIPS; ++j)
+            for (c = 0; c < 3; ++c) {
+                const size_t at = 3 * (size_t)s->tip[j] + (size_t)c;
+                off += pow(sfem_body_displacement(body)[at] - exact[at], 2);
+                all += pow(exact[at], 2);
+            }
+    }
+    sfem_body_free(body);
+    return sqrt(off / all);
+}
+
+/* The default's error is at most twice full Newton's, or 0.002. */
+static void real_meshes(const char *references)
+{
+    static const char *const name[] = {"bar 1e6", "scattered soft", "octopus 3e6", "armadillo 1e6"};
+    size_t i;
+    int k;
+    title(
+        "the default's error on unstructured meshes at 1/60 s, over full Newton's, or over 0.001");
+    for (i = 0; i < sizeof name / sizeof *name; ++i) {
+        const reference_def d = {references, "corotational", 0.38, 0};
+        real_scene scene;
+        reference r;
+        sfem_error err;
+        double newton;
+        for (k = 0; k < REAL_SCENES && strcmp(real_table[k].name, name[i]); ++k) continue;
+        if (k == REAL_SCENES || !real_there(real_table + k)) {
+            printf("    %s: left out, SFEM_MESHES names no directory with its mesh\n", name[i]);
+            continue;
+        }
+        bench_must(real_open(real_table + k, SFEM_COROTATIONAL, d.poisson, &scene, &err), &err);
+        r = reference_of(&scene, &d);
+        newton = real_error(&scene, &r, SFEM_NEWMARK);
+        row(1, real_error(&scene, &r, SFEM_PQR) / fmax(newton, 0.001), 1,
+            "%s, %d tets; Newton %.5f", name[i], (int)scene.mesh.tets, newton);
+        free(r.u);
+        real_close(&scene);
+    }
 }
 
 static void orders(void)
@@ -615,17 +674,44 @@ static double pqr_against_newmark(double p, int damped)
     return worst / scale;
 }
 
-static double drift(sfem_integrator integrator, double p, sfem_law law, double h, int steps)
+/* The corrected step without dissipation, as far as rounding goes, against the trapezoidal rule by Newton: a bar that
+ * swings far, and what its tip is apart by over how far it moves. */
+static double corrected_against_newton(sfem_law law)
+{
+    bar b = make_bar(6, 2, 0.6, 0.2, material(law, 1e5, 0.3), SFEM_MASS_LUMPED, 0.01);
+    sfem_body *body[2];
+    double worst = 0, scale = 0;
+    int k, j;
+    for (k = 0; k < 2; ++k) {
+        sfem_body_def def = sfem_default_body_def();
+        def.gravity[1] = -9.81;
+        def.dissipation = 0;
+        def.accuracy = 1e-12;
+        if (k) def.integrator = SFEM_NEWMARK;
+        def.newton.tolerance = 1e-10;
+        body[k] = hold(&b, def);
+    }
+    for (j = 0; j < 60; ++j) {
+        for (k = 0; k < 2; ++k) run(body[k], 1.0 / 120, 1);
+        worst = fmax(worst, distance(sfem_body_displacement(body[0]),
+                                     sfem_body_displacement(body[1]), 3 * b.n));
+        scale = fmax(scale, norm(sfem_body_displacement(body[1]), 3 * b.n));
+    }
+    for (k = 0; k < 2; ++k) sfem_body_free(body[k]);
+    drop(&b);
+    return worst / scale;
+}
+
+/* Of the energy in motion, over all steps, up or down; *growth: up alone, *lost: down at the end. */
+static double drift(sfem_body_def def, sfem_law law, double h, int steps, double *growth,
+                    double *lost)
 {
     bar b = make_bar(5, 2, 0.5, 0.2, material(law, 1e5, 0.3), SFEM_MASS_LUMPED, 0.01);
-    sfem_body_def def = sfem_default_body_def();
-    double *v = reals(3 * b.n), first, scale, worst = 0;
+    double *v = reals(3 * b.n), first, scale, worst = 0, up = 0, change = 0;
     sfem_body *body;
     sfem_error err;
     sfem_int i;
     int k;
-    def.integrator = integrator;
-    def.p = p;
     body = hold(&b, def);
     for (i = 0; i < b.n; ++i) v[3 * i + 1] = 0.5 * pow(b.mesh.x[3 * i] / 0.5, 2);
     bench_must(sfem_body_set_state(body, NULL, v, &err), &err);
@@ -634,8 +720,12 @@ static double drift(sfem_integrator integrator, double p, sfem_law law, double h
     scale = sfem_body_energy(body).kinetic + sfem_body_energy(body).elastic;
     for (k = 0; k < steps; ++k) {
         run(body, h, 1);
-        worst = fmax(worst, fabs(sfem_body_energy(body).conserved - first));
+        change = sfem_body_energy(body).conserved - first;
+        worst = fmax(worst, fabs(change));
+        up = fmax(up, change);
     }
+    if (growth) *growth = up / scale;
+    if (lost) *lost = -change / scale;
     sfem_body_free(body);
     drop(&b);
     free(v);
@@ -684,6 +774,37 @@ static void tumble(sfem_law law, double *linear, double *angular)
     free(before);
 }
 
+static void drifts(void)
+{
+    sfem_body_def def = sfem_default_body_def();
+    double growth, lost;
+    int law;
+    title("drift, of the energy in motion, undamped");
+    def.p = 0.25;
+    row(0, drift(def, SFEM_LINEAR, 0.01, 10000, NULL, NULL), 1e-11,
+        "(1/4,1,1), linear, 10 000 steps");
+    def.p = 0.27;
+    row(0, drift(def, SFEM_LINEAR, 0.01, 10000, NULL, NULL), 1e-11,
+        "(0.27,1,1), linear, 10 000 steps");
+    def = sfem_default_body_def();
+    def.integrator = SFEM_NEWMARK;
+    row(0, drift(def, SFEM_LINEAR, 0.01, 10000, NULL, NULL), 1e-11,
+        "trapezoidal, linear, 10 000 steps");
+    for (law = 1; law < 4; ++law) { /* of the order of Omega^2 times the strain; it must not grow */
+        def = sfem_default_body_def();
+        def.accuracy = 1;
+        row(0, drift(def, (sfem_law)law, 0.005, 10000, NULL, NULL), 0.02,
+            "(p,q,r) at accuracy 1, %s, 10 000 steps", law_name[law]);
+        def = sfem_default_body_def();
+        def.dissipation = 0;
+        row(0, drift(def, (sfem_law)law, 0.005, 10000, NULL, NULL), 0.02,
+            "the default without dissipation, %s, 10 000 steps", law_name[law]);
+        def = sfem_default_body_def(); /* which damps like HHT */
+        (void)drift(def, (sfem_law)law, 0.005, 10000, &growth, &lost);
+        row(0, growth, 0.02, "the default, %s: growth alone (it loses %.3f)", law_name[law], lost);
+    }
+}
+
 static void identities(void)
 {
     static const double p[3] = {0.25, 0.3, 0.5};
@@ -693,16 +814,10 @@ static void identities(void)
         row(0, pqr_against_newmark(p[k % 3], k / 3), 1e-11,
             "(%g,1,1) - Newmark(%g, 1/2), changing load%s", p[k % 3], p[k % 3],
             k / 3 ? ", Rayleigh damping" : "");
-    title("drift, of the energy in motion, undamped");
-    row(0, drift(SFEM_PQR, 0.25, SFEM_LINEAR, 0.01, 10000), 1e-11,
-        "(1/4,1,1), linear, 10 000 steps");
-    row(0, drift(SFEM_PQR, 0.27, SFEM_LINEAR, 0.01, 10000), 1e-11,
-        "(.27,1,1), linear, 10 000 steps");
-    row(0, drift(SFEM_NEWMARK, 0.25, SFEM_LINEAR, 0.01, 10000), 1e-11,
-        "trapezoidal, linear, 10 000 steps");
-    for (law = 1; law < 4; ++law) /* of the order of Omega^2 times the strain; it must not grow */
-        row(0, drift(SFEM_PQR, SFEM_P_SAFE, (sfem_law)law, 0.005, 10000), 0.02,
-            "the default, %s, 10 000 steps", law_name[law]);
+    for (law = 1; law < 4; ++law)
+        row(0, corrected_against_newton((sfem_law)law), 1e-5,
+            "accuracy 1e-12, no dissipation - trapezoidal Newton, %s", law_name[law]);
+    drifts();
     for (law = 1; law < 4; ++law) {
         double linear, angular;
         tumble((sfem_law)law, &linear, &angular);
@@ -1006,6 +1121,12 @@ static void calculix(void)
 
 int main(int argc, char **argv)
 {
+    static const ex_option table[] = {
+        {"--no-ccx", NULL, NULL, "without CalculiX"},
+        {"--references", "DIR", "build/bench-real", "where those of real meshes are kept"},
+        {NULL, NULL, NULL, NULL}};
+    const ex_options o = ex_parse(argc, argv, "The verification table.", table);
+    ex_make_directory(ex_text(&o, "--references"));
     patches();
     space();
     completeness();
@@ -1013,7 +1134,8 @@ int main(int argc, char **argv)
     identities();
     warping();
     fracture();
-    if (argc < 2 || strcmp(argv[1], "--no-ccx")) calculix();
+    if (!ex_given(&o, "--no-ccx")) calculix();
+    real_meshes(ex_text(&o, "--references"));
     orders();
     printf("\n%d lines, %d fail\n", rows, failures);
     return failures > 0;

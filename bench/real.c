@@ -17,8 +17,9 @@
 #include "../examples/support.h"
 #include "bench.h"
 #include "real.h"
+#include "reference.h"
 
-enum { SAMPLES = 30, FIFTHS = 5 };
+enum { SAMPLES = REFERENCE_SAMPLES, FIFTHS = 5 };
 
 typedef struct settings {
     sfem_law law;
@@ -35,8 +36,8 @@ typedef struct settings {
 typedef struct form {
     const char *name;
     sfem_integrator integrator;
-    int iterations; /* of Newton; 0: its default, to 1e-5 */
-    double p;       /* 0: the default */
+    int iterations;  /* of Newton; 0: its default, to 1e-5 */
+    double p;        /* 0: the default */
     double accuracy; /* 0: the default */
     sfem_precision precision;
 } form;
@@ -87,116 +88,10 @@ static int64_t gather_solves(const sfem_body *b, const form *f)
     return is_newton(f) ? sfem_body_newton(b).iterations : 0;
 }
 
-/* --------------------------------------------------------------------------------------------
- * references
- * -------------------------------------------------------------------------------------------- */
-
-typedef struct reference {
-    double *u; /* [SAMPLES][nodes][3] every 1/30 s */
-} reference;
-
-static uint64_t hash_of(uint64_t h, const void *data, size_t bytes) /* FNV-1a */
+static reference reference_for(const real_scene *s, const settings *o)
 {
-    const unsigned char *c = (const unsigned char *)data;
-    size_t i;
-    for (i = 0; i < bytes; ++i) h = (h ^ c[i]) * 0x100000001b3u;
-    return h;
-}
-
-/* Of all that the motion depends on. */
-static uint64_t scene_hash(const real_scene *s, const settings *o, int substeps)
-{
-    const size_t nodes = (size_t)s->mesh.nodes, tets = (size_t)s->mesh.tets;
-    uint64_t h = 0xcbf29ce484222325u;
-    h = hash_of(h, s->mesh.x, 3 * nodes * sizeof *s->mesh.x);
-    h = hash_of(h, s->mesh.tet, 4 * tets * sizeof *s->mesh.tet);
-    h = hash_of(h, s->pins, (size_t)s->pin_count * sizeof *s->pins);
-    h = hash_of(h, s->velocity, 3 * nodes * sizeof *s->velocity);
-    h = hash_of(h, s->gravity, sizeof s->gravity);
-    h = hash_of(h, &s->def->young, sizeof s->def->young);
-    h = hash_of(h, &o->poisson, sizeof o->poisson);
-    h = hash_of(h, o->law_name, strlen(o->law_name));
-    return hash_of(h, &substeps, sizeof substeps);
-}
-
-/* "octopus-2e5-200000-corotational-0.38-960.ref" */
-static const char *reference_path(const real_scene *s, const settings *o, int substeps,
-                                  const char *end)
-{
-    char name[160];
-    int i;
-    snprintf(name, sizeof name, "%s-%g-%s-%g-%d.%s", s->def->name, s->def->young, o->law_name,
-             o->poisson, 30 * substeps, end);
-    for (i = 0; name[i]; ++i)
-        if (name[i] == ' ') name[i] = '-';
-    return ex_path(o->out, name);
-}
-
-static int reference_read(reference *r, size_t count, uint64_t hash, const char *path)
-{
-    FILE *f = fopen(path, "rb");
-    uint64_t there = 0;
-    int ok;
-    if (!f) return 0;
-    ok = fread(&there, sizeof there, 1, f) == 1 && there == hash &&
-         fread(r->u, sizeof *r->u, count, f) == count;
-    fclose(f);
-    return ok;
-}
-
-static void reference_make(reference *r, const real_scene *s, const settings *o, int substeps)
-{
-    static const form newton = {"", SFEM_NEWMARK, 0, 0, 0, SFEM_DOUBLE};
-    const size_t n = 3 * (size_t)s->mesh.nodes;
-    const uint64_t hash = scene_hash(s, o, substeps);
-    const double begin = bench_seconds();
-    sfem_body_def def = def_of(&newton, s);
-    double iterations = 0, first;
-    sfem_body *body;
-    sfem_error err;
-    FILE *f;
-    int i, k;
-    def.newton.tolerance = 1e-6;
-    bench_must(real_body(s, &def, &body, &err), &err);
-    first = sfem_body_energy(body).total;
-    for (i = 0; i < SAMPLES; ++i) {
-        for (k = 0; k < substeps; ++k) {
-            bench_must(sfem_body_step(body, 1.0 / (30 * substeps), &err), &err);
-            iterations += sfem_body_newton(body).iterations;
-        }
-        memcpy(r->u + (size_t)i * n, sfem_body_displacement(body), n * sizeof *r->u);
-        ex_progress(s->def->name, i, SAMPLES);
-    }
-    ex_progress(s->def->name, 1, 1);
-    f = ex_open(reference_path(s, o, substeps, "ref"));
-    fwrite(&hash, sizeof hash, 1, f);
-    fwrite(r->u, sizeof *r->u, SAMPLES * n, f);
-    ex_close(f, reference_path(s, o, substeps, "ref"));
-    f = ex_open(reference_path(s, o, substeps, "txt"));
-    fprintf(f, "bench/real --reference --scene '%s' --young %g --law %s --poisson %g%s --out %s\n",
-            s->def->name, s->def->young, o->law_name, o->poisson, o->quick ? " --quick" : "",
-            o->out);
-    fprintf(f,
-            "trapezoidal rule, Newton to 1e-6, h = 1/%d s, %.2f iterations a step, %.0f s; energy "
-            "changed by %.3g J\n"
-            "then the hash of the scene and [%d][%d][3] displacements every 1/30 s, in the "
-            "machine's doubles\n",
-            30 * substeps, iterations / (SAMPLES * substeps), bench_seconds() - begin,
-            sfem_body_energy(body).total - first, SAMPLES, (int)s->mesh.nodes);
-    ex_close(f, reference_path(s, o, substeps, "txt"));
-    sfem_body_free(body);
-}
-
-static reference reference_of(const real_scene *s, const settings *o)
-{
-    const int substeps = o->quick ? 8 : s->def->reference;
-    const size_t count = SAMPLES * 3 * (size_t)s->mesh.nodes;
-    reference r;
-    r.u = (double *)ex_new(count, sizeof *r.u);
-    if (!reference_read(&r, count, scene_hash(s, o, substeps),
-                        reference_path(s, o, substeps, "ref")))
-        reference_make(&r, s, o, substeps);
-    return r;
+    const reference_def d = {o->out, o->law_name, o->poisson, o->quick};
+    return reference_of(s, &d);
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -259,7 +154,7 @@ static result measure(const real_scene *s, const form *f, const reference *r, do
 
 static void table_of_errors(const real_scene *s, const settings *o)
 {
-    const reference r = reference_of(s, o);
+    const reference r = reference_for(s, o);
     double semi = 0;
     int i, k;
     printf("%-28s %6s %8s %9s %7s %8s %8s %8s %9s\n", "", "1/h", "error", "rejected", "solves",
@@ -481,7 +376,7 @@ static void table_of_eigenvalues(const real_scene *s, const settings *o)
     static const sfem_tangent kind[2] = {SFEM_TANGENT_EXACT, SFEM_TANGENT_FROZEN};
     static const double p[3] = {0.28, 0.5, 1};
     const size_t nodes = (size_t)s->mesh.nodes;
-    const reference r = reference_of(s, o);
+    const reference r = reference_for(s, o);
     pencil a;
     sfem_error err;
     int i, j, k, c, pose;
@@ -594,7 +489,7 @@ int main(int argc, char **argv)
         bench_must(real_open(&d, s.law, s.poisson, &scene, &err), &err);
         print_scene(&scene, &s);
         if (ex_given(&o, "--reference"))
-            free(reference_of(&scene, &s).u);
+            free(reference_for(&scene, &s).u);
         else if (ex_given(&o, "--long"))
             table_of_energies(&scene, &s);
         else if (ex_given(&o, "--eigen"))

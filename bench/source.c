@@ -381,6 +381,7 @@ static sfem_body *make_body(sfem_model *model, int way, sfem_body_def def)
     } else if (way == PROPOSED) {
         def.p = .25;
         def.frame = SFEM_FRAME_REST;
+        def.accuracy = 1; /* one solve */
         def.no_guard = def.plain_load = 1;
     }
     for (i = 0; i < mesh->nodes; ++i)
@@ -499,7 +500,8 @@ static void pull(sfem_model *model, int way, double scale, double *x)
     int k;
     def.alpha = 1;
     def.beta_k = 2e-3;
-    def.p = .25;
+    def.p = 0.25;
+    def.accuracy = 1; /* one solve a step */
     def.plain_load = way == AS_PRINTED;
     if (way == IMPLICIT) def.integrator = SFEM_NEWMARK;
     body = make_body(model, DEFAULT, def);

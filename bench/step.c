@@ -2,14 +2,17 @@
  *
  *   bench/step [--quick] [largest number of tets, 54880] [mesh files]
  *
- * Corotational blocks of 2 x .5 x .5 m, 540 to 160 000 tets, and meshes from files, held at one end of
- * their longest side, E = 1e6 Pa, nu = .45, falling under gravity from rest with h = 1/60 s. The default
- * step, guarded (p,q,r) with a turned factor, is set against the faster of two semi-implicit
+ * Corotational blocks of 2 x 0.5 x 0.5 m, 540 to 160 000 tets in cells of five, one in cells of six, and meshes from
+ * files, held at one end of their longest side, E = 1e6 Pa, nu = 0.45, falling under gravity from rest; and real
+ * meshes as real.h places them (nu = 0.38), where SFEM_MESHES names their directory; h = 1/60 s. The default step,
+ * (p,q,r) corrected with a rotated factor, at several accuracies, is set against the faster of two semi-implicit
  * Newmark steps, one tangent, one factorisation and one solve each: the library's own (newton.iterations
  * = 1), and one that uses the library's forces and tangents and CHOLMOD (Debian: libsuitesparse-dev)
  * at its best, with one OpenMP thread, as its build else starts four on one core. All are
- * stepped in turns, some steps at a time, on one core; medians. The ceiling is 2 readings of L, at the
- * rate at which this machine sums an array of its size in the same run.
+ * stepped in turns, some steps at a time, on one core, the semi-implicit ones on the path of the default. Mean and
+ * median leave out the first two steps of a turn, whose data others have pushed out of the caches; the worst is of
+ * all steps. The ceiling is 2 readings of L, at the rate at which this machine sums an array of its size in the
+ * same run.
  *
  * The library is compiled in, so that its parts can be timed.
  */
@@ -24,15 +27,30 @@
 #include <suitesparse/cholmod.h>
 #endif
 #include "../examples/support.h"
+#include "real.h"
 
+#ifndef SFEM_BENCH_FLAGS
+#define SFEM_BENCH_FLAGS "not stated"
+#endif
 #define STEP (1 / 60.0)
-enum { MOST = 400, BODIES = 6 };
-enum { PLAIN, FLOATS, ONCE, TWICE, HIGHER, NEWMARK };
+enum { MOST = 400 };
+enum { DEFAULT, ONE_SOLVE, COARSE, FINE, FLOATS, NEWMARK, PARTS, BODIES };
+
+static const char *const row_name[NEWMARK + 1] = {
+    "default",       "accuracy 1: one solve",    "accuracy 1e-4",
+    "accuracy 1e-8", "default, mixed precision", "Newmark, semi-implicit"};
 
 typedef struct times {
-    double v[MOST], sum;
+    double v[MOST], sum, worst; /* worst: also of those that are not in v */
     int n;
 } times;
+
+typedef struct subject { /* what is stepped */
+    sfem_model *model;
+    const sfem_int *pins;
+    sfem_int pin_count;
+    double gravity[3];
+} subject;
 
 static void take(times *t, double v)
 {
@@ -130,6 +148,7 @@ typedef struct rival {
     cholmod_factor *l;
     cholmod_dense *b, *x, *y, *e;
     sfem_matrix k;
+    const double *gravity;
     sfem_int *free_of; /* [nodes] its row, or -1 */
     double *u, *v, *acc, *f, *work;
 } rival;
@@ -189,11 +208,12 @@ static void rival_start(rival *r, const double *u, const double *v)
 }
 
 /* The ordering and form that CHOLMOD steps fastest with, of those that bench/solver tries. */
-static rival *rival_create(const sfem_model *model, const unsigned char *mask)
+static rival *rival_create(const subject *s, const unsigned char *mask)
 {
     static const int way[3][2] = {{CHOLMOD_AMD, CHOLMOD_SUPERNODAL},
                                   {CHOLMOD_METIS, CHOLMOD_SUPERNODAL},
                                   {CHOLMOD_AMD, CHOLMOD_SIMPLICIAL}};
+    const sfem_model *model = s->model;
     const sfem_int nodes = model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes;
     rival *r = (rival *)ex_new(1, sizeof *r);
@@ -204,6 +224,7 @@ static rival *rival_create(const sfem_model *model, const unsigned char *mask)
     memset(zero, 0, n * sizeof *zero);
     memset(r, 0, sizeof *r);
     r->model = model;
+    r->gravity = s->gravity;
     r->u = (double *)ex_new(4 * n + sfem_model_work_size(model), sizeof *r->u);
     r->v = r->u + n;
     r->acc = r->u + 2 * n;
@@ -254,8 +275,7 @@ static double rival_step(rival *r)
         for (c = 0; r->free_of[i] >= 0 && c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             b[3 * r->free_of[i] + c] =
-                model->node_mass[i] * ((c == 2 ? -9.81 : 0) + 4 / STEP * r->v[at] + r->acc[at]) -
-                r->f[at];
+                model->node_mass[i] * (r->gravity[c] + 4 / STEP * r->v[at] + r->acc[at]) - r->f[at];
         }
     cholmod_factorize(r->a, r->l, &r->c);
     cholmod_solve2(CHOLMOD_A, r->l, r->b, NULL, &r->x, NULL, &r->y, &r->e, &r->c);
@@ -289,25 +309,25 @@ static void rival_free(rival *r)
 
 /* --- one body -------------------------------------------------------------------------------- */
 
-static sfem_body *make_body(sfem_model *model, sfem_int pin_count, const sfem_int *pins, int kind)
+static sfem_body *make_body(const subject *s, int kind)
 {
     sfem_body_def def = sfem_default_body_def();
     sfem_body *body = NULL;
     sfem_error err;
-    def.pins = pins;
-    def.pin_count = pin_count;
-    def.gravity[2] = -9.81;
+    def.pins = s->pins;
+    def.pin_count = s->pin_count;
+    memcpy(def.gravity, s->gravity, sizeof def.gravity);
     if (kind == FLOATS) def.precision = SFEM_MIXED;
-    if (kind == ONCE || kind == TWICE) def.corrections = kind == ONCE ? 1 : 2;
-    def.correction_tolerance = 0;
-    if (kind == HIGHER) def.p = .3;
+    if (kind == ONE_SOLVE) def.accuracy = 1;
+    if (kind == COARSE) def.accuracy = 1e-4;
+    if (kind == FINE) def.accuracy = 1e-8;
     if (kind == NEWMARK) {
         def.integrator = SFEM_NEWMARK;
         def.newton.iterations = 1;
         def.newton.tangent = SFEM_TANGENT_FROZEN;
         def.newton.no_line_search = 1;
     }
-    must(sfem_body_create(model, &def, &body, &err), &err);
+    must(sfem_body_create(s->model, &def, &body, &err), &err);
     must(sfem_body_prepare(body, STEP, &err), &err);
     return body;
 }
@@ -320,9 +340,18 @@ static double time_step(sfem_body *body)
     return now() - start;
 }
 
+/* Puts a body where another one is. */
+static void follow(sfem_body *body, sfem_body *other)
+{
+    sfem_error err;
+    double *v = other->rhs;
+    sfem_body_velocities(other, v);
+    must(sfem_body_set_state(body, other->state.u, v, &err), &err);
+}
+
 /* The parts of a default step, in seconds, by themselves. */
 typedef struct parts {
-    times force, frames, solve, guard;
+    times force, frames, solve, energies;
 } parts;
 
 static void time_parts(sfem_body *b, parts *p)
@@ -337,77 +366,90 @@ static void time_parts(sfem_body *b, parts *p)
     sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, b->zm);
     take(&p->solve, (t = now()) - next);
     (void)sfemi_guard_measure(b, b->state.u, b->state.w, b->guard.f, 0, STEP);
-    take(&p->guard, now() - t);
+    take(&p->energies, now() - t);
 }
 
-static double redone(const sfem_body *b) /* per cent of the steps */
+/* Some steps of each body, in turn. */
+static void run_round(sfem_body **body, times *t, parts *part, int few)
+{
+    int k, j;
+    for (k = 0; k <= NEWMARK; ++k) {
+        const int last = k == NEWMARK ? few : 10;
+        if (k == NEWMARK) follow(body[k], body[DEFAULT]);
+        for (j = k == NEWMARK ? -1 : -2; j < last; ++j) {
+            const double once = time_step(body[k]);
+            if (j >= 0) take(t + k, once);
+            if (once > t[k].worst) t[k].worst = once;
+        }
+    }
+    follow(body[PARTS], body[DEFAULT]);
+    (void)time_step(body[PARTS]);
+    for (j = 0; j < 4; ++j) time_parts(body[PARTS], part);
+}
+
+static void print_row(const char *name, const times *t, const sfem_body *b, double best)
 {
     const sfem_body_info info = sfem_body_get_info(b);
-    return 100.0 * (double)info.rejected / (double)info.steps;
+    printf("  %-26s %9.1f %9.1f %9.1f %6.1f", name, 1e6 * mean(t), 1e6 * median(t), 1e6 * t->worst,
+           t->worst / median(t));
+    if (info.solves)
+        printf(" %7.2f %6.2f %%", (double)info.solves / (double)info.steps,
+               100.0 * (double)info.rejected / (double)info.steps);
+    else
+        printf(" %7.2f %8s", 1.0, "");
+    printf(" %7.2f\n", mean(t) / best);
 }
 
-static void run(const char *name, sfem_model *model, sfem_int pin_count, const sfem_int *pins,
-                int rounds)
+static void run(const char *name, const subject *s, int rounds)
 {
-    static times t[BODIES], cholmod;
+    static times t[NEWMARK + 1], cholmod;
     static parts part;
-    const sfem_int tets = model->mesh.tets;
+    const sfem_int tets = s->model->mesh.tets;
     const double ns = 1e9 / tets;
+    const int few = tets > 30000 ? 1 : 2;
     sfem_body *body[BODIES];
-    sfem_body_info info;
-    double best, step, ceiling;
-    int k, i, j;
+    double best;
+    size_t bytes;
+    int k, i;
 #ifdef SFEM_BENCH_CHOLMOD
     rival *r;
+    int j;
 #endif
     memset(t, 0, sizeof t);
     memset(&part, 0, sizeof part);
     memset(&cholmod, 0, sizeof cholmod);
-    for (k = 0; k < BODIES; ++k) body[k] = make_body(model, pin_count, pins, k);
+    for (k = 0; k < BODIES; ++k) body[k] = make_body(s, k);
 #ifdef SFEM_BENCH_CHOLMOD
-    r = rival_create(model, body[0]->mask);
+    r = rival_create(s, body[DEFAULT]->mask);
 #endif
     for (i = 0; i < rounds; ++i) {
-        const int few = tets > 30000 ? 1 : 2;
-        for (k = 0; k < BODIES; ++k)
-            for (j = k == NEWMARK ? -1 : -2; j < (k == NEWMARK ? few : 10); ++j) {
-                double once;
-                if (k == NEWMARK && j < 0) { /* on the default's path */
-                    sfem_error err;
-                    double *v = body[0]->rhs;
-                    sfem_body_velocities(body[0], v);
-                    must(sfem_body_set_state(body[k], body[0]->state.u, v, &err), &err);
-                }
-                once = time_step(body[k]);
-                if (j >= 0) take(t + k, once);
-            }
+        run_round(body, t, &part, few);
 #ifdef SFEM_BENCH_CHOLMOD
-        sfem_body_velocities(body[0], body[0]->rhs);
-        rival_start(r, body[0]->state.u, body[0]->rhs);
+        sfem_body_velocities(body[DEFAULT], body[DEFAULT]->rhs);
+        rival_start(r, body[DEFAULT]->state.u, body[DEFAULT]->rhs);
         for (j = -1; j < few; ++j) {
             const double once = rival_step(r);
             if (j >= 0) take(&cholmod, once);
+            if (once > cholmod.worst) cholmod.worst = once;
         }
 #endif
-        for (j = 0; j < 4; ++j) time_parts(body[0], &part);
     }
-    info = sfem_body_get_info(body[0]);
-    step = median(t + PLAIN);
-    best = median(t + NEWMARK);
-    if (cholmod.n && median(&cholmod) < best) best = median(&cholmod);
-    ceiling = 2 * (double)info.factor_bytes / bandwidth(info.factor_bytes);
-    printf("%-9s %7d %9.1f %9.1f %9.1f %9.1f %9.1f | %10.1f %10.1f | %5.1f %5.1f %5.1f %5.1f |"
-           " %5.1f %5.1f %5.1f %5.1f %8.1f | %5.2f %5.2f\n",
-           name, (int)tets, 1e6 * step, 1e6 * mean(t + PLAIN), 1e6 * median(t + FLOATS),
-           1e6 * median(t + ONCE), 1e6 * median(t + TWICE), 1e6 * median(t + NEWMARK),
-           1e6 * median(&cholmod), best / step, best / mean(t + PLAIN), best / mean(t + HIGHER),
-           best / median(t + FLOATS), ns * median(&part.force), ns * median(&part.frames),
-           ns * median(&part.solve), ns * median(&part.guard), 1e6 * ceiling, redone(body[PLAIN]),
-           redone(body[HIGHER]));
-    fflush(stdout);
+    best = mean(t + NEWMARK);
+    if (cholmod.n && mean(&cholmod) < best) best = mean(&cholmod);
+    printf("%s: %d nodes, %d tets, %d held; %d steps\n", name, (int)s->model->mesh.nodes, (int)tets,
+           (int)s->pin_count, 12 * rounds);
+    for (k = 0; k <= NEWMARK; ++k) print_row(row_name[k], t + k, body[k], best);
 #ifdef SFEM_BENCH_CHOLMOD
+    print_row("the same on CHOLMOD", &cholmod, body[NEWMARK], best);
     rival_free(r);
 #endif
+    bytes = sfem_body_get_info(body[DEFAULT]).factor_bytes;
+    printf("  ns a tet: forces %.1f, frames %.1f, a solve %.1f (%.1f us, ceiling %.1f), energies "
+           "%.1f\n\n",
+           ns * median(&part.force), ns * median(&part.frames), ns * median(&part.solve),
+           1e6 * median(&part.solve), 2e6 * (double)bytes / bandwidth(bytes),
+           ns * median(&part.energies));
+    fflush(stdout);
     for (k = 0; k < BODIES; ++k) sfem_body_free(body[k]);
 }
 
@@ -419,12 +461,13 @@ static int rounds_of(sfem_int tets, int quick)
     return rounds < 3 ? 3 : rounds;
 }
 
+/* Held at the lower end of its longest side; gravity along -z. */
 static void run_mesh(const char *name, const sfem_mesh *mesh, int quick)
 {
     sfem_model_def def = sfem_default_model_def();
     sfem_int *pins = (sfem_int *)ex_new((size_t)mesh->nodes, sizeof *pins), i, count = 0;
     double low[3], high[3];
-    sfem_model *model = NULL;
+    subject s = {NULL, NULL, 0, {0, 0, -9.81}};
     sfem_error err;
     int c, axis = 0;
     for (c = 0; c < 3; ++c) {
@@ -436,14 +479,65 @@ static void run_mesh(const char *name, const sfem_mesh *mesh, int quick)
         if (high[c] - low[c] > high[axis] - low[axis]) axis = c;
     }
     for (i = 0; i < mesh->nodes; ++i)
-        if (mesh->x[3 * i + axis] < low[axis] + .02 * (high[axis] - low[axis])) pins[count++] = i;
+        if (mesh->x[3 * i + axis] < low[axis] + 0.02 * (high[axis] - low[axis])) pins[count++] = i;
     def.mesh = mesh;
-    def.material.poisson = .45;
+    def.material.poisson = 0.45;
     def.material.law = SFEM_COROTATIONAL;
-    must(sfem_model_create(&def, &model, &err), &err);
-    run(name, model, count, pins, rounds_of(mesh->tets, quick));
-    sfem_model_free(model);
+    must(sfem_model_create(&def, &s.model, &err), &err);
+    s.pins = pins;
+    s.pin_count = count;
+    run(name, &s, rounds_of(mesh->tets, quick));
+    sfem_model_free(s.model);
     free(pins);
+}
+
+/* A scene of real.h. */
+static void run_real(const char *name, int quick)
+{
+    real_scene scene;
+    subject s;
+    sfem_error err;
+    int k;
+    for (k = 0; k < REAL_SCENES && strcmp(real_table[k].name, name); ++k) continue;
+    if (k == REAL_SCENES || !real_there(real_table + k)) {
+        printf("%s: left out, SFEM_MESHES names no directory with its mesh\n\n", name);
+        return;
+    }
+    must(real_open(real_table + k, SFEM_COROTATIONAL, 0.38, &scene, &err), &err);
+    s.model = scene.model;
+    s.pins = scene.pins;
+    s.pin_count = scene.pin_count;
+    memcpy(s.gravity, scene.gravity, sizeof s.gravity);
+    run(name, &s, rounds_of(scene.mesh.tets, quick));
+    real_close(&scene);
+}
+
+static void print_head(void)
+{
+    printf("vectors   %d doubles wide\n", sfem_vector_width());
+    printf("flags     %s\n", SFEM_BENCH_FLAGS);
+#ifndef SFEM_BENCH_CHOLMOD
+    printf("without CHOLMOD: install libsuitesparse-dev\n");
+#endif
+    printf("\n%-28s %9s %9s %9s %6s %7s %8s %7s\n", "us a step", "mean", "median", "worst", "/med.",
+           "solves", "rejected", "/semi");
+    printf("  /med.: the worst over the median; /semi: the mean over that of the faster "
+           "semi-implicit step\n\n");
+}
+
+static void run_files(char **files, int quick)
+{
+    for (; *files; ++files) {
+        const char *name = strrchr(*files, '/') ? strrchr(*files, '/') + 1 : *files;
+        sfem_mesh mesh;
+        sfem_error err;
+        if (sfem_mesh_read(*files, NULL, &mesh, &err) != SFEM_OK) {
+            printf("%s: %s\n", name, err.text);
+            continue;
+        }
+        run_mesh(name, &mesh, quick);
+        sfem_mesh_free(&mesh);
+    }
 }
 
 static void one_core(int quick, long largest, char **files)
@@ -451,47 +545,32 @@ static void one_core(int quick, long largest, char **files)
     static const struct {
         const char *name;
         sfem_int tets, cells[3];
-    } block[] = {{"540", 540, {12, 3, 3}},     {"2.5k", 2500, {20, 5, 5}},
-                 {"7k", 6860, {28, 7, 7}},     {"20k", 20000, {40, 10, 10}},
-                 {"55k", 54880, {56, 14, 14}}, {"160k", 160000, {80, 20, 20}}};
-    const sfem_real size[3] = {2, .5, .5};
-    sfem_mesh mesh;
-    sfem_error err;
+        sfem_block_cells kind;
+    } block[] = {{"bar, 540", 540, {12, 3, 3}, SFEM_CELL_5_TETS},
+                 {"bar, 2.5k", 2500, {20, 5, 5}, SFEM_CELL_5_TETS},
+                 {"bar, 2.4k, cells of six tets", 2400, {16, 5, 5}, SFEM_CELL_6_TETS},
+                 {"bar, 7k", 6860, {28, 7, 7}, SFEM_CELL_5_TETS},
+                 {"bar, 20k", 20000, {40, 10, 10}, SFEM_CELL_5_TETS},
+                 {"bar, 55k", 54880, {56, 14, 14}, SFEM_CELL_5_TETS},
+                 {"bar, 160k", 160000, {80, 20, 20}, SFEM_CELL_5_TETS}};
+    const sfem_real size[3] = {2, 0.5, 0.5};
     cpu_set_t set;
     size_t i;
     CPU_ZERO(&set);
     CPU_SET(sysconf(_SC_NPROCESSORS_ONLN) > 1 ? 1 : 0, &set);
     sched_setaffinity(0, sizeof set, &set);
-    printf("vectors   %d doubles wide\n", sfem_vector_width());
-#ifdef SFEM_BENCH_FLAGS
-    printf("flags     %s\n", SFEM_BENCH_FLAGS);
-#endif
-#ifndef SFEM_BENCH_CHOLMOD
-    printf("without CHOLMOD: install libsuitesparse-dev\n");
-#endif
-    printf("\nus a step: default, its mean with what is redone, mixed precision, 1 correction, 2 | "
-           "semi-implicit"
-           " Newmark, on CHOLMOD |\nthe faster of these over: default, its mean, mean at p = .3, "
-           "mixed |"
-           "\nns a tet: forces, frames, solve, energies; ceiling of the solve, us | redone, %%, at "
-           "p = .3\n\n");
+    print_head();
     for (i = 0; i < sizeof block / sizeof *block; ++i) {
+        sfem_mesh mesh;
+        sfem_error err;
         if (block[i].tets > largest) continue;
-        must(sfem_mesh_block(block[i].cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), &err);
+        must(sfem_mesh_block(block[i].cells, size, block[i].kind, NULL, &mesh, &err), &err);
         run_mesh(block[i].name, &mesh, quick);
         sfem_mesh_free(&mesh);
     }
-    for (; *files; ++files) {
-        const char *name = strrchr(*files, '/') ? strrchr(*files, '/') + 1 : *files;
-        char tag[10];
-        if (sfem_mesh_read(*files, NULL, &mesh, &err) != SFEM_OK) {
-            printf("%.9s: %s\n", name, err.text);
-            continue;
-        }
-        snprintf(tag, sizeof tag, "%s", name);
-        run_mesh(tag, &mesh, quick);
-        sfem_mesh_free(&mesh);
-    }
+    run_real("octopus 3e6", quick);
+    run_real("armadillo 1e6", quick);
+    run_files(files, quick);
 }
 
 int main(int argc, char **argv)

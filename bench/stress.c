@@ -94,8 +94,9 @@ static void report(const stress_scene *s, stress_form form, const stress_result 
            (unsigned long long)s->seed, stress_form_name((int)form), stress_letter((int)r->verdict),
            r->steps, r->damped_steps, r->seconds);
     printf("    energy +%.3g S, form %.1e, momenta %.1e %.1e, shape %.3g, lost a swing %.3g, "
-           "redone %.3g\n",
-           r->excess, r->drift, r->linear, r->angular, r->shape, r->lost, r->redo);
+           "rejected %.3g\n",
+           r->excess, r->drift, r->linear, r->angular, r->shape, r->lost, r->rejected);
+    if (r->moved > 0) printf("    moved by %.2f of its length\n", r->moved);
     if (r->why[0]) printf("    %s: %s\n", stress_verdict_about((int)r->verdict), r->why);
     fflush(stdout);
 }
@@ -232,7 +233,7 @@ static void print_failures(const board *b)
 static int print_default(const board *b)
 {
     double excess[STRESS_FAMILY_COUNT] = {0}, linear[STRESS_FAMILY_COUNT] = {0},
-           angular[STRESS_FAMILY_COUNT] = {0}, redo[STRESS_FAMILY_COUNT] = {0},
+           angular[STRESS_FAMILY_COUNT] = {0}, rejected[STRESS_FAMILY_COUNT] = {0},
            lost[STRESS_FAMILY_COUNT] = {0}, drift[STRESS_FAMILY_COUNT] = {0}, seconds = 0;
     int64_t steps = 0;
     int k, failed = 0, count[STRESS_FAMILY_COUNT] = {0};
@@ -247,7 +248,7 @@ static int print_default(const board *b)
         linear[f] = fmax(linear[f], r->linear);
         angular[f] = fmax(angular[f], r->angular);
         lost[f] = fmax(lost[f], r->lost);
-        redo[f] += r->redo;
+        rejected[f] += r->rejected;
         ++count[f];
         failed +=
             !b->job[k].done || (r->verdict != STRESS_IS_PASSED && r->verdict != STRESS_IS_LOCKED);
@@ -256,11 +257,11 @@ static int print_default(const board *b)
            "modal: of\n"
            "energy; stream, eigen: error, see stress.h)\n");
     printf("%-8s %9s %9s %9s %9s %9s %9s\n", "", "Ec/S", "linear", "momentum", "angular", "lost",
-           "redone");
+           "rejected");
     for (k = 0; k < STRESS_FAMILY_COUNT; ++k)
         if (count[k])
             printf("%-8s %9.2g %9.1e %9.1e %9.1e %9.2g %9.2g   %s\n", stress_family_name(k),
-                   excess[k], drift[k], linear[k], angular[k], lost[k], redo[k] / count[k],
+                   excess[k], drift[k], linear[k], angular[k], lost[k], rejected[k] / count[k],
                    stress_family_about(k));
     printf("\n%d runs, %lld steps, %.0f s of processor time; the default fails %d\n", b->count,
            (long long)steps, seconds, failed);

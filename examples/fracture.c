@@ -24,6 +24,9 @@ static const ex_option table[] = {
     {"--scene", "bend|tensile|plate|blade|all", "all", "what breaks"},
     {"--toughness", "GC", NULL, "J/m^2, instead of the scene's own"},
     {"--dt", "H", NULL, "time step, s, instead of the scene's own"},
+    {"--accuracy", "A", "1e-6",
+     "corrections stop below this part of the energy in motion; 1: one solve a step"},
+    {"--dissipation", "ALPHA", "0.2", "0 to 1/3: damps what a step does not resolve"},
     {"--damage", "zsz|condensed", "condensed", "the law of damaged tets"},
     {"--renew", "FLOPS", "0", "operations a step on a new factor, once it has been quiet"},
     {"--threads", "N", "1", "threads"},
@@ -180,6 +183,8 @@ static void make_body(run *r)
     def.renew_flops = ex_real(&r->o, "--renew");
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
     if (r->scene == PLATE) def.gravity[2] = -9.81;
+    def.accuracy = ex_real(&r->o, "--accuracy");
+    def.dissipation = ex_real(&r->o, "--dissipation");
     must(sfem_body_create(r->model, &def, &r->body, &err), &err);
     if (r->scene == BEND) { /* the notch: a blade that comes from below */
         const double from[9] = {0.49, -1, -0.1, 0.51, -1, -0.1, 0.5, 1, -0.1};
@@ -241,7 +246,7 @@ static void drive(run *r, sfem_int k)
         double from[9] = {0.029, -1, 0, 0.031, -1, 0, 0.03, 1, 0}, to[9];
         memcpy(to, from, sizeof to);
         for (i = 2; i < 9; i += 3) {
-            from[i] = 0.6 - 4 * (t - 2 * r->h); /* overlapping: the ball turns meanwhile */
+            from[i] = 0.6 - 4 * (t - 2 * r->h); /* overlapping: the ball rotates meanwhile */
             to[i] = 0.6 - 4 * t;
         }
         if (to[2] > -0.7) must(sfem_body_cut(r->body, from, to, NULL, &err), &err);
@@ -394,10 +399,11 @@ static void play(const ex_options *o, int scene)
     plot(&r);
     f = sfem_body_fracture(r.body);
     info = sfem_body_get_info(r.body);
-    printf("scene %s\nnodes %d\ntets %d\nsteps %d\nredone %d\nfactors %d\nseconds %.2f\n",
+    printf("scene %s\nnodes %d\ntets %d\nsteps %d\nrejected %d\nsolves %ld\nfactors %d\n"
+           "seconds %.2f\n",
            name[scene], (int)r.mesh.nodes, (int)r.mesh.tets, (int)r.steps, (int)info.rejected,
-           (int)info.factors_made, start);
-    printf("work %.4g\nreleased %.4g\nsurface %.4g\ndamped %.4g\nguarded %.4g\n", f.work,
+           (long)info.solves, (int)info.factors_made, start);
+    printf("work %.4g\nreleased %.4g\nsurface %.4g\ndamped %.4g\nsafeguard %.4g\n", f.work,
            f.released, f.surface, f.damped, f.guarded);
     printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
            f.scale > 0 ? fabs(f.error) / f.scale : 0.0);

@@ -23,7 +23,7 @@ static const ex_option table[] = {
     {"--young", "E", "1e6", "Young's modulus, Pa"},
     {"--modes", "N", "20", "modes"},
     {"--ratio", "XI", "0.05", "damping ratio of each mode"},
-    {"--warp", "none|rotation|path", "path", "how modes turn"},
+    {"--warp", "none|rotation|path", "path", "how modes rotate"},
     {"--pull", "D", "0.8", "how far the end is drawn up, m"},
     {"--dt", "H", "0.01", "time step, s"},
     {"--seconds", "T", "6", "1/3 up, 1/6 held, 1/6 down by half, then let go"},

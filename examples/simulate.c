@@ -16,7 +16,8 @@ enum { FRAMES = 6, MAX_LOADS = 16 };
 
 static const ex_option table[] = {
     {"MESH", "FILE", NULL,
-     "Gmsh, VTK legacy, Medit, Vega or TetGen; without it a bar of 1 x 0.2 x 0.2 m"},
+     "Gmsh .msh, VTK legacy .vtk, Medit .mesh, Vega .veg or TetGen .node; without it a bar of 1 x "
+     "0.2 x 0.2 m"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},
@@ -32,13 +33,15 @@ static const ex_option table[] = {
     {"--q", "Q", "1", "of pqr"},
     {"--r", "R", "1", "of pqr"},
     {"--frame", "node|piece|rest|majorant", "node",
-     "of pqr, kr, gui, chang: how their factor turns"},
-    {"--guard", "on|off", "on", "of the same: do steps again that make energy"},
-    {"--corrections", "N", "0", "of pqr: at most so many solves more a step, toward newmark"},
+     "of pqr, kr, gui, chang: how their factor is rotated"},
+    {"--safeguard", "on|off", "on", "of the same: reject and replace steps that make energy"},
+    {"--accuracy", "A", "1e-6",
+     "of pqr: corrections stop below this part of the energy in motion; 1: one solve a step"},
+    {"--dissipation", "ALPHA", "0.2",
+     "of corrected pqr, 0 to 1/3: damps what a step does not resolve; 0: conservative"},
     {"--newton", "N", "20",
      "implicit methods: at most so many iterations a step; 1: semi-implicit"},
-    {"--tol", "T", NULL,
-     "corrections stop at this relative change (1e-3), Newton at this residual (1e-8)"},
+    {"--tol", "T", "1e-8", "Newton stops at this residual"},
     {"--rho-inf", "R", "0.8",
      "of genalpha and kr: what is left of the fastest modes a step; kr of 1 is CR"},
     {"--gui-lambda", "L", "4", "of gui: 4 is CR; beyond, steps are limited"},
@@ -49,7 +52,7 @@ static const ex_option table[] = {
     {"--dt", "H", "0.008333333333333333", "time step, s"},
     {"--steps", "N", "240", "time steps"},
     {"--modes", "N", "20", "of modal: so many of the lowest"},
-    {"--warp", "none|rotation|path", "path", "of modal: how they turn; none is linear"},
+    {"--warp", "none|rotation|path", "path", "of modal: how they rotate; none is linear"},
     {"--static", NULL, NULL, "solve for rest instead"},
     {"--gravity", "X,Y,Z", "0,0,-9.81", "m/s^2"},
     {"--velocity", "V", NULL,
@@ -209,13 +212,13 @@ static void make_body(run *r)
     def.p = ex_real(&r->o, "--p");
     if (def.integrator == SFEM_NEWMARK && def.p > 0) def.beta = def.p;
     def.frame = (sfem_frame)ex_choice(&r->o, "--frame");
-    def.no_guard = ex_choice(&r->o, "--guard");
-    def.corrections = (sfem_int)ex_integer(&r->o, "--corrections");
+    def.no_guard = ex_choice(&r->o, "--safeguard");
+    def.accuracy = ex_real(&r->o, "--accuracy");
+    def.dissipation = ex_real(&r->o, "--dissipation");
     def.newton.iterations = (sfem_int)ex_integer(&r->o, "--newton");
     def.newton.accept_best =
         def.newton.iterations == 1; /* one iteration is never told to converge */
-    if (ex_text(&r->o, "--tol"))
-        def.correction_tolerance = def.newton.tolerance = ex_real(&r->o, "--tol");
+    def.newton.tolerance = ex_real(&r->o, "--tol");
     def.rho_inf = ex_real(&r->o, "--rho-inf");
     def.gui_lambda = ex_real(&r->o, "--gui-lambda");
     def.q = ex_real(&r->o, "--q");
@@ -588,7 +591,7 @@ static void report(run *r)
     printf("nnz_factor %lu\n", (unsigned long)info.factor_nnz);
     printf("setup_ms %.3f\n", 1e3 * r->setup);
     printf("step_us %.3f\n", r->steps > 0 ? 1e6 * r->stepping / r->steps : 0);
-    printf("redone %d\n", (int)info.rejected);
+    printf("rejected %ld\nsolves %ld\n", (long)info.rejected, (long)info.solves);
     if (r->breaks) {
         const sfem_fracture f = sfem_body_fracture(r->body);
         printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
