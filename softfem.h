@@ -18873,10 +18873,12 @@ static void sfemi_correct(sfem_body *b)
  * the pieces move rigidly, which leaves Psi as it was, and lose angular momentum if that would take energy. Then the
  * motion starts afresh from there. */
 
-/* The momenta that free pieces are to have after the step, in `push`: what w has, and the loads. */
+/* The momenta that free pieces are to have after the step, in `push`: what w has, and what the loads give from where
+ * it is the velocity, the middle of the last step, to the end of this one. */
 static void sfemi_guard_keep_momentum(sfem_body *b)
 {
-    const sfem_real *mass = b->model->node_mass, h = b->step, r = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real *mass = b->model->node_mass, r = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real h = b->step + (b->state.head->started == SFEMI_RUNNING ? b->state.head->h / 2 : 0);
     sfem_int k;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
