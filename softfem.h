@@ -14920,6 +14920,7 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
     sfem_real curvature[SFEMI_MEMORY]; /* and their products */
     int pairs;             /* so many so far in this step */
+    int bounded;           /* directions come of an upper bound of the tangent */
     int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
     int converged;         /* the corrections went as far as they should */
     sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
@@ -18440,7 +18441,7 @@ static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real 
     sfem_real scale;
     *budget = b->state.head->budget + sfemi_guard_step_work(b);
     *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
-    scale = sfemi_guard_in_motion(b, e) + fmin(b->state.head->psi, g->psi);
+    scale = sfemi_guard_in_motion(b, e);
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
            e->ec <= *budget + e->rounding + 0.3 * scale;
 }
@@ -18647,7 +18648,7 @@ static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q,
     return q->end / q->h * (psi_from - psi_to) + length / 2 * sum;
 }
 
-/* Goes along dir by Armijo's rule, and, but in a fallback, not far beyond the least: where the slope there is half the
+/* Goes along dir by Armijo's rule, and, unless dir comes of an upper bound, not far beyond the least: where the slope there is half the
  * first one, the secant's length. (Where tets flip, slopes jump, and secants get short for nothing.) 0 where no length will do; all is as it was then. */
 static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfem_real decrement)
 {
@@ -18656,9 +18657,16 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real psi = g->psi, slope = decrement / q->h;
     const sfem_real noise = (b->def.precision == SFEM_MIXED ? 1e-6 : 1e-12) * q->end / q->h * fabs(psi);
-    sfem_real length = 1;
+    sfem_real length = 1, most = q->end / q->h * fabs(psi);
     int tries;
     size_t i;
+    if (q->fallback) { /* the potential is not negative: a parabola of this slope has nothing beyond twice that */
+        for (i = 0; i < n; ++i) {
+            const sfem_real d = g->w[i] - b->state.w[i];
+            most += b->model->node_mass[i / 3] * d * d / (2 * q->d);
+        }
+        if (slope > 2 * most) length = 2 * most / slope; /* tets stretched a thousandfold are 1e12 times as stiff */
+    }
     sfemi_correct_swap_trial(g);
     for (tries = 0; tries < TRIES; ++tries) {
         sfem_real fall, ahead, secant;
@@ -18668,7 +18676,7 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
         ahead = sfemi_correct_dot(g->dir, g->grad, n); /* what is left of the slope; < 0: beyond the least */
         fall = sfemi_correct_fall(b, q, g->dir, length, psi, g->psi);
         if (sfemi_finite(g->psi) && fall >= 1e-4 * length * slope - noise &&
-            (q->fallback || -ahead <= 0.5 * slope || tries > 1))
+            (g->bounded || -ahead <= 0.5 * slope || tries > 1))
             return length;
         secant = ahead < slope ? length * slope / (slope - ahead) : 0.5 * length;
         length = fmax(0.1 * length, fmin(secant, 0.8 * length));
@@ -18766,7 +18774,8 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
     sfem_real first = 0, last = 0, rate = !q->fallback && b->state.head->rate > 0 ? b->state.head->rate : 0.3;
     int k;
     g->pairs = g->made = g->dropped = g->converged = 0;
-    if (f->key.majorant) sfemi_guard_do_not_rotate(b);
+    g->bounded = f->key.majorant != 0;
+    if (g->bounded) sfemi_guard_do_not_rotate(b);
     else {
         memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
         sfemi_turn_frames(b, g->frame);
@@ -19164,7 +19173,7 @@ static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sf
     int k;
     SFEMI_TRY(sfemi_guard_open_system(b, err));
     sfemi_guard_do_not_rotate(b);
-    g->pairs = 0;
+    g->pairs = g->bounded = 0;
     for (k = 0; k < MOST; ++k) {
         sfem_real decrement, length;
         if (!sfemi_guard_linearise(b)) break;
@@ -19277,7 +19286,7 @@ static void sfemi_guard_settle_budget(sfem_body *b)
     least = head->energy + e.rounding;
     if (b->damage && least < head->budget) head->budget = fmax(least, head->budget - g->damped);
     if (least < head->budget) head->budget = least + (head->budget - least) * sfemi_budget_kept;
-    head->scale *= sfemi_scale_kept;
+    head->scale *= g->rejected ? 0 : sfemi_scale_kept; /* what a fallback takes away is no longer in motion */
     head->scale = sfemi_guard_in_motion(b, &e);
     if (g->rejected) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
     head->last = e.ec;
