@@ -19285,7 +19285,8 @@ static void sfemi_guard_settle_budget(sfem_body *b)
     /* what damping takes may not come back, as it would where fragments spin too fast for the frames of D */
     least = head->energy + e.rounding;
     if (b->damage && least < head->budget) head->budget = fmax(least, head->budget - g->damped);
-    if (least < head->budget) head->budget = least + (head->budget - least) * sfemi_budget_kept;
+    if (least < head->budget) /* what a fallback takes away does not come back */
+        head->budget = g->rejected ? least : least + (head->budget - least) * sfemi_budget_kept;
     head->scale *= g->rejected ? 0 : sfemi_scale_kept; /* what a fallback takes away is no longer in motion */
     head->scale = sfemi_guard_in_motion(b, &e);
     if (g->rejected) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
