@@ -14920,6 +14920,7 @@ typedef struct sfemi_guard {
     sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
     sfem_real curvature[SFEMI_MEMORY]; /* and their products */
     int pairs;             /* so many so far in this step */
+    sfem_real end;         /* the equation's weight of f' in this step; 0: one solve */
     int bounded;           /* directions come of an upper bound of the tangent */
     int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
     int converged;         /* the corrections went as far as they should */
@@ -18151,7 +18152,7 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     q->moving = 0;
     q->h = h2;
     q->d = t.d;
-    q->end = k1 * (1 - a);
+    q->end = b->guard.end = k1 * (1 - a);
     q->after = sfemi_body_coefficients(b, b->p).q / 2 * h2 / t.d;
     q->before = t.cd - q->after;
     for (i = 0; i < n; ++i) b->guard.known[i] = now * s->f[i] + past * s->f_past[i];
@@ -18365,16 +18366,15 @@ static sfem_real sfemi_guard_load_change(const sfem_body *b)
     return change;
 }
 
-/* Work done in the step that is to be judged by handles, moved pins, and the part of the loads that is not
- * in the energies: force . (u' - u-)/2, half of that after a start. */
-static sfem_real sfemi_guard_step_work(const sfem_body *b)
+/* Work done by handles, moved pins, and the part of the loads that is not in the energies, on the way (u'-u)/2 +
+ * back w: back = h1/2 between the middles of the last step and this one, 0 from there on to its end. */
+static sfem_real sfemi_guard_step_work(const sfem_body *b, sfem_real back)
 {
     const sfemi_state *s = &b->state;
     const sfemi_guard *g = &b->guard;
-    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
     const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
     const int loads = s->head->loaded && s->head->load_age < 2;
-    sfem_real work = sfemi_guard_outer_work(b, .5, h1 / 2, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
+    sfem_real work = sfemi_guard_outer_work(b, .5, back, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
     sfem_int k;
     size_t i;
     int l, c;
@@ -18383,14 +18383,15 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b)
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 i = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->grip.lambda[3 * k + c] * h->weight[l] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+                work += b->grip.lambda[3 * k + c] * h->weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += s->f[i] * (g->u[i] - s->u[i] + h1 * s->w[i]) / 2;
+            /* the internal force as the step weighs it, which is what the support feels */
+            work += (g->end > 0 ? g->end * g->f[i] + g->known[i] : s->f[i]) * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
         }
     return work;
 }
@@ -18438,12 +18439,14 @@ static sfem_real sfemi_guard_in_motion(const sfem_body *b, const sfemi_guard_ene
 static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real *budget)
 {
     const sfemi_guard *g = &b->guard;
+    const sfemi_state_head *head = b->state.head;
     sfem_real scale;
-    *budget = b->state.head->budget + sfemi_guard_step_work(b);
+    *budget = head->budget + sfemi_guard_step_work(b, head->started == SFEMI_RUNNING ? head->h / 2 : 0);
     *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
     scale = sfemi_guard_in_motion(b, e);
+    if (b->turns != SFEMI_CORRECTS) scale += (head->psi + g->psi) / 2; /* by one solve Eb is off by parts of Psi */
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
-           e->ec <= *budget + e->rounding + 0.3 * scale;
+           e->ec <= *budget + sfemi_guard_step_work(b, 0) + e->rounding + 0.3 * scale;
 }
 
 static void sfemi_body_forget_columns(sfem_body *b)
