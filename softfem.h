@@ -1,4 +1,4 @@
-/* softfem.h - elastic bodies in one C header.                                          v0.3.0
+/* softfem.h - elastic bodies in one C header.                                          v0.4.0
  *
  * Tetrahedral finite elements for real-time and offline use: put this file into a project, and in
  * exactly one source file write
@@ -74,7 +74,7 @@
 #include <stdint.h>
 
 #define SFEM_VERSION_MAJOR 0
-#define SFEM_VERSION_MINOR 3
+#define SFEM_VERSION_MINOR 4
 #define SFEM_VERSION_PATCH 0
 #define SFEM_VERSION (SFEM_VERSION_MAJOR * 10000 + SFEM_VERSION_MINOR * 100 + SFEM_VERSION_PATCH)
 
@@ -28630,6 +28630,9 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
+ *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
+ *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
+ *           forces with (p,q,r); Medit meshes; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
  *           oscillators; redone steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed

@@ -567,7 +567,7 @@ static void rejected_steps_keep_the_forces_of_the_caller(void **state)
         const double zero[3 * MAX_NODES] = {0};
         double before[3 * MAX_NODES], p[6], change = 0;
         sfem_error err;
-        int i;
+        int i, replaced = 0;
         for (i = 0; i < 20; ++i) {
             memcpy(before, i ? sfem_body_displacement(body) : zero,
                    3 * (size_t)b.n * sizeof *before);
@@ -576,12 +576,14 @@ static void rejected_steps_keep_the_forces_of_the_caller(void **state)
             change += i < 10 ? push * h : 0;
             assert_ok(sfem_body_solve(body, &err), err);
             assert_ok(sfem_body_finish(body, &err), err);
+            if (i == 0) replaced = sfem_body_get_info(body).rejected > 0;
         }
         momentum(&b, before, sfem_body_displacement(body), h, p);
         assert_true(sfem_body_get_info(body).rejected > 0);
         print_message("    %.3f of the push, %d steps rejected\n", p[1] / change,
                       (int)sfem_body_get_info(body).rejected);
-        assert_near(p[1], 0.95 * change, 1e-12, 0); /* the first of ten steps counts half a push */
+        /* the first of ten steps counts half a push, unless backward Euler's took its place */
+        assert_near(p[1], (replaced ? 1 : 0.95) * change, 1e-12, 0);
         sfem_body_free(body);
         drop_bar(&b);
     }
