@@ -18651,8 +18651,9 @@ static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q,
     return q->end / q->h * (psi_from - psi_to) + length / 2 * sum;
 }
 
-/* Goes along dir by Armijo's rule, and, unless dir comes of an upper bound, not far beyond the least: where the slope there is half the
- * first one, the secant's length. (Where tets flip, slopes jump, and secants get short for nothing.) 0 where no length will do; all is as it was then. */
+/* Goes along dir by Armijo's rule, and, unless dir comes of an upper bound, not far beyond the least: where the
+ * slope there is half the first one, the secant's length. (Where tets flip, slopes jump, and secants get short for
+ * nothing.) 0 where no length will do; all is as it was then. */
 static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfem_real decrement)
 {
     enum { TRIES = 10 };

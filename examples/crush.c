@@ -26,7 +26,7 @@ static const ex_option table[] = {
     {"--dt", "H", "0.016666666666666666", "time step, s"},
     {"--accuracy", "A", "1e-6",
      "corrections stop below this part of the energy in motion; 1: one solve a step"},
-    {"--dissipation", "ALPHA", "0.2", "0 to 1/3: damps what a step does not resolve"},
+    {"--dissipation", "ALPHA", "0.1", "0 to 1/3: damps what a step does not resolve"},
     {"--out", "DIR", "build/crush", "where files go"},
     {"--quick", NULL, NULL, "a small run: a coarse bar"},
     {NULL, NULL, NULL, NULL}};

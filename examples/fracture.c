@@ -26,7 +26,7 @@ static const ex_option table[] = {
     {"--dt", "H", NULL, "time step, s, instead of the scene's own"},
     {"--accuracy", "A", "1e-6",
      "corrections stop below this part of the energy in motion; 1: one solve a step"},
-    {"--dissipation", "ALPHA", "0.2", "0 to 1/3: damps what a step does not resolve"},
+    {"--dissipation", "ALPHA", "0.1", "0 to 1/3: damps what a step does not resolve"},
     {"--damage", "zsz|condensed", "condensed", "the law of damaged tets"},
     {"--renew", "FLOPS", "0", "operations a step on a new factor, once it has been quiet"},
     {"--threads", "N", "1", "threads"},

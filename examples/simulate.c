@@ -37,7 +37,7 @@ static const ex_option table[] = {
     {"--safeguard", "on|off", "on", "of the same: reject and replace steps that make energy"},
     {"--accuracy", "A", "1e-6",
      "of pqr: corrections stop below this part of the energy in motion; 1: one solve a step"},
-    {"--dissipation", "ALPHA", "0.2",
+    {"--dissipation", "ALPHA", "0.1",
      "of corrected pqr, 0 to 1/3: damps what a step does not resolve; 0: conservative"},
     {"--newton", "N", "20",
      "implicit methods: at most so many iterations a step; 1: semi-implicit"},
