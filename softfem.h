@@ -19223,6 +19223,11 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
         (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * tolerance); /* too stiff to tell */
     }
     if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, tolerance, err));
+    if (b->grip.count) { /* what rounding has left of the handles' gaps after so many steps */
+        sfemi_guard_constrain(b);
+        sfemi_correct_evaluate(b, &q);
+        sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
+    }
     sfemi_guard_restore_momentum(b, 1);
     excess = sfemi_guard_excess(b);
     above = excess + fmax(0, head->last - head->budget - 0.01 * head->scale); /* what was let pass goes first */
