@@ -111,7 +111,7 @@ static void odd_ones_have_their_verdicts(void **state)
  * descent from the rest pose's factor was short enough. */
 static void knotted_and_torn_bars_come_to_rest(void **state)
 {
-    static const uint64_t seeds[4] = {84, 107, 124, 142};
+    static const uint64_t seeds[2] = {84, 107};
     stress_scene s;
     size_t i;
     int k;
