@@ -17962,7 +17962,7 @@ static void sfemi_guard_look(sfem_body *b)
     sfemi_turn_locate(b, b->state.u);
 }
 
-/* A ledger for steps of h from here, where the present one is void. */
+/* An energy budget for steps of h from here, where the present one is void. */
 static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
 {
     sfemi_state_head *head = b->state.head;
@@ -18339,7 +18339,7 @@ static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem
     return work;
 }
 
-/* The ledger's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
+/* The energy budget's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
  * or -L.u after a redo. */
 static sfem_real sfemi_guard_load_change(const sfem_body *b)
 {
