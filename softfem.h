@@ -18799,7 +18799,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         }
         ++g->corrections;
         if (!(length > 0)) continue;
-        if (last > 0) rate = (rate + fmin(1, decrement / last)) / 2;
+        if (last > 0) rate = (rate + fmin(1.0, decrement / last)) / 2;
         last = decrement;
         left = fmax(rate, 1 - length) * decrement; /* a short step has not gained what it was expected to */
         if (q->fallback) left /= 1 - fmin(rate, 0.98); /* the sum of all that follow, by slow convergence */
@@ -19230,7 +19230,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     }
     sfemi_guard_restore_momentum(b, 1);
     excess = sfemi_guard_excess(b);
-    above = excess + fmax(0, head->last - head->budget - 0.01 * head->scale); /* what was let pass goes first */
+    above = excess + fmax(0.0, head->last - head->budget - 0.01 * head->scale); /* what was let pass goes first */
     if (above > 0) {
         sfemi_guard_slow_down(b, above, 0);
         excess = sfemi_guard_excess(b);
