@@ -46,7 +46,7 @@
  *            >>resume       linear bodies whose step, pins or handles change
  *            >>guard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
  *            >>sleep        bodies at rest, whose steps cost nothing
- *            >>renew        a factor of the present tangent, made in slices
+ *            >>refactor     a factor of the present tangent, made in slices
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
@@ -1091,10 +1091,9 @@ typedef struct sfem_body_def {
                                * are off by its square root) */
     sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.1
                                * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
-    sfem_real renew_flops;    /* operations a step on a renewed factor, see sfem_body_renew; 0: none, and
-                               * no memory for it */
-    sfem_real renew_drift;    /* renew by itself where the drift is larger, see sfem_renewal; .1 sees a body
-                               * that stays deformed; 0: on request only */
+    sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: work a step on a factor of the present
+                               * tangent, over that of a step of one solve, see sfem_body_refactorise. 4 halves
+                               * the solves of a step on meshes with slivers; 0, the default: none, no memory */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark. KR-alpha takes
                                * (F + rho_inf F-)/(1 + rho_inf) */
@@ -1256,47 +1255,42 @@ typedef struct sfem_body_info {
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
-/* A RENEWED FACTOR, for (p,q,r) with a nonlinear law or damage and the frames NODE, PIECE or REST, where
- * renew_flops > 0. The constant factor is that of the rest pose, turned; where a body stays far from that
- * (stretched, cut), or K changes for another reason (damage), another one may serve better. renew starts
- * one: of A0 = Q^T (r M + (q/2) h D + p h^2 K) Q with K the positive semidefinite tangent at the present
- * positions and Q the present frames, so that from then on it is turned as the first one was; or of a K
- * of the caller's, on the model's pattern (sfem_model_combine makes such), in space, without negative
- * eigenvalues, which is copied. Stiffness damping goes with it. Of a body with damage (k NULL) it is the K of
- * what is left at rest, turned; asked for by itself 8 steps after the last break, so that pieces have
- * parted.
- *   It pays where a body stays far from its rest: stretched by half, StVK's steps are no longer
- * redone and swing as by full Newton; a bar pressed into an arch loses half its error. It does not
- * pay for bodies that swing through such states, and may cost them the guard's margin.
- *   After each step renew_flops operations of that work are done, counted, never timed, so that runs
- * repeat bit for bit, on any number of threads; a renewal takes flops / renew_flops steps, rounded up, or
- * one less: 2.4e7 operations at 2500 tets, 1e9 at 20 000, the time of ten steps (measured). Then
- * the factor is taken whole, between two steps: w, the forces and the guard's ledger go on as they are,
- * an error of order h^2, once. Handles cost three solves for each node that they hold more in that step. Asking
- * again while one is under way starts over. A K that makes no positive definite matrix is given up,
- * and counted as failed.
- *   sfem_body_prepare allocates all that it needs: two more factors, two matrices; steps and renew
- * allocate nothing.
- *   The state block does not hold a factor: loading or setting a state, static solutions, steps of
- * another length and other pins drop a renewed factor and one under way, and the body goes on with
- * the rest pose's. To save a state from which both this body and another go on with the same bits,
- * drop it then, too.
+/* REFACTORISATION, for (p,q,r) with a nonlinear law or damage and the frames NODE, PIECE or REST, where
+ * def.refactorise > 0. The constant factor is that of the rest pose, rotated by the node frames. Where tets rotate
+ * otherwise than their nodes (slivers, thin parts), or a body stays stretched, it needs many corrections a step. A
+ * factor of the present tangent needs fewer:
+ *
+ *     A0 = Q^T (r M + (q/2) h D + p h^2 K(u)) Q     K(u) positive semidefinite, Q the node frames at u
+ *
+ * From then on A0 is rotated as the first factor was. It is made
+ *   - by itself, once the corrections beyond two a step have cost as much as another factor; so in all they cost at
+ *     most twice what the best moment would have. Calm bodies on good meshes never get there.
+ *   - of a body with damage 8 steps after the last break, of what is left of K at rest; never while edges break;
+ *   - on request, by sfem_body_refactorise; of the present tangent, or of k, the caller's own: in space, on the model's
+ *     pattern, without negative eigenvalues; it is copied.
+ *
+ * A step does def.refactorise times the operations of a step of one solve, counted, never timed, so that runs repeat bit
+ * for bit on any number of threads. The finished factor is taken between two steps: w, the forces and the energy
+ * budget stay. Handles cost three solves for each of their nodes in that step. Asking again starts over. A matrix that
+ * is not positive definite is given up, and counted as failed.
+ *   cost    of all: as 10 to 20 corrections (armadillo, 3 700 tets: 4 ms)
+ *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
+ *   dropped by sfem_body_set_state and _load, static solutions, steps of another length and other pins: the body goes
+ *           on with the rest pose's factor. A saved state holds no factor: to go on from it with the same bits as the
+ *           body that saved it, drop that body's, too
  *   errors  SFEM_BAD_ARGUMENT (no such body, K of another pattern), SFEM_NOT_FINITE (K: node),
  *           SFEM_NOT_PREPARED */
-SFEM_DEF sfem_status sfem_body_renew(sfem_body *body, const sfem_matrix *k, sfem_error *err);
-SFEM_DEF void sfem_body_drop_renewal(sfem_body *body);
+SFEM_DEF sfem_status sfem_body_refactorise(sfem_body *body, const sfem_matrix *k, sfem_error *err);
+SFEM_DEF void sfem_body_drop_refactorisation(sfem_body *body);
 
-typedef struct sfem_renewal {
-    int renewed;         /* the factor in use is a renewed one */
-    int running;
-    double flops, done;  /* of the one under way, or of the last: all, so far */
-    sfem_real drift;     /* by what part the inertia that the factor puts in the way of the motion is wrong:
-                          * |p h^2 w.A_K w - p h w.(f - f-)| over w.(r M + p h^2 A_K) w, A_K the factor's K,
-                          * rotated, both averaged over the last 16 steps; 1 for a step that the guard does
-                          * again. Only with renew_drift > 0 (a product with K a step); else 0 */
+typedef struct sfem_refactorisation {
+    int in_use;          /* the factor in use is not that of the rest pose */
+    int running;         /* one is being made */
+    double flops, done;  /* operations of the one under way, or of the last: all, so far */
+    double spent;        /* on corrections beyond two a step, since the last one was begun, over those of another */
     int64_t made, failed;
-} sfem_renewal;
-SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *body);
+} sfem_refactorisation;
+SFEM_DEF sfem_refactorisation sfem_body_get_refactorisation(const sfem_body *body);
 
 /* Pins hold a node where it was when it was pinned. Those of the definition are eliminated; this call
  * replaces them all, and the next step prepares a new factor. Of a running linear body it is to be called where
@@ -1329,7 +1323,7 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, 
  * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
  * whole body stays, and stays stable (see sfem_damage_law for p). What it costs is accuracy: pieces that
  * are held part too slowly at large steps, by the inertia p h^2 K across the crack, until the factor is
- * renewed (renew_flops, below); pieces that nothing holds move, and turn, as they should at once.
+ * refactorised (def.refactorise); pieces that nothing holds move, and turn, as they should at once.
  * How a crack runs depends on the mesh and on the step: no more than one round a step, so a crack
  * passes at most about one edge a step. Nothing is allocated after sfem_body_create. set_state
  * keeps what is broken; statics are refused then; a body of linear laws sees small rotations only,
@@ -13462,7 +13456,7 @@ static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u
     }
 }
 
-/* val += scale (K_damaged - K) at rest, on K's pattern: what a renewed factor is made of. */
+/* val += scale (K_damaged - K) at rest, on K's pattern: what a factor of what is left is made of. */
 static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
 {
     static const sfem_real still[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
@@ -14961,8 +14955,8 @@ typedef struct sfemi_implicit {
 
 enum { SFEMI_IMPLICIT_VECTORS = 15 };
 
-/* >>renew: two factors beside that of the rest pose, one in use, one in the making. */
-typedef struct sfemi_renewal {
+/* >>refactor: two factors beside that of the rest pose, one in use, one in the making. */
+typedef struct sfemi_refactor {
     sfem_ldl *ldl[2];
     sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
     sfem_matrix k[2];     /* their K, turned back; on K's pattern */
@@ -14970,22 +14964,24 @@ typedef struct sfemi_renewal {
     sfem_int *source;     /* [blocks of a] their places in K's pattern */
     sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
     int live;             /* 1 + the one in use, or 0 */
-    int stage;            /* SFEMI_RENEW_IDLE ... */
+    int stage;            /* SFEMI_REFACTOR_IDLE ... */
     sfem_int next;        /* chunk of tets, or row of blocks */
     sfemi_slice at;
+    double budget;        /* operations a step */
+    double price;         /* of all, from a tangent */
     double credit, flops, done;
-    sfem_real wrong, all; /* of the drift */
+    double spent;         /* on corrections beyond those that a good factor needs */
     sfem_real broken;     /* edges that were broken when it was asked for */
     sfem_int quiet;       /* steps since one has broken or softened */
     int64_t made, failed;
-} sfemi_renewal;
+} sfemi_refactor;
 
 enum {
-    SFEMI_RENEW_IDLE,
-    SFEMI_RENEW_TANGENT,
-    SFEMI_RENEW_TURN,
-    SFEMI_RENEW_MATRIX,
-    SFEMI_RENEW_FACTOR
+    SFEMI_REFACTOR_IDLE,
+    SFEMI_REFACTOR_TANGENT,
+    SFEMI_REFACTOR_TURN,
+    SFEMI_REFACTOR_MATRIX,
+    SFEMI_REFACTOR_FACTOR
 };
 
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
@@ -15031,13 +15027,13 @@ struct sfem_body {
     int bridges;         /* >>resume: the step is one of another method */
     int falls;           /* >>resume: velocity is to be taken from the right side */
     sfemi_implicit implicit;
-    sfemi_renewal renewal;
+    sfemi_refactor refactor;
 };
 
 /* The factor that steps solve with. */
 static const sfem_factor *sfemi_body_active(const sfem_body *b)
 {
-    return b->renewal.live ? &b->renewal.factor : b->factor;
+    return b->refactor.live ? &b->refactor.factor : b->factor;
 }
 
 enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
@@ -17080,7 +17076,7 @@ static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_re
         sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
     }
     if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
-    else sfem_matrix_multiply(b->renewal.live ? b->renewal.k + b->renewal.live - 1 : &b->model->stiffness,
+    else sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &b->model->stiffness,
                               z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_turn_rotate(frame, nodes, 0, y, y);
@@ -17207,11 +17203,11 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     sfemi_turn_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
     sfemi_fracture_multiply(b, z, sum);
-    if (b->renewal.live) { /* what was left when the factor was renewed is out already */
+    if (b->refactor.live) { /* what was left when the factor was made is out already */
         sfem_real *kz = b->guard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
         for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] += kz[i];
-        sfem_matrix_multiply(b->renewal.k + b->renewal.live - 1, z, kz, &b->exec);
+        sfem_matrix_multiply(b->refactor.k + b->refactor.live - 1, z, kz, &b->exec);
         for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] -= kz[i];
     }
     sfemi_turn_rotate(frame, nodes, 0, sum, sum);
@@ -17323,7 +17319,7 @@ static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
-    return b->turns && (b->damage->tets > 0 || b->renewal.live || b->def.frame == SFEM_FRAME_MAJORANT);
+    return b->turns && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_MAJORANT);
 }
 
 /* y = B x; x and y apart. */
@@ -17337,7 +17333,7 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     size_t i;
     if (bounded && b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(model, x, y);
     else if (own == 0) memset(y, 0, n * sizeof *y);
-    else sfem_matrix_multiply(bounded && b->renewal.live ? b->renewal.k + b->renewal.live - 1 : &model->stiffness,
+    else sfem_matrix_multiply(bounded && b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness,
                               x, y, &b->exec);
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
@@ -19503,7 +19499,7 @@ static void sfemi_fracture_round(sfem_body *b)
     step.exec = &b->exec;
     sfemi_damage_round(b->damage, &step, &change);
     if (!change.broken && !change.softened) return;
-    b->renewal.quiet = 0;
+    b->refactor.quiet = 0;
     fallen = g->rejected ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
     if (!g->rejected) head->psi += change.psi0;
     g->psi += change.psi1;
@@ -19628,45 +19624,48 @@ SFEM_DEF void sfem_body_wake(sfem_body *b)
 }
 
 /* ============================================================================================
- * >>renew   a factor of the present tangent, made in slices
+ * >>refactor   a factor of the present tangent, made in slices
  *
- * In stages, each cut into pieces whose operations are known: the tangent by chunks of tets, in one order;
- * its blocks turned back, Q_i^T K_ij Q_j; the matrix; its factor, front by front. Each step pays in
- * renew_flops, and pieces are done until nothing is left of them; what the last one took too much, the
- * next step pays. A finished factor is used from the next step on. A keeps w: A' (w' - w) = h (F -
- * f - D w), which A (w' - w) = .. passes into; the other form that suggests itself, A' w' = A w +
- * .., would put the difference of two stiffnesses into the momentum.
+ * 1. When: corrections beyond FREE a step are added up by their cost; begun once that exceeds the price of a factor.
+ * 2. What: K(u) by chunks of tets, in one order; its blocks rotated back, Q_i^T K_ij Q_j; the matrix; its factor,
+ *    front by front. All in pieces of known cost.
+ * 3. How much: each step adds its budget to the credit, and pieces are done until none is left; what the last one
+ *    took too much, the next step pays.
+ * 4. Taken between two steps: A' (w' - w) = h (F - f - D w) goes on from any w. (A' w' = A w + .. would put the
+ *    difference of two stiffnesses into the momentum.)
  * ============================================================================================ */
 
-/* What a tet of the tangent, a block turned and a block of the matrix count as. */
-#define SFEMI_RENEW_TET   3000.0
-#define SFEMI_RENEW_BLOCK 110.0
-#define SFEMI_RENEW_ENTRY 30.0
+/* Costs, in operations of the factor's kernels: what takes the same time (one core, AVX2; 1000 to 20 000 tets). */
+#define SFEMI_REFACTOR_TET        10000.0 /* of the tangent */
+#define SFEMI_REFACTOR_BLOCK      110.0   /* rotated */
+#define SFEMI_REFACTOR_ENTRY      30.0    /* a block of the matrix */
+#define SFEMI_REFACTOR_SOLVE      10.0    /* an entry of L, in a solve */
+#define SFEMI_REFACTOR_FORCE      1000.0  /* the forces of a tet */
 
-static void sfemi_renew_forget_columns(sfem_body *b)
+static void sfemi_refactor_forget_columns(sfem_body *b)
 {
     sfem_int i;
     for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
     b->grip.dirty = 1;
 }
 
-static void sfemi_renew_drop(sfem_body *b)
+static void sfemi_refactor_drop(sfem_body *b)
 {
-    sfemi_renewal *r = &b->renewal;
-    if (r->live) sfemi_renew_forget_columns(b);
+    sfemi_refactor *r = &b->refactor;
+    if (r->live) sfemi_refactor_forget_columns(b);
     r->live = 0;
-    r->stage = SFEMI_RENEW_IDLE;
-    r->wrong = r->all = 0;
+    r->stage = SFEMI_REFACTOR_IDLE;
+    r->spent = 0;
     r->broken = 0;
     r->quiet = 0;
 }
 
-static void sfemi_renew_destroy(sfem_body *b)
+static void sfemi_refactor_destroy(sfem_body *b)
 {
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     const int64_t made = r->made, failed = r->failed;
     int k;
-    sfemi_renew_drop(b);
+    sfemi_refactor_drop(b);
     for (k = 0; k < 2; ++k) {
         sfem_ldl_free(r->ldl[k]);
         sfemi_delete(&b->allocator, r->k[k].val);
@@ -19679,21 +19678,38 @@ static void sfemi_renew_destroy(sfem_body *b)
     r->failed = failed;
 }
 
-static int sfemi_renew_serves(const sfem_body *b)
+static int sfemi_refactor_serves(const sfem_body *b)
 {
-    return b->turns && b->def.renew_flops > 0 && b->def.integrator == SFEM_PQR &&
+    return b->turns && b->def.refactorise > 0 && b->def.integrator == SFEM_PQR &&
            b->def.frame != SFEM_FRAME_MAJORANT;
 }
 
-/* Room for renewals of f. */
-static sfem_status sfemi_renew_reserve(sfem_body *b, const sfem_factor *f, sfem_error *err)
+/* What a factor costs, with the tangent or without. */
+static double sfemi_refactor_price(const sfem_body *b, int tangent)
+{
+    const sfem_model *model = b->model;
+    const sfemi_refactor *r = &b->refactor;
+    return (tangent ? SFEMI_REFACTOR_TET * (double)model->mesh.tets : 0) +
+           SFEMI_REFACTOR_BLOCK * (double)model->row[model->mesh.nodes] +
+           SFEMI_REFACTOR_ENTRY * (double)r->a.row[r->a.n] + sfemi_slice_total(r->ldl[0]);
+}
+
+/* What a correction costs: a solve with f and an evaluation of the forces. */
+static double sfemi_refactor_correction(const sfem_body *b, const sfem_factor *f)
+{
+    return SFEMI_REFACTOR_SOLVE * (double)sfem_ldl_get_info(f->ldl).nnz +
+           SFEMI_REFACTOR_FORCE * (double)b->model->mesh.tets;
+}
+
+/* Room for other factors than f. */
+static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sfem_error *err)
 {
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     sfem_status status = SFEM_OK;
     sfem_int k, at, count = 0;
-    if (!sfemi_renew_serves(b) || !f->ldl || r->source) return SFEM_OK;
+    if (!sfemi_refactor_serves(b) || !f->ldl || r->source) return SFEM_OK;
     SFEMI_TRY(sfemi_factor_matrix(model, f, &r->a, err));
     SFEMI_NEW(sfem_real, r->u, &b->allocator, 4 * n);
     r->frame = r->u + n;
@@ -19708,14 +19724,16 @@ static sfem_status sfemi_renew_reserve(sfem_body *b, const sfem_factor *f, sfem_
     for (k = 0; k < f->free_nodes; ++k)
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
             if (f->mask[model->col[at]] != SFEM_AXIS_ALL) r->source[count++] = at;
+    r->budget = b->def.refactorise * sfemi_refactor_correction(b, f);
+    r->price = sfemi_refactor_price(b, 1);
 done:
-    if (status != SFEM_OK) sfemi_renew_destroy(b);
+    if (status != SFEM_OK) sfemi_refactor_destroy(b);
     return status;
 }
 
-static size_t sfemi_renew_bytes(const sfem_body *b)
+static size_t sfemi_refactor_bytes(const sfem_body *b)
 {
-    const sfemi_renewal *r = &b->renewal;
+    const sfemi_refactor *r = &b->refactor;
     const size_t blocks = (size_t)b->model->row[b->model->mesh.nodes];
     sfem_ldl_info info;
     if (!r->source) return 0;
@@ -19724,35 +19742,34 @@ static size_t sfemi_renew_bytes(const sfem_body *b)
            (18 * blocks + 12 * (size_t)b->model->mesh.nodes) * sizeof(sfem_real);
 }
 
-static void sfemi_renew_begin(sfem_body *b, const sfem_matrix *k)
+static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
 {
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes, blocks = (size_t)model->row[model->mesh.nodes];
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     const int to = r->live == 1;
     memcpy(r->u, b->state.u, n * sizeof *r->u);
     memcpy(r->frame, b->state.frame, 3 * n * sizeof *r->frame);
     if (k) memcpy(r->k[to].val, k->val, 9 * blocks * sizeof *k->val);
     else if (b->damage) memcpy(r->k[to].val, model->stiffness.val, 9 * blocks * sizeof *r->k[to].val);
     else memset(r->k[to].val, 0, 9 * blocks * sizeof *r->k[to].val);
-    r->stage = k ? SFEMI_RENEW_TURN : SFEMI_RENEW_TANGENT;
+    r->stage = k ? SFEMI_REFACTOR_TURN : SFEMI_REFACTOR_TANGENT;
     if (b->damage && !k) { /* what is left of K at rest: there it is turned already */
         sfemi_damage_add_stiffness(b->damage, 1, r->k[to].val);
-        r->stage = SFEMI_RENEW_MATRIX;
+        r->stage = SFEMI_REFACTOR_MATRIX;
     }
     if (b->damage) r->broken = b->damage->account[SFEMI_BROKEN];
     r->next = 0;
     r->credit = r->done = 0;
-    r->flops = (k ? 0 : SFEMI_RENEW_TET * (double)model->mesh.tets) + SFEMI_RENEW_BLOCK * (double)blocks +
-               SFEMI_RENEW_ENTRY * (double)r->a.row[r->a.n] + sfemi_slice_total(r->ldl[to]);
-    r->wrong = 0; /* the weight of the past stays, lest a single step decides */
+    r->flops = sfemi_refactor_price(b, r->stage == SFEMI_REFACTOR_TANGENT);
+    r->spent = 0;
 }
 
 /* The next chunk of tets. */
-static double sfemi_renew_tangent(sfem_body *b)
+static double sfemi_refactor_tangent(sfem_body *b)
 {
     const sfemi_chunks *c = &b->model->chunks;
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     sfemi_tangents job;
     sfem_int chunk;
     job.model = b->model;
@@ -19765,18 +19782,18 @@ static double sfemi_renew_tangent(sfem_body *b)
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
-        r->stage = SFEMI_RENEW_TURN;
+        r->stage = SFEMI_REFACTOR_TURN;
         r->next = 0;
     }
-    return SFEMI_RENEW_TET * (chunk + 1 < c->count ? SFEMI_CHUNK_TETS
+    return SFEMI_REFACTOR_TET * (chunk + 1 < c->count ? SFEMI_CHUNK_TETS
                                                    : b->model->mesh.tets - (c->count - 1) * SFEMI_CHUNK_TETS);
 }
 
 /* Q_i^T K_ij Q_j for the next row of blocks. */
-static double sfemi_renew_turn(sfem_body *b)
+static double sfemi_refactor_turn(sfem_body *b)
 {
     const sfem_model *model = b->model;
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     const sfem_int i = r->next;
     sfem_int at;
     for (at = model->row[i]; at < model->row[i + 1]; ++at) {
@@ -19785,18 +19802,18 @@ static double sfemi_renew_turn(sfem_body *b)
         sfemi_mul3(half, r->frame + 9 * (size_t)model->col[at], k);
     }
     if (++r->next == model->mesh.nodes) {
-        r->stage = SFEMI_RENEW_MATRIX;
+        r->stage = SFEMI_REFACTOR_MATRIX;
         r->next = 0;
     }
-    return SFEMI_RENEW_BLOCK * (double)(model->row[i + 1] - model->row[i]);
+    return SFEMI_REFACTOR_BLOCK * (double)(model->row[i + 1] - model->row[i]);
 }
 
 /* The next row of the matrix, as sfemi_factor_matrix makes it. */
-static double sfemi_renew_matrix(sfem_body *b)
+static double sfemi_refactor_matrix(sfem_body *b)
 {
     const sfem_model *model = b->model;
     const sfem_factor *f = b->factor;
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     const int to = r->live == 1;
     const sfem_int row = r->next, i = f->node[row];
     sfem_int at;
@@ -19812,126 +19829,109 @@ static double sfemi_renew_matrix(sfem_body *b)
                 if (((f->mask[i] >> p & 1) || (f->mask[j] >> q & 1)) && !(i == j && p == q)) a[3 * p + q] = 0;
     }
     if (++r->next == r->a.n) {
-        r->stage = SFEMI_RENEW_FACTOR;
+        r->stage = SFEMI_REFACTOR_FACTOR;
         sfemi_slice_start(r->ldl[to], &r->a, &r->at);
     }
-    return SFEMI_RENEW_ENTRY * (double)(r->a.row[row + 1] - r->a.row[row]);
+    return SFEMI_REFACTOR_ENTRY * (double)(r->a.row[row + 1] - r->a.row[row]);
 }
 
-static double sfemi_renew_factor(sfem_body *b)
+static double sfemi_refactor_factor(sfem_body *b)
 {
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     return sfemi_slice_next(r->ldl[r->live == 1], &r->a, &r->at);
 }
 
-static void sfemi_renew_swap(sfem_body *b)
+static void sfemi_refactor_swap(sfem_body *b)
 {
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     const int to = r->live == 1;
     r->factor = *b->factor;
     r->factor.ldl = r->ldl[to];
     r->live = to + 1;
-    r->stage = SFEMI_RENEW_IDLE;
+    r->stage = SFEMI_REFACTOR_IDLE;
     ++r->made;
-    sfemi_renew_forget_columns(b);
+    sfemi_refactor_forget_columns(b);
 }
 
-/* By what part the inertia that the factor puts in the way of the last step is wrong. */
-static void sfemi_renew_watch(sfem_body *b)
+/* Adds up what corrections cost that a better factor would save. */
+static void sfemi_refactor_watch(sfem_body *b)
 {
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, m = sfemi_body_coefficients(b, b->p).r;
-    const sfem_real fade = 1 - 1.0 / 16; /* per step, so that units of time are the caller's */
-    const sfemi_state *s = &b->state;
-    sfemi_renewal *r = &b->renewal;
-    sfem_real wmw = 0, wkw = 0, truth = 0;
-    size_t i;
-    sfemi_turn_locate(b, s->u);
-    for (i = 0; i < n; ++i) {
-        b->zk[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : s->w[i];
-        truth += b->zk[i] * (s->f[i] - s->f_past[i]);
-    }
-    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
-    for (i = 0; i < n; ++i) {
-        wmw += m * b->model->node_mass[i / 3] * b->zk[i] * b->zk[i]; /* turned and free of rigid motion now */
-        if (!(b->mask[i / 3] >> (i % 3) & 1)) wkw += s->w[i] * b->zm[i];
-    }
-    r->wrong = fade * r->wrong + (b->guard.rejected ? wmw + b->p * h * h * wkw
-                                                  : fabs(b->p * h * h * wkw - b->p * h * truth));
-    r->all = fade * r->all + wmw + b->p * h * h * wkw;
+    enum { FREE = 2 }; /* corrections of a step that good factors need, too */
+    sfemi_refactor *r = &b->refactor;
+    const sfem_int extra = b->guard.corrections - FREE;
+    if (b->damage) return; /* K at rest of what is left: the tangent would not keep the bounds of later breaks */
+    if (extra > 0) r->spent += (double)extra * sfemi_refactor_correction(b, b->factor);
+    if (r->stage == SFEMI_REFACTOR_IDLE && r->spent > r->price) sfemi_refactor_begin(b, NULL);
 }
 
 /* A step's worth of work. */
-static void sfemi_renew_advance(sfem_body *b)
+static void sfemi_refactor_advance(sfem_body *b)
 {
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     if (!r->source) return;
-    if (b->def.renew_drift > 0) {
-        sfemi_renew_watch(b);
-        if (r->stage == SFEMI_RENEW_IDLE && r->wrong > b->def.renew_drift * r->all) sfemi_renew_begin(b, NULL);
-    }
-    if (r->stage == SFEMI_RENEW_IDLE) return;
-    r->credit += b->def.renew_flops;
+    sfemi_refactor_watch(b);
+    if (r->stage == SFEMI_REFACTOR_IDLE) return;
+    r->credit += r->budget;
     while (r->credit > 0) {
-        const double cost = r->stage == SFEMI_RENEW_TANGENT  ? sfemi_renew_tangent(b)
-                            : r->stage == SFEMI_RENEW_TURN   ? sfemi_renew_turn(b)
-                            : r->stage == SFEMI_RENEW_MATRIX ? sfemi_renew_matrix(b)
-                                                             : sfemi_renew_factor(b);
+        const double cost = r->stage == SFEMI_REFACTOR_TANGENT  ? sfemi_refactor_tangent(b)
+                            : r->stage == SFEMI_REFACTOR_TURN   ? sfemi_refactor_turn(b)
+                            : r->stage == SFEMI_REFACTOR_MATRIX ? sfemi_refactor_matrix(b)
+                                                             : sfemi_refactor_factor(b);
         if (cost < 0) {
             ++r->failed;
-            r->stage = SFEMI_RENEW_IDLE;
+            r->stage = SFEMI_REFACTOR_IDLE;
             return;
         }
         r->credit -= cost;
         r->done += cost;
-        if (r->stage != SFEMI_RENEW_FACTOR || !r->ldl[r->live == 1]->valid) continue;
-        sfemi_renew_swap(b);
+        if (r->stage != SFEMI_REFACTOR_FACTOR || !r->ldl[r->live == 1]->valid) continue;
+        sfemi_refactor_swap(b);
         return;
     }
 }
 
 /* After breaks, once pieces have parted: a factor of what is left. While edges break, it would have to be made
  * again and again, and takes the margin that the guard of bodies that turn lives on. */
-static void sfemi_renew_follow(sfem_body *b)
+static void sfemi_refactor_follow(sfem_body *b)
 {
     enum { QUIET = 8 }; /* steps */
-    sfemi_renewal *r = &b->renewal;
+    sfemi_refactor *r = &b->refactor;
     if (!b->damage || !r->source) return;
     if (r->quiet < QUIET) ++r->quiet;
-    else if (r->stage == SFEMI_RENEW_IDLE && b->damage->account[SFEMI_BROKEN] != r->broken)
-        sfemi_renew_begin(b, NULL);
+    else if (r->stage == SFEMI_REFACTOR_IDLE && b->damage->account[SFEMI_BROKEN] != r->broken)
+        sfemi_refactor_begin(b, NULL);
 }
 
-SFEM_DEF sfem_status sfem_body_renew(sfem_body *b, const sfem_matrix *k, sfem_error *err)
+SFEM_DEF sfem_status sfem_body_refactorise(sfem_body *b, const sfem_matrix *k, sfem_error *err)
 {
     const sfem_model *model = b->model;
     sfem_int i;
-    if (!sfemi_renew_serves(b))
+    if (!sfemi_refactor_serves(b))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "only a nonlinear or breaking (p,q,r) body with renew_flops > 0 renews its factor");
-    if (!b->renewal.source)
-        return sfemi_fail(err, SFEM_NOT_PREPARED, "prepare the body before its factor is renewed");
+                          "only a nonlinear or breaking (p,q,r) body with def.refactorise > 0 makes another factor");
+    if (!b->refactor.source)
+        return sfemi_fail(err, SFEM_NOT_PREPARED, "prepare the body before its factor is made again");
     if (k && (k->n != model->mesh.nodes || k->row[k->n] != model->row[k->n]))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the matrix is not on the model's pattern");
     for (i = 0; k && i < k->n; ++i)
         if (!sfemi_all_finite(k->val + 9 * (size_t)k->row[i], 9 * (size_t)(k->row[i + 1] - k->row[i])))
             return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the matrix is not finite at node %d", (int)i);
     sfemi_guard_look(b);
-    sfemi_renew_begin(b, k);
+    sfemi_refactor_begin(b, k);
     return SFEM_OK;
 }
 
-SFEM_DEF void sfem_body_drop_renewal(sfem_body *b) { sfemi_renew_drop(b); }
+SFEM_DEF void sfem_body_drop_refactorisation(sfem_body *b) { sfemi_refactor_drop(b); }
 
-SFEM_DEF sfem_renewal sfem_body_get_renewal(const sfem_body *b)
+SFEM_DEF sfem_refactorisation sfem_body_get_refactorisation(const sfem_body *b)
 {
-    const sfemi_renewal *r = &b->renewal;
-    sfem_renewal info;
-    info.renewed = r->live > 0;
-    info.running = r->stage != SFEMI_RENEW_IDLE;
+    const sfemi_refactor *r = &b->refactor;
+    sfem_refactorisation info;
+    info.in_use = r->live > 0;
+    info.running = r->stage != SFEMI_REFACTOR_IDLE;
     info.flops = r->flops;
     info.done = r->done;
-    info.drift = r->all > 0 ? r->wrong / r->all : 0;
+    info.spent = r->price > 0 ? r->spent / r->price : 0;
     info.made = r->made;
     info.failed = r->failed;
     return info;
@@ -19973,10 +19973,8 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Gui's lambda is %g, must be > 0", d->gui_lambda);
     if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
-    if (!(sfemi_finite(d->renew_flops) && d->renew_flops >= 0 && sfemi_finite(d->renew_drift) &&
-          d->renew_drift >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "renew_flops and renew_drift (%g, %g) must be >= 0",
-                          d->renew_flops, d->renew_drift);
+    if (!(sfemi_finite(d->refactorise) && d->refactorise >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "refactorise (%g) must be >= 0", d->refactorise);
     if (!(d->accuracy > 0 && d->accuracy <= 1))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "accuracy is %g, must be above 0 and at most 1 (one solve)",
                           d->accuracy);
@@ -20178,7 +20176,7 @@ static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
     sfemi_implicit_destroy(b);
-    sfemi_renew_destroy(b);
+    sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
     sfemi_body_free_grip(b, &b->grip);
@@ -20445,12 +20443,12 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
         if (status != SFEM_OK) return status;
         status = sfemi_body_reserve_work(b, f, 1, err);
-        if (status == SFEM_OK) status = sfemi_renew_reserve(b, f, err);
+        if (status == SFEM_OK) status = sfemi_refactor_reserve(b, f, err);
         if (status != SFEM_OK) {
             sfemi_factor_release(b->model, f);
             return status;
         }
-        sfemi_renew_drop(b);
+        sfemi_refactor_drop(b);
         sfemi_body_adopt(b, f);
         b->h = h;
         b->p = p;
@@ -20697,8 +20695,8 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     sfemi_body_age_load(b);
     if (b->damage && b->damage->events) sfemi_sleep_rouse(b);
     sfemi_sleep_watch(b);
-    sfemi_renew_follow(b);
-    sfemi_renew_advance(b);
+    sfemi_refactor_follow(b);
+    sfemi_refactor_advance(b);
     return SFEM_OK;
 }
 
@@ -20874,7 +20872,7 @@ static void sfemi_body_restart(sfem_body *b)
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     sfem_int i;
     sfemi_sleep_rouse(b);
-    sfemi_renew_drop(b);
+    sfemi_refactor_drop(b);
     memset(b->state.a, 0, bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     memcpy(b->state.force[2], b->state.force[0], bytes);
@@ -20992,7 +20990,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         sfemi_fracture_regroup(b);
     }
     sfemi_body_find_held(b);
-    sfemi_renew_drop(b);
+    sfemi_refactor_drop(b);
     sfemi_body_forget_columns(b);
     b->phase = SFEMI_IDLE;
     b->begun = 0;
@@ -21038,7 +21036,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->omega_max = 0;
     sfemi_body_reset_head(b, bytes);
     b->phase = SFEMI_IDLE;
-    sfemi_renew_destroy(b);
+    sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
     sfemi_guard_close_system(b);
@@ -21347,7 +21345,7 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     sfemi_fracture_regroup(b);
     memset(b->state.books, 0, sizeof *b->state.books);
     b->state.head->current = 0;
-    sfemi_renew_drop(b); /* or K would be larger than the factor's */
+    sfemi_refactor_drop(b); /* or K would be larger than the factor's */
     sfemi_sleep_rouse(b);
     b->phase = SFEMI_IDLE;
 }
@@ -21902,7 +21900,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     if (b->turns) /* as sfemi_body_allocate_turn lays it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
                             (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_renew_bytes(b) + sfemi_guard_bytes(b);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;

@@ -40,18 +40,20 @@ typedef struct form {
     double p;        /* 0: the default */
     double accuracy; /* 0: the default */
     sfem_precision precision;
+    double refactorise;
 } form;
 
 static const form forms[] = {
-    {"trapezoidal Newton", SFEM_NEWMARK, 0, 0, 0, SFEM_DOUBLE},
-    {"semi-implicit", SFEM_NEWMARK, 1, 0, 0, SFEM_DOUBLE},
-    {"backward Euler, 1", SFEM_BACKWARD_EULER, 1, 0, 0, SFEM_DOUBLE},
-    {"default", SFEM_PQR, 0, 0, 0, SFEM_DOUBLE},
-    {"default, mixed", SFEM_PQR, 0, 0, 0, SFEM_MIXED},
-    {"default, accuracy 1e-4", SFEM_PQR, 0, 0, 1e-4, SFEM_DOUBLE},
-    {"default, accuracy 1e-8", SFEM_PQR, 0, 0, 1e-8, SFEM_DOUBLE},
-    {"default, one solve", SFEM_PQR, 0, 0, 1, SFEM_DOUBLE},
-    {"KR-alpha", SFEM_KR_ALPHA, 0, 0, 0, SFEM_DOUBLE},
+    {"trapezoidal Newton", SFEM_NEWMARK, 0, 0, 0, SFEM_DOUBLE, 0},
+    {"semi-implicit", SFEM_NEWMARK, 1, 0, 0, SFEM_DOUBLE, 0},
+    {"backward Euler, 1", SFEM_BACKWARD_EULER, 1, 0, 0, SFEM_DOUBLE, 0},
+    {"default", SFEM_PQR, 0, 0, 0, SFEM_DOUBLE, 0},
+    {"default, refactorised", SFEM_PQR, 0, 0, 0, SFEM_DOUBLE, 4},
+    {"default, mixed", SFEM_PQR, 0, 0, 0, SFEM_MIXED, 0},
+    {"default, accuracy 1e-4", SFEM_PQR, 0, 0, 1e-4, SFEM_DOUBLE, 0},
+    {"default, accuracy 1e-8", SFEM_PQR, 0, 0, 1e-8, SFEM_DOUBLE, 0},
+    {"default, one solve", SFEM_PQR, 0, 0, 1, SFEM_DOUBLE, 0},
+    {"KR-alpha", SFEM_KR_ALPHA, 0, 0, 0, SFEM_DOUBLE, 0},
 };
 enum { FORMS = sizeof forms / sizeof *forms };
 
@@ -70,6 +72,7 @@ static sfem_body_def def_of(const form *f, const real_scene *s)
     if (f->p > 0) d.p = f->p;
     if (f->accuracy > 0) d.accuracy = f->accuracy;
     d.precision = f->precision;
+    d.refactorise = f->refactorise;
     return d;
 }
 

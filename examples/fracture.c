@@ -28,7 +28,7 @@ static const ex_option table[] = {
      "corrections stop below this part of the energy in motion; 1: one solve a step"},
     {"--dissipation", "ALPHA", "0.1", "0 to 1/3: damps what a step does not resolve"},
     {"--damage", "zsz|condensed", "condensed", "the law of damaged tets"},
-    {"--renew", "FLOPS", "0", "operations a step on a new factor, once it has been quiet"},
+    {"--refactorise", "X", "0", "work a step on a new factor after breaks, in steps of one solve"},
     {"--threads", "N", "1", "threads"},
     {"--out", "DIR", "build/fracture", "where files go"},
     {"--quick", NULL, NULL, "a small run: coarse meshes"},
@@ -180,7 +180,7 @@ static void make_body(run *r)
     def.pin_count = count;
     def.damage = &r->damage;
     def.max_handles = 64;
-    def.renew_flops = ex_real(&r->o, "--renew");
+    def.refactorise = ex_real(&r->o, "--refactorise");
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
     if (r->scene == PLATE) def.gravity[2] = -9.81;
     def.accuracy = ex_real(&r->o, "--accuracy");

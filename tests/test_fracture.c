@@ -352,7 +352,7 @@ static double fall_of_the_free_half(double young, sfem_frame frame, sfem_law law
     double z;
     sfem_error err;
     def.frame = frame;
-    def.renew_flops = flops;
+    def.refactorise = flops;
     add_body(&s, def, &damage, 1);
     split(&s, 0.45);
     step(s.body, 1.0 / 60);
@@ -361,10 +361,10 @@ static double fall_of_the_free_half(double young, sfem_frame frame, sfem_law law
     assert_ok(sfem_body_set_gravity(s.body, g, &err), err);
     assert_ok(sfem_body_set_state(s.body, NULL, NULL, &err), err);
     if (flops > 0) {
-        assert_ok(sfem_body_renew(s.body, NULL, &err), err);
+        assert_ok(sfem_body_refactorise(s.body, NULL, &err), err);
         assert_ok(sfem_body_set_gravity(s.body, still, &err), err);
         step(s.body, 1.0 / 60);
-        assert_true(sfem_body_get_renewal(s.body).renewed);
+        assert_true(sfem_body_get_refactorisation(s.body).in_use);
         assert_ok(sfem_body_set_gravity(s.body, g, &err), err);
     }
     z = piece[1].centre[2];
@@ -376,7 +376,7 @@ static double fall_of_the_free_half(double young, sfem_frame frame, sfem_law law
     return z;
 }
 
-static void a_cut_bar_falls_as_it_should_by_projection_or_renewal(void **state)
+static void a_cut_bar_falls_as_it_should_by_projection_or_refactorisation(void **state)
 {
     const double young[3] = {1e4, 1e6, 1e8}, slow[3] = {1.002, .9, .1};
     int k, law;
@@ -386,10 +386,10 @@ static void a_cut_bar_falls_as_it_should_by_projection_or_renewal(void **state)
             const double fall = fall_of_the_free_half(young[k], SFEM_FRAME_NODE,
                                                       law ? SFEM_COROTATIONAL : SFEM_LINEAR, 0);
             const double stale = fall_of_the_free_half(young[k], SFEM_FRAME_REST, SFEM_LINEAR, 0);
-            const double renewed =
+            const double anew =
                 fall_of_the_free_half(young[k], SFEM_FRAME_REST, SFEM_LINEAR, 1e12);
-            printf("Y %g: fall %.4f stale %.4f renewed %.4f\n", young[k], fall, stale, renewed);
-            assert_near(renewed, 9.81 / 3600 * 120, 1e-9,
+            printf("Y %g: fall %.4f stale %.4f anew %.4f\n", young[k], fall, stale, anew);
+            assert_near(anew, 9.81 / 3600 * 120, 1e-9,
                         0); /* gravity came with w = 0 half a step before */
             assert_near(fall, 9.81 * 0.25 * 0.25 / 2, 1e-9, 0);
             assert_true(stale < slow[k] * fall);
@@ -1009,7 +1009,7 @@ int main(void)
         cmocka_unit_test(a_thrown_body_that_breaks_in_flight_keeps_both_momenta),
         cmocka_unit_test(the_books_of_a_linear_body_balance),
         cmocka_unit_test(forces_after_breaks_are_those_of_the_damaged_body),
-        cmocka_unit_test(a_cut_bar_falls_as_it_should_by_projection_or_renewal),
+        cmocka_unit_test(a_cut_bar_falls_as_it_should_by_projection_or_refactorisation),
         cmocka_unit_test(the_sources_law_explodes_unless_p_is_what_it_asks_for),
         cmocka_unit_test(p_follows_from_the_damage_or_is_refused),
         cmocka_unit_test(a_crushed_broken_block_comes_back_upright),
