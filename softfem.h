@@ -1263,8 +1263,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *     A0 = Q^T (r M + (q/2) h D + p h^2 K(u)) Q     K(u) positive semidefinite, Q the node frames at u
  *
  * From then on A0 is rotated as the first factor was. It is made
- *   - by itself, once the corrections beyond two a step have cost as much as another factor; so in all they cost at
- *     most twice what the best moment would have. Calm bodies on good meshes never get there.
+ *   - by itself, once the corrections beyond two a step have cost as much as another factor. Calm bodies on good
+ *     meshes never get there. One that does not earn its price is dropped, and the next waits for twice as much;
  *   - of a body with damage 8 steps after the last break, of what is left of K at rest; never while edges break;
  *   - on request, by sfem_body_refactorise; of the present tangent, or of k, the caller's own: in space, on the model's
  *     pattern, without negative eigenvalues; it is copied.
@@ -1287,7 +1287,7 @@ typedef struct sfem_refactorisation {
     int in_use;          /* the factor in use is not that of the rest pose */
     int running;         /* one is being made */
     double flops, done;  /* operations of the one under way, or of the last: all, so far */
-    double spent;        /* on corrections beyond two a step, since the last one was begun, over those of another */
+    double spent;        /* on corrections beyond two a step, with the factor in use, over the price of another */
     int64_t made, failed;
 } sfem_refactorisation;
 SFEM_DEF sfem_refactorisation sfem_body_get_refactorisation(const sfem_body *body);
@@ -14970,7 +14970,9 @@ typedef struct sfemi_refactor {
     double budget;        /* operations a step */
     double price;         /* of all, from a tangent */
     double credit, flops, done;
-    double spent;         /* on corrections beyond those that a good factor needs */
+    double spent, steps;  /* since the factor in use is: on corrections beyond those that a good one needs; steps */
+    double rest_rate;     /* what was spent a step with the factor of the rest pose */
+    double patience;      /* prices to be spent before another is made */
     sfem_real broken;     /* edges that were broken when it was asked for */
     sfem_int quiet;       /* steps since one has broken or softened */
     int64_t made, failed;
@@ -19626,7 +19628,8 @@ SFEM_DEF void sfem_body_wake(sfem_body *b)
 /* ============================================================================================
  * >>refactor   a factor of the present tangent, made in slices
  *
- * 1. When: corrections beyond FREE a step are added up by their cost; begun once that exceeds the price of a factor.
+ * 1. When: corrections beyond FREE a step are added up by their cost; begun once that exceeds the price of a factor. A
+ *    factor that did not earn its price is dropped, and the next one waits for twice as much.
  * 2. What: K(u) by chunks of tets, in one order; its blocks rotated back, Q_i^T K_ij Q_j; the matrix; its factor,
  *    front by front. All in pieces of known cost.
  * 3. How much: each step adds its budget to the credit, and pieces are done until none is left; what the last one
@@ -19655,7 +19658,7 @@ static void sfemi_refactor_drop(sfem_body *b)
     if (r->live) sfemi_refactor_forget_columns(b);
     r->live = 0;
     r->stage = SFEMI_REFACTOR_IDLE;
-    r->spent = 0;
+    r->spent = r->steps = 0;
     r->broken = 0;
     r->quiet = 0;
 }
@@ -19726,6 +19729,7 @@ static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sf
             if (f->mask[model->col[at]] != SFEM_AXIS_ALL) r->source[count++] = at;
     r->budget = b->def.refactorise * sfemi_refactor_correction(b, f);
     r->price = sfemi_refactor_price(b, 1);
+    r->patience = 1;
 done:
     if (status != SFEM_OK) sfemi_refactor_destroy(b);
     return status;
@@ -19762,7 +19766,6 @@ static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
     r->next = 0;
     r->credit = r->done = 0;
     r->flops = sfemi_refactor_price(b, r->stage == SFEMI_REFACTOR_TANGENT);
-    r->spent = 0;
 }
 
 /* The next chunk of tets. */
@@ -19849,19 +19852,31 @@ static void sfemi_refactor_swap(sfem_body *b)
     r->factor.ldl = r->ldl[to];
     r->live = to + 1;
     r->stage = SFEMI_REFACTOR_IDLE;
+    r->spent = r->steps = 0;
     ++r->made;
     sfemi_refactor_forget_columns(b);
 }
 
-/* Adds up what corrections cost that a better factor would save. */
+/* Adds up what corrections cost that a better factor would save. Once that exceeds `patience` prices: another factor,
+ * unless the one in use has cost more a step, its own price included, than that of the rest pose did. Then that one
+ * comes back, for longer each time: the tangent changes faster than factors are made. */
 static void sfemi_refactor_watch(sfem_body *b)
 {
     enum { FREE = 2 }; /* corrections of a step that good factors need, too */
+    const sfem_real longest = 64;
     sfemi_refactor *r = &b->refactor;
     const sfem_int extra = b->guard.corrections - FREE;
     if (b->damage) return; /* K at rest of what is left: the tangent would not keep the bounds of later breaks */
     if (extra > 0) r->spent += (double)extra * sfemi_refactor_correction(b, b->factor);
-    if (r->stage == SFEMI_REFACTOR_IDLE && r->spent > r->price) sfemi_refactor_begin(b, NULL);
+    ++r->steps;
+    if (r->stage != SFEMI_REFACTOR_IDLE || (r->spent <= r->patience * r->price && !(r->live && b->guard.rejected))) return;
+    if (!r->live) r->rest_rate = r->spent / r->steps;
+    else if (b->guard.rejected || (r->rest_rate > 0 && r->spent + r->price > r->rest_rate * r->steps)) {
+        sfemi_refactor_drop(b);
+        r->patience = fmin(2 * r->patience, longest);
+        return;
+    } else r->patience = 1;
+    sfemi_refactor_begin(b, NULL);
 }
 
 /* A step's worth of work. */
