@@ -20071,6 +20071,9 @@ static void sfemi_body_place_pins(sfem_body *b)
             hold->target[c] = hold->past[c] = b->model->mesh.x[at] + b->state.u[at];
         }
         hold->age = 0;
+        if (!b->turns || b->mask[b->pin[k]] == SFEM_AXIS_ALL) continue;
+        for (c = 0; c < 9; ++c) /* in a frame that has rotated, the axes that the factor holds are others */
+            b->state.frame[9 * (size_t)b->pin[k] + (size_t)c] = c % 4 ? 0 : 1;
     }
     sfemi_resume_pin(b);
 }
