@@ -19169,8 +19169,12 @@ static int sfemi_guard_linearise(sfem_body *b)
     sfem_int i;
     int c, tries;
     if (!f->ldl) return 0;
-    if (b->damage) sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
-    else sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    if (b->damage && model->turns) {
+        sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    } else {
+        sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+        if (b->damage) sfemi_damage_add_stiffness(b->damage, 1, g->tangent.val);
+    }
     status = sfemi_guard_factor_tangent(b, 0);
     if (status != SFEM_OK) { /* the largest (h omega)^2 of a node alone */
         for (i = 0; i < model->mesh.nodes; ++i)
@@ -20360,7 +20364,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    if (b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard) {
+    if (b->turns && (b->model->turns || sfemi_correct_serves(b)) && b->def.no_allocation && !b->def.no_guard) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         SFEMI_TRY(sfemi_guard_open_system(b, err));
     }

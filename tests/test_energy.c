@@ -42,6 +42,7 @@ typedef struct scene {
 static int below(scene *s, int n) { return (int)random_below(&s->random, n); }
 
 static sfem_law test_law = SFEM_LINEAR;
+static sfem_damping_force test_damping;
 
 /* A bar that is bent, with every node at a velocity of its own. */
 static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double young, int pinned,
@@ -77,6 +78,7 @@ static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double 
     body.alpha = k->alpha;
     body.beta_k = k->beta_k;
     body.damage = damage;
+    body.damping_force = test_damping;
     body.pins = s->end[0];
     body.pin_count = pinned ? s->ends[0] : 0;
     assert_ok(sfem_body_create(s->model, &body, &s->body, &err), err);
@@ -273,6 +275,47 @@ static void damage_makes_no_energy(void **state)
                 }
 }
 
+/* D(v) = 10 |v| v at every node, kg/m */
+static void quadratic_force(void *user, const sfem_real *v, sfem_real *force)
+{
+    const sfem_mesh *mesh = (const sfem_mesh *)user;
+    sfem_int i, c;
+    for (i = 0; i < mesh->nodes; ++i) {
+        const double speed = sqrt(v[3 * i] * v[3 * i] + v[3 * i + 1] * v[3 * i + 1] + v[3 * i + 2] * v[3 * i + 2]);
+        for (c = 0; c < 3; ++c) force[3 * i + c] += 10 * speed * v[3 * i + c];
+    }
+}
+
+/* A damping force has the steps of a linear body corrected, and rejected while it breaks. */
+static void a_damped_body_breaks_through_rejected_steps(void **state)
+{
+    const scheme row = {"damped, breaks", SFEM_PQR, 0, 0, 0, 0, 0, SFEM_MASS_LUMPED, 1, 1};
+    static const double toughness[3] = {28, 45, 72}, gravity[3] = {0, 0, -9.81};
+    sfem_damage_def damage = sfem_default_damage_def();
+    sfem_mesh mesh;
+    sfem_error err;
+    int64_t rejected = 0;
+    int k, i;
+    (void)state;
+    memset(&mesh, 0, sizeof mesh);
+    mesh.nodes = 63; /* of the scene */
+    test_damping.force = quadratic_force;
+    test_damping.user = &mesh;
+    for (k = 0; k < 3; ++k) {
+        scene s;
+        damage.toughness = toughness[k];
+        open_scene(&s, &row, SFEM_CELL_5_TETS, 2e5, 1, &damage);
+        assert_int_equal(s.mesh->nodes, mesh.nodes);
+        assert_ok(sfem_body_set_gravity(s.body, gravity, &err), err);
+        for (i = 0; i < 120; ++i) go(&s, 1. / 60);
+        assert_true(s.conserved <= s.start * 1.02 && sfem_body_fracture(s.body).broken > 0);
+        rejected += sfem_body_get_info(s.body).rejected;
+        close_scene(&s);
+    }
+    memset(&test_damping, 0, sizeof test_damping);
+    assert_true(rejected > 0);
+}
+
 /* ---- failed steps ---- */
 
 static const scheme others[] = {
@@ -427,6 +470,7 @@ int main(void)
         cmocka_unit_test(steps_in_turn_make_no_energy),
         cmocka_unit_test(taking_a_node_of_a_damped_body_makes_no_energy),
         cmocka_unit_test(damage_makes_no_energy),
+        cmocka_unit_test(a_damped_body_breaks_through_rejected_steps),
         cmocka_unit_test(a_failed_step_leaves_no_trace),
         cmocka_unit_test(looking_changes_no_bit),
     };
