@@ -17643,6 +17643,22 @@ static void sfemi_resume_hold(sfem_body *b, sfem_real *v)
     sfemi_body_project(b, m, v);
 }
 
+/* v projected in the norm of M to pins that stand; handles keep what they have of it. */
+static void sfemi_resume_stand(sfem_body *b, sfem_real *v)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *m = b->spare + n;
+    sfem_int k;
+    size_t i;
+    sfemi_resume_gather(b);
+    memcpy(m, v, n * sizeof *m);
+    for (k = 0; k < b->grip.count; ++k)
+        sfemi_grip_mean(b->state.handle + b->grip.slot[k], m, b->grip.lambda + 3 * k);
+    for (i = 0; i < n; ++i)
+        if (b->mask[i / 3] >> (i % 3) & 1) v[i] = 0;
+    sfemi_body_project(b, m, v);
+}
+
 /* After pins were set. (p,q,r) needs w as it was; Newmark has no other record of v than what it moves by. */
 static void sfemi_resume_pin(sfem_body *b)
 {
@@ -17651,10 +17667,7 @@ static void sfemi_resume_pin(sfem_body *b)
     if (sfemi_resume_serves(b) && b->def.integrator != SFEM_NEWMARK &&
         b->state.head->started >= SFEMI_RESTARTED)
         return;
-    if (sfemi_resume_serves(b) && b->model->block_mass && b->state.head->steps > 0) {
-        b->step = 1;
-        sfemi_resume_hold(b, w); /* pins are where they go: they stand still */
-    }
+    if (sfemi_resume_serves(b) && b->model->block_mass && b->state.head->steps > 0) sfemi_resume_stand(b, w);
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) w[i] = b->state.a[i] = 0;
 }
