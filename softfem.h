@@ -20611,6 +20611,10 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
+    if (b->turn.by_hand && !sfemi_all_finite(b->rhs, n)) { /* on held axes, too: it would enter the energy budget */
+        sfemi_body_undo(b);
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step's right side is not finite: a force was not");
+    }
     if (sfemi_implicit_serves(b)) {
         const sfem_status status = sfemi_implicit_solve(b, err);
         if (status == SFEM_OK) b->phase = SFEMI_SOLVED;

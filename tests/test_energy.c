@@ -427,6 +427,33 @@ static void a_failed_step_leaves_no_trace(void **state)
     assert_true(failed > 200);
 }
 
+/* The same of a force on a node that is pinned, which moves nothing: the energy budget would never be a number again. */
+static void a_force_on_a_pin_has_to_be_a_number(void **state)
+{
+    size_t k, l;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(schemes) + TEST_COUNT(others); ++k)
+        for (l = 0; l < 2; ++l) {
+            const scheme *row = k < TEST_COUNT(schemes) ? schemes + k : others + k - TEST_COUNT(schemes);
+            sfem_status status;
+            sfem_error err;
+            scene s;
+            int i;
+            if (l > 0 && row->mass != SFEM_MASS_LUMPED) continue;
+            test_law = l ? SFEM_COROTATIONAL : SFEM_LINEAR;
+            open_scene(&s, row, SFEM_CELL_5_TETS, 1e6, 1, NULL);
+            for (i = 0; i < 3; ++i) go(&s, 1. / 60);
+            assert_ok(sfem_body_predict(s.body, 1. / 60, &err), err);
+            sfem_body_rhs(s.body)[3 * s.end[0][0]] = NAN;
+            status = sfem_body_solve(s.body, &err);
+            if (status == SFEM_OK) status = sfem_body_finish(s.body, &err);
+            if (status != SFEM_NOT_FINITE) fail_msg("%s: taken", row->name);
+            go(&s, 1. / 60);
+            close_scene(&s);
+        }
+    test_law = SFEM_LINEAR;
+}
+
 /* ---- looking ---- */
 
 static void look(scene *s, sfem_real *force)
@@ -502,6 +529,7 @@ int main(void)
         cmocka_unit_test(a_damped_body_breaks_through_rejected_steps),
         cmocka_unit_test(pins_set_beside_moved_handles_have_no_unit_of_time),
         cmocka_unit_test(a_failed_step_leaves_no_trace),
+        cmocka_unit_test(a_force_on_a_pin_has_to_be_a_number),
         cmocka_unit_test(looking_changes_no_bit),
     };
     return run_all_tests(tests);
