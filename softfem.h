@@ -14870,11 +14870,13 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
 /* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
 typedef struct sfemi_piece {
     int held; /* by a pin or a handle: no projection */
+    int spans; /* >>correct: u' serves, and */
     sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
     sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
     sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
+    sfem_real ahead[3], between[9]; /* >>correct: the centre at u', (N'^T M N)^-1 of rotations */
     sfem_real sum[4][3];          /* scratch of the energies */
 } sfemi_piece;
 
@@ -18573,14 +18575,106 @@ static sfem_real sfemi_correct_dot(const sfem_real *a, const sfem_real *b, size_
     return sum[0] + sum[1] + (sum[2] + sum[3]);
 }
 
+/* Does a correction leave the momenta of free pieces alone? */
+static int sfemi_correct_projects(const sfem_body *b, const sfemi_equation *q)
+{
+    return !q->fallback && sfemi_turn_projects(b) && !sfemi_correct_is_braked(b);
+}
+
+/* Of free pieces: the centre at u' and J^-T, J = sum m ((a.a') I - a' a^T), a and a' the arms at u and u'.
+ * Where a piece has rotated too far for that, those of u. */
+static void sfemi_correct_span(sfem_body *b)
+{
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *u1 = b->guard.u;
+    sfem_int i, k;
+    int r, c;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        memset(b->turn.piece[k].ahead, 0, sizeof b->turn.piece[k].ahead);
+        memset(b->turn.piece[k].between, 0, sizeof b->turn.piece[k].between);
+    }
+    for (i = 0; i < b->model->mesh.nodes; ++i)
+        for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
+            sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+            p->ahead[c] += mass[i] / p->mass * (rest[3 * i + c] + u1[3 * i + c]);
+        }
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real from[3], to[3], both;
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        sfemi_turn_arm(b, b->state.u, i, p->centre, from);
+        sfemi_turn_arm(b, u1, i, p->ahead, to);
+        both = sfemi_dot3(from, to);
+        for (r = 0; r < 3; ++r)
+            for (c = 0; c < 3; ++c) p->between[3 * r + c] += mass[i] * ((r == c ? both : 0) - to[r] * from[c]);
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfemi_piece *p = b->turn.piece + k;
+        sfem_real j[9], det;
+        if (p->held) continue;
+        memcpy(j, p->between, sizeof j);
+        for (c = 0; c < 3; ++c) sfemi_cross(j + 3 * ((c + 1) % 3), j + 3 * ((c + 2) % 3), p->between + 3 * c);
+        det = sfemi_dot3(j, p->between); /* the rows of between are det J^-T */
+        sfemi_cross(p->inertia_inverse + 3, p->inertia_inverse + 6, j);
+        p->spans = det * sfemi_dot3(p->inertia_inverse, j) > 0.1;
+        for (c = 0; c < 9; ++c) p->between[c] /= det;
+    }
+}
+
+/* x -= N' (N^T M N')^-1 N^T M x, or of a force, -= M N (N'^T M N)^-1 N'^T x: rigid motions at u' in place of the
+ * momenta at u. Those at u would stretch a piece that rotates by its angle in the step, and make L-BFGS of stiff ones
+ * go on by a thousandth of its steps. */
+static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
+{
+    const sfem_real *mass = b->model->node_mass;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real arm[3], torque[3];
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (force && p->spans) sfemi_turn_arm(b, b->guard.u, i, p->ahead, arm);
+        else sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
+        sfemi_cross(arm, x + 3 * i, torque);
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] += (force ? 1 : mass[i]) * x[3 * i + c];
+            p->motion[3 + c] += (force ? 1 : mass[i]) * torque[c];
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfemi_piece *p = b->turn.piece + k;
+        const sfem_real *inverse = p->spans ? p->between : p->inertia_inverse;
+        sfem_real omega[3];
+        if (p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] /= p->mass;
+            omega[c] = force ? sfemi_dot3(inverse + 3 * c, p->motion + 3)
+                             : inverse[c] * p->motion[3] + inverse[3 + c] * p->motion[4] + inverse[6 + c] * p->motion[5];
+        }
+        memcpy(p->motion + 3, omega, sizeof omega);
+    }
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real arm[3], spin[3];
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (force || !p->spans) sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
+        else sfemi_turn_arm(b, b->guard.u, i, p->ahead, arm);
+        sfemi_cross(p->motion + 3, arm, spin);
+        for (c = 0; c < 3; ++c) x[3 * i + c] -= (force ? mass[i] : 1) * (p->motion[c] + spin[c]);
+    }
+}
+
 /* x = d A^-1 x in the frames of the trial, leaving constraints alone. */
 static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, sfem_real *x)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int upper = q->fallback && f != sfemi_body_active(b); /* bounds that a projection would break */
+    const int frees = sfemi_correct_projects(b, q);
     size_t i;
     if (q->fallback && !upper) sfemi_turn_locate(b, b->guard.u);
-    sfemi_turn_solve(b, f, upper ? NULL : q->fallback ? b->guard.u : b->state.u, b->guard.frame, x);
+    if (frees) sfemi_correct_free(b, 1, x);
+    sfemi_turn_solve(b, f, upper || frees ? NULL : q->fallback ? b->guard.u : b->state.u, b->guard.frame, x);
+    if (frees) sfemi_correct_free(b, 0, x);
     if (q->fallback && !upper) sfemi_turn_locate(b, b->state.u);
     if (b->grip.count) {
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
@@ -18600,6 +18694,7 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, 
     size_t i;
     int k;
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
+    if (sfemi_correct_projects(b, q)) sfemi_correct_span(b);
     for (k = 0; k < count; ++k) { /* from the last on */
         const int at = (g->pairs - 1 - k) % SFEMI_MEMORY;
         const sfem_real *s = g->pair + 2 * n * (size_t)at, *y = s + n;
@@ -18613,10 +18708,7 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, 
         const sfem_real back = sfemi_correct_dot(y, g->dir, n) / g->curvature[at];
         for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
     }
-    if (!q->fallback && sfemi_turn_projects(b) && !sfemi_correct_is_braked(b)) {
-        sfemi_turn_motion(b, b->state.u, g->dir, 1);
-        sfemi_turn_add_motion(b, b->state.u, -1, 0, g->dir);
-    }
+    if (count && sfemi_correct_projects(b, q)) sfemi_correct_free(b, 0, g->dir);
     if (b->grip.count && count) { /* pairs of other frames may move the handles */
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
         sfemi_guard_hold(b, &b->grip, g->frame, g->dir);
