@@ -15025,6 +15025,8 @@ struct sfem_body {
     sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
     sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
     int is_late;
+    sfem_real *kick;      /* [nodes][3] N s, the impulses among it, if kicked */
+    int kicked;
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
     sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
     sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
@@ -18455,11 +18457,25 @@ static sfem_real sfemi_guard_held_work(const sfem_body *b)
     return work;
 }
 
-/* With that of what the caller added, from the middle of the last step on, where its energy was taken. */
-static sfem_real sfemi_guard_fallback_work(const sfem_body *b)
+/* Impulses are forces over the span of a (p,q,r) step, from the middle of the last one; in a fallback over its length. */
+static void sfemi_guard_spread_impulses(sfem_body *b)
+{
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real change = 1 / b->step - 1 / (t.d - t.back);
+    size_t i;
+    for (i = 0; b->kicked && i < 3 * (size_t)b->model->mesh.nodes; ++i) b->guard.added[i] += change * b->kick[i];
+}
+
+/* With that of what the caller added: of forces from the middle of the last step on, where its energy was taken. */
+static sfem_real sfemi_guard_fallback_work(sfem_body *b)
 {
     const sfem_real h1 = b->state.head->started == SFEMI_RUNNING ? b->state.head->h : 0;
-    return sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
+    sfem_real *added = b->guard.added, work = sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
+    if (!b->kicked) return work;
+    b->guard.added = b->kick;
+    work -= sfemi_guard_outer_work(b, 0, h1 / 2 / b->step, 0, 0);
+    b->guard.added = added;
+    return work;
 }
 
 /* The energy in motion, S: the largest kinetic energy, or change of Psi in a step, of the last steps and this one.
@@ -19020,7 +19036,8 @@ static void sfemi_guard_keep_momentum(sfem_body *b)
     sfem_int k;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
-        b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->guard.external[i]) / (r + h * b->alpha);
+        b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->guard.external[i] -
+                    (b->kicked ? (h / b->step - 1) * b->kick[i] : 0)) / (r + h * b->alpha);
     sfemi_turn_momentum(b, b->state.u, b->zk, 0);
     for (k = 0; k < b->turn.pieces; ++k)
         memcpy(b->turn.piece[k].push, b->turn.piece[k].motion, sizeof b->turn.piece[k].push);
@@ -19342,6 +19359,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     memset(g->known, 0, n * sizeof *g->known);
     memset(g->external, 0, n * sizeof *g->external);
     sfemi_body_take_from_load(b, at_start, g->external, g->external);
+    sfemi_guard_spread_impulses(b);
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_guard_keep_momentum(b);
     sfemi_guard_start_fallback(b, &q);
@@ -20339,7 +20357,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
-    const size_t vectors = b->model->damping ? 7 : 6;
+    const size_t vectors = b->model->damping ? 8 : 7;
     sfem_status status = SFEM_OK;
     size_t bytes, damage;
     void *block = NULL;
@@ -20361,7 +20379,8 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zm = b->rhs + 3 * n;
     b->predicted = b->rhs + 4 * n;
     b->late = b->rhs + 5 * n;
-    b->zd = b->model->damping ? b->rhs + 6 * n : NULL;
+    b->kick = b->rhs + 6 * n;
+    b->zd = b->model->damping ? b->rhs + 7 * n : NULL;
     if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     if (sfemi_resume_serves(b)) {
         SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
@@ -20695,7 +20714,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
     if (b->is_late) memset(b->late, 0, bytes);
-    b->is_late = 0;
+    b->is_late = b->kicked = 0;
     return SFEM_OK;
 }
 
@@ -20845,7 +20864,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     SFEM_ASSERT(b);
     sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
-    b->turn.by_hand = 0;
+    b->turn.by_hand = b->kicked = 0;
     status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
@@ -20921,6 +20940,9 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sf
     if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "impulse", err);
     memcpy(to, sum, sizeof sum);
     if (b->phase == SFEMI_SOLVED) b->is_late = 1;
+    if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
+    b->kicked = 1;
+    for (c = 0; c < 3; ++c) b->kick[3 * (size_t)node + (size_t)c] += j[c];
     return SFEM_OK;
 }
 
