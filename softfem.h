@@ -14864,11 +14864,13 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
 /* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
 typedef struct sfemi_piece {
     int held; /* by a pin or a handle: no projection */
+    int spans; /* >>correct: u' serves, and */
     sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
     sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
     sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
+    sfem_real ahead[3], between[9]; /* >>correct: the centre at u', (N'^T M N)^-1 of rotations */
     sfem_real sum[4][3];          /* scratch of the energies */
 } sfemi_piece;
 
@@ -15021,6 +15023,8 @@ struct sfem_body {
     sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
     sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
     int is_late;
+    sfem_real *kick;      /* [nodes][3] N s, the impulses among it, if kicked */
+    int kicked;
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
     sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
     sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
@@ -15302,6 +15306,25 @@ static void sfemi_newmark_finish(sfem_body *b)
     }
 }
 
+/* The acceleration once more, by the equation of motion, what is held keeping its own: a change of v changes D v, too.
+ * Without it a node that is taken while it moves makes energy, three times what there was. */
+static void sfemi_newmark_settle_acceleration(sfem_body *b)
+{
+    const sfem_real load[3] = {1, 0, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    sfem_real *change = b->spare;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = s->u[i] + b->beta * s->w[i];
+        b->zm[i] = b->alpha * s->w[i] + s->a[i];
+        if (b->zd) b->zd[i] = s->w[i];
+    }
+    sfemi_body_residual(b, load, 1);
+    sfemi_body_mass_solve(b, change);
+    for (i = 0; i < n; ++i) s->a[i] += change[i];
+}
+
 /* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
 static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
 {
@@ -15317,6 +15340,7 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
         }
         sfemi_body_project(b, array[pass], array[pass]);
     }
+    if (b->grip.count && b->spare && (b->beta != 0 || b->zd)) sfemi_newmark_settle_acceleration(b);
 }
 
 /* ============================================================================================
@@ -17621,6 +17645,22 @@ static void sfemi_resume_hold(sfem_body *b, sfem_real *v)
     sfemi_body_project(b, m, v);
 }
 
+/* v projected in the norm of M to pins that stand; handles keep what they have of it. */
+static void sfemi_resume_stand(sfem_body *b, sfem_real *v)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *m = b->spare + n;
+    sfem_int k;
+    size_t i;
+    sfemi_resume_gather(b);
+    memcpy(m, v, n * sizeof *m);
+    for (k = 0; k < b->grip.count; ++k)
+        sfemi_grip_mean(b->state.handle + b->grip.slot[k], m, b->grip.lambda + 3 * k);
+    for (i = 0; i < n; ++i)
+        if (b->mask[i / 3] >> (i % 3) & 1) v[i] = 0;
+    sfemi_body_project(b, m, v);
+}
+
 /* After pins were set. (p,q,r) needs w as it was; Newmark has no other record of v than what it moves by. */
 static void sfemi_resume_pin(sfem_body *b)
 {
@@ -17629,10 +17669,7 @@ static void sfemi_resume_pin(sfem_body *b)
     if (sfemi_resume_serves(b) && b->def.integrator != SFEM_NEWMARK &&
         b->state.head->started >= SFEMI_RESTARTED)
         return;
-    if (sfemi_resume_serves(b) && b->model->block_mass && b->state.head->steps > 0) {
-        b->step = 1;
-        sfemi_resume_hold(b, w); /* pins are where they go: they stand still */
-    }
+    if (sfemi_resume_serves(b) && b->model->block_mass && b->state.head->steps > 0) sfemi_resume_stand(b, w);
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) w[i] = b->state.a[i] = 0;
 }
@@ -18418,11 +18455,25 @@ static sfem_real sfemi_guard_held_work(const sfem_body *b)
     return work;
 }
 
-/* With that of what the caller added, from the middle of the last step on, where its energy was taken. */
-static sfem_real sfemi_guard_fallback_work(const sfem_body *b)
+/* Impulses are forces over the span of a (p,q,r) step, from the middle of the last one; in a fallback over its length. */
+static void sfemi_guard_spread_impulses(sfem_body *b)
+{
+    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfem_real change = 1 / b->step - 1 / (t.d - t.back);
+    size_t i;
+    for (i = 0; b->kicked && i < 3 * (size_t)b->model->mesh.nodes; ++i) b->guard.added[i] += change * b->kick[i];
+}
+
+/* With that of what the caller added: of forces from the middle of the last step on, where its energy was taken. */
+static sfem_real sfemi_guard_fallback_work(sfem_body *b)
 {
     const sfem_real h1 = b->state.head->started == SFEMI_RUNNING ? b->state.head->h : 0;
-    return sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
+    sfem_real *added = b->guard.added, work = sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
+    if (!b->kicked) return work;
+    b->guard.added = b->kick;
+    work -= sfemi_guard_outer_work(b, 0, h1 / 2 / b->step, 0, 0);
+    b->guard.added = added;
+    return work;
 }
 
 /* The energy in motion, S: the largest kinetic energy, or change of Psi in a step, of the last steps and this one.
@@ -18538,14 +18589,106 @@ static sfem_real sfemi_correct_dot(const sfem_real *a, const sfem_real *b, size_
     return sum[0] + sum[1] + (sum[2] + sum[3]);
 }
 
+/* Does a correction leave the momenta of free pieces alone? */
+static int sfemi_correct_projects(const sfem_body *b, const sfemi_equation *q)
+{
+    return !q->fallback && sfemi_turn_projects(b) && !sfemi_correct_is_braked(b);
+}
+
+/* Of free pieces: the centre at u' and J^-T, J = sum m ((a.a') I - a' a^T), a and a' the arms at u and u'.
+ * Where a piece has rotated too far for that, those of u. */
+static void sfemi_correct_span(sfem_body *b)
+{
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *u1 = b->guard.u;
+    sfem_int i, k;
+    int r, c;
+    for (k = 0; k < b->turn.pieces; ++k) {
+        memset(b->turn.piece[k].ahead, 0, sizeof b->turn.piece[k].ahead);
+        memset(b->turn.piece[k].between, 0, sizeof b->turn.piece[k].between);
+    }
+    for (i = 0; i < b->model->mesh.nodes; ++i)
+        for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
+            sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+            p->ahead[c] += mass[i] / p->mass * (rest[3 * i + c] + u1[3 * i + c]);
+        }
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real from[3], to[3], both;
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        sfemi_turn_arm(b, b->state.u, i, p->centre, from);
+        sfemi_turn_arm(b, u1, i, p->ahead, to);
+        both = sfemi_dot3(from, to);
+        for (r = 0; r < 3; ++r)
+            for (c = 0; c < 3; ++c) p->between[3 * r + c] += mass[i] * ((r == c ? both : 0) - to[r] * from[c]);
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfemi_piece *p = b->turn.piece + k;
+        sfem_real j[9], det;
+        if (p->held) continue;
+        memcpy(j, p->between, sizeof j);
+        for (c = 0; c < 3; ++c) sfemi_cross(j + 3 * ((c + 1) % 3), j + 3 * ((c + 2) % 3), p->between + 3 * c);
+        det = sfemi_dot3(j, p->between); /* the rows of between are det J^-T */
+        sfemi_cross(p->inertia_inverse + 3, p->inertia_inverse + 6, j);
+        p->spans = det * sfemi_dot3(p->inertia_inverse, j) > 0.1;
+        for (c = 0; c < 9; ++c) p->between[c] /= det;
+    }
+}
+
+/* x -= N' (N^T M N')^-1 N^T M x, or of a force, -= M N (N'^T M N)^-1 N'^T x: rigid motions at u' in place of the
+ * momenta at u. Those at u would stretch a piece that rotates by its angle in the step, and make L-BFGS of stiff ones
+ * go on by a thousandth of its steps. */
+static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
+{
+    const sfem_real *mass = b->model->node_mass;
+    sfem_int i, k;
+    int c;
+    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real arm[3], torque[3];
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (force && p->spans) sfemi_turn_arm(b, b->guard.u, i, p->ahead, arm);
+        else sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
+        sfemi_cross(arm, x + 3 * i, torque);
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] += (force ? 1 : mass[i]) * x[3 * i + c];
+            p->motion[3 + c] += (force ? 1 : mass[i]) * torque[c];
+        }
+    }
+    for (k = 0; k < b->turn.pieces; ++k) {
+        sfemi_piece *p = b->turn.piece + k;
+        const sfem_real *inverse = p->spans ? p->between : p->inertia_inverse;
+        sfem_real omega[3];
+        if (p->held) continue;
+        for (c = 0; c < 3; ++c) {
+            p->motion[c] /= p->mass;
+            omega[c] = force ? sfemi_dot3(inverse + 3 * c, p->motion + 3)
+                             : inverse[c] * p->motion[3] + inverse[3 + c] * p->motion[4] + inverse[6 + c] * p->motion[5];
+        }
+        memcpy(p->motion + 3, omega, sizeof omega);
+    }
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfem_real arm[3], spin[3];
+        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (force || !p->spans) sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
+        else sfemi_turn_arm(b, b->guard.u, i, p->ahead, arm);
+        sfemi_cross(p->motion + 3, arm, spin);
+        for (c = 0; c < 3; ++c) x[3 * i + c] -= (force ? mass[i] : 1) * (p->motion[c] + spin[c]);
+    }
+}
+
 /* x = d A^-1 x in the frames of the trial, leaving constraints alone. */
 static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, sfem_real *x)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int upper = q->fallback && f != sfemi_body_active(b); /* bounds that a projection would break */
+    const int frees = sfemi_correct_projects(b, q);
     size_t i;
     if (q->fallback && !upper) sfemi_turn_locate(b, b->guard.u);
-    sfemi_turn_solve(b, f, upper ? NULL : q->fallback ? b->guard.u : b->state.u, b->guard.frame, x);
+    if (frees) sfemi_correct_free(b, 1, x);
+    sfemi_turn_solve(b, f, upper || frees ? NULL : q->fallback ? b->guard.u : b->state.u, b->guard.frame, x);
+    if (frees) sfemi_correct_free(b, 0, x);
     if (q->fallback && !upper) sfemi_turn_locate(b, b->state.u);
     if (b->grip.count) {
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
@@ -18565,6 +18708,7 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, 
     size_t i;
     int k;
     memcpy(g->dir, g->grad, n * sizeof *g->dir);
+    if (sfemi_correct_projects(b, q)) sfemi_correct_span(b);
     for (k = 0; k < count; ++k) { /* from the last on */
         const int at = (g->pairs - 1 - k) % SFEMI_MEMORY;
         const sfem_real *s = g->pair + 2 * n * (size_t)at, *y = s + n;
@@ -18578,10 +18722,7 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, 
         const sfem_real back = sfemi_correct_dot(y, g->dir, n) / g->curvature[at];
         for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
     }
-    if (!q->fallback && sfemi_turn_projects(b) && !sfemi_correct_is_braked(b)) {
-        sfemi_turn_motion(b, b->state.u, g->dir, 1);
-        sfemi_turn_add_motion(b, b->state.u, -1, 0, g->dir);
-    }
+    if (count && sfemi_correct_projects(b, q)) sfemi_correct_free(b, 0, g->dir);
     if (b->grip.count && count) { /* pairs of other frames may move the handles */
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
         sfemi_guard_hold(b, &b->grip, g->frame, g->dir);
@@ -18893,7 +19034,8 @@ static void sfemi_guard_keep_momentum(sfem_body *b)
     sfem_int k;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
-        b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->guard.external[i]) / (r + h * b->alpha);
+        b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->guard.external[i] -
+                    (b->kicked ? (h / b->step - 1) * b->kick[i] : 0)) / (r + h * b->alpha);
     sfemi_turn_momentum(b, b->state.u, b->zk, 0);
     for (k = 0; k < b->turn.pieces; ++k)
         memcpy(b->turn.piece[k].push, b->turn.piece[k].motion, sizeof b->turn.piece[k].push);
@@ -19147,8 +19289,12 @@ static int sfemi_guard_linearise(sfem_body *b)
     sfem_int i;
     int c, tries;
     if (!f->ldl) return 0;
-    if (b->damage) sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
-    else sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    if (b->damage && model->turns) {
+        sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+    } else {
+        sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
+        if (b->damage) sfemi_damage_add_stiffness(b->damage, 1, g->tangent.val);
+    }
     status = sfemi_guard_factor_tangent(b, 0);
     if (status != SFEM_OK) { /* the largest (h omega)^2 of a node alone */
         for (i = 0; i < model->mesh.nodes; ++i)
@@ -19211,6 +19357,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     memset(g->known, 0, n * sizeof *g->known);
     memset(g->external, 0, n * sizeof *g->external);
     sfemi_body_take_from_load(b, at_start, g->external, g->external);
+    sfemi_guard_spread_impulses(b);
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_guard_keep_momentum(b);
     sfemi_guard_start_fallback(b, &q);
@@ -20084,6 +20231,9 @@ static void sfemi_body_place_pins(sfem_body *b)
             hold->target[c] = hold->past[c] = b->model->mesh.x[at] + b->state.u[at];
         }
         hold->age = 0;
+        if (!b->turns || b->mask[b->pin[k]] == SFEM_AXIS_ALL) continue;
+        for (c = 0; c < 9; ++c) /* in a frame that has rotated, the axes that the factor holds are others */
+            b->state.frame[9 * (size_t)b->pin[k] + (size_t)c] = c % 4 ? 0 : 1;
     }
     sfemi_resume_pin(b);
 }
@@ -20220,7 +20370,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
-    const size_t vectors = b->model->damping ? 7 : 6;
+    const size_t vectors = b->model->damping ? 8 : 7;
     sfem_status status = SFEM_OK;
     size_t bytes, damage;
     void *block = NULL;
@@ -20242,7 +20392,8 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->zm = b->rhs + 3 * n;
     b->predicted = b->rhs + 4 * n;
     b->late = b->rhs + 5 * n;
-    b->zd = b->model->damping ? b->rhs + 6 * n : NULL;
+    b->kick = b->rhs + 6 * n;
+    b->zd = b->model->damping ? b->rhs + 7 * n : NULL;
     if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
     if (sfemi_resume_serves(b)) {
         SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
@@ -20350,7 +20501,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    if (b->turns && b->model->turns && b->def.no_allocation && !b->def.no_guard) {
+    if (b->turns && (b->model->turns || sfemi_correct_serves(b)) && b->def.no_allocation && !b->def.no_guard) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         SFEMI_TRY(sfemi_guard_open_system(b, err));
     }
@@ -20576,7 +20727,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
     if (b->is_late) memset(b->late, 0, bytes);
-    b->is_late = 0;
+    b->is_late = b->kicked = 0;
     return SFEM_OK;
 }
 
@@ -20584,6 +20735,10 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
+    if (b->turn.by_hand && !sfemi_all_finite(b->rhs, n)) { /* on held axes, too: it would enter the energy budget */
+        sfemi_body_undo(b);
+        return sfemi_fail(err, SFEM_NOT_FINITE, "the step's right side is not finite: a force was not");
+    }
     if (sfemi_implicit_serves(b)) {
         const sfem_status status = sfemi_implicit_solve(b, err);
         if (status == SFEM_OK) b->phase = SFEMI_SOLVED;
@@ -20722,7 +20877,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     SFEM_ASSERT(b);
     sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
-    b->turn.by_hand = 0;
+    b->turn.by_hand = b->kicked = 0;
     status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
@@ -20798,6 +20953,9 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sf
     if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "impulse", err);
     memcpy(to, sum, sizeof sum);
     if (b->phase == SFEMI_SOLVED) b->is_late = 1;
+    if (!b->kicked) memset(b->kick, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->kick);
+    b->kicked = 1;
+    for (c = 0; c < 3; ++c) b->kick[3 * (size_t)node + (size_t)c] += j[c];
     return SFEM_OK;
 }
 

@@ -588,6 +588,49 @@ static void rejected_steps_keep_the_forces_of_the_caller(void **state)
     }
 }
 
+/* An impulse is one in every step: accepted, rejected, after a rejected one; steps of all lengths. */
+static void impulses_are_whole_in_rejected_steps(void **state)
+{
+    static const sfem_integrator integrator[] = {SFEM_PQR, SFEM_KR_ALPHA, SFEM_CHANG};
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(integrator); ++k) {
+        bar b = make_bar(5, 1e6, SFEM_NEOHOOKEAN);
+        sfem_body_def def = method(integrator[k], 0.8);
+        test_random random = {3};
+        double v[3 * MAX_NODES], start[6], end[6], given[3] = {0, 0, 0}, zero[3 * MAX_NODES];
+        sfem_body *body;
+        sfem_error err;
+        int64_t rejected;
+        int i, c;
+        def.accuracy = 1;
+        body = bar_body(&b, def, 0);
+        memset(zero, 0, sizeof zero);
+        for (i = 0; i < 3 * (int)b.n; ++i) v[i] = random_uniform(&random, -30, 30);
+        assert_ok(sfem_body_set_state(body, NULL, v, &err), err);
+        momentum(&b, zero, v, 1, start);
+        for (i = 0; i < 60; ++i) {
+            double j[3];
+            for (c = 0; c < 3; ++c) given[c] += j[c] = random_uniform(&random, -20, 30);
+            assert_ok(sfem_body_predict(body, random_uniform(&random, .5, 1.5) / 30, &err), err);
+            if (i % 2) assert_ok(sfem_body_add_impulse(body, i % b.n, j, &err), err);
+            assert_ok(sfem_body_solve(body, &err), err);
+            if (i % 2 == 0) assert_ok(sfem_body_add_impulse(body, i % b.n, j, &err), err);
+            assert_ok(sfem_body_finish(body, &err), err);
+        }
+        assert_true(sfem_body_get_info(body).rejected > 5);
+        do { /* the mean velocity of a step that is not rejected */
+            memcpy(v, sfem_body_displacement(body), 3 * (size_t)b.n * sizeof *v);
+            rejected = sfem_body_get_info(body).rejected;
+            assert_ok(sfem_body_step(body, 1. / 240, &err), err);
+        } while (sfem_body_get_info(body).rejected > rejected);
+        momentum(&b, v, sfem_body_displacement(body), 1. / 240, end);
+        for (c = 0; c < 3; ++c) assert_near(end[c], start[c] + given[c], 0, 1e-8);
+        sfem_body_free(body);
+        drop_bar(&b);
+    }
+}
+
 /* The turned form of a body that hardly moves is that of the linear body. */
 static void tiny_motions_are_those_of_the_linear_law(void **state)
 {
@@ -897,6 +940,7 @@ int main(void)
         cmocka_unit_test(chen_ricles_gui_and_chang_follow_their_papers),
         cmocka_unit_test(free_bodies_keep_exact_momenta),
         cmocka_unit_test(rejected_steps_keep_the_forces_of_the_caller),
+        cmocka_unit_test(impulses_are_whole_in_rejected_steps),
         cmocka_unit_test(tiny_motions_are_those_of_the_linear_law),
         cmocka_unit_test(nonlinear_bodies_have_second_order),
         cmocka_unit_test(violent_runs_keep_their_energy),

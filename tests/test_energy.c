@@ -42,6 +42,7 @@ typedef struct scene {
 static int below(scene *s, int n) { return (int)random_below(&s->random, n); }
 
 static sfem_law test_law = SFEM_LINEAR;
+static sfem_damping_force test_damping;
 
 /* A bar that is bent, with every node at a velocity of its own. */
 static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double young, int pinned,
@@ -77,6 +78,7 @@ static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double 
     body.alpha = k->alpha;
     body.beta_k = k->beta_k;
     body.damage = damage;
+    body.damping_force = test_damping;
     body.pins = s->end[0];
     body.pin_count = pinned ? s->ends[0] : 0;
     assert_ok(sfem_body_create(s->model, &body, &s->body, &err), err);
@@ -203,6 +205,34 @@ static void steps_in_turn_make_no_energy(void **state)
                 }
 }
 
+/* Newmark's total energy falls in every step where what is held stands; stiffness damping, too, is to go on from the
+ * velocity that a node has when it is taken. */
+static void taking_a_node_of_a_damped_body_makes_no_energy(void **state)
+{
+    static const scheme rows[2] = {
+        {"newmark, damped", SFEM_NEWMARK, 0, 0, 0, .1, 1e-3, SFEM_MASS_LUMPED, 1, 1},
+        {"newmark, consistent, damped", SFEM_NEWMARK, 0, 0, 0, .1, 1e-3, SFEM_MASS_CONSISTENT, 1, 1}};
+    int k, i;
+    (void)state;
+    for (k = 0; k < 2; ++k) {
+        sfem_int handle[6];
+        double before;
+        int held = 0;
+        scene s;
+        open_scene(&s, rows + k, SFEM_CELL_5_TETS, 8e10, 1, NULL);
+        for (i = 0, before = s.start; i < 60; ++i) {
+            double after;
+            if (i >= 12) do_something(&s, HANDLES, i, handle, &held);
+            go(&s, random_uniform(&s.random, .5, 1.5) / 30);
+            after = sfem_body_energy(s.body).total;
+            if (!(after <= before * (1 + 1e-9)))
+                fail_msg("%s, step %d: energy %g -> %g", rows[k].name, i, before, after);
+            before = after;
+        }
+        close_scene(&s);
+    }
+}
+
 /* Edges are broken by hand; then the steps change. */
 static void damage_makes_no_energy(void **state)
 {
@@ -243,6 +273,76 @@ static void damage_makes_no_energy(void **state)
                     judge(&s, rows + row, young[j], mode ? deeds[ALL] : "two steps in turn");
                     close_scene(&s);
                 }
+}
+
+/* D(v) = 10 |v| v at every node, kg/m */
+static void quadratic_force(void *user, const sfem_real *v, sfem_real *force)
+{
+    const sfem_mesh *mesh = (const sfem_mesh *)user;
+    sfem_int i, c;
+    for (i = 0; i < mesh->nodes; ++i) {
+        const double speed = sqrt(v[3 * i] * v[3 * i] + v[3 * i + 1] * v[3 * i + 1] + v[3 * i + 2] * v[3 * i + 2]);
+        for (c = 0; c < 3; ++c) force[3 * i + c] += 10 * speed * v[3 * i + c];
+    }
+}
+
+/* A damping force has the steps of a linear body corrected, and rejected while it breaks. */
+static void a_damped_body_breaks_through_rejected_steps(void **state)
+{
+    const scheme row = {"damped, breaks", SFEM_PQR, 0, 0, 0, 0, 0, SFEM_MASS_LUMPED, 1, 1};
+    static const double toughness[3] = {28, 45, 72}, gravity[3] = {0, 0, -9.81};
+    sfem_damage_def damage = sfem_default_damage_def();
+    sfem_mesh mesh;
+    sfem_error err;
+    int64_t rejected = 0;
+    int k, i;
+    (void)state;
+    memset(&mesh, 0, sizeof mesh);
+    mesh.nodes = 63; /* of the scene */
+    test_damping.force = quadratic_force;
+    test_damping.user = &mesh;
+    for (k = 0; k < 3; ++k) {
+        scene s;
+        damage.toughness = toughness[k];
+        open_scene(&s, &row, SFEM_CELL_5_TETS, 2e5, 1, &damage);
+        assert_int_equal(s.mesh->nodes, mesh.nodes);
+        assert_ok(sfem_body_set_gravity(s.body, gravity, &err), err);
+        for (i = 0; i < 120; ++i) go(&s, 1. / 60);
+        assert_true(s.conserved <= s.start * 1.02 && sfem_body_fracture(s.body).broken > 0);
+        rejected += sfem_body_get_info(s.body).rejected;
+        close_scene(&s);
+    }
+    memset(&test_damping, 0, sizeof test_damping);
+    assert_true(rejected > 0);
+}
+
+/* Pins are set while a handle is on its way: what that leaves of velocities knows no second. */
+static void pins_set_beside_moved_handles_have_no_unit_of_time(void **state)
+{
+    const scheme row = {"newmark, consistent", SFEM_NEWMARK, 0, 0, 0, 0, 0, SFEM_MASS_CONSISTENT, 1, 1};
+    double u[2][3 * 63];
+    int j;
+    (void)state;
+    for (j = 0; j < 2; ++j) {
+        const double second = j ? 1048576 : 1;
+        sfem_int handle, pin = 0;
+        sfem_error err;
+        double x[3];
+        scene s;
+        open_scene(&s, &row, SFEM_CELL_5_TETS, 1e6 / (second * second), 0, NULL);
+        assert_ok(sfem_body_set_state(s.body, NULL, NULL, &err), err);
+        assert_ok(sfem_body_grab_node(s.body, s.mesh->nodes - 1, &handle, &err), err);
+        go(&s, second / 60);
+        sfem_body_handle_position(s.body, handle, x);
+        x[1] += .05;
+        assert_ok(sfem_body_move_handle(s.body, handle, x, &err), err);
+        assert_ok(sfem_body_set_pins(s.body, 1, &pin, NULL, &err), err);
+        go(&s, second / 60);
+        go(&s, second / 60);
+        memcpy(u[j], sfem_body_displacement(s.body), sizeof u[j]);
+        close_scene(&s);
+    }
+    assert_memory_equal(u[0], u[1], sizeof u[0]);
 }
 
 /* ---- failed steps ---- */
@@ -327,6 +427,33 @@ static void a_failed_step_leaves_no_trace(void **state)
     assert_true(failed > 200);
 }
 
+/* The same of a force on a node that is pinned, which moves nothing: the energy budget would never be a number again. */
+static void a_force_on_a_pin_has_to_be_a_number(void **state)
+{
+    size_t k, l;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(schemes) + TEST_COUNT(others); ++k)
+        for (l = 0; l < 2; ++l) {
+            const scheme *row = k < TEST_COUNT(schemes) ? schemes + k : others + k - TEST_COUNT(schemes);
+            sfem_status status;
+            sfem_error err;
+            scene s;
+            int i;
+            if (l > 0 && row->mass != SFEM_MASS_LUMPED) continue;
+            test_law = l ? SFEM_COROTATIONAL : SFEM_LINEAR;
+            open_scene(&s, row, SFEM_CELL_5_TETS, 1e6, 1, NULL);
+            for (i = 0; i < 3; ++i) go(&s, 1. / 60);
+            assert_ok(sfem_body_predict(s.body, 1. / 60, &err), err);
+            sfem_body_rhs(s.body)[3 * s.end[0][0]] = NAN;
+            status = sfem_body_solve(s.body, &err);
+            if (status == SFEM_OK) status = sfem_body_finish(s.body, &err);
+            if (status != SFEM_NOT_FINITE) fail_msg("%s: taken", row->name);
+            go(&s, 1. / 60);
+            close_scene(&s);
+        }
+    test_law = SFEM_LINEAR;
+}
+
 /* ---- looking ---- */
 
 static void look(scene *s, sfem_real *force)
@@ -397,8 +524,12 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_is_held_makes_no_energy),
         cmocka_unit_test(steps_in_turn_make_no_energy),
+        cmocka_unit_test(taking_a_node_of_a_damped_body_makes_no_energy),
         cmocka_unit_test(damage_makes_no_energy),
+        cmocka_unit_test(a_damped_body_breaks_through_rejected_steps),
+        cmocka_unit_test(pins_set_beside_moved_handles_have_no_unit_of_time),
         cmocka_unit_test(a_failed_step_leaves_no_trace),
+        cmocka_unit_test(a_force_on_a_pin_has_to_be_a_number),
         cmocka_unit_test(looking_changes_no_bit),
     };
     return run_all_tests(tests);

@@ -1141,6 +1141,49 @@ static void pins_move_and_hold_single_axes(void **state)
     }
 }
 
+/* Single axes that are pinned when the body has rotated, so that its frames have, too. */
+static void single_axes_of_a_rotated_body_are_held(void **state)
+{
+    const sfem_law laws[3] = {SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
+    const double spin[3] = {0, 0, 5};
+    const sfem_real *u;
+    int l, j, c;
+    (void)state;
+    for (l = 0; l < 3; ++l) {
+        scene s;
+        sfem_material material = rubber(1e5);
+        sfem_int pins[4];
+        unsigned char axes[4];
+        double at[12], start;
+        sfem_error err;
+        sfem_int i;
+        material.law = laws[l];
+        s = bar(6, 2, material);
+        add_body(&s, sfem_default_body_def(), 0);
+        set_motion(&s, zero3, spin);
+        start = sfem_body_energy(s.body).total;
+        u = sfem_body_displacement(s.body);
+        for (j = 0; j < 120; ++j) {
+            if (j % 20 == 10) {
+                for (i = 0; i < 4; ++i) {
+                    pins[i] = (s.n / 5 * (i + 1) + j) % s.n;
+                    axes[i] = (unsigned char)(1 + (i + j / 20) % 6);
+                }
+                assert_ok(sfem_body_set_pins(s.body, 4, pins, axes, &err), err);
+                u = sfem_body_displacement(s.body);
+                for (i = 0; i < 12; ++i) at[i] = u[3 * pins[i / 3] + i % 3];
+            }
+            step(s.body, 1.0 / 60);
+            u = sfem_body_displacement(s.body);
+            for (i = 0; j >= 10 && i < 4; ++i)
+                for (c = 0; c < 3; ++c)
+                    if (axes[i] >> c & 1) assert_near(u[3 * pins[i] + c], at[3 * i + c], 0, 1e-12);
+            assert_true(sfem_body_energy(s.body).conserved <= start * 1.02);
+        }
+        drop(&s);
+    }
+}
+
 /* --------------------------------------------------------------------------------------------
  * damping
  * -------------------------------------------------------------------------------------------- */
@@ -1516,6 +1559,7 @@ int main(void)
         cmocka_unit_test(changes_make_no_energy),
         cmocka_unit_test(handles_are_where_they_should_be),
         cmocka_unit_test(pins_move_and_hold_single_axes),
+        cmocka_unit_test(single_axes_of_a_rotated_body_are_held),
         cmocka_unit_test(damping_takes_energy_and_no_rotation),
         cmocka_unit_test(a_saved_state_continues_bit_for_bit),
         cmocka_unit_test(a_handle_that_follows_another_is_held_in_steps_done_again),
