@@ -502,10 +502,11 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
                                      sfem_error *err);
 
 /* The same for another matrix of the same pattern; the analysis is shared (counted atomically), the
- * options are those of `like`. SFEM_MISMATCH if n or the number of blocks differ; the rest of the
- * pattern is the caller's word. */
-SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, sfem_ldl **out,
-                                          sfem_error *err);
+ * options are those of `like`, but for the threads: exec (NULL: the calling thread alone) is used by this
+ * call and refactor. SFEM_MISMATCH if n or the number of blocks differ; the rest of the pattern is the
+ * caller's word. */
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, const sfem_exec *exec,
+                                          sfem_ldl **out, sfem_error *err);
 
 /* New values on the same pattern; allocates nothing. After a failure the factor is void (there is no
  * room for two) and may only be refactored again or freed. */
@@ -9010,10 +9011,10 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
 
-/* The options of like's or def's; takes over one reference to the analysis, also when it fails. Without a
- * matrix there is room for a factor, but none yet. */
+/* The options of like's or def's, but the threads of who asks, whose pool outlives the factor; takes over one
+ * reference to the analysis, also when it fails. Without a matrix there is room for a factor, but none yet. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
-                                  sfem_ldl **out, sfem_error *err)
+                                  const sfem_exec *exec, sfem_ldl **out, sfem_error *err)
 {
     const sfem_allocator *m = &like->allocator;
     sfem_status status = SFEM_OK;
@@ -9023,7 +9024,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     ldl->symbolic = y;
     y = NULL;
     ldl->allocator = *m;
-    ldl->exec = like->exec;
+    if (exec) ldl->exec = *exec;
     ldl->positive = like->positive;
     ldl->mixed = like->mixed;
     ldl->keep = like->keep;
@@ -9078,11 +9079,10 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
     if (status != SFEM_OK) return status;
     memset(&like, 0, sizeof like);
     like.allocator = def->allocator;
-    like.exec = def->exec;
     like.positive = def->positive;
     like.mixed = def->mixed;
     like.keep = def->keep;
-    return sfemi_ldl_make(&like, y, a, out, err);
+    return sfemi_ldl_make(&like, y, a, &def->exec, out, err);
 }
 
 static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
@@ -9096,13 +9096,13 @@ static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, 
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a,
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, const sfem_exec *exec,
                                           sfem_ldl **out, sfem_error *err)
 {
     const sfem_status status = sfemi_ldl_matches(like, a, err);
     if (status != SFEM_OK) return status;
     (void)SFEMI_ATOMIC_ADD(&like->symbolic->references, 1);
-    return sfemi_ldl_make(like, like->symbolic, a, out, err);
+    return sfemi_ldl_make(like, like->symbolic, a, exec, out, err);
 }
 
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
@@ -14456,7 +14456,7 @@ static sfem_status sfemi_factor_compute(sfem_model *model, sfem_factor *f, const
     sfem_status status = sfemi_factor_matrix(model, f, &a, err);
     if (status != SFEM_OK) return status;
     like = sfemi_factor_find(model, &f->key, 1);
-    status = like ? sfem_ldl_create_like(like->ldl, &a, &f->ldl, &place)
+    status = like ? sfem_ldl_create_like(like->ldl, &a, exec, &f->ldl, &place)
                   : sfemi_factor_analyse(model, f, &a, exec, &place);
     sfemi_factor_release(model, like);
     sfem_matrix_free(&a, &model->allocator);
@@ -19702,7 +19702,7 @@ static sfem_status sfemi_renew_reserve(sfem_body *b, const sfem_factor *f, sfem_
         r->k[k].val = NULL;
         SFEMI_NEW(sfem_real, r->k[k].val, &b->allocator, values);
         (void)SFEMI_ATOMIC_ADD(&f->ldl->symbolic->references, 1);
-        SFEMI_TRY(sfemi_ldl_make(f->ldl, f->ldl->symbolic, NULL, &r->ldl[k], err));
+        SFEMI_TRY(sfemi_ldl_make(f->ldl, f->ldl->symbolic, NULL, &b->exec, &r->ldl[k], err));
     }
     SFEMI_NEW(sfem_int, r->source, &b->allocator, (size_t)r->a.row[r->a.n] + 1);
     for (k = 0; k < f->free_nodes; ++k)

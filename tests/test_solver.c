@@ -860,12 +860,12 @@ static void factors_that_share_an_analysis_may_be_freed_in_any_order(void **stat
     (void)state;
     def.allocator = budget_allocator(&m, -1);
     assert_int_equal(sfem_ldl_create(&def, &f.a, &a, &err), SFEM_OK);
-    assert_int_equal(sfem_ldl_create_like(a, &f.a, &b, &err), SFEM_OK);
+    assert_int_equal(sfem_ldl_create_like(a, &f.a, NULL, &b, &err), SFEM_OK);
     sfem_ldl_free(a);
-    assert_int_equal(sfem_ldl_create_like(b, &f.a, &c, &err), SFEM_OK);
+    assert_int_equal(sfem_ldl_create_like(b, &f.a, NULL, &c, &err), SFEM_OK);
     sfem_ldl_free(b);
     assert_int_equal(sfem_ldl_refactor(c, &f.a, &err), SFEM_OK);
-    assert_int_equal(sfem_ldl_create_like(c, &g.a, &a, &err), SFEM_MISMATCH);
+    assert_int_equal(sfem_ldl_create_like(c, &g.a, NULL, &a, &err), SFEM_MISMATCH);
     assert_int_equal(sfem_ldl_refactor(c, &g.a, &err), SFEM_MISMATCH);
     sfem_ldl_free(c);
     sfem_ldl_free(NULL);
@@ -902,7 +902,7 @@ static void every_failing_allocation_is_survived(void **state)
             status = sfem_ldl_create(&def, &f.a, &ldl, &err);
             if (status == SFEM_OK) {
                 b.left = fail % 7;
-                if (sfem_ldl_create_like(ldl, &f.a, &like, &err) == SFEM_OK) sfem_ldl_free(like);
+                if (sfem_ldl_create_like(ldl, &f.a, NULL, &like, &err) == SFEM_OK) sfem_ldl_free(like);
                 sfem_ldl_free(ldl);
             } else {
                 assert_int_equal(err.status, SFEM_OUT_OF_MEMORY);
