@@ -4299,6 +4299,7 @@ done:
 static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
 {
     sfemi_scan *s = &g->s;
+    const sfem_real newest_of_2 = 2.2; /* a double: where constants have more digits, they are not what is read */
     sfemi_word w;
     sfem_status status;
     sfem_real version;
@@ -4308,7 +4309,7 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
     w = sfemi_scan_peek(s);
     if (sfemi_text_real(w.p, w.p + w.n, 0, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
-    g->version = version >= 2 && version <= 2.2 ? 2 : 4;
+    g->version = version >= 2 && version <= newest_of_2 ? 2 : 4;
     if (g->version == 4 && !sfemi_word_is(w, "4.1"))
         return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 2.0 to 2.2 and 4.1 are read",
                                sfemi_word_text(w, text));
