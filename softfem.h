@@ -6713,6 +6713,7 @@ done:
 typedef struct sfemi_dissect {
     const sfemi_graph *g;
     const sfem_real *x;
+    sfem_real unit;        /* power of 2 that brings the largest coordinate below 1, within a float's range */
     sfem_int *set;         /* [n] all nodes; a set is a range of it */
     sfem_int *inside;      /* [n] stamp of the set that a node is in, while it is cut */
     sfem_int *mate, *from; /* [n] matching; search tree */
@@ -6733,6 +6734,22 @@ static const signed char *sfemi_dissect_axis(int direction)
     return axis[direction];
 }
 
+static void sfemi_dissect_unit(sfemi_dissect *d)
+{
+    sfem_real most = 0;
+    size_t i;
+    int e = 0;
+    for (i = 0; i < 3 * (size_t)d->g->n; ++i) most = fmax(most, fabs(d->x[i]));
+    (void)frexp(most, &e);
+    d->unit = ldexp(1.0, e > 1000 ? -1000 : e < -1000 ? 1000 : -e);
+}
+
+static void sfemi_dissect_place(const sfemi_dissect *d, sfem_int node, sfem_real x[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) x[c] = d->unit * d->x[3 * (size_t)node + (size_t)c];
+}
+
 static float sfemi_dissect_key(const signed char *axis, const sfem_real *x)
 {
     return (float)(axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2]);
@@ -6744,8 +6761,10 @@ static void sfemi_dissect_reach(sfemi_dissect *d)
     int k;
     for (i = 0; i < d->g->n; ++i)
         for (e = d->g->start[i]; e < d->g->start[i + 1] && d->g->adj[e] < i; ++e) {
-            sfem_real u[3];
-            sfemi_sub3(d->x + 3 * (size_t)i, d->x + 3 * (size_t)d->g->adj[e], u);
+            sfem_real u[3], v[3];
+            sfemi_dissect_place(d, i, u);
+            sfemi_dissect_place(d, d->g->adj[e], v);
+            sfemi_sub3(u, v, u);
             for (k = 0; k < SFEMI_DISSECT_DIRECTIONS; ++k) {
                 const float r = (float)fabs((double)sfemi_dissect_key(sfemi_dissect_axis(k), u));
                 if (r > d->reach[k]) d->reach[k] = r;
@@ -6791,14 +6810,17 @@ static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int
     float low = 0, high = 0, scale;
     if (direction == SFEMI_DISSECT_DIRECTIONS) sfemi_dissect_distance(d, set, m);
     for (k = 0; k < m; ++k) {
-        const float key = direction == SFEMI_DISSECT_DIRECTIONS
-                              ? (float)d->mate[set[k]]
-                              : sfemi_dissect_key(axis, d->x + 3 * (size_t)set[k]);
+        sfem_real x[3];
+        float key = (float)d->mate[set[k]];
+        if (direction < SFEMI_DISSECT_DIRECTIONS) {
+            sfemi_dissect_place(d, set[k], x);
+            key = sfemi_dissect_key(axis, x);
+        }
         d->key[k] = key;
         if (k == 0 || key < low) low = key;
         if (k == 0 || key > high) high = key;
     }
-    if (!(high > low)) return low;
+    if (!(high - low > 1e-30f)) return low; /* as good as nothing; its inverse would overflow */
     low -= (high - low) * 0.00137f; /* no lattice plane at the edge of a bin */
     scale = (SFEMI_DISSECT_BINS - 1) / (high - low);
     memset(count, 0, sizeof count);
@@ -7085,6 +7107,7 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     amd = leaf + n;
     d.side = sides;
     d.best = sides + n;
+    sfemi_dissect_unit(&d);
     sfemi_dissect_reach(&d);
     d.reach[SFEMI_DISSECT_DIRECTIONS] = 1;
     for (k = 0; k < n; ++k) order[k] = k;
