@@ -5163,12 +5163,21 @@ done:
 
 #define SFEMI_INCLUDES 16 /* files that one .veg may include */
 
-/* A material or a set of tets, by its name. */
+/* A material or a set of tets, by its name. Both are found in a tree of their names that branches by one bit at
+ * each node and links back up where a name ends the search [Morrison 1968, PATRICIA]: it takes no more steps
+ * than the name has bits, whatever the names. */
 typedef struct sfemi_rows_name {
     sfemi_word name;
     sfem_int material;    /* its number, or -1: it is a set */
     size_t first, behind; /* its tets in member[] */
+    size_t last;          /* 1 + the last of region[] that names this set */
+    size_t bit, child[2]; /* the tree: the bit that is asked for, names by its value */
 } sfemi_rows_name;
+
+typedef struct sfemi_rows_region {
+    size_t set; /* 1 + its place in name[]; 0: all tets */
+    sfem_int material;
+} sfemi_rows_region;
 
 /* Both are rows of numbers, with comments from # on and commas as good as blanks. */
 typedef struct sfemi_rows {
@@ -5177,9 +5186,12 @@ typedef struct sfemi_rows {
     sfem_int node_base, tet_base; /* the numbers of the first node and tet, mostly 0 or 1 */
     int has_nodes, has_tets;
     /* .veg: */
-    sfemi_rows_name *name; /* [names of names_room] */
-    sfem_int *member;      /* [members of members_room] tets of all sets, from 0 */
-    size_t names, names_room, members, members_room;
+    sfemi_rows_name *name;     /* [names of names_room] */
+    sfem_int *member;          /* [members of members_room] tets of all sets, from 0 */
+    sfemi_rows_region *region; /* [regions of regions_room] */
+    size_t names, names_room, members, members_room, regions, regions_room;
+    size_t root[2];     /* 1 + the first name of materials, of sets; 0: there is none */
+    size_t last_of_all; /* 1 + the last of region[] that names all tets */
     sfem_int materials;
     const char *path; /* of the file, or NULL: there is nothing to include from */
     int included, depth;
@@ -5194,6 +5206,7 @@ static void sfemi_rows_free(sfemi_rows *r, const sfem_allocator *a)
     for (i = 0; i < r->included; ++i) sfemi_delete(a, r->text[i]);
     sfemi_delete(a, r->name);
     sfemi_delete(a, r->member);
+    sfemi_delete(a, r->region);
 }
 
 /* Room for one thing more behind `used` of them; NULL if there is no memory. */
@@ -5427,15 +5440,59 @@ done:
     return status;
 }
 
-/* The material or set of that name that came first, or NULL. */
-static const sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+/* Bits of a name: for each byte 1 and its own 8, then zeros, so that no name begins another. */
+static int sfemi_rows_bit(sfemi_word w, size_t bit)
 {
-    size_t i;
-    for (i = 0; i < r->names; ++i)
-        if ((r->name[i].material < 0) == set && r->name[i].name.n == name.n &&
-            !memcmp(r->name[i].name.p, name.p, name.n))
-            return r->name + i;
-    return NULL;
+    if (bit / 9 >= w.n) return 0;
+    return bit % 9 == 0 ? 1 : (unsigned char)w.p[bit / 9] >> (8 - bit % 9) & 1;
+}
+
+/* The only name in the tree that w can be. */
+static size_t sfemi_rows_nearest(const sfemi_rows *r, sfemi_word w, size_t root)
+{
+    size_t from, at = root;
+    do {
+        from = at;
+        at = r->name[from].child[sfemi_rows_bit(w, r->name[from].bit)];
+    } while (r->name[at].bit > r->name[from].bit);
+    return at;
+}
+
+static int sfemi_rows_same(sfemi_word a, sfemi_word b) { return a.n == b.n && !memcmp(a.p, b.p, a.n); }
+
+/* The material or set of that name that came first, or NULL. */
+static sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+{
+    sfemi_rows_name *p;
+    if (!r->root[set] || !name.n) return NULL;
+    p = r->name + sfemi_rows_nearest(r, name, r->root[set] - 1);
+    return sfemi_rows_same(p->name, name) ? p : NULL;
+}
+
+/* Puts name[i] into the tree, unless the name is there. */
+static void sfemi_rows_insert(sfemi_rows *r, size_t i, int set)
+{
+    sfemi_rows_name *const name = r->name;
+    const sfemi_word w = name[i].name;
+    size_t from, at, bit = 1;
+    if (!r->root[set]) { /* asks for bit 0, which all names have */
+        name[i].child[0] = name[i].child[1] = i;
+        r->root[set] = i + 1;
+        return;
+    }
+    from = r->root[set] - 1;
+    at = sfemi_rows_nearest(r, w, from);
+    if (sfemi_rows_same(name[at].name, w)) return;
+    while (sfemi_rows_bit(w, bit) == sfemi_rows_bit(name[at].name, bit)) ++bit;
+    at = name[from].child[1];
+    while (name[at].bit > name[from].bit && name[at].bit < bit) {
+        from = at;
+        at = name[from].child[sfemi_rows_bit(w, name[from].bit)];
+    }
+    name[i].bit = bit;
+    name[i].child[sfemi_rows_bit(w, bit)] = i;
+    name[i].child[!sfemi_rows_bit(w, bit)] = at;
+    name[from].child[sfemi_rows_bit(w, name[from].bit)] = i;
 }
 
 static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
@@ -5448,9 +5505,11 @@ static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
     if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: names");
     r->name = p;
     p += r->names++;
+    memset(p, 0, sizeof *p);
     p->name = w;
     p->material = material;
     p->first = p->behind = r->members;
+    sfemi_rows_insert(r, r->names - 1, material < 0);
     return sfemi_scan_end_of_row(&r->s, "the end of the line");
 }
 
@@ -5499,13 +5558,14 @@ done:
 /* *REGION, then a row "set, material", where the set allElements is always there. */
 static sfem_status sfemi_veg_region(sfemi_rows *r)
 {
-    const sfemi_rows_name *set, *material;
+    const sfem_allocator *al = &r->m.allocator;
+    const sfemi_rows_name *material;
+    sfemi_rows_name *set;
+    sfemi_rows_region *p;
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
+    sfem_status status;
     sfemi_word a, b;
     char text[25];
-    size_t k;
     if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*REGION comes before *ELEMENTS");
     SFEMI_TRY(sfemi_rows_need(r, "a set and a material"));
     a = sfemi_rows_words(s);
@@ -5519,13 +5579,34 @@ static sfem_status sfemi_veg_region(sfemi_rows *r)
     if (!material)
         return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *MATERIAL '%s' above",
                                sfemi_word_text(b, text));
-    if (!r->m.region) {
-        SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
-        for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
+    p = (sfemi_rows_region *)sfemi_rows_grow(al, r->region, r->regions, &r->regions_room, sizeof *p);
+    if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: regions");
+    r->region = p;
+    p += r->regions++;
+    p->set = set ? (size_t)(set - r->name) + 1 : 0;
+    p->material = material->material;
+    *(set ? &set->last : &r->last_of_all) = r->regions;
+done:
+    return status;
+}
+
+/* Gives the tets their regions at the end, when of those that name one set only the last one counts: each set is
+ * gone through once. */
+static sfem_status sfemi_veg_fill_regions(sfemi_rows *r)
+{
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    size_t i, k;
+    if (!r->regions) return SFEM_OK;
+    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
+    for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
+    for (i = 0; i < r->regions; ++i) {
+        const sfemi_rows_region *p = r->region + i;
+        const sfemi_rows_name *set = p->set ? r->name + (p->set - 1) : NULL;
+        if (i + 1 != (set ? set->last : r->last_of_all)) continue;
+        for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = p->material;
+        for (k = set ? set->first : 0; set && k < set->behind; ++k) r->m.region[r->member[k]] = p->material;
     }
-    for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = material->material;
-    for (k = set ? set->first : 0; set && k < set->behind; ++k)
-        r->m.region[r->member[k]] = material->material;
 done:
     return status;
 }
@@ -5570,8 +5651,9 @@ static sfem_status sfemi_veg_read(sfemi_rows *r)
         SFEMI_TRY(reader[k](r));
     }
     if (!r->has_tets)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
-                                 r->has_nodes ? "*ELEMENTS" : "*VERTICES");
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
+                               r->has_nodes ? "*ELEMENTS" : "*VERTICES");
+    status = sfemi_veg_fill_regions(r);
 done:
     return status;
 }

@@ -1165,6 +1165,72 @@ static void materials_of_vega_become_regions(void **state)
     sfem_mesh_free(&m);
 }
 
+/* As many sets, materials and regions as tets, and a set of all tets that as many regions name: looking each
+ * name up among all others, or filling in each region at once, would take minutes. */
+static void many_names_of_vega_cost_no_more_than_their_bytes(void **state)
+{
+    enum { N = 300000 };
+    char *text = (char *)malloc(150 * (size_t)N), *p = text;
+    sfem_mesh m;
+    sfem_error err;
+    sfem_int i;
+    (void)state;
+    assert_non_null(text);
+    p += sprintf(p, "*VERTICES\n4 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n*ELEMENTS\nTET\n%d 4\n", N);
+    for (i = 0; i < N; ++i) p += sprintf(p, "%d 0 1 2 3\n", (int)i);
+    for (i = 0; i < N; ++i) p += sprintf(p, "*MATERIAL m%d\nENU\n", (int)i);
+    p += sprintf(p, "*SET all\n");
+    for (i = 0; i < N; ++i) p += sprintf(p, "%d\n", (int)i);
+    for (i = 0; i < N; ++i) p += sprintf(p, "*SET s%d\n%d\n", (int)i, (int)i);
+    for (i = 0; i < N; ++i) p += sprintf(p, "*REGION\n%s,m%d\n", i % 2 ? "all" : "allElements", (int)i);
+    for (i = 0; i < N; i += 3) p += sprintf(p, "*REGION\ns%d,m%d\n", (int)i, (int)(N - 1 - i));
+    p += sprintf(p, "*SET s0\n1\n*REGION\ns0,m7\n"); /* the set that came first has the name */
+    assert_ok(sfem_mesh_parse(text, (size_t)(p - text), NULL, &m, &err), err);
+    assert_int_equal(m.region[0], 7);
+    for (i = 1; i < N; ++i) assert_int_equal(m.region[i], i % 3 ? N - 1 : N - 1 - i);
+    sfem_mesh_free(&m);
+    free(text);
+}
+
+/* Names of which one begins another, or that differ by a byte of any value. */
+static void names_of_vega_are_told_apart(void **state)
+{
+    static const char head[] = "*VERTICES\n4 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n*ELEMENTS\nTET\n1 4\n0 0 1 2 3\n";
+    test_random random = {3};
+    int round;
+    (void)state;
+    for (round = 0; round < 400; ++round) {
+        char text[4000], name[24][8], *p = text;
+        int length[24], count = 1 + (int)random_below(&random, 24), i, k, wanted;
+        sfem_mesh m;
+        sfem_error err;
+        memcpy(p, head, sizeof head - 1);
+        p += sizeof head - 1;
+        for (i = 0; i < count; ++i) {
+            length[i] = 1 + (int)random_below(&random, 4);
+            for (k = 0; k < length[i]; ++k) name[i][k] = "\001\200ab\377"[random_below(&random, 5)];
+            p += sprintf(p, "*MATERIAL ");
+            memcpy(p, name[i], (size_t)length[i]);
+            p += length[i];
+            p += sprintf(p, "\nENU\n");
+        }
+        i = (int)random_below(&random, count);
+        for (wanted = 0; length[wanted] != length[i] || memcmp(name[wanted], name[i], (size_t)length[i]) != 0;)
+            ++wanted;
+        p += sprintf(p, "*REGION\nallElements, ");
+        memcpy(p, name[i], (size_t)length[i]);
+        p += length[i];
+        *p++ = '\n';
+        assert_ok(sfem_mesh_parse(text, (size_t)(p - text), NULL, &m, &err), err);
+        assert_int_equal(m.region[0], wanted);
+        sfem_mesh_free(&m);
+        p[-2 - (round % 2)] ^= 16; /* mostly no name any more */
+        k = sfem_mesh_parse(text, (size_t)(p - text), NULL, &m, &err);
+        assert_true(k == SFEM_OK || k == SFEM_FORMAT);
+        if (k == SFEM_OK) sfem_mesh_free(&m);
+    }
+}
+
 static void either_file_of_tetgen_names_both(void **state)
 {
     static const char *const name[4] = {"test_meshio_pair.node", "test_meshio_pair.ele",
@@ -1646,3 +1712,5 @@ int main(void)
     };
     return run_all_tests(tests);
 }
+        cmocka_unit_test(many_names_of_vega_cost_no_more_than_their_bytes),
+        cmocka_unit_test(names_of_vega_are_told_apart),
