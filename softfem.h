@@ -1914,7 +1914,8 @@ SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *pa
 SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver);
 
 /* Steps from the receiver's present one to that of the newest packet; negative where even that was
- * late. Whoever steps only while it is larger than some delay gives packets that time to come. 0
+ * late. Whoever steps only while it is larger than some delay gives packets that time to come. A packet
+ * beyond the window counts once another one has come within a window of it: one alone may be a stray. 0
  * before the first key frame. */
 SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver);
 
@@ -26902,6 +26903,7 @@ struct sfem_receiver {
     unsigned char *known, *held; /* [2 window] each */
     sfem_real beta, gamma;       /* of the step that is being made */
     int64_t step, newest, key;   /* the present; of the newest packet; of the key frame in q */
+    int64_t early;               /* of the last acceleration beyond the window; 0: none */
     int run;                     /* steps missed in a row, up to 2 */
     sfem_receiver_info info;
 };
@@ -27151,6 +27153,7 @@ static void sfemi_link_begin(sfem_receiver *r, int64_t step, int held)
     r->known[sfemi_link_slot(r, step)] = SFEMI_STEP_KEY;
     r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
     r->step = r->newest = step;
+    r->early = 0;
     r->run = 0;
     r->info.started = 1;
     ++r->info.keys;
@@ -27218,6 +27221,16 @@ static void sfemi_link_replay(sfem_receiver *r, int64_t step, int held)
     ++r->info.late_keys;
 }
 
+/* An acceleration beyond the window: the sender is that far ahead if another one, within a window of it, has said
+ * so. */
+static void sfemi_link_early(sfem_receiver *r, int64_t step)
+{
+    const int64_t apart = step > r->early ? step - r->early : r->early - step;
+    const int64_t last = step > r->early ? step : r->early;
+    if (r->early && apart > 0 && apart <= r->def.window && last > r->newest) r->newest = last;
+    r->early = step;
+}
+
 /* A sound packet finds its step. */
 static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32_t sequence)
 {
@@ -27232,14 +27245,17 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32
         sfemi_link_begin(r, INT64_C(0x100000000) + (int64_t)sequence, held);
         return SFEM_ARRIVAL_TAKEN;
     }
-    if (step > r->newest) r->newest = step;
     if (step > r->step + r->def.window) {
-        if (!key) return SFEM_ARRIVAL_EARLY;
+        if (!key) {
+            sfemi_link_early(r, step);
+            return SFEM_ARRIVAL_EARLY;
+        }
         ++r->info.jumps;
         r->info.skipped += step - r->step;
         sfemi_link_begin(r, step, held);
         return SFEM_ARRIVAL_TAKEN;
     }
+    if (step > r->newest) r->newest = step;
     if (step <= r->step - r->def.window) return SFEM_ARRIVAL_DROPPED;
     known = r->known + sfemi_link_slot(r, step);
     if (*known != SFEMI_STEP_UNKNOWN && *known != SFEMI_STEP_MISSED) return SFEM_ARRIVAL_REPEATED;
