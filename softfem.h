@@ -14287,9 +14287,10 @@ static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u,
     return count;
 }
 
-/* out [d->pieces], at displacements u and velocities v (NULL: at rest). O(nodes). */
-static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u,
-                                const sfem_real *v, sfem_piece *out)
+/* out [d->pieces], at displacements u and velocities w + after a, which are 0 on the axes that held [nodes] names
+ * (NULL: none). O(nodes). */
+static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const sfem_real *w, sfem_real after,
+                                const sfem_real *a, const unsigned char *held, sfem_piece *out)
 {
     const sfem_model *model = d->bonds->model;
     const sfem_int nodes = model->mesh.nodes;
@@ -14307,22 +14308,24 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u,
         for (c = 0; c < 3; ++c) {
             const sfem_real x = model->mesh.x[at + (size_t)c] + u[at + (size_t)c];
             p->centre[c] += m * x;
-            if (v) p->momentum[c] += m * v[at + (size_t)c];
+            if (!held || !(held[i] >> c & 1)) p->momentum[c] += m * (w[at + (size_t)c] + after * a[at + (size_t)c]);
             p->box[0][c] = p->nodes == 1 ? x : fmin(p->box[0][c], x);
             p->box[1][c] = p->nodes == 1 ? x : fmax(p->box[1][c], x);
         }
     }
     for (i = 0; i < d->pieces; ++i)
         for (c = 0; c < 3; ++c) out[i].centre[c] /= out[i].mass;
-    for (i = 0; v && i < nodes; ++i) {
+    for (i = 0; i < nodes; ++i) {
         const size_t at = 3 * (size_t)i;
-        sfem_real r[3], l[3];
+        sfem_real r[3], v[3], l[3];
         sfem_piece *p;
         if (d->piece_of[i] < 0) continue;
         p = out + d->piece_of[i];
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < 3; ++c) {
             r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
-        sfemi_cross(r, v + at, l);
+            v[c] = held && held[i] >> c & 1 ? 0 : w[at + (size_t)c] + after * a[at + (size_t)c];
+        }
+        sfemi_cross(r, v, l);
         for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
     }
 }
@@ -21386,13 +21389,19 @@ SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
 SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
 {
     SFEM_ASSERT(b && b->damage && out);
-    sfem_body_velocities(b, b->aside);
-    sfemi_damage_pieces(b->damage, b->state.u, b->aside, out);
+    s = &b->state;
+    mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
+    fresh = b->pin_count > 0 && s->pin[0].age == 0;
+    sfemi_damage_pieces(b->damage, s->u, s->w, mean ? s->head->h / 2 : 0, s->a, fresh ? b->mask : NULL, out);
 }
 
 SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
+/* With the velocities of sfem_body_velocities, without an array of them: what only reads a body writes to nothing
+ * that others may read. Pins are set together, so that one is as old as all. */
 {
     SFEM_ASSERT(b && b->damage);
+    const sfemi_state *s;
+    int mean, fresh;
     return b->damage->piece_of;
 }
 
