@@ -16850,8 +16850,9 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         memset(t->piece[k].inertia_inverse, 0, sizeof t->piece[k].inertia_inverse);
     }
     for (i = 0; i < nodes; ++i) {
-        sfemi_piece *p = t->piece + t->piece_of[i];
+        sfemi_piece *p;
         if (t->piece_of[i] < 0) continue;
+        p = t->piece + t->piece_of[i];
         p->mass += model->node_mass[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
@@ -16885,9 +16886,10 @@ static void sfemi_turn_size(sfem_body *b)
     sfemi_turn_locate(b, NULL);
     for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
     for (i = 0; i < model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p;
         sfem_real r[3];
         if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
         sfemi_turn_arm(b, NULL, i, p->centre, r);
         p->rest += model->node_mass[i] * sfemi_dot3(r, r);
         p->sum[0][0] += 1;
@@ -18226,10 +18228,12 @@ static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
     }
     memset(a, 0, 3 * (size_t)model->mesh.nodes * sizeof *a);
     for (i = 0; i < model->mesh.nodes; ++i) {
-        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const sfemi_piece *p;
         const size_t at = 3 * (size_t)i;
         sfem_real r[3], v[3];
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
+        if (p->held) continue;
         for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c] - p->centre[c];
         sfemi_cross(p->motion + 3, r, v);
         sfemi_cross(p->motion + 3, v, a + at);
@@ -18430,8 +18434,9 @@ static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem
     int c;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p;
         if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real way = part * (b->guard.u[at] - s->u[at]) + back * s->w[at];
@@ -18460,8 +18465,9 @@ static sfem_real sfemi_guard_load_change(const sfem_body *b)
     int c;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p;
         if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real u = s->u[at] - back * s->w[at], d = s->force[0][at] - s->force[1][at];
@@ -19065,9 +19071,11 @@ static void sfemi_guard_move_rigidly(sfem_body *b)
         memcpy(b->turn.piece[k].motion, b->turn.piece[k].push, sizeof b->turn.piece[k].motion);
     sfemi_turn_divide(b);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const sfemi_piece *p;
         sfem_real arm[3], angle[3], rotation[9], rate;
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
+        if (p->held) continue;
         sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
         rate = sfemi_dot3(p->push + 3, p->push + 3);
         if (rate > 0) rate = sfemi_dot3(p->motion + 3, p->push + 3) / rate;
@@ -21386,8 +21394,12 @@ SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
     return b->damage->event;
 }
 
+/* With the velocities of sfem_body_velocities, without an array of them: what only reads a body writes to nothing
+ * that others may read. Pins are set together, so that one is as old as all. */
 SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
 {
+    const sfemi_state *s;
+    int mean, fresh;
     SFEM_ASSERT(b && b->damage && out);
     s = &b->state;
     mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
@@ -21396,12 +21408,8 @@ SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
 }
 
 SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
-/* With the velocities of sfem_body_velocities, without an array of them: what only reads a body writes to nothing
- * that others may read. Pins are set together, so that one is as old as all. */
 {
     SFEM_ASSERT(b && b->damage);
-    const sfemi_state *s;
-    int mean, fresh;
     return b->damage->piece_of;
 }
 
@@ -25589,9 +25597,10 @@ SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle,
 
 SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
 {
-    sfemi_modal_handle *h = b->handle + handle;
+    sfemi_modal_handle *h;
     sfem_int k, after;
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && h->used);
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    h = b->handle + handle;
     after = b->head->handle_nodes - h->first - h->count;
     memmove(b->handle_node + h->first, b->handle_node + h->first + h->count,
             (size_t)after * sizeof(sfem_int));
@@ -25627,9 +25636,11 @@ SFEM_DEF void sfem_modal_handle_force(const sfem_modal *b, sfem_int handle, sfem
 
 SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *b, sfem_int handle, sfem_real *force)
 {
-    const sfem_real *rows = b->rows + 3 * (size_t)handle * b->stride, *l = b->handle[handle].l;
+    const sfem_real *rows, *l;
     size_t k;
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    rows = b->rows + 3 * (size_t)handle * b->stride;
+    l = b->handle[handle].l;
     for (k = 0; k < b->m; ++k)
         force[k] = -(rows[k] * l[0] + rows[b->stride + k] * l[1] + rows[2 * b->stride + k] * l[2]);
 }
