@@ -168,7 +168,7 @@ typedef struct sfem_exec {
 /* A mesh owns its arrays; sfem_mesh_free releases them. A mesh may also point at the caller's
  * arrays (fill the fields, do not free it). Tets a b c d are right-handed: (b-a)x(c-a).(d-a) > 0 */
 typedef struct sfem_mesh {
-    sfem_int nodes, tets;
+    sfem_int nodes, tets; /* >= 0, else SFEM_BAD_MESH */
     sfem_real *x;     /* [nodes][3] rest positions, m */
     sfem_int *tet;    /* [tets][4]  node numbers, from 0 */
     sfem_int *region; /* [tets]     the file's region or physical group, or NULL */
@@ -244,7 +244,7 @@ typedef struct sfem_mesh_report {
     sfem_int euler; /* surface nodes - edges + triangles: 2 for a ball, 0 for a ring */
 } sfem_mesh_report;
 
-/* Can this mesh be used? SFEM_OK, or the first fault, by number, in a sentence: an empty mesh, a
+/* Can this mesh be used? SFEM_OK, or the first fault, by number, in a sentence: a negative count, an empty mesh, a
  * coordinate that is not finite, then the lowest tet with any of the faults above.
  *   report  NULL, or filled in, also for a mesh with faults; not where memory ran out
  *   errors  SFEM_BAD_MESH, SFEM_NOT_FINITE; with a report also SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
@@ -258,7 +258,7 @@ SFEM_DEF sfem_int sfem_mesh_orient(sfem_mesh *mesh);
 /* The boundary: the faces with a tet on one side only, counterclockwise seen from outside (for
  * right-handed tets), in the order of their tets. It is closed: each edge is used as often in one
  * direction as in the other, even where the mesh overlaps itself.
- *   errors  SFEM_BAD_MESH (node number out of range), SFEM_TOO_LARGE (2^29 tets),
+ *   errors  SFEM_BAD_MESH (node number out of range, negative count), SFEM_TOO_LARGE (2^29 tets),
  *           SFEM_OUT_OF_MEMORY
  *   cost    O(nodes + tets) */
 typedef struct sfem_surface {
@@ -360,7 +360,8 @@ SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allo
 
 /* WRITING. Text has a decimal point in any locale, and as many digits (15 or 17) as bring the same
  * double back. A file that exists is overwritten; SFEM_IO tells if it could not be opened or not be
- * written to the end (the disk is full), and what is there of it then is useless. */
+ * written to the end (the disk is full), and what is there of it then is useless. SFEM_BAD_MESH for
+ * negative counts, before anything is opened. */
 
 /* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
 SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
@@ -2865,11 +2866,20 @@ static sfem_status sfemi_mesh_complain(const sfem_mesh *m, sfem_int t, sfemi_mes
     }
 }
 
-/* No node number out of range: all that the functions on connectivity need. */
+static sfem_status sfemi_mesh_counts(sfem_int nodes, sfem_int tets, sfem_error *err)
+{
+    if (nodes >= 0 && tets >= 0) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_MESH, "the mesh has %ld nodes and %ld tets: counts cannot be negative",
+                      (long)nodes, (long)tets);
+}
+
+/* No count negative, no node number out of range: all that the functions on connectivity need. */
 static sfem_status sfemi_mesh_in_range(const sfem_mesh *m, sfem_error *err)
 {
+    const sfem_status status = sfemi_mesh_counts(m->nodes, m->tets, err);
     size_t i, n = 4 * (size_t)m->tets;
-    SFEM_ASSERT(m->x && m->tet && m->nodes >= 0 && m->tets >= 0);
+    if (status != SFEM_OK) return status;
+    SFEM_ASSERT(m->x && m->tet);
     for (i = 0; i < n; ++i)
         if (m->tet[i] < 0 || m->tet[i] >= m->nodes)
             return sfemi_mesh_complain(m, (sfem_int)(i / 4), SFEMI_TET_OUT_OF_RANGE, 0, err);
@@ -3228,11 +3238,16 @@ SFEM_DEF sfem_status sfem_mesh_check(const sfem_mesh *mesh, sfem_mesh_report *re
     sfem_mesh_report r;
     sfem_int t = -1, i;
     sfem_real quality = 0;
-    SFEM_ASSERT(mesh && mesh->nodes >= 0 && mesh->tets >= 0);
-    SFEM_ASSERT((mesh->x || !mesh->nodes) && (mesh->tet || !mesh->tets));
+    SFEM_ASSERT(mesh);
+    SFEM_ASSERT((mesh->x || mesh->nodes <= 0) && (mesh->tet || mesh->tets <= 0));
     memset(&r, 0, sizeof r);
     r.worst_tet = r.unused = r.overlapping = r.components = -1;
     r.surface_triangles = r.surface_edges = r.surface_nodes = r.euler = -1;
+    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
+    if (status != SFEM_OK) {
+        if (report) *report = r;
+        return status;
+    }
     sfemi_mesh_report_box(mesh, &r);
     fault = sfemi_mesh_report_tets(mesh, &r, &t, &quality);
     if (report) {
@@ -3258,7 +3273,9 @@ SFEM_DEF sfem_status sfem_mesh_copy(sfem_int nodes, const sfem_real *x, sfem_int
 {
     sfem_status status;
     sfem_mesh m;
-    SFEM_ASSERT(out && nodes >= 0 && tets >= 0 && (x || !nodes) && (tet || !tets));
+    SFEM_ASSERT(out && (x || nodes <= 0) && (tet || tets <= 0));
+    status = sfemi_mesh_counts(nodes, tets, err);
+    if (status != SFEM_OK) return status;
     status = sfemi_mesh_new(nodes, tets, allocator, &m, err);
     if (status != SFEM_OK) return status;
     if (nodes) memcpy(m.x, x, 3 * (size_t)nodes * sizeof *x);
@@ -5935,7 +5952,8 @@ SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfe
     FILE *f;
     SFEM_ASSERT(path && mesh);
     region = mesh->region;
-    status = sfemi_file_create(path, &f, err);
+    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
+    if (status == SFEM_OK) status = sfemi_file_create(path, &f, err);
     if (status != SFEM_OK) return status;
     fprintf(f, "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 %ld 1 %ld\n3 1 0 %ld\n",
             (long)mesh->nodes, (long)mesh->nodes, (long)mesh->nodes);
@@ -6047,7 +6065,8 @@ SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, con
         if (!fields[i].name || !fields[i].name[0] || !fields[i].values || fields[i].components < 1)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                               "field %ld needs a name, values and at least 1 component", (long)i);
-    status = sfemi_file_create(path, &f, err);
+    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
+    if (status == SFEM_OK) status = sfemi_file_create(path, &f, err);
     if (status != SFEM_OK) return status;
     memcpy(&low, &one, 1);
     nodes = (uint64_t)mesh->nodes;
@@ -6107,6 +6126,7 @@ SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
     FILE *f = NULL;
     SFEM_ASSERT(path && mesh);
     memset(&own, 0, sizeof own);
+    SFEMI_TRY(sfemi_mesh_counts(mesh->nodes, mesh->tets, err));
     if (!surface) {
         SFEMI_TRY(sfem_mesh_surface(mesh, &mesh->allocator, &own, err));
         surface = &own;

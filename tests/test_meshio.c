@@ -1552,6 +1552,29 @@ static void files_that_cannot_be_used_are_reported(void **state)
     free_ball(&m);
 }
 
+static void a_mesh_of_negative_counts_is_not_written(void **state)
+{
+    const char *path = scratch_path("test_meshio_negative");
+    sfem_surface surface;
+    sfem_mesh m;
+    sfem_error err;
+    int k;
+    (void)state;
+    memset(&surface, 0, sizeof surface);
+    remove(path);
+    for (k = 0; k < 2; ++k) {
+        memset(&m, 0, sizeof m);
+        *(k ? &m.tets : &m.nodes) = -3;
+        assert_status(sfem_write_msh(path, &m, &err), SFEM_BAD_MESH);
+        assert_names(err, k ? "0 nodes and -3 tets" : "-3 nodes and 0 tets");
+        assert_status(sfem_write_vtu(path, &m, NULL, NULL, 0, &err), SFEM_BAD_MESH);
+        assert_names(err, k ? "0 nodes and -3 tets" : "-3 nodes and 0 tets");
+        assert_status(sfem_write_obj(path, &m, NULL, NULL, &err), SFEM_BAD_MESH);
+        assert_status(sfem_write_obj(path, &m, &surface, NULL, &err), SFEM_BAD_MESH);
+        assert_int_not_equal(access(path, F_OK), 0);
+    }
+}
+
 static void a_file_with_a_fault_is_named_with_the_line(void **state)
 {
     const char *path = scratch_path("test_meshio_bad.msh");
@@ -1698,6 +1721,8 @@ int main(void)
         cmocka_unit_test(files_of_tetgen_cut_anywhere_are_refused),
         cmocka_unit_test(physical_groups_of_gmsh_2_become_regions),
         cmocka_unit_test(materials_of_vega_become_regions),
+        cmocka_unit_test(many_names_of_vega_cost_no_more_than_their_bytes),
+        cmocka_unit_test(names_of_vega_are_told_apart),
         cmocka_unit_test(either_file_of_tetgen_names_both),
         cmocka_unit_test(vega_includes_files_beside_it),
         cmocka_unit_test(a_mesh_comes_back_as_it_was_written),
@@ -1706,11 +1731,10 @@ int main(void)
         cmocka_unit_test(pvd_lists_files_and_times),
         cmocka_unit_test(obj_holds_the_surface_at_the_given_positions),
         cmocka_unit_test(files_that_cannot_be_used_are_reported),
+        cmocka_unit_test(a_mesh_of_negative_counts_is_not_written),
         cmocka_unit_test(a_file_with_a_fault_is_named_with_the_line),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(real_meshes_are_read),
     };
     return run_all_tests(tests);
 }
-        cmocka_unit_test(many_names_of_vega_cost_no_more_than_their_bytes),
-        cmocka_unit_test(names_of_vega_are_told_apart),
