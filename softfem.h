@@ -28018,6 +28018,7 @@ SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI
     }
     SFEMI_ACCUMULATE(SFEMI_FNMA, depth, a, y)
     if (j) { /* rows from j on go on as they are, the first j get X times themselves */
+        const size_t own = j < h ? j : h; /* j itself, but a compiler then knows that b is filled up to there */
         const SFEMI_R *mask = step + 3 * SFEMI_W - j;
         SFEMI_R b[3 * SFEMI_W];
         SFEMI_ST(b, c0);
@@ -28030,7 +28031,7 @@ SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI
             SFEMI_ST(b + 2 * SFEMI_W, c2);
             c2 = SFEMI_MUL(c2, SFEMI_LD(mask + 2 * SFEMI_W));
         }
-        SFEMI_ACCUMULATE(SFEMI_FMA, j, a, b)
+        SFEMI_ACCUMULATE(SFEMI_FMA, own, a, b)
     }
     SFEMI_ST(out, c0);
     if (nv > 1) SFEMI_ST(out + SFEMI_W, c1);

@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.." || exit 1
 BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
-SWITCHES='plain SFEM_STATIC O2 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
+SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -25,7 +25,7 @@ command_for() {
 switch_flags() {
     case $1 in
     plain) ;;
-    O2) echo -O2 ;;
+    O2 | O3) echo "-$1" ;;
     m32) echo -m32 -mfpmath=387 ;; # where there is more than double precision in between
     openmp) echo -fopenmp ;;
     *) echo "-D$1" ;;
