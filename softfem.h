@@ -168,7 +168,7 @@ typedef struct sfem_exec {
 /* A mesh owns its arrays; sfem_mesh_free releases them. A mesh may also point at the caller's
  * arrays (fill the fields, do not free it). Tets a b c d are right-handed: (b-a)x(c-a).(d-a) > 0 */
 typedef struct sfem_mesh {
-    sfem_int nodes, tets;
+    sfem_int nodes, tets; /* >= 0, else SFEM_BAD_MESH */
     sfem_real *x;     /* [nodes][3] rest positions, m */
     sfem_int *tet;    /* [tets][4]  node numbers, from 0 */
     sfem_int *region; /* [tets]     the file's region or physical group, or NULL */
@@ -244,7 +244,7 @@ typedef struct sfem_mesh_report {
     sfem_int euler; /* surface nodes - edges + triangles: 2 for a ball, 0 for a ring */
 } sfem_mesh_report;
 
-/* Can this mesh be used? SFEM_OK, or the first fault, by number, in a sentence: an empty mesh, a
+/* Can this mesh be used? SFEM_OK, or the first fault, by number, in a sentence: a negative count, an empty mesh, a
  * coordinate that is not finite, then the lowest tet with any of the faults above.
  *   report  NULL, or filled in, also for a mesh with faults; not where memory ran out
  *   errors  SFEM_BAD_MESH, SFEM_NOT_FINITE; with a report also SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
@@ -258,7 +258,7 @@ SFEM_DEF sfem_int sfem_mesh_orient(sfem_mesh *mesh);
 /* The boundary: the faces with a tet on one side only, counterclockwise seen from outside (for
  * right-handed tets), in the order of their tets. It is closed: each edge is used as often in one
  * direction as in the other, even where the mesh overlaps itself.
- *   errors  SFEM_BAD_MESH (node number out of range), SFEM_TOO_LARGE (2^29 tets),
+ *   errors  SFEM_BAD_MESH (node number out of range, negative count), SFEM_TOO_LARGE (2^29 tets),
  *           SFEM_OUT_OF_MEMORY
  *   cost    O(nodes + tets) */
 typedef struct sfem_surface {
@@ -360,7 +360,8 @@ SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allo
 
 /* WRITING. Text has a decimal point in any locale, and as many digits (15 or 17) as bring the same
  * double back. A file that exists is overwritten; SFEM_IO tells if it could not be opened or not be
- * written to the end (the disk is full), and what is there of it then is useless. */
+ * written to the end (the disk is full), and what is there of it then is useless. SFEM_BAD_MESH for
+ * negative counts, before anything is opened. */
 
 /* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
 SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
@@ -502,10 +503,11 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
                                      sfem_error *err);
 
 /* The same for another matrix of the same pattern; the analysis is shared (counted atomically), the
- * options are those of `like`. SFEM_MISMATCH if n or the number of blocks differ; the rest of the
- * pattern is the caller's word. */
-SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, sfem_ldl **out,
-                                          sfem_error *err);
+ * options are those of `like`, but for the threads: exec (NULL: the calling thread alone) is used by this
+ * call and refactor. SFEM_MISMATCH if n or the number of blocks differ; the rest of the pattern is the
+ * caller's word. */
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, const sfem_exec *exec,
+                                          sfem_ldl **out, sfem_error *err);
 
 /* New values on the same pattern; allocates nothing. After a failure the factor is void (there is no
  * room for two) and may only be refactored again or freed. */
@@ -1907,7 +1909,8 @@ SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *pa
 SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver);
 
 /* Steps from the receiver's present one to that of the newest packet; negative where even that was
- * late. Whoever steps only while it is larger than some delay gives packets that time to come. 0
+ * late. Whoever steps only while it is larger than some delay gives packets that time to come. A packet
+ * beyond the window counts once another one has come within a window of it: one alone may be a stray. 0
  * before the first key frame. */
 SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver);
 
@@ -2857,11 +2860,20 @@ static sfem_status sfemi_mesh_complain(const sfem_mesh *m, sfem_int t, sfemi_mes
     }
 }
 
-/* No node number out of range: all that the functions on connectivity need. */
+static sfem_status sfemi_mesh_counts(sfem_int nodes, sfem_int tets, sfem_error *err)
+{
+    if (nodes >= 0 && tets >= 0) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_MESH, "the mesh has %ld nodes and %ld tets: counts cannot be negative",
+                      (long)nodes, (long)tets);
+}
+
+/* No count negative, no node number out of range: all that the functions on connectivity need. */
 static sfem_status sfemi_mesh_in_range(const sfem_mesh *m, sfem_error *err)
 {
+    const sfem_status status = sfemi_mesh_counts(m->nodes, m->tets, err);
     size_t i, n = 4 * (size_t)m->tets;
-    SFEM_ASSERT(m->x && m->tet && m->nodes >= 0 && m->tets >= 0);
+    if (status != SFEM_OK) return status;
+    SFEM_ASSERT(m->x && m->tet);
     for (i = 0; i < n; ++i)
         if (m->tet[i] < 0 || m->tet[i] >= m->nodes)
             return sfemi_mesh_complain(m, (sfem_int)(i / 4), SFEMI_TET_OUT_OF_RANGE, 0, err);
@@ -3220,11 +3232,16 @@ SFEM_DEF sfem_status sfem_mesh_check(const sfem_mesh *mesh, sfem_mesh_report *re
     sfem_mesh_report r;
     sfem_int t = -1, i;
     sfem_real quality = 0;
-    SFEM_ASSERT(mesh && mesh->nodes >= 0 && mesh->tets >= 0);
-    SFEM_ASSERT((mesh->x || !mesh->nodes) && (mesh->tet || !mesh->tets));
+    SFEM_ASSERT(mesh);
+    SFEM_ASSERT((mesh->x || mesh->nodes <= 0) && (mesh->tet || mesh->tets <= 0));
     memset(&r, 0, sizeof r);
     r.worst_tet = r.unused = r.overlapping = r.components = -1;
     r.surface_triangles = r.surface_edges = r.surface_nodes = r.euler = -1;
+    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
+    if (status != SFEM_OK) {
+        if (report) *report = r;
+        return status;
+    }
     sfemi_mesh_report_box(mesh, &r);
     fault = sfemi_mesh_report_tets(mesh, &r, &t, &quality);
     if (report) {
@@ -3250,7 +3267,9 @@ SFEM_DEF sfem_status sfem_mesh_copy(sfem_int nodes, const sfem_real *x, sfem_int
 {
     sfem_status status;
     sfem_mesh m;
-    SFEM_ASSERT(out && nodes >= 0 && tets >= 0 && (x || !nodes) && (tet || !tets));
+    SFEM_ASSERT(out && (x || nodes <= 0) && (tet || tets <= 0));
+    status = sfemi_mesh_counts(nodes, tets, err);
+    if (status != SFEM_OK) return status;
     status = sfemi_mesh_new(nodes, tets, allocator, &m, err);
     if (status != SFEM_OK) return status;
     if (nodes) memcpy(m.x, x, 3 * (size_t)nodes * sizeof *x);
@@ -4292,6 +4311,7 @@ done:
 static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
 {
     sfemi_scan *s = &g->s;
+    const sfem_real newest_of_2 = 2.2; /* a double: where constants have more digits, they are not what is read */
     sfemi_word w;
     sfem_status status;
     sfem_real version;
@@ -4301,7 +4321,7 @@ static sfem_status sfemi_gmsh_format(sfemi_gmsh *g, const char *start)
     w = sfemi_scan_peek(s);
     if (sfemi_text_real(w.p, w.p + w.n, 0, &version) != w.p + w.n)
         return sfemi_scan_expected(s, "a Gmsh version", w);
-    g->version = version >= 2 && version <= 2.2 ? 2 : 4;
+    g->version = version >= 2 && version <= newest_of_2 ? 2 : 4;
     if (g->version == 4 && !sfemi_word_is(w, "4.1"))
         return sfemi_scan_fail(s, SFEM_FORMAT, "Gmsh %s: only 2.0 to 2.2 and 4.1 are read",
                                sfemi_word_text(w, text));
@@ -5155,12 +5175,21 @@ done:
 
 #define SFEMI_INCLUDES 16 /* files that one .veg may include */
 
-/* A material or a set of tets, by its name. */
+/* A material or a set of tets, by its name. Both are found in a tree of their names that branches by one bit at
+ * each node and links back up where a name ends the search [Morrison 1968, PATRICIA]: it takes no more steps
+ * than the name has bits, whatever the names. */
 typedef struct sfemi_rows_name {
     sfemi_word name;
     sfem_int material;    /* its number, or -1: it is a set */
     size_t first, behind; /* its tets in member[] */
+    size_t last;          /* 1 + the last of region[] that names this set */
+    size_t bit, child[2]; /* the tree: the bit that is asked for, names by its value */
 } sfemi_rows_name;
+
+typedef struct sfemi_rows_region {
+    size_t set; /* 1 + its place in name[]; 0: all tets */
+    sfem_int material;
+} sfemi_rows_region;
 
 /* Both are rows of numbers, with comments from # on and commas as good as blanks. */
 typedef struct sfemi_rows {
@@ -5169,9 +5198,12 @@ typedef struct sfemi_rows {
     sfem_int node_base, tet_base; /* the numbers of the first node and tet, mostly 0 or 1 */
     int has_nodes, has_tets;
     /* .veg: */
-    sfemi_rows_name *name; /* [names of names_room] */
-    sfem_int *member;      /* [members of members_room] tets of all sets, from 0 */
-    size_t names, names_room, members, members_room;
+    sfemi_rows_name *name;     /* [names of names_room] */
+    sfem_int *member;          /* [members of members_room] tets of all sets, from 0 */
+    sfemi_rows_region *region; /* [regions of regions_room] */
+    size_t names, names_room, members, members_room, regions, regions_room;
+    size_t root[2];     /* 1 + the first name of materials, of sets; 0: there is none */
+    size_t last_of_all; /* 1 + the last of region[] that names all tets */
     sfem_int materials;
     const char *path; /* of the file, or NULL: there is nothing to include from */
     int included, depth;
@@ -5186,6 +5218,7 @@ static void sfemi_rows_free(sfemi_rows *r, const sfem_allocator *a)
     for (i = 0; i < r->included; ++i) sfemi_delete(a, r->text[i]);
     sfemi_delete(a, r->name);
     sfemi_delete(a, r->member);
+    sfemi_delete(a, r->region);
 }
 
 /* Room for one thing more behind `used` of them; NULL if there is no memory. */
@@ -5419,15 +5452,59 @@ done:
     return status;
 }
 
-/* The material or set of that name that came first, or NULL. */
-static const sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+/* Bits of a name: for each byte 1 and its own 8, then zeros, so that no name begins another. */
+static int sfemi_rows_bit(sfemi_word w, size_t bit)
 {
-    size_t i;
-    for (i = 0; i < r->names; ++i)
-        if ((r->name[i].material < 0) == set && r->name[i].name.n == name.n &&
-            !memcmp(r->name[i].name.p, name.p, name.n))
-            return r->name + i;
-    return NULL;
+    if (bit / 9 >= w.n) return 0;
+    return bit % 9 == 0 ? 1 : (unsigned char)w.p[bit / 9] >> (8 - bit % 9) & 1;
+}
+
+/* The only name in the tree that w can be. */
+static size_t sfemi_rows_nearest(const sfemi_rows *r, sfemi_word w, size_t root)
+{
+    size_t from, at = root;
+    do {
+        from = at;
+        at = r->name[from].child[sfemi_rows_bit(w, r->name[from].bit)];
+    } while (r->name[at].bit > r->name[from].bit);
+    return at;
+}
+
+static int sfemi_rows_same(sfemi_word a, sfemi_word b) { return a.n == b.n && !memcmp(a.p, b.p, a.n); }
+
+/* The material or set of that name that came first, or NULL. */
+static sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+{
+    sfemi_rows_name *p;
+    if (!r->root[set] || !name.n) return NULL;
+    p = r->name + sfemi_rows_nearest(r, name, r->root[set] - 1);
+    return sfemi_rows_same(p->name, name) ? p : NULL;
+}
+
+/* Puts name[i] into the tree, unless the name is there. */
+static void sfemi_rows_insert(sfemi_rows *r, size_t i, int set)
+{
+    sfemi_rows_name *const name = r->name;
+    const sfemi_word w = name[i].name;
+    size_t from, at, bit = 1;
+    if (!r->root[set]) { /* asks for bit 0, which all names have */
+        name[i].child[0] = name[i].child[1] = i;
+        r->root[set] = i + 1;
+        return;
+    }
+    from = r->root[set] - 1;
+    at = sfemi_rows_nearest(r, w, from);
+    if (sfemi_rows_same(name[at].name, w)) return;
+    while (sfemi_rows_bit(w, bit) == sfemi_rows_bit(name[at].name, bit)) ++bit;
+    at = name[from].child[1];
+    while (name[at].bit > name[from].bit && name[at].bit < bit) {
+        from = at;
+        at = name[from].child[sfemi_rows_bit(w, name[from].bit)];
+    }
+    name[i].bit = bit;
+    name[i].child[sfemi_rows_bit(w, bit)] = i;
+    name[i].child[!sfemi_rows_bit(w, bit)] = at;
+    name[from].child[sfemi_rows_bit(w, name[from].bit)] = i;
 }
 
 static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
@@ -5440,9 +5517,11 @@ static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
     if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: names");
     r->name = p;
     p += r->names++;
+    memset(p, 0, sizeof *p);
     p->name = w;
     p->material = material;
     p->first = p->behind = r->members;
+    sfemi_rows_insert(r, r->names - 1, material < 0);
     return sfemi_scan_end_of_row(&r->s, "the end of the line");
 }
 
@@ -5491,13 +5570,14 @@ done:
 /* *REGION, then a row "set, material", where the set allElements is always there. */
 static sfem_status sfemi_veg_region(sfemi_rows *r)
 {
-    const sfemi_rows_name *set, *material;
+    const sfem_allocator *al = &r->m.allocator;
+    const sfemi_rows_name *material;
+    sfemi_rows_name *set;
+    sfemi_rows_region *p;
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
+    sfem_status status;
     sfemi_word a, b;
     char text[25];
-    size_t k;
     if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*REGION comes before *ELEMENTS");
     SFEMI_TRY(sfemi_rows_need(r, "a set and a material"));
     a = sfemi_rows_words(s);
@@ -5511,13 +5591,34 @@ static sfem_status sfemi_veg_region(sfemi_rows *r)
     if (!material)
         return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *MATERIAL '%s' above",
                                sfemi_word_text(b, text));
-    if (!r->m.region) {
-        SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
-        for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
+    p = (sfemi_rows_region *)sfemi_rows_grow(al, r->region, r->regions, &r->regions_room, sizeof *p);
+    if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: regions");
+    r->region = p;
+    p += r->regions++;
+    p->set = set ? (size_t)(set - r->name) + 1 : 0;
+    p->material = material->material;
+    *(set ? &set->last : &r->last_of_all) = r->regions;
+done:
+    return status;
+}
+
+/* Gives the tets their regions at the end, when of those that name one set only the last one counts: each set is
+ * gone through once. */
+static sfem_status sfemi_veg_fill_regions(sfemi_rows *r)
+{
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    size_t i, k;
+    if (!r->regions) return SFEM_OK;
+    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
+    for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
+    for (i = 0; i < r->regions; ++i) {
+        const sfemi_rows_region *p = r->region + i;
+        const sfemi_rows_name *set = p->set ? r->name + (p->set - 1) : NULL;
+        if (i + 1 != (set ? set->last : r->last_of_all)) continue;
+        for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = p->material;
+        for (k = set ? set->first : 0; set && k < set->behind; ++k) r->m.region[r->member[k]] = p->material;
     }
-    for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = material->material;
-    for (k = set ? set->first : 0; set && k < set->behind; ++k)
-        r->m.region[r->member[k]] = material->material;
 done:
     return status;
 }
@@ -5562,8 +5663,9 @@ static sfem_status sfemi_veg_read(sfemi_rows *r)
         SFEMI_TRY(reader[k](r));
     }
     if (!r->has_tets)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
-                                 r->has_nodes ? "*ELEMENTS" : "*VERTICES");
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
+                               r->has_nodes ? "*ELEMENTS" : "*VERTICES");
+    status = sfemi_veg_fill_regions(r);
 done:
     return status;
 }
@@ -5844,7 +5946,8 @@ SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfe
     FILE *f;
     SFEM_ASSERT(path && mesh);
     region = mesh->region;
-    status = sfemi_file_create(path, &f, err);
+    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
+    if (status == SFEM_OK) status = sfemi_file_create(path, &f, err);
     if (status != SFEM_OK) return status;
     fprintf(f, "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 %ld 1 %ld\n3 1 0 %ld\n",
             (long)mesh->nodes, (long)mesh->nodes, (long)mesh->nodes);
@@ -5956,7 +6059,8 @@ SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, con
         if (!fields[i].name || !fields[i].name[0] || !fields[i].values || fields[i].components < 1)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                               "field %ld needs a name, values and at least 1 component", (long)i);
-    status = sfemi_file_create(path, &f, err);
+    status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
+    if (status == SFEM_OK) status = sfemi_file_create(path, &f, err);
     if (status != SFEM_OK) return status;
     memcpy(&low, &one, 1);
     nodes = (uint64_t)mesh->nodes;
@@ -6016,6 +6120,7 @@ SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
     FILE *f = NULL;
     SFEM_ASSERT(path && mesh);
     memset(&own, 0, sizeof own);
+    SFEMI_TRY(sfemi_mesh_counts(mesh->nodes, mesh->tets, err));
     if (!surface) {
         SFEMI_TRY(sfem_mesh_surface(mesh, &mesh->allocator, &own, err));
         surface = &own;
@@ -6705,6 +6810,7 @@ done:
 typedef struct sfemi_dissect {
     const sfemi_graph *g;
     const sfem_real *x;
+    sfem_real unit;        /* power of 2 that brings the largest coordinate below 1, within a float's range */
     sfem_int *set;         /* [n] all nodes; a set is a range of it */
     sfem_int *inside;      /* [n] stamp of the set that a node is in, while it is cut */
     sfem_int *mate, *from; /* [n] matching; search tree */
@@ -6725,6 +6831,22 @@ static const signed char *sfemi_dissect_axis(int direction)
     return axis[direction];
 }
 
+static void sfemi_dissect_unit(sfemi_dissect *d)
+{
+    sfem_real most = 0;
+    size_t i;
+    int e = 0;
+    for (i = 0; i < 3 * (size_t)d->g->n; ++i) most = fmax(most, fabs(d->x[i]));
+    (void)frexp(most, &e);
+    d->unit = ldexp(1.0, e > 1000 ? -1000 : e < -1000 ? 1000 : -e);
+}
+
+static void sfemi_dissect_place(const sfemi_dissect *d, sfem_int node, sfem_real x[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) x[c] = d->unit * d->x[3 * (size_t)node + (size_t)c];
+}
+
 static float sfemi_dissect_key(const signed char *axis, const sfem_real *x)
 {
     return (float)(axis[0] * x[0] + axis[1] * x[1] + axis[2] * x[2]);
@@ -6736,8 +6858,10 @@ static void sfemi_dissect_reach(sfemi_dissect *d)
     int k;
     for (i = 0; i < d->g->n; ++i)
         for (e = d->g->start[i]; e < d->g->start[i + 1] && d->g->adj[e] < i; ++e) {
-            sfem_real u[3];
-            sfemi_sub3(d->x + 3 * (size_t)i, d->x + 3 * (size_t)d->g->adj[e], u);
+            sfem_real u[3], v[3];
+            sfemi_dissect_place(d, i, u);
+            sfemi_dissect_place(d, d->g->adj[e], v);
+            sfemi_sub3(u, v, u);
             for (k = 0; k < SFEMI_DISSECT_DIRECTIONS; ++k) {
                 const float r = (float)fabs((double)sfemi_dissect_key(sfemi_dissect_axis(k), u));
                 if (r > d->reach[k]) d->reach[k] = r;
@@ -6783,14 +6907,17 @@ static float sfemi_dissect_plane(sfemi_dissect *d, const sfem_int *set, sfem_int
     float low = 0, high = 0, scale;
     if (direction == SFEMI_DISSECT_DIRECTIONS) sfemi_dissect_distance(d, set, m);
     for (k = 0; k < m; ++k) {
-        const float key = direction == SFEMI_DISSECT_DIRECTIONS
-                              ? (float)d->mate[set[k]]
-                              : sfemi_dissect_key(axis, d->x + 3 * (size_t)set[k]);
+        sfem_real x[3];
+        float key = (float)d->mate[set[k]];
+        if (direction < SFEMI_DISSECT_DIRECTIONS) {
+            sfemi_dissect_place(d, set[k], x);
+            key = sfemi_dissect_key(axis, x);
+        }
         d->key[k] = key;
         if (k == 0 || key < low) low = key;
         if (k == 0 || key > high) high = key;
     }
-    if (!(high > low)) return low;
+    if (!(high - low > 1e-30f)) return low; /* as good as nothing; its inverse would overflow */
     low -= (high - low) * 0.00137f; /* no lattice plane at the edge of a bin */
     scale = (SFEMI_DISSECT_BINS - 1) / (high - low);
     memset(count, 0, sizeof count);
@@ -7077,6 +7204,7 @@ static sfem_status sfemi_order_dissect(const sfemi_graph *g, const sfem_real *x,
     amd = leaf + n;
     d.side = sides;
     d.best = sides + n;
+    sfemi_dissect_unit(&d);
     sfemi_dissect_reach(&d);
     d.reach[SFEMI_DISSECT_DIRECTIONS] = 1;
     for (k = 0; k < n; ++k) order[k] = k;
@@ -9004,10 +9132,10 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
 
-/* The options of like's or def's; takes over one reference to the analysis, also when it fails. Without a
- * matrix there is room for a factor, but none yet. */
+/* The options of like's or def's, but the threads of who asks, whose pool outlives the factor; takes over one
+ * reference to the analysis, also when it fails. Without a matrix there is room for a factor, but none yet. */
 static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const sfem_matrix *a,
-                                  sfem_ldl **out, sfem_error *err)
+                                  const sfem_exec *exec, sfem_ldl **out, sfem_error *err)
 {
     const sfem_allocator *m = &like->allocator;
     sfem_status status = SFEM_OK;
@@ -9017,7 +9145,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     ldl->symbolic = y;
     y = NULL;
     ldl->allocator = *m;
-    ldl->exec = like->exec;
+    if (exec) ldl->exec = *exec;
     ldl->positive = like->positive;
     ldl->mixed = like->mixed;
     ldl->keep = like->keep;
@@ -9072,11 +9200,10 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
     if (status != SFEM_OK) return status;
     memset(&like, 0, sizeof like);
     like.allocator = def->allocator;
-    like.exec = def->exec;
     like.positive = def->positive;
     like.mixed = def->mixed;
     like.keep = def->keep;
-    return sfemi_ldl_make(&like, y, a, out, err);
+    return sfemi_ldl_make(&like, y, a, &def->exec, out, err);
 }
 
 static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
@@ -9090,13 +9217,13 @@ static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, 
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a,
+SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, const sfem_exec *exec,
                                           sfem_ldl **out, sfem_error *err)
 {
     const sfem_status status = sfemi_ldl_matches(like, a, err);
     if (status != SFEM_OK) return status;
     (void)SFEMI_ATOMIC_ADD(&like->symbolic->references, 1);
-    return sfemi_ldl_make(like, like->symbolic, a, out, err);
+    return sfemi_ldl_make(like, like->symbolic, a, exec, out, err);
 }
 
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
@@ -14174,9 +14301,10 @@ static sfem_int sfemi_damage_cut(sfemi_damage *d, const sfem_real *u,
     return count;
 }
 
-/* out [d->pieces], at displacements u and velocities v (NULL: at rest). O(nodes). */
-static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u,
-                                const sfem_real *v, sfem_piece *out)
+/* out [d->pieces], at displacements u and velocities w + after a, which are 0 on the axes that held [nodes] names
+ * (NULL: none). O(nodes). */
+static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const sfem_real *w, sfem_real after,
+                                const sfem_real *a, const unsigned char *held, sfem_piece *out)
 {
     const sfem_model *model = d->bonds->model;
     const sfem_int nodes = model->mesh.nodes;
@@ -14194,22 +14322,24 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u,
         for (c = 0; c < 3; ++c) {
             const sfem_real x = model->mesh.x[at + (size_t)c] + u[at + (size_t)c];
             p->centre[c] += m * x;
-            if (v) p->momentum[c] += m * v[at + (size_t)c];
+            if (!held || !(held[i] >> c & 1)) p->momentum[c] += m * (w[at + (size_t)c] + after * a[at + (size_t)c]);
             p->box[0][c] = p->nodes == 1 ? x : fmin(p->box[0][c], x);
             p->box[1][c] = p->nodes == 1 ? x : fmax(p->box[1][c], x);
         }
     }
     for (i = 0; i < d->pieces; ++i)
         for (c = 0; c < 3; ++c) out[i].centre[c] /= out[i].mass;
-    for (i = 0; v && i < nodes; ++i) {
+    for (i = 0; i < nodes; ++i) {
         const size_t at = 3 * (size_t)i;
-        sfem_real r[3], l[3];
+        sfem_real r[3], v[3], l[3];
         sfem_piece *p;
         if (d->piece_of[i] < 0) continue;
         p = out + d->piece_of[i];
-        for (c = 0; c < 3; ++c)
+        for (c = 0; c < 3; ++c) {
             r[c] = model->mesh.x[at + (size_t)c] + u[at + (size_t)c] - p->centre[c];
-        sfemi_cross(r, v + at, l);
+            v[c] = held && held[i] >> c & 1 ? 0 : w[at + (size_t)c] + after * a[at + (size_t)c];
+        }
+        sfemi_cross(r, v, l);
         for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
     }
 }
@@ -14450,7 +14580,7 @@ static sfem_status sfemi_factor_compute(sfem_model *model, sfem_factor *f, const
     sfem_status status = sfemi_factor_matrix(model, f, &a, err);
     if (status != SFEM_OK) return status;
     like = sfemi_factor_find(model, &f->key, 1);
-    status = like ? sfem_ldl_create_like(like->ldl, &a, &f->ldl, &place)
+    status = like ? sfem_ldl_create_like(like->ldl, &a, exec, &f->ldl, &place)
                   : sfemi_factor_analyse(model, f, &a, exec, &place);
     sfemi_factor_release(model, like);
     sfem_matrix_free(&a, &model->allocator);
@@ -16762,8 +16892,9 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         memset(t->piece[k].inertia_inverse, 0, sizeof t->piece[k].inertia_inverse);
     }
     for (i = 0; i < nodes; ++i) {
-        sfemi_piece *p = t->piece + t->piece_of[i];
+        sfemi_piece *p;
         if (t->piece_of[i] < 0) continue;
+        p = t->piece + t->piece_of[i];
         p->mass += model->node_mass[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
@@ -16797,9 +16928,10 @@ static void sfemi_turn_size(sfem_body *b)
     sfemi_turn_locate(b, NULL);
     for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
     for (i = 0; i < model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p;
         sfem_real r[3];
         if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
         sfemi_turn_arm(b, NULL, i, p->centre, r);
         p->rest += model->node_mass[i] * sfemi_dot3(r, r);
         p->sum[0][0] += 1;
@@ -18151,10 +18283,12 @@ static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
     }
     memset(a, 0, 3 * (size_t)model->mesh.nodes * sizeof *a);
     for (i = 0; i < model->mesh.nodes; ++i) {
-        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const sfemi_piece *p;
         const size_t at = 3 * (size_t)i;
         sfem_real r[3], v[3];
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
+        if (p->held) continue;
         for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c] - p->centre[c];
         sfemi_cross(p->motion + 3, r, v);
         sfemi_cross(p->motion + 3, v, a + at);
@@ -18355,8 +18489,9 @@ static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem
     int c;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p;
         if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real way = part * (b->guard.u[at] - s->u[at]) + back * s->w[at];
@@ -18385,8 +18520,9 @@ static sfem_real sfemi_guard_load_change(const sfem_body *b)
     int c;
     for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p;
         if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real u = s->u[at] - back * s->w[at], d = s->force[0][at] - s->force[1][at];
@@ -19095,9 +19231,11 @@ static void sfemi_guard_move_rigidly(sfem_body *b)
         memcpy(b->turn.piece[k].motion, b->turn.piece[k].push, sizeof b->turn.piece[k].motion);
     sfemi_turn_divide(b);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const sfemi_piece *p;
         sfem_real arm[3], angle[3], rotation[9], rate;
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
+        if (b->turn.piece_of[i] < 0) continue;
+        p = b->turn.piece + b->turn.piece_of[i];
+        if (p->held) continue;
         sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
         rate = sfemi_dot3(p->push + 3, p->push + 3);
         if (rate > 0) rate = sfemi_dot3(p->motion + 3, p->push + 3) / rate;
@@ -19868,7 +20006,7 @@ static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sf
         r->k[k].val = NULL;
         SFEMI_NEW(sfem_real, r->k[k].val, &b->allocator, values);
         (void)SFEMI_ATOMIC_ADD(&f->ldl->symbolic->references, 1);
-        SFEMI_TRY(sfemi_ldl_make(f->ldl, f->ldl->symbolic, NULL, &r->ldl[k], err));
+        SFEMI_TRY(sfemi_ldl_make(f->ldl, f->ldl->symbolic, NULL, &b->exec, &r->ldl[k], err));
     }
     SFEMI_NEW(sfem_int, r->source, &b->allocator, (size_t)r->a.row[r->a.n] + 1);
     for (k = 0; k < f->free_nodes; ++k)
@@ -21447,11 +21585,17 @@ SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *b, sfem_int *count)
     return b->damage->event;
 }
 
+/* With the velocities of sfem_body_velocities, without an array of them: what only reads a body writes to nothing
+ * that others may read. Pins are set together, so that one is as old as all. */
 SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
 {
+    const sfemi_state *s;
+    int mean, fresh;
     SFEM_ASSERT(b && b->damage && out);
-    sfem_body_velocities(b, b->aside);
-    sfemi_damage_pieces(b->damage, b->state.u, b->aside, out);
+    s = &b->state;
+    mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
+    fresh = b->pin_count > 0 && s->pin[0].age == 0;
+    sfemi_damage_pieces(b->damage, s->u, s->w, mean ? s->head->h / 2 : 0, s->a, fresh ? b->mask : NULL, out);
 }
 
 SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *b)
@@ -25644,9 +25788,10 @@ SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle,
 
 SFEM_DEF void sfem_modal_release_handle(sfem_modal *b, sfem_int handle)
 {
-    sfemi_modal_handle *h = b->handle + handle;
+    sfemi_modal_handle *h;
     sfem_int k, after;
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && h->used);
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    h = b->handle + handle;
     after = b->head->handle_nodes - h->first - h->count;
     memmove(b->handle_node + h->first, b->handle_node + h->first + h->count,
             (size_t)after * sizeof(sfem_int));
@@ -25682,9 +25827,11 @@ SFEM_DEF void sfem_modal_handle_force(const sfem_modal *b, sfem_int handle, sfem
 
 SFEM_DEF void sfem_modal_handle_modal_force(const sfem_modal *b, sfem_int handle, sfem_real *force)
 {
-    const sfem_real *rows = b->rows + 3 * (size_t)handle * b->stride, *l = b->handle[handle].l;
+    const sfem_real *rows, *l;
     size_t k;
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    rows = b->rows + 3 * (size_t)handle * b->stride;
+    l = b->handle[handle].l;
     for (k = 0; k < b->m; ++k)
         force[k] = -(rows[k] * l[0] + rows[b->stride + k] * l[1] + rows[2 * b->stride + k] * l[2]);
 }
@@ -26967,6 +27114,7 @@ struct sfem_receiver {
     unsigned char *known, *held; /* [2 window] each */
     sfem_real beta, gamma;       /* of the step that is being made */
     int64_t step, newest, key;   /* the present; of the newest packet; of the key frame in q */
+    int64_t early;               /* of the last acceleration beyond the window; 0: none */
     int run;                     /* steps missed in a row, up to 2 */
     sfem_receiver_info info;
 };
@@ -27216,6 +27364,7 @@ static void sfemi_link_begin(sfem_receiver *r, int64_t step, int held)
     r->known[sfemi_link_slot(r, step)] = SFEMI_STEP_KEY;
     r->held[sfemi_link_slot(r, step)] = (unsigned char)held;
     r->step = r->newest = step;
+    r->early = 0;
     r->run = 0;
     r->info.started = 1;
     ++r->info.keys;
@@ -27283,6 +27432,16 @@ static void sfemi_link_replay(sfem_receiver *r, int64_t step, int held)
     ++r->info.late_keys;
 }
 
+/* An acceleration beyond the window: the sender is that far ahead if another one, within a window of it, has said
+ * so. */
+static void sfemi_link_early(sfem_receiver *r, int64_t step)
+{
+    const int64_t apart = step > r->early ? step - r->early : r->early - step;
+    const int64_t last = step > r->early ? step : r->early;
+    if (r->early && apart > 0 && apart <= r->def.window && last > r->newest) r->newest = last;
+    r->early = step;
+}
+
 /* A sound packet finds its step. */
 static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32_t sequence)
 {
@@ -27297,14 +27456,17 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32
         sfemi_link_begin(r, INT64_C(0x100000000) + (int64_t)sequence, held);
         return SFEM_ARRIVAL_TAKEN;
     }
-    if (step > r->newest) r->newest = step;
     if (step > r->step + r->def.window) {
-        if (!key) return SFEM_ARRIVAL_EARLY;
+        if (!key) {
+            sfemi_link_early(r, step);
+            return SFEM_ARRIVAL_EARLY;
+        }
         ++r->info.jumps;
         r->info.skipped += step - r->step;
         sfemi_link_begin(r, step, held);
         return SFEM_ARRIVAL_TAKEN;
     }
+    if (step > r->newest) r->newest = step;
     if (step <= r->step - r->def.window) return SFEM_ARRIVAL_DROPPED;
     known = r->known + sfemi_link_slot(r, step);
     if (*known != SFEMI_STEP_UNKNOWN && *known != SFEMI_STEP_MISSED) return SFEM_ARRIVAL_REPEATED;
@@ -28027,6 +28189,7 @@ SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI
     }
     SFEMI_ACCUMULATE(SFEMI_FNMA, depth, a, y)
     if (j) { /* rows from j on go on as they are, the first j get X times themselves */
+        const size_t own = j < h ? j : h; /* j itself, but a compiler then knows that b is filled up to there */
         const SFEMI_R *mask = step + 3 * SFEMI_W - j;
         SFEMI_R b[3 * SFEMI_W];
         SFEMI_ST(b, c0);
@@ -28039,7 +28202,7 @@ SFEMI_KERNEL(sfemi_ldl_forward_tile)(int nv, size_t depth, size_t j, const SFEMI
             SFEMI_ST(b + 2 * SFEMI_W, c2);
             c2 = SFEMI_MUL(c2, SFEMI_LD(mask + 2 * SFEMI_W));
         }
-        SFEMI_ACCUMULATE(SFEMI_FMA, j, a, b)
+        SFEMI_ACCUMULATE(SFEMI_FMA, own, a, b)
     }
     SFEMI_ST(out, c0);
     if (nv > 1) SFEMI_ST(out + SFEMI_W, c1);

@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.." || exit 1
 BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
-SWITCHES='plain SFEM_STATIC O2 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
+SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -25,16 +25,17 @@ command_for() {
 switch_flags() {
     case $1 in
     plain) ;;
-    O2) echo -O2 ;;
+    O2 | O3) echo "-$1" ;;
+    m32) echo -m32 -mfpmath=387 ;; # where there is more than double precision in between
     openmp) echo -fopenmp ;;
     *) echo "-D$1" ;;
     esac
 }
 
-# symbols OBJECT SWITCH: complains about what the object shows or keeps; DW.ref.* and
+# symbols OBJECT SWITCH: complains about what the object shows or keeps; DW.ref.*, __x86.* and
 # __clang_call_terminate are the compilers' own
 symbols() {
-    shown=$(nm -g --defined-only "$1" | awk '{ print $NF }' | grep -v -e '^DW[.]ref[.]' -e '^__clang')
+    shown=$(nm -g --defined-only "$1" | awk '{ print $NF }' | grep -v -e '^DW[.]ref[.]' -e '^__clang' -e '^__x86')
     [ "$2" = SFEM_STATIC ] || shown=$(echo "$shown" | grep -v '^sfem_[a-z0-9_]*$')
     [ -z "$shown" ] || { echo "symbols that are not sfem_*:" $shown; return 1; }
     kept=$(nm "$1" | awk '$(NF-1) ~ /^[bBcC]$/ { print $NF }')
@@ -67,7 +68,13 @@ printf '%s\n' '#include "softfem.h"' '#include "softfem.h"' \
     '#if defined(SFEM_STATIC) && !defined(CALL)' \
     'int main(void) { return 0; }' \
     '#else' \
-    "int main(void) { return sfem_status_text(SFEM_OK)[0] == 'o' ? 0 : 1; }" \
+    'int main(void)' '{' \
+    '    static const char text[] = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n1 0 0 0\n2 1 0 0\n"' \
+    '        "3 0 1 0\n4 0 0 1\n$EndNodes\n$Elements\n1\n1 4 0 1 2 3 4\n$EndElements\n";' \
+    '    sfem_mesh mesh;' \
+    '    const int failed = sfem_mesh_parse(text, sizeof text - 1, 0, &mesh, 0) != SFEM_OK || mesh.tets != 1;' \
+    '    if (!failed) sfem_mesh_free(&mesh);' \
+    '    return failed;' '}' \
     '#endif' >"$BUILD/user.c"
 
 # what is there to compile with
@@ -85,6 +92,10 @@ for compiler in $COMPILERS; do
             if [ "$switch" = openmp ] && ! printf '#include <omp.h>\nint main(void){return 0;}\n' |
                 $command -fopenmp -o /dev/null - >/dev/null 2>&1; then
                 echo "left out: $compiler $standard with OpenMP, whose omp.h is missing"; continue
+            fi
+            if [ "$switch" = m32 ] && ! echo 'int main(void){return 0;}' |
+                $command $(switch_flags m32) -o "$BUILD/probe" - >/dev/null 2>&1; then
+                echo "left out: $compiler $standard for 32 bits, whose libraries are missing"; continue
             fi
             echo "$compiler $standard $switch" >>"$jobs"
         done

@@ -911,7 +911,7 @@ static void pieces_add_up_to_the_body(void **state)
     random_fill(&r, u, (size_t)s.n, -1, 1);
     random_fill(&r, v, (size_t)s.n, -1, 1);
     piece = (sfem_piece *)calloc((size_t)s.damage->pieces, sizeof *piece);
-    sfemi_damage_pieces(s.damage, u, v, piece);
+    sfemi_damage_pieces(s.damage, u, v, 0, v, NULL, piece);
     for (i = 0; i < s.damage->pieces; ++i) {
         double t[3];
         mass += piece[i].mass;

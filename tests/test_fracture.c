@@ -789,6 +789,60 @@ static void threads_change_no_bit_of_a_fracture(void **state)
     }
 }
 
+static void *read_pieces(void *argument)
+{
+    const sfem_body *body = *(sfem_body **)argument;
+    sfem_piece **out = (sfem_piece **)argument + 1;
+    int k;
+    for (k = 0; k < 50; ++k) sfem_body_pieces(body, *out);
+    return NULL;
+}
+
+/* Pins that were set since the last step hold what still has that step's velocity. */
+static void two_threads_read_the_pieces_at_once(void **state)
+{
+    const sfem_damage_def damage = on_request();
+    scene s = bar(8, 2, 2, glass(SFEM_COROTATIONAL, 1e6));
+    const double g[3] = {0, 0, -9.81};
+    sfem_piece piece[3][2];
+    int pinned, k, c;
+    sfem_int i;
+    (void)state;
+    add_body(&s, sfem_default_body_def(), &damage, 0);
+    split(&s, 0.45);
+    for (pinned = 0; pinned < 2; ++pinned) {
+        const size_t reals = 7 * 3 * (size_t)s.n;
+        double *v = (double *)malloc(3 * (size_t)s.n * sizeof *v), sum[2][3] = {{0}};
+        void *argument[2][2];
+        pthread_t thread[2];
+        sfem_error err;
+        uint64_t hash;
+        assert_ok(sfem_body_set_gravity(s.body, g, &err), err);
+        run(s.body, 1.0 / 60, 4);
+        if (pinned) assert_ok(sfem_body_set_pins(s.body, s.pin_count, s.pins, NULL, &err), err);
+        sfem_body_velocities(s.body, v);
+        sfem_body_energy(s.body);
+        hash = hash_reals(s.body->aside, reals);
+        memset(piece, 0, sizeof piece);
+        for (k = 0; k < 2; ++k) {
+            argument[k][0] = s.body;
+            argument[k][1] = piece[k];
+            assert_int_equal(pthread_create(thread + k, NULL, read_pieces, argument[k]), 0);
+        }
+        for (k = 0; k < 2; ++k) assert_int_equal(pthread_join(thread[k], NULL), 0);
+        assert_true(hash_reals(s.body->aside, reals) == hash); /* it only looks */
+        assert_memory_equal(piece[0], piece[1], sizeof piece[0]);
+        for (i = 0; i < s.n; ++i)
+            for (c = 0; c < 3; ++c)
+                sum[sfem_body_piece_of(s.body)[i]][c] +=
+                    sfem_model_node_mass(s.model)[i] * v[3 * i + c];
+        for (k = 0; k < 2; ++k)
+            assert_memory_equal(piece[0][k].momentum, sum[k], sizeof sum[k]); /* to the bit */
+        free(v);
+    }
+    drop(&s);
+}
+
 static void steps_that_break_allocate_nothing(void **state)
 {
     int k;
@@ -1015,6 +1069,7 @@ int main(void)
         cmocka_unit_test(a_crushed_broken_block_comes_back_upright),
         cmocka_unit_test(a_state_saved_in_mid_fracture_goes_on_with_the_same_bits),
         cmocka_unit_test(threads_change_no_bit_of_a_fracture),
+        cmocka_unit_test(two_threads_read_the_pieces_at_once),
         cmocka_unit_test(steps_that_break_allocate_nothing),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(fragments_are_closed_and_hold_their_pieces_volume),

@@ -1120,6 +1120,58 @@ static void bits_do_not_depend_on_threads(void **state)
         }
 }
 
+/* A thread pool that is gone once `open` is 0. */
+typedef struct pool {
+    int open, calls, calls_closed;
+} pool;
+
+static void pool_for(sfem_int count, sfem_task task, void *data, void *user)
+{
+    pool *p = (pool *)user;
+    sfem_int i;
+    ++*(p->open ? &p->calls : &p->calls_closed);
+    for (i = 0; i < count; ++i) task(data, i);
+}
+
+/* The factor that Newton's iteration makes anew shares the analysis of the other body's, and nothing else. */
+static void a_body_never_calls_the_threads_of_another(void **state)
+{
+    block b = make_block(14, 6, 6, SFEM_MASS_LUMPED, 0, 0);
+    sfem_body_def def = sfem_default_body_def();
+    sfem_body *first, *second;
+    pool p = {1, 0, 0}, q = {1, 0, 0};
+    sfem_error err;
+    drag d;
+    int k;
+    (void)state;
+    memset(&d, 0, sizeof d);
+    d.c = 0.1;
+    d.linear = 1;
+    d.nodes = b.nodes;
+    def.gravity[2] = -9.81;
+    def.pins = b.pins;
+    def.pin_count = b.pin_count;
+    def.exec = thread_exec(2);
+    def.exec.parallel_for = pool_for;
+    def.exec.user = &p;
+    first = make_body(b.model, &def);
+    step(first, 0.01);
+    def.integrator = SFEM_NEWMARK;
+    def.damping_force.force = drag_force;
+    def.damping_force.tangent = drag_tangent;
+    def.damping_force.user = &d;
+    def.exec.user = &q;
+    second = make_body(b.model, &def);
+    assert_ok(sfem_body_prepare(second, 0.02, &err), err);
+    sfem_body_free(first);
+    p.open = 0;
+    for (k = 0; k < 3; ++k) step(second, 0.02);
+    assert_int_equal(p.calls_closed, 0);
+    assert_true(q.calls > 0);
+    sfem_body_free(second);
+    sfem_model_free(b.model);
+}
+
 /* --------------------------------------------------------------------------------------------
  * memory, misuse
  * -------------------------------------------------------------------------------------------- */
@@ -1283,6 +1335,7 @@ int main(void)
         cmocka_unit_test(statics_hold_pins_nodes_and_points),
         cmocka_unit_test(every_tangent_leads_to_the_same_place),
         cmocka_unit_test(bits_do_not_depend_on_threads),
+        cmocka_unit_test(a_body_never_calls_the_threads_of_another),
         cmocka_unit_test(steps_allocate_nothing_once_prepared),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(parameters_out_of_range_are_refused),

@@ -849,6 +849,7 @@ static void a_receiver_that_fell_behind_goes_on_at_a_key_frame(void **state)
     sfem_receiver_info info;
     (void)state;
     receive(r, &x->packet[0]);
+    assert_int_equal(receive(r, &x->packet[98]), SFEM_ARRIVAL_EARLY);
     assert_int_equal(receive(r, &x->packet[99]), SFEM_ARRIVAL_EARLY);
     assert_int_equal(sfem_receiver_lead(r), 99); /* so that who steps by it catches up */
     assert_int_equal(receive(r, &x->packet[100]), SFEM_ARRIVAL_TAKEN);
@@ -863,6 +864,39 @@ static void a_receiver_that_fell_behind_goes_on_at_a_key_frame(void **state)
     receive(r, &x->packet[101]);
     sfem_receiver_step(r);
     assert_follows(r, &x->state[101]);
+    sfem_receiver_free(r);
+    free(x);
+}
+
+/* A packet of an old stream, or one that came through with a wrong number: who steps by the lead would run after
+ * it. */
+static void one_packet_far_ahead_leads_nowhere(void **state)
+{
+    const sfem_link_def d = link_def(0);
+    sfem_receiver *r = receiver_new(&d);
+    recording *x = record(&d, motion_new(0.25, 0.5, 10));
+    packet stray = x->packet[5];
+    int i;
+    (void)state;
+    receive(r, &x->packet[0]);
+    for (i = 1; i < 20; ++i) {
+        stray.byte[17] = (unsigned char)(12 * i); /* a sequence number of 3077 and more, each time another */
+        sign(&stray);
+        assert_int_equal(receive(r, &stray), SFEM_ARRIVAL_EARLY);
+        assert_int_equal(receive(r, &stray), SFEM_ARRIVAL_EARLY); /* twice the same proves nothing */
+        assert_int_equal(sfem_receiver_lead(r), 0);
+        assert_int_equal(receive(r, &x->packet[i]), SFEM_ARRIVAL_TAKEN);
+        assert_int_equal(sfem_receiver_lead(r), 1);
+        assert_int_equal(sfem_receiver_step(r), 1);
+    }
+    assert_follows(r, &x->state[19]);
+    assert_int_equal(receive(r, &x->packet[120]), SFEM_ARRIVAL_EARLY); /* 100 packets were lost */
+    assert_int_equal(sfem_receiver_lead(r), 0);
+    assert_int_equal(receive(r, &x->packet[119]), SFEM_ARRIVAL_EARLY);
+    assert_int_equal(sfem_receiver_lead(r), 101);
+    while (sfem_receiver_lead(r) > 0) sfem_receiver_step(r);
+    assert_int_equal(receive(r, &x->packet[121]), SFEM_ARRIVAL_TAKEN);
+    assert_int_equal(sfem_receiver_lead(r), 1);
     sfem_receiver_free(r);
     free(x);
 }
@@ -1503,6 +1537,7 @@ int main(void)
         cmocka_unit_test(a_modal_body_is_followed_through_handles),
         cmocka_unit_test(a_damped_modal_body_is_followed_through_handles),
         cmocka_unit_test(a_receiver_that_fell_behind_goes_on_at_a_key_frame),
+        cmocka_unit_test(one_packet_far_ahead_leads_nowhere),
         cmocka_unit_test(a_restarted_receiver_follows_a_new_stream),
         cmocka_unit_test(sequence_numbers_wrap),
         cmocka_unit_test(lost_accelerations_are_replaced_as_told),

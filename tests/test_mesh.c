@@ -389,6 +389,50 @@ static void an_empty_mesh_is_a_fault(void **state)
     assert_int_equal(r.worst_tet, -1);
 }
 
+/* Counts are data: a reader of the caller's may have taken them from a file. */
+static void negative_counts_are_a_fault(void **state)
+{
+    static const sfem_int counts[4][2] = {{-3, 0}, {-3, 1}, {4, -2}, {INT32_MIN, INT32_MIN}};
+    sfem_real x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1}, bary[4];
+    const sfem_real origin[3] = {-1, 0.1, 0.1}, direction[3] = {1, 0, 0};
+    sfem_int tet[4] = {0, 1, 2, 3}, label[4], count;
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(counts); ++k) {
+        sfem_model_def def = sfem_default_model_def();
+        sfem_model *model = NULL;
+        sfem_mesh_report r;
+        sfem_surface surface;
+        sfem_mesh m, out;
+        sfem_error err;
+        char wanted[80];
+        memset(&m, 0, sizeof m);
+        m.nodes = counts[k][0], m.tets = counts[k][1], m.x = x, m.tet = tet;
+        def.mesh = &m;
+        snprintf(wanted, sizeof wanted, "%ld nodes and %ld tets", (long)m.nodes, (long)m.tets);
+        assert_status(sfem_mesh_check(&m, NULL, &err), SFEM_BAD_MESH);
+        assert_names(err, wanted);
+        assert_status(sfem_mesh_check(&m, &r, &err), SFEM_BAD_MESH);
+        assert_int_equal(r.components, -1);
+        assert_status(sfem_mesh_copy(m.nodes, x, m.tets, tet, NULL, &out, &err), SFEM_BAD_MESH);
+        assert_names(err, wanted);
+        assert_status(sfem_mesh_surface(&m, NULL, &surface, &err), SFEM_BAD_MESH);
+        assert_names(err, wanted);
+        assert_status(sfem_mesh_components(&m, label, &count, &err), SFEM_BAD_MESH);
+        assert_status(sfem_mesh_renumber(&m, NULL, &err), SFEM_BAD_MESH);
+        assert_status(sfem_mesh_remove_unused(&m, NULL, &err), SFEM_BAD_MESH);
+        assert_status(sfem_model_create(&def, &model, &err), SFEM_BAD_MESH);
+        assert_names(err, wanted);
+        assert_int_equal(sfem_mesh_orient(&m), 0);
+        assert_int_equal(m.nodes, counts[k][0]);
+        assert_int_equal(m.tets, counts[k][1]);
+        if (m.tets > 0) continue;
+        assert_int_equal(sfem_mesh_bandwidth(&m), 0);
+        assert_int_equal(sfem_mesh_pick_ray(&m, NULL, origin, direction, &count, bary, NULL), 0);
+        assert_int_equal(sfem_mesh_locate(&m, NULL, origin, &count, bary), 0);
+    }
+}
+
 static void quality_is_one_for_the_regular_tet_at_any_scale(void **state)
 {
     static const sfem_real scales[] = {1, 1e-90, 1e90, 1e-250, 1e250};
@@ -913,6 +957,7 @@ int main(void)
         cmocka_unit_test(arrays_are_copied_turned_and_checked),
         cmocka_unit_test(every_fault_is_found_and_named),
         cmocka_unit_test(an_empty_mesh_is_a_fault),
+        cmocka_unit_test(negative_counts_are_a_fault),
         cmocka_unit_test(quality_is_one_for_the_regular_tet_at_any_scale),
         cmocka_unit_test(orient_turns_left_handed_tets_only),
         cmocka_unit_test(the_report_counts_what_is_suspicious),

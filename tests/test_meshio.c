@@ -1165,6 +1165,72 @@ static void materials_of_vega_become_regions(void **state)
     sfem_mesh_free(&m);
 }
 
+/* As many sets, materials and regions as tets, and a set of all tets that as many regions name: looking each
+ * name up among all others, or filling in each region at once, would take minutes. */
+static void many_names_of_vega_cost_no_more_than_their_bytes(void **state)
+{
+    enum { N = 300000 };
+    char *text = (char *)malloc(150 * (size_t)N), *p = text;
+    sfem_mesh m;
+    sfem_error err;
+    sfem_int i;
+    (void)state;
+    assert_non_null(text);
+    p += sprintf(p, "*VERTICES\n4 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n*ELEMENTS\nTET\n%d 4\n", N);
+    for (i = 0; i < N; ++i) p += sprintf(p, "%d 0 1 2 3\n", (int)i);
+    for (i = 0; i < N; ++i) p += sprintf(p, "*MATERIAL m%d\nENU\n", (int)i);
+    p += sprintf(p, "*SET all\n");
+    for (i = 0; i < N; ++i) p += sprintf(p, "%d\n", (int)i);
+    for (i = 0; i < N; ++i) p += sprintf(p, "*SET s%d\n%d\n", (int)i, (int)i);
+    for (i = 0; i < N; ++i) p += sprintf(p, "*REGION\n%s,m%d\n", i % 2 ? "all" : "allElements", (int)i);
+    for (i = 0; i < N; i += 3) p += sprintf(p, "*REGION\ns%d,m%d\n", (int)i, (int)(N - 1 - i));
+    p += sprintf(p, "*SET s0\n1\n*REGION\ns0,m7\n"); /* the set that came first has the name */
+    assert_ok(sfem_mesh_parse(text, (size_t)(p - text), NULL, &m, &err), err);
+    assert_int_equal(m.region[0], 7);
+    for (i = 1; i < N; ++i) assert_int_equal(m.region[i], i % 3 ? N - 1 : N - 1 - i);
+    sfem_mesh_free(&m);
+    free(text);
+}
+
+/* Names of which one begins another, or that differ by a byte of any value. */
+static void names_of_vega_are_told_apart(void **state)
+{
+    static const char head[] = "*VERTICES\n4 3\n0 0 0 0\n1 1 0 0\n2 0 1 0\n3 0 0 1\n*ELEMENTS\nTET\n1 4\n0 0 1 2 3\n";
+    test_random random = {3};
+    int round;
+    (void)state;
+    for (round = 0; round < 400; ++round) {
+        char text[4000], name[24][8], *p = text;
+        int length[24], count = 1 + (int)random_below(&random, 24), i, k, wanted;
+        sfem_mesh m;
+        sfem_error err;
+        memcpy(p, head, sizeof head - 1);
+        p += sizeof head - 1;
+        for (i = 0; i < count; ++i) {
+            length[i] = 1 + (int)random_below(&random, 4);
+            for (k = 0; k < length[i]; ++k) name[i][k] = "\001\200ab\377"[random_below(&random, 5)];
+            p += sprintf(p, "*MATERIAL ");
+            memcpy(p, name[i], (size_t)length[i]);
+            p += length[i];
+            p += sprintf(p, "\nENU\n");
+        }
+        i = (int)random_below(&random, count);
+        for (wanted = 0; length[wanted] != length[i] || memcmp(name[wanted], name[i], (size_t)length[i]) != 0;)
+            ++wanted;
+        p += sprintf(p, "*REGION\nallElements, ");
+        memcpy(p, name[i], (size_t)length[i]);
+        p += length[i];
+        *p++ = '\n';
+        assert_ok(sfem_mesh_parse(text, (size_t)(p - text), NULL, &m, &err), err);
+        assert_int_equal(m.region[0], wanted);
+        sfem_mesh_free(&m);
+        p[-2 - (round % 2)] ^= 16; /* mostly no name any more */
+        k = sfem_mesh_parse(text, (size_t)(p - text), NULL, &m, &err);
+        assert_true(k == SFEM_OK || k == SFEM_FORMAT);
+        if (k == SFEM_OK) sfem_mesh_free(&m);
+    }
+}
+
 static void either_file_of_tetgen_names_both(void **state)
 {
     static const char *const name[4] = {"test_meshio_pair.node", "test_meshio_pair.ele",
@@ -1486,6 +1552,29 @@ static void files_that_cannot_be_used_are_reported(void **state)
     free_ball(&m);
 }
 
+static void a_mesh_of_negative_counts_is_not_written(void **state)
+{
+    const char *path = scratch_path("test_meshio_negative");
+    sfem_surface surface;
+    sfem_mesh m;
+    sfem_error err;
+    int k;
+    (void)state;
+    memset(&surface, 0, sizeof surface);
+    remove(path);
+    for (k = 0; k < 2; ++k) {
+        memset(&m, 0, sizeof m);
+        *(k ? &m.tets : &m.nodes) = -3;
+        assert_status(sfem_write_msh(path, &m, &err), SFEM_BAD_MESH);
+        assert_names(err, k ? "0 nodes and -3 tets" : "-3 nodes and 0 tets");
+        assert_status(sfem_write_vtu(path, &m, NULL, NULL, 0, &err), SFEM_BAD_MESH);
+        assert_names(err, k ? "0 nodes and -3 tets" : "-3 nodes and 0 tets");
+        assert_status(sfem_write_obj(path, &m, NULL, NULL, &err), SFEM_BAD_MESH);
+        assert_status(sfem_write_obj(path, &m, &surface, NULL, &err), SFEM_BAD_MESH);
+        assert_int_not_equal(access(path, F_OK), 0);
+    }
+}
+
 static void a_file_with_a_fault_is_named_with_the_line(void **state)
 {
     const char *path = scratch_path("test_meshio_bad.msh");
@@ -1632,6 +1721,8 @@ int main(void)
         cmocka_unit_test(files_of_tetgen_cut_anywhere_are_refused),
         cmocka_unit_test(physical_groups_of_gmsh_2_become_regions),
         cmocka_unit_test(materials_of_vega_become_regions),
+        cmocka_unit_test(many_names_of_vega_cost_no_more_than_their_bytes),
+        cmocka_unit_test(names_of_vega_are_told_apart),
         cmocka_unit_test(either_file_of_tetgen_names_both),
         cmocka_unit_test(vega_includes_files_beside_it),
         cmocka_unit_test(a_mesh_comes_back_as_it_was_written),
@@ -1640,6 +1731,7 @@ int main(void)
         cmocka_unit_test(pvd_lists_files_and_times),
         cmocka_unit_test(obj_holds_the_surface_at_the_given_positions),
         cmocka_unit_test(files_that_cannot_be_used_are_reported),
+        cmocka_unit_test(a_mesh_of_negative_counts_is_not_written),
         cmocka_unit_test(a_file_with_a_fault_is_named_with_the_line),
         cmocka_unit_test(every_allocation_may_fail),
         cmocka_unit_test(real_meshes_are_read),

@@ -111,7 +111,7 @@ static void slices_have_the_bits_of_one_stroke(void **state)
         whole = s.body->factor->ldl;
         assert_ok(sfemi_factor_matrix(s.model, s.body->factor, &a, &err), err);
         (void)SFEMI_ATOMIC_ADD(&whole->symbolic->references, 1);
-        assert_ok(sfemi_ldl_make(whole, whole->symbolic, NULL, &ldl, &err), err);
+        assert_ok(sfemi_ldl_make(whole, whole->symbolic, NULL, NULL, &ldl, &err), err);
         assert_false(ldl->valid);
         sfemi_slice_start(ldl, &a, &at);
         while ((cost = sfemi_slice_next(ldl, &a, &at)) > 0) {
@@ -172,7 +172,7 @@ static void a_factor_is_swapped_whole_after_the_counted_steps(void **state)
         /* the last slice overdraws, so that it may end a step early */
         assert_true(info.in_use && !info.running && info.made == 1 && k >= wanted - 1);
         assert_near(info.done, flops, 1e-12, 0);
-        assert_ok(sfem_ldl_create_like(old.body->factor->ldl, &s.body->refactor.a, &whole, &err),
+        assert_ok(sfem_ldl_create_like(old.body->factor->ldl, &s.body->refactor.a, NULL, &whole, &err),
                   err);
         assert_memory_equal(s.body->refactor.ldl[0]->l, whole->l,
                             whole->symbolic->panel[whole->symbolic->supernodes] * sizeof *whole->l);

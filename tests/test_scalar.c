@@ -226,7 +226,7 @@ static void it_is_renewed_whole_or_in_part(void **state)
     p.scalar.val[p.scalar.row[101] - 1] += 5;
     assert_ok(sfem_ldl_refactor_nodes(part, &p.scalar, 2, node, &err), err);
     assert_ok(sfem_ldl_refactor(whole, &p.scalar, &err), err);
-    assert_ok(sfem_ldl_create_like(whole, &p.scalar, &like, &err), err);
+    assert_ok(sfem_ldl_create_like(whole, &p.scalar, NULL, &like, &err), err);
     memcpy(x, b, n * sizeof *x);
     solve(whole, 1, x, 1);
     hash = hash_reals(x, n);

@@ -597,6 +597,40 @@ static void dissection_beats_minimum_degree_on_large_blocks(void **state)
     block_fem_free(&f);
 }
 
+/* Floats hold no coordinate beyond 3e38, and none at all of those below 1e-45. */
+static void dissection_does_not_depend_on_the_unit_of_length(void **state)
+{
+    static const int exponent[] = {-1040, -200, 130, 1014};
+    block_fem f = block_fem_create(16, 6, 6, 1);
+    const size_t n = 3 * (size_t)f.n;
+    sfem_ldl_def def = ordered(SFEM_ORDER_DISSECTION);
+    sfem_ldl *ldl = NULL;
+    sfem_ldl_info whole;
+    sfem_error err;
+    double *x = (double *)malloc(n * sizeof *x);
+    size_t i, k;
+    (void)state;
+    def.x = f.x;
+    assert_int_equal(sfem_ldl_create(&def, &f.a, &ldl, &err), SFEM_OK);
+    whole = sfem_ldl_get_info(ldl);
+    sfem_ldl_free(ldl);
+    def.x = x;
+    for (k = 0; k < sizeof exponent / sizeof *exponent; ++k) {
+        for (i = 0; i < n; ++i) x[i] = ldexp(f.x[i], exponent[k]);
+        assert_int_equal(sfem_ldl_create(&def, &f.a, &ldl, &err), SFEM_OK);
+        assert_true(sfem_ldl_get_info(ldl).flops == whole.flops);
+        sfem_ldl_free(ldl);
+    }
+    for (i = 0; i < n; ++i) x[i] = i % 3 == 0 ? (i % 2 ? 1.7e308 : -1.7e308) : f.x[i]; /* sums overflow */
+    assert_int_equal(sfem_ldl_create(&def, &f.a, &ldl, &err), SFEM_OK);
+    sfem_ldl_free(ldl);
+    for (i = 0; i < n; ++i) x[i] = i % 3 == 0 ? (i % 2 ? 1e-44 : 0) : f.x[i]; /* a float divided by this overflows */
+    assert_int_equal(sfem_ldl_create(&def, &f.a, &ldl, &err), SFEM_OK);
+    sfem_ldl_free(ldl);
+    free(x);
+    block_fem_free(&f);
+}
+
 static void the_solution_does_not_depend_on_the_numbering(void **state)
 {
     block_fem f = block_fem_create(10, 4, 4, 0);
@@ -860,12 +894,12 @@ static void factors_that_share_an_analysis_may_be_freed_in_any_order(void **stat
     (void)state;
     def.allocator = budget_allocator(&m, -1);
     assert_int_equal(sfem_ldl_create(&def, &f.a, &a, &err), SFEM_OK);
-    assert_int_equal(sfem_ldl_create_like(a, &f.a, &b, &err), SFEM_OK);
+    assert_int_equal(sfem_ldl_create_like(a, &f.a, NULL, &b, &err), SFEM_OK);
     sfem_ldl_free(a);
-    assert_int_equal(sfem_ldl_create_like(b, &f.a, &c, &err), SFEM_OK);
+    assert_int_equal(sfem_ldl_create_like(b, &f.a, NULL, &c, &err), SFEM_OK);
     sfem_ldl_free(b);
     assert_int_equal(sfem_ldl_refactor(c, &f.a, &err), SFEM_OK);
-    assert_int_equal(sfem_ldl_create_like(c, &g.a, &a, &err), SFEM_MISMATCH);
+    assert_int_equal(sfem_ldl_create_like(c, &g.a, NULL, &a, &err), SFEM_MISMATCH);
     assert_int_equal(sfem_ldl_refactor(c, &g.a, &err), SFEM_MISMATCH);
     sfem_ldl_free(c);
     sfem_ldl_free(NULL);
@@ -902,7 +936,7 @@ static void every_failing_allocation_is_survived(void **state)
             status = sfem_ldl_create(&def, &f.a, &ldl, &err);
             if (status == SFEM_OK) {
                 b.left = fail % 7;
-                if (sfem_ldl_create_like(ldl, &f.a, &like, &err) == SFEM_OK) sfem_ldl_free(like);
+                if (sfem_ldl_create_like(ldl, &f.a, NULL, &like, &err) == SFEM_OK) sfem_ldl_free(like);
                 sfem_ldl_free(ldl);
             } else {
                 assert_int_equal(err.status, SFEM_OUT_OF_MEMORY);
@@ -1299,6 +1333,7 @@ int main(void)
         cmocka_unit_test(the_empty_matrix_is_allowed),
         cmocka_unit_test(blocks_of_tets_are_solved_with_every_ordering),
         cmocka_unit_test(dissection_beats_minimum_degree_on_large_blocks),
+        cmocka_unit_test(dissection_does_not_depend_on_the_unit_of_length),
         cmocka_unit_test(the_solution_does_not_depend_on_the_numbering),
         cmocka_unit_test(slivers_leave_a_small_backward_error),
         cmocka_unit_test(squashed_cells_leave_a_small_backward_error),
