@@ -2096,6 +2096,16 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
         if (status != SFEM_OK) goto done;                                                            \
     } while (0)
 
+/* FNV-1a [Fowler, Noll, Vo 1991]; it starts from hash, SFEMI_HASH or that of what came before. */
+#define SFEMI_HASH ((uint64_t)0xcbf29ce484222325u)
+static uint64_t sfemi_hash(uint64_t hash, const void *data, size_t bytes)
+{
+    const unsigned char *p = (const unsigned char *)data;
+    size_t i;
+    for (i = 0; i < bytes; ++i) hash = (hash ^ p[i]) * 0x100000001b3u;
+    return hash;
+}
+
 static sfem_int sfemi_threads(const sfem_exec *e)
 {
     if (!e || e->threads <= 1) return 1;
@@ -14260,6 +14270,7 @@ struct sfem_factor {
     sfem_int references;
     sfemi_factor_key key; /* its mask is the factor's own */
     unsigned char *mask;
+    uint64_t hash;      /* of the mask */
     sfem_int free_nodes;
     sfem_int *node;     /* [free_nodes] their numbers in the mesh */
     int scalar;         /* A = S (x) I, and ldl is S's */
@@ -14267,11 +14278,12 @@ struct sfem_factor {
     sfem_ldl *ldl;      /* else this */
 };
 
-static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, size_t nodes)
+/* But for the mask itself, of which there is a hash. */
+static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, uint64_t hash)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
            f->key.majorant == key->majorant && f->key.precision == key->precision &&
-           f->key.ordering == key->ordering && memcmp(f->mask, key->mask, nodes) == 0;
+           f->key.ordering == key->ordering && f->hash == hash;
 }
 
 static void sfemi_factor_destroy(sfem_model *model, sfem_factor *f)
@@ -14312,27 +14324,32 @@ static int sfemi_factor_is_scalar(const sfem_model *model, const sfemi_factor_ke
 }
 
 /* A factor in the model's list that has this key, or with `like` set, one whose analysis serves it (same
- * pins, other coefficients); retained, or NULL. */
+ * pins, other coefficients); retained, or NULL. Masks are compared by their hash while the list is locked, and
+ * themselves after that: should two have the same hash, the other body makes a factor of its own. */
 static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key *key, int like)
 {
     const size_t nodes = (size_t)model->mesh.nodes;
+    const uint64_t hash = sfemi_hash(SFEMI_HASH, key->mask, nodes);
+    const int scalar = like && sfemi_factor_is_scalar(model, key);
     sfem_factor *f;
     sfemi_lock(&model->lock);
     for (f = model->factors; f; f = f->next) {
         sfemi_factor_key k = *key;
         if (like) {
-            if (!f->ldl || f->scalar != sfemi_factor_is_scalar(model, key)) continue;
+            if (!f->ldl || f->scalar != scalar) continue;
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
             k.majorant = f->key.majorant;
         }
-        if (!sfemi_factor_matches(f, &k, nodes)) continue;
+        if (!sfemi_factor_matches(f, &k, hash)) continue;
         ++f->references;
         break;
     }
     sfemi_unlock(&model->lock);
-    return f;
+    if (!f || memcmp(f->mask, key->mask, nodes) == 0) return f;
+    sfemi_factor_release(model, f);
+    return NULL;
 }
 
 static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
@@ -14496,6 +14513,7 @@ static sfem_status sfemi_factor_make(sfem_model *model, const sfemi_factor_key *
     memcpy(f->mask, key->mask, nodes);
     f->key = *key;
     f->key.mask = f->mask;
+    f->hash = sfemi_hash(SFEMI_HASH, f->mask, nodes);
     f->references = 1;
     f->scalar = sfemi_factor_is_scalar(model, key);
     for (i = 0; i < model->mesh.nodes; ++i) f->free_nodes += f->mask[i] != SFEM_AXIS_ALL;
@@ -14687,23 +14705,14 @@ static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int
     s->damage = damage ? (void *)(s->books + 1) : NULL;
 }
 
-/* FNV-1a [Fowler, Noll, Vo 1991]. */
-static uint64_t sfemi_state_hash(uint64_t hash, const void *data, size_t bytes)
-{
-    const unsigned char *p = (const unsigned char *)data;
-    size_t i;
-    for (i = 0; i < bytes; ++i) hash = (hash ^ p[i]) * 0x100000001b3u;
-    return hash;
-}
-
 static uint32_t sfemi_state_checksum(const void *block, size_t bytes)
 {
     sfemi_state_head head;
     uint64_t hash;
     memcpy(&head, block, sizeof head);
     head.checksum = 0;
-    hash = sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head);
-    hash = sfemi_state_hash(hash, (const char *)block + sizeof head, bytes - sizeof head);
+    hash = sfemi_hash(SFEMI_HASH, &head, sizeof head);
+    hash = sfemi_hash(hash, (const char *)block + sizeof head, bytes - sizeof head);
     return (uint32_t)(hash ^ hash >> 32);
 }
 
@@ -20034,8 +20043,8 @@ static uint64_t sfemi_body_key(const sfem_body *b)
 {
     const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
                               !sfemi_body_keeps_mean(b)};
-    const uint64_t hash = sfemi_state_hash(0xcbf29ce484222325u, shape, sizeof shape);
-    return sfemi_state_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
+    const uint64_t hash = sfemi_hash(SFEMI_HASH, shape, sizeof shape);
+    return sfemi_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
 
 static void sfemi_body_reset_head(sfem_body *b, size_t bytes)
@@ -24020,7 +24029,7 @@ static uint64_t sfemi_reduced_checksum(const void *block, size_t bytes)
     sfemi_reduced_head head;
     memcpy(&head, block, sizeof head);
     head.checksum = 0;
-    return sfemi_state_hash(sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head),
+    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head),
                             (const char *)block + sizeof head, bytes - sizeof head);
 }
 
@@ -24854,7 +24863,7 @@ static void sfemi_modal_lay_out(sfem_modal *b, void *block)
 static uint64_t sfemi_modal_key(const sfem_modal *b)
 {
     const sfem_int sizes[3] = {b->def.max_handles, b->def.max_handle_nodes, (sfem_int)b->def.warp};
-    return sfemi_state_hash(b->reduced->head->checksum, sizes, sizeof sizes);
+    return sfemi_hash(b->reduced->head->checksum, sizes, sizeof sizes);
 }
 
 /* The oscillators for steps of h; 0: as they are. */
@@ -26491,7 +26500,7 @@ static uint64_t sfemi_modal_checksum(const void *block, size_t bytes)
     sfemi_modal_head head;
     memcpy(&head, block, sizeof head);
     head.checksum = 0;
-    return sfemi_state_hash(sfemi_state_hash(0xcbf29ce484222325u, &head, sizeof head),
+    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head),
                             (const char *)block + sizeof head, bytes - sizeof head);
 }
 
