@@ -11,7 +11,7 @@ static sfem_model *make_model(void)
     const sfem_int cells[3] = {3, 2, 2};
     const sfem_real size[3] = {0.3, 0.2, 0.2};
     sfem_model_def def = sfem_default_model_def();
-    sfem_model *model;
+    sfem_model *model = NULL;
     sfem_mesh mesh;
     sfem_error err;
     assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
@@ -26,7 +26,7 @@ static sfem_body *make_body(sfem_model *model, sfem_int first, double h)
 {
     sfem_body_def def = sfem_default_body_def();
     sfem_int pins[4], k;
-    sfem_body *body;
+    sfem_body *body = NULL;
     sfem_error err;
     for (k = 0; k < 4; ++k) pins[k] = first + k;
     def.pins = pins;
@@ -127,7 +127,7 @@ static uint64_t step_body(sfem_model *model, sfem_int pins, sfem_status *status)
     const sfem_real f[3] = {1, 2, 3};
     sfem_body_def def = sfem_default_body_def();
     sfem_int list[4], k;
-    sfem_body *body;
+    sfem_body *body = NULL;
     uint64_t hash = 0;
     for (k = 0; k < 4; ++k) list[k] = 4 * pins + k;
     def.pins = list;
