@@ -106,6 +106,7 @@ strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign sym
 
 # without the emulation of other vector paths, which would take as long as all the rest, and without the
 # checks of single pointers, which the address sanitizer does for what they point at
+comma := ,
 SLOW = null,alignment,object-size,pointer-overflow,nonnull-attribute,returns-nonnull-attribute
 
 asan: ## the tests under address and undefined-behaviour sanitizers
@@ -121,6 +122,26 @@ ifneq ($(THREADED)$(FILTER),)
 else
 	@echo 'no test is named after threads'
 endif
+
+# Each target by itself, from the good inputs that it makes, in FUZZ_SECONDS; what is found stays in build/fuzz.
+FUZZ_SECONDS ?= 60
+FUZZ_TARGETS ?= gmsh vtk medit vega tetgen body modal reduced link
+
+fuzz: $(BUILD)/fuzz/fuzz ## mesh readers, state blocks and packets under libFuzzer, FUZZ_SECONDS=60 each (clang)
+	@for x in $(FUZZ_TARGETS); do \
+	    mkdir -p $(BUILD)/fuzz/$$x; echo "== $$x"; \
+	    SFEM_FUZZ=$$x SFEM_FUZZ_SEEDS=$(BUILD)/fuzz/$$x $(BUILD)/fuzz/fuzz -verbosity=0 -timeout=20 \
+	        -max_total_time=$(FUZZ_SECONDS) -print_final_stats=1 \
+	        -artifact_prefix=$(BUILD)/fuzz/$$x- $(BUILD)/fuzz/$$x >$(BUILD)/fuzz/$$x.log 2>&1 || \
+	        { cat $(BUILD)/fuzz/$$x.log; echo "FAILED: $$x"; exit 1; }; \
+	    grep number_of_executed_units $(BUILD)/fuzz/$$x.log; \
+	done
+
+# Only the portable kernels: the others would take most of the time to compile, and read nothing from outside.
+$(BUILD)/fuzz/fuzz: tests/fuzz.c tests/fuzz.h softfem.h
+	@mkdir -p $(@D)
+	clang -std=c99 $(WARNINGS) -I. -O1 -g -DSFEM_NO_DISPATCH -fsanitize=fuzzer,address,undefined \
+	    -fno-sanitize=$(subst pointer-overflow$(comma),,$(SLOW)) -fno-sanitize-recover=all -o $@ $< -lm
 
 analyze: ## static analysis by gcc, clang and cppcheck, where installed
 	@mkdir -p $(BUILD)

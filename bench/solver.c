@@ -1,17 +1,19 @@
-/* The sparse solver against CHOLMOD, one core and two, on blocks of 540 to 160 000 tetrahedra.
+/* The sparse solver against CHOLMOD, one core and two: the library's blocks (sfem_mesh_block) of 540 to 160 000
+ * tetrahedra, and real meshes, where SFEM_MESHES names their directory.
  *
  *   bench/solver [largest number of tets] [most passes] [mesh files]
  *
- * CHOLMOD and METIS take part if compiled with SFEM_BENCH_CHOLMOD (Debian: libsuitesparse-dev,
- * libmetis-dev, libopenblas-dev; link -lcholmod -lmetis -lopenblas). CHOLMOD is taken at its best:
+ * CHOLMOD takes part if compiled with SFEM_BENCH_CHOLMOD (Debian: libsuitesparse-dev, libopenblas-dev; link -lcholmod
+ * -lopenblas), METIS's ordering with SFEM_BENCH_METIS (libmetis-dev; -lmetis). CHOLMOD is taken at its best:
  * supernodal or simplicial, AMD or METIS, whichever is the fastest on the matrix, and with one
  * OpenMP thread, as Debian's build else starts four on one core. All of one row is measured in
- * turns in one process, on one core; medians. A factor's time counts all that it needs for the
- * solves that follow.
+ * turns in one process, on the core where it starts, which taskset chooses; medians. A factor's time counts all that
+ * it needs for the solves that follow.
  */
 #define _GNU_SOURCE
 #include "bench.h"
 #include "../tests/block_fem.h"
+#include <limits.h>
 #include <sched.h>
 #include <stdio.h>
 #include <sys/wait.h>
@@ -19,6 +21,8 @@
 #include <unistd.h>
 #ifdef SFEM_BENCH_CHOLMOD
 #include <suitesparse/cholmod.h>
+#endif
+#ifdef SFEM_BENCH_METIS
 #include <metis.h>
 #endif
 
@@ -127,6 +131,9 @@ static void rival_close(rival *r)
     cholmod_finish(&r->c);
 }
 
+#endif
+
+#ifdef SFEM_BENCH_METIS
 /* Operations of L with METIS's ordering of the node graph, counted as the library counts its own.
  */
 static double metis_flops(const block_fem *f)
@@ -321,13 +328,15 @@ static void row_one(const char *name, const block_fem *f, int passes)
                bench_median(solve8.v, solve8.n) / bench_median(solve.v, solve.n), 1e3 * analyse,
                1e-6 * (double)info.bytes, info.flops,
                info.ordering == SFEM_ORDER_AMD ? "AMD" : "cuts");
+#ifdef SFEM_BENCH_METIS
+        printf(" %5.2f", info.flops / metis_flops(f));
+#endif
 #ifdef SFEM_BENCH_CHOLMOD
-        printf(" | %8.3f %9.1f %8.2f | %5.2f %5.2f %5.2f %5.2f %5.2f  %s\n",
+        printf(" | %8.3f %9.1f %8.2f | %5.2f %5.2f %5.2f %5.2f  %s\n",
                1e3 * bench_median(rfactor.v, rfactor.n), 1e6 * bench_median(rsolve.v, rsolve.n),
                1e3 * amd, bench_median(factor.v, factor.n) / bench_median(rfactor.v, rfactor.n),
                bench_median(solve.v, solve.n) / bench_median(rsolve.v, rsolve.n),
                bench_median(solve32.v, solve32.n) / bench_median(rsolve.v, rsolve.n), analyse / amd,
-               info.flops / metis_flops(f),
                best_factor == best_solve ? way[best_factor].name : "factor and solve differ");
         rival_close(&r);
 #else
@@ -387,15 +396,52 @@ static void row_two(const char *name, const block_fem *f, int passes)
     free(b);
 }
 
+/* A = K h^2/4 + M of a mesh held at the lower end of its longest side, h = 1/60 s; assembled from scratch. */
+static block_fem held(const sfem_mesh *mesh)
+{
+    unsigned char *clamp = (unsigned char *)malloc((size_t)mesh->nodes);
+    sfem_mesh_report report;
+    block_fem f;
+    sfem_int i;
+    int k, axis = 0;
+    sfem_mesh_check(mesh, &report, NULL);
+    for (k = 1; k < 3; ++k)
+        if (report.box[1][k] - report.box[0][k] > report.box[1][axis] - report.box[0][axis]) axis = k;
+    memset(clamp, 1, (size_t)mesh->nodes); /* nodes of no tet are left out */
+    for (i = 0; i < 4 * mesh->tets; ++i) {
+        const double x = mesh->x[3 * mesh->tet[i] + axis] - report.box[0][axis];
+        clamp[mesh->tet[i]] = x < .02 * (report.box[1][axis] - report.box[0][axis]);
+    }
+    f = block_fem_assemble(mesh->nodes, mesh->x, mesh->tets, mesh->tet, clamp, 1e6, .45, 1000, 1. / 14400, 1);
+    free(clamp);
+    return f;
+}
+
+/* Of cubes of which cells[2] make a metre. */
+static block_fem held_block(const sfem_int cells[3], sfem_block_cells kind)
+{
+    const sfem_real size[3] = {(double)cells[0] / cells[2], (double)cells[1] / cells[2], 1};
+    sfem_mesh mesh;
+    sfem_error err;
+    block_fem f;
+    if (sfem_mesh_block(cells, size, kind, NULL, &mesh, &err) != SFEM_OK) {
+        printf("%s\n", err.text);
+        exit(1);
+    }
+    f = held(&mesh);
+    sfem_mesh_free(&mesh);
+    return f;
+}
+
 /* Small bodies: the sparse factor, analysis included, beside the dense one; medians, us. */
 static void dense_rows(void)
 {
-    static const int cells[][2] = {{1, 1}, {2, 1}, {4, 1}, {6, 1}, {8, 1}, {5, 2}, {9, 2}};
+    static const sfem_int cells[][3] = {{1, 1, 1}, {2, 1, 1}, {4, 1, 1}, {6, 1, 1}, {8, 1, 1}, {5, 2, 2}, {9, 2, 2}};
     double t[4][MOST];
     size_t i;
     printf("\ndense     scalars  sparse factor, solve  dense factor, solve, us\n");
     for (i = 0; i < sizeof cells / sizeof *cells; ++i) {
-        block_fem f = block_fem_create(cells[i][0], cells[i][1], cells[i][1], 1);
+        block_fem f = held_block(cells[i], SFEM_CELL_5_TETS);
         const size_t n = 3 * (size_t)f.n;
         double *a = (double *)malloc(n * n * sizeof *a), *x = (double *)calloc(n, sizeof *x), *work;
         sfem_ldl_def def = sfem_default_ldl_def();
@@ -432,11 +478,16 @@ static void dense_rows(void)
 
 static const struct {
     const char *name;
-    int tets, nx, ny, nz, five;
-} block[] = {{"540", 540, 12, 3, 3, 1},        {"2.5k", 2500, 20, 5, 5, 1},
-             {"7k", 6860, 28, 7, 7, 1},        {"20k", 20000, 40, 10, 10, 1},
-             {"55k", 54880, 56, 14, 14, 1},    {"160k", 160000, 80, 20, 20, 1},
-             {"6 tets 3k", 3000, 20, 5, 5, 0}, {"6 tets 24k", 24000, 40, 10, 10, 0}};
+    sfem_int tets, cells[3];
+    sfem_block_cells kind;
+} block[] = {{"540", 540, {12, 3, 3}, SFEM_CELL_5_TETS},         {"2.5k", 2500, {20, 5, 5}, SFEM_CELL_5_TETS},
+             {"7k", 6860, {28, 7, 7}, SFEM_CELL_5_TETS},         {"20k", 20000, {40, 10, 10}, SFEM_CELL_5_TETS},
+             {"55k", 54880, {56, 14, 14}, SFEM_CELL_5_TETS},     {"160k", 160000, {80, 20, 20}, SFEM_CELL_5_TETS},
+             {"6 tets 3k", 3000, {20, 5, 5}, SFEM_CELL_6_TETS},  {"6 tets 24k", 24000, {40, 10, 10}, SFEM_CELL_6_TETS}};
+
+/* Of others, in SFEM_MESHES. */
+static const char *const real[] = {"mj_shark_ascii22.msh", "igl_octopus_low.mesh", "pbd_armadillo_4k.node",
+                                   "vega_comb.veg",        "vega_helix.veg",       "ipc_rod300x33.msh"};
 
 static int passes_of(sfem_int tets, int most)
 {
@@ -446,50 +497,43 @@ static int passes_of(sfem_int tets, int most)
     return passes < 3 ? 3 : passes;
 }
 
-/* A mesh from a file, held at the end of its longest side. */
-static void given(void (*row)(const char *, const block_fem *, int), const char *path, int most)
+/* A mesh from a file. */
+static void given(void (*row)(const char *, const block_fem *, int), const char *path, long largest, int most)
 {
     const char *name = strrchr(path, '/') ? strrchr(path, '/') + 1 : path;
-    sfem_mesh_report report;
-    unsigned char *clamp;
     sfem_error err;
     sfem_mesh mesh;
     block_fem f;
-    sfem_int i;
-    int k, axis = 0;
-    if (sfem_mesh_read(path, NULL, &mesh, &err) || sfem_mesh_check(&mesh, &report, &err)) {
+    if (sfem_mesh_read(path, NULL, &mesh, &err) || sfem_mesh_check(&mesh, NULL, &err)) {
         printf("%.12s: %s\n", name, err.text);
         return;
     }
-    for (k = 1; k < 3; ++k)
-        if (report.box[1][k] - report.box[0][k] > report.box[1][axis] - report.box[0][axis])
-            axis = k;
-    clamp = (unsigned char *)malloc((size_t)mesh.nodes);
-    memset(clamp, 1, (size_t)mesh.nodes); /* nodes of no tet are left out */
-    for (i = 0; i < 4 * mesh.tets; ++i) {
-        const double x = mesh.x[3 * mesh.tet[i] + axis] - report.box[0][axis];
-        clamp[mesh.tet[i]] = x < .02 * (report.box[1][axis] - report.box[0][axis]);
+    if (mesh.tets <= largest) {
+        f = held(&mesh);
+        row(name, &f, passes_of(mesh.tets, most));
+        block_fem_free(&f);
     }
-    f = block_fem_assemble(mesh.nodes, mesh.x, mesh.tets, mesh.tet, clamp, 1e6, .45, 1000,
-                           1. / 14400, 1);
-    row(name, &f, passes_of(mesh.tets, most));
-    block_fem_free(&f);
-    free(clamp);
     sfem_mesh_free(&mesh);
 }
 
 static void rows(void (*row)(const char *, const block_fem *, int), long largest, int most,
                  char **mesh)
 {
+    const char *directory = getenv("SFEM_MESHES");
+    char path[1024];
     size_t i;
     for (i = 0; i < sizeof block / sizeof *block; ++i) {
         block_fem f;
         if (block[i].tets > largest) continue;
-        f = block_fem_create(block[i].nx, block[i].ny, block[i].nz, block[i].five);
+        f = held_block(block[i].cells, block[i].kind);
         row(block[i].name, &f, passes_of(block[i].tets, most));
         block_fem_free(&f);
     }
-    while (*mesh) given(row, *mesh++, most);
+    for (i = 0; directory && i < sizeof real / sizeof *real; ++i) {
+        snprintf(path, sizeof path, "%s/%s", directory, real[i]);
+        if (access(path, R_OK) == 0) given(row, path, largest, most);
+    }
+    while (*mesh) given(row, *mesh++, LONG_MAX, most);
 }
 
 int main(int argc, char **argv)
@@ -501,17 +545,18 @@ int main(int argc, char **argv)
     if (getenv("SFEM_BENCH_ONE_CORE")) {
         cpu_set_t set;
         CPU_ZERO(&set);
-        CPU_SET(sysconf(_SC_NPROCESSORS_ONLN) > 1 ? 1 : 0, &set);
+        CPU_SET((size_t)sched_getcpu(), &set);
         sched_setaffinity(0, sizeof set, &set);
         machine();
         printf("\none core  factor ms, with float copy; solve us, f64, f32, 8 at once / 1; "
                "analysis ms;"
-               " MB; flops\n          and CHOLMOD's factor, solve, AMD analysis; ratios of factor, "
-               "solve"
-               " f64, f32, analysis, flops of L to METIS\n");
+               " MB; flops of L, over those with METIS's ordering\n          and CHOLMOD's factor, solve, AMD "
+               "analysis; ratios of factor, solve f64, f32, analysis\n");
+#ifndef SFEM_BENCH_METIS
+        printf("          without METIS: install libmetis-dev\n");
+#endif
 #ifndef SFEM_BENCH_CHOLMOD
-        printf(
-            "          without CHOLMOD: install libsuitesparse-dev libmetis-dev libopenblas-dev\n");
+        printf("          without CHOLMOD: install libsuitesparse-dev libopenblas-dev\n");
 #endif
         rows(row_one, largest, most, argv + (argc > 3 ? 3 : argc));
         dense_rows();

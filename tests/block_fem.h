@@ -97,7 +97,7 @@ static block_fem block_fem_assemble(sfem_int nodes, const double *x, sfem_int te
 }
 
 /* cells of size 1/nz; five = 1: mirrored five-tet cells, 0: six tets around a diagonal. */
-static block_fem block_fem_create(sfem_int nx, sfem_int ny, sfem_int nz, int five)
+static __attribute__((unused)) block_fem block_fem_create(sfem_int nx, sfem_int ny, sfem_int nz, int five)
 {
     static const int corner[8][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 0},
                                      {0, 0, 1}, {1, 0, 1}, {0, 1, 1}, {1, 1, 1}};

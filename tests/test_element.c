@@ -881,10 +881,13 @@ static void model_forces_are_the_sum_over_tets(void **state)
                                         NULL,
                                         spin,
                                         spins,
+                                        NULL,
+                                        0,
                                         sfemi_blocks_portable_d};
                     const sfemi_chunks *c = &b.model->chunks;
                     job.energy = b.work + 4 * c->copies;
                     job.inverted = job.energy + c->count;
+                    job.moved = job.inverted + c->count;
                     for (t = 0; t * SFEMI_CHUNK_TASK < c->count; ++t) sfemi_forces_chunks(&job, t);
                     sfemi_forces_nodes(&job, 0);
                     for (t = 0, got = counted = 0; t < c->count; ++t) {
