@@ -40,6 +40,13 @@
 #define TEST_COUNT(array) (sizeof(array) / sizeof *(array))
 #define TEST_PI           3.14159265358979323846
 
+/* Sanitizers make everything five times as slow: they look for faults of memory, which few of many like runs show. */
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define TEST_SANITIZED 1
+#else
+#define TEST_SANITIZED 0
+#endif
+
 /* --------------------------------------------------------------------------------------------
  * assertions
  * -------------------------------------------------------------------------------------------- */

