@@ -328,7 +328,7 @@ static sfem_body_def fuzz_body_def(int scene, sfem_damage_def *damage)
     def.gravity[2] = -9.81;
     if (scene % 2) def.sleep_tolerance = 0.02, def.sleep_time = 0.02;
     if (scene % 3) def.pins = fuzz_pins, def.pin_axes = fuzz_axes, def.pin_count = 4;
-    if (scene == 2) def.renew_flops = 1e5, def.renew_drift = 0.1;
+    if (scene == 2) def.refactorise = 0.5;
     if (scene == 4) def.accuracy = 1;
     if (scene >= 3 && scene <= 5) {
         *damage = sfem_default_damage_def();
@@ -397,7 +397,7 @@ static void fuzz_look_at_body(sfem_body *b)
     sfem_body_to_floats(b, small, NULL, 12);
     (void)sfem_body_energy(b);
     (void)sfem_body_get_info(b);
-    (void)sfem_body_get_renewal(b);
+    (void)sfem_body_get_refactorisation(b);
     (void)sfem_body_newton(b);
     sfem_body_reactions(b, x);
     if (fuzz_first_handle(b, &handle)) {
@@ -477,7 +477,7 @@ static void fuzz_call_body(sfem_body *b, unsigned call, double h)
     case 18:
     case 19: fuzz_break_body(b, call % FUZZ_BODY_CALLS - 16); break;
     case 20: sfem_body_wake(b); break;
-    case 21: if (b->def.renew_flops > 0) (void)sfem_body_renew(b, NULL, &err);
+    case 21: if (b->def.refactorise > 0) (void)sfem_body_refactorise(b, NULL, &err);
              break;
     case 22: (void)sfem_body_move_pin(b, fuzz_pins[1], place, &err); break;
     case 23: sfem_body_start(b); break;

@@ -91,10 +91,9 @@ static void a_step_takes_at_most_16_kB_of_stack(void **state)
     def = sfem_default_body_def();
     damage.toughness = 1;
     def.damage = &damage;
-    def.renew_flops = 1e6;
-    def.renew_drift = 0.01;
+    def.refactorise = 1;
     used = stack_of_scene(SFEM_COROTATIONAL, def);
-    if (used > most) fail_msg("damage and a renewed factor: %lu bytes", (unsigned long)used);
+    if (used > most) fail_msg("damage and a factor of what is left: %lu bytes", (unsigned long)used);
     def = sfem_default_body_def();
     def.precision = SFEM_MIXED;
     used = stack_of_scene(SFEM_NEOHOOKEAN, def);
