@@ -15185,6 +15185,7 @@ struct sfem_body {
     int fresh;           /* the state being that of a running body; w otherwise */
     int bridges;         /* >>resume: the step is one of another method */
     int falls;           /* >>resume: velocity is to be taken from the right side */
+    int parts;           /* >>resume: the step starts from m = r M w, not from A w */
     sfemi_implicit implicit;
     sfemi_refactor refactor;
 };
@@ -17459,8 +17460,9 @@ done:
  *        m - C B2^-1 m/2,            where B grows: 1 + t/2 <= (1 - t)^(-1/2),
  *      t an eigenvalue of B1^-1 C or -B2^-1 C, so that E does not rise; it falls by O(W^4), of second order.
  *      In a damaged body A has the intact K0, and B - r M = h^2 (p K0 - K/4) is not zero at p = 1/4 either. Where
- *      pieces of it are free, their rigid motion is projected out of A (>>turn), which this B does not know:
- *      there energy still grows by steps in turn (17-fold in 150 of 1/60 and 1/30 s, one free node).
+ *      pieces of it are free, their rigid motion is projected out of A (>>turn), which this B does not know. There
+ *      the first step of another length is backward Euler's, a rejected one (>>guard); the motion starts afresh
+ *      from it with m = r M v, so that E becomes 1/2 m.B^-1 m + 1/2 u.K u, at most what there is.
  *   4. Newmark(beta, gamma) is (beta, 2 gamma, 1) with m = M v. Its a, M a = F - D v - K u, is stale where
  *      something is let go, and is computed again.
  *   5. KR-alpha has no such energy, and its fast modes overshoot before they decay (18 times the energy of a start
@@ -17480,6 +17482,25 @@ static int sfemi_resume_serves(const sfem_body *b)
     return !b->model->turns && b->turns != SFEMI_CORRECTS && !sfemi_implicit_serves(b);
 }
 
+/* Is what A holds of K another matrix than K? */
+static int sfemi_resume_bounded(const sfem_body *b)
+{
+    return b->turns && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_MAJORANT);
+}
+
+/* Is there a B that is not known, see 3? */
+static int sfemi_resume_is_lost(const sfem_body *b)
+{
+    return sfemi_resume_bounded(b) && sfemi_turn_projects(b);
+}
+
+/* Is a step of h that of another method for that reason? */
+static int sfemi_resume_gives_up(const sfem_body *b, sfem_real h)
+{
+    return sfemi_resume_serves(b) && b->def.integrator == SFEM_PQR && !b->def.no_guard &&
+           b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_is_lost(b);
+}
+
 /* B = k K + bound (K in A) + m M + d (rest of D). */
 typedef struct sfemi_inertia {
     sfem_real k, bound, m, d;
@@ -17495,12 +17516,6 @@ static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_
     t.bound = p * h * h + t.d * b->beta;
     t.k = newmark ? -b->def.gamma / 2 * h * h : -h * h / 4;
     return t;
-}
-
-/* Is what A holds of K another matrix than K? */
-static int sfemi_resume_bounded(const sfem_body *b)
-{
-    return b->turns && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_MAJORANT);
 }
 
 /* y = B x; x and y apart. */
@@ -17887,13 +17902,17 @@ static int sfemi_resume_change(sfem_body *b, sfem_real h)
     sfem_real *v;
     size_t i;
     int change;
-    b->fresh = 0;
+    b->fresh = b->parts = 0;
     if (!sfemi_resume_serves(b) || s->head->started < SFEMI_RESTARTED) return 0;
     v = b->spare + 4 * n; /* only bodies that this serves have it */
     from = sfemi_resume_inertia(b, s->head->h, s->head->p);
     to = sfemi_resume_inertia(b, h, sfemi_body_coefficients(b, b->p).p);
     change = sfemi_resume_compare(b, &from, &to);
     if (b->base) return 0;
+    if (!newmark && sfemi_resume_is_lost(b)) {
+        b->parts = s->head->started == SFEMI_RESTARTED;
+        return 0;
+    }
     if (s->head->started == SFEMI_RESTARTED && !newmark) { /* m is the lesser B v, not r M v */
         sfemi_inertia more = change < 0 ? to : from;
         more.m -= sfemi_body_coefficients(b, b->p).r;
@@ -18404,6 +18423,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     t = sfemi_pqr_weigh(b, h);
     force = sfemi_correct_forecast(b);
     if (force != s->f) t.ck = 0;
+    if (b->parts) t.cd -= k.q; /* A w' = r M w + ..; the rest of A w is left out */
     if (b->base) {
         sfemi_guard_predict_alpha(b, h, t.back);
         t.ck = 0; /* forces at the end of the last step are at hand */
@@ -18422,9 +18442,10 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
         }
     if (stiff) {
         const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
-        for (i = 0; i < n; ++i)
-            b->zk[i] =
-                (b->beta * t.cd - t.ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
+        for (i = 0; i < n; ++i) {
+            const sfem_real ck = b->parts && !(b->mask[i / 3] >> (i % 3) & 1) ? 0 : t.ck;
+            b->zk[i] = (b->beta * t.cd - ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
+        }
         for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
         if ((b->beta != 0 || b->zd) && sfemi_guard_centripetal(b, b->guard.grad))
             for (i = 0; i < n; ++i) {
@@ -18445,7 +18466,19 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     sfemi_correct_brake(b, &t);
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     sfemi_resume_lessen(b, b->falls, t.d, b->rhs);
+    for (i = 0; b->parts && i < n; ++i) b->rhs[i] += k.r * model->node_mass[i / 3] * s->w[i] / t.d;
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
+}
+
+/* x -= part P w, P taking out the rigid motion of free pieces. */
+static void sfemi_guard_take_motion(sfem_body *b, sfem_real part, sfem_real *x)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    memcpy(b->zk, b->state.w, n * sizeof *b->zk);
+    sfemi_turn_motion(b, b->state.u, b->zk, 1);
+    sfemi_turn_add_motion(b, b->state.u, -1, 0, b->zk);
+    for (i = 0; i < n; ++i) x[i] -= part * b->zk[i];
 }
 
 static void sfemi_guard_try(sfem_body *b)
@@ -18472,6 +18505,7 @@ static void sfemi_guard_try(sfem_body *b)
     sfemi_turn_solve_pushed(b, f, b->state.u, b->state.frame, !b->base, x);
     ++b->state.head->solves;
     for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
+    if (b->parts) sfemi_guard_take_motion(b, 1 / t.d, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
     if (b->grip.count) {
@@ -19563,9 +19597,11 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const sfem_real before = head->budget;
     sfem_status status;
     sfem_real budget;
+    const int other = sfemi_resume_gives_up(b, b->step);
     g->rejected = g->measured = 0;
-    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && (b->model->turns || sfemi_correct_serves(b))) {
-        g->rejected = !sfemi_guard_accepts(b, &g->energies, &budget);
+    if (other) head->budget = head->last;
+    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && (b->model->turns || sfemi_correct_serves(b) || other)) {
+        g->rejected = other || !sfemi_guard_accepts(b, &g->energies, &budget);
         g->measured = !g->rejected;
         if (!g->rejected) head->budget = budget;
         else if ((status = sfemi_guard_fall_back(b, err)) != SFEM_OK) return status;
@@ -20663,7 +20699,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         g->slot[g->count++] = i;
     }
     sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    if (b->turns && (b->model->turns || sfemi_correct_serves(b)) && b->def.no_allocation && !b->def.no_guard) {
+    if (b->turns && (b->model->turns || sfemi_correct_serves(b) || b->damage) && b->def.no_allocation && !b->def.no_guard) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         SFEMI_TRY(sfemi_guard_open_system(b, err));
     }

@@ -233,46 +233,51 @@ static void taking_a_node_of_a_damped_body_makes_no_energy(void **state)
     }
 }
 
-/* Edges are broken by hand; then the steps change. */
+/* Breaks edges: one at a node at most, and the bar stays one piece; or so many that it falls apart. */
+static void crack(scene *s, int apart)
+{
+    unsigned char loose[128];
+    sfem_error err;
+    int i;
+    memset(loose, 0, sizeof loose);
+    for (i = 0; i < s->mesh->tets * (apart ? 3 : 1); ++i) {
+        const int tet = i % s->mesh->tets, a = below(s, 4), b = (a + 1 + below(s, 3)) % 4;
+        const sfem_int from = s->mesh->tet[4 * tet + a], to = s->mesh->tet[4 * tet + b];
+        if (!apart && (loose[from] || loose[to])) continue;
+        loose[from] = loose[to] = 1;
+        assert_ok(sfem_body_break_edge(s->body, from, to, &err), err);
+    }
+}
+
+/* Edges are broken by hand; then the steps change, or pins, handles and steps. */
 static void damage_makes_no_energy(void **state)
 {
     static const scheme rows[2] = {{"damaged", SFEM_PQR, 0, 0, 0, 0, 0, SFEM_MASS_LUMPED, 1, 5},
                                    {"damaged, p .4", SFEM_PQR, .4, 0, 0, .1, 1e-3, SFEM_MASS_LUMPED, 1, 5}};
     static const double young[2] = {1e7, 1e9};
-    int row, law, j, mode, i;
+    int run, i;
     (void)state;
-    for (row = 0; row < 2; ++row)
-        for (law = 0; law < 2 - row; ++law)
-            for (j = 0; j < 2; ++j)
-                for (mode = 0; mode < 2; ++mode) {
-                    sfem_damage_def damage = sfem_default_damage_def();
-                    unsigned char loose[128];
-                    sfem_int handle[6];
-                    int held = 0;
-                    sfem_error err;
-                    scene s;
-                    damage.law = law ? SFEM_DAMAGE_ZSZ : SFEM_DAMAGE_CONDENSED;
-                    damage.toughness = 1e30;
-                    open_scene(&s, rows + row, SFEM_CELL_5_TETS, young[j], 1, &damage);
-                    memset(loose, 0, sizeof loose);
-                    for (i = 0; i < s.mesh->tets; ++i) {
-                        const int a = below(&s, 4), b = (a + 1 + below(&s, 3)) % 4;
-                        const sfem_int from = s.mesh->tet[4 * i + a], to = s.mesh->tet[4 * i + b];
-                        if (loose[from] || loose[to]) continue; /* one a node: it stays one piece */
-                        loose[from] = loose[to] = 1;
-                        assert_ok(sfem_body_break_edge(s.body, from, to, &err), err);
-                    }
-                    for (i = 0; i < 20; ++i) go(&s, 1. / 60);
-                    for (i = 0; i < 40; ++i) {
-                        if (mode == 1) do_something(&s, ALL, i, handle, &held);
-                        go(&s, mode == 0 ? 1. / (i % 2 ? 30 : 60)
-                                         : pow(16, random_uniform(&s.random, 0, 1)) / 240);
-                    }
-                    assert_true(sfem_body_fracture(s.body).broken > 10 && sfem_body_fracture(s.body).pieces == 1);
-                    s.conserved = fmin(s.conserved, s.start); /* it weighs modes otherwise in every step */
-                    judge(&s, rows + row, young[j], mode ? deeds[ALL] : "two steps in turn");
-                    close_scene(&s);
-                }
+    for (run = 0; run < 32; ++run) {
+        const int row = run & 1, law = run >> 1 & 1, j = run >> 2 & 1, mode = run >> 3 & 1, apart = run >> 4;
+        sfem_damage_def damage = sfem_default_damage_def();
+        sfem_int handle[6];
+        int held = 0;
+        scene s;
+        if (row && law) continue; /* ZSZ asks for a larger p */
+        damage.law = law ? SFEM_DAMAGE_ZSZ : SFEM_DAMAGE_CONDENSED;
+        damage.toughness = 1e30;
+        open_scene(&s, rows + row, SFEM_CELL_5_TETS, young[j], 1, &damage);
+        crack(&s, apart);
+        for (i = 0; i < 20; ++i) go(&s, 1. / 60);
+        for (i = 0; i < (apart ? 150 : 40); ++i) {
+            if (mode == 1) do_something(&s, ALL, i, handle, &held);
+            go(&s, mode == 0 ? 1. / (i % 2 ? 30 : 60) : pow(16, random_uniform(&s.random, 0, 1)) / 240);
+        }
+        assert_true(sfem_body_fracture(s.body).broken > 10 && (sfem_body_fracture(s.body).pieces > 1) == apart);
+        s.conserved = fmin(s.conserved, s.start); /* it weighs modes otherwise in every step */
+        judge(&s, rows + row, young[j], mode ? deeds[ALL] : "two steps in turn");
+        close_scene(&s);
+    }
 }
 
 /* D(v) = 10 |v| v at every node, kg/m */
