@@ -15460,25 +15460,6 @@ static void sfemi_newmark_finish(sfem_body *b)
     }
 }
 
-/* The acceleration once more, by the equation of motion, what is held keeping its own: a change of v changes D v, too.
- * Without it a node that is taken while it moves makes energy, three times what there was. */
-static void sfemi_newmark_settle_acceleration(sfem_body *b)
-{
-    const sfem_real load[3] = {1, 0, 0};
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_state *s = &b->state;
-    sfem_real *change = b->spare;
-    size_t i;
-    for (i = 0; i < n; ++i) {
-        b->zk[i] = s->u[i] + b->beta * s->w[i];
-        b->zm[i] = b->alpha * s->w[i] + s->a[i];
-        if (b->zd) b->zd[i] = s->w[i];
-    }
-    sfemi_body_residual(b, load, 1);
-    sfemi_body_mass_solve(b, change);
-    for (i = 0; i < n; ++i) s->a[i] += change[i];
-}
-
 /* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
 static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
 {
@@ -15494,7 +15475,6 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
         }
         sfemi_body_project(b, array[pass], array[pass]);
     }
-    if (b->grip.count && b->spare && (b->beta != 0 || b->zd)) sfemi_newmark_settle_acceleration(b);
 }
 
 /* ============================================================================================
@@ -18085,6 +18065,13 @@ static int sfemi_correct_serves(const sfem_body *b)
            (b->model->turns || sfemi_correct_is_braked(b));
 }
 
+/* p of the energy that a step keeps: that of HHT's equation where it is corrected, whatever p the trial has. */
+static sfem_real sfemi_guard_weight(const sfem_body *b)
+{
+    const sfem_real a = b->def.dissipation;
+    return sfemi_correct_serves(b) ? (1 + a) * (1 + a) * (1 - a) / 4 : b->p;
+}
+
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
 static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
                                                 const sfem_real *f1, sfem_real psi1, sfem_real h)
@@ -18092,8 +18079,6 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
-    const sfem_real a = b->def.dissipation;
-    const sfem_real weight = sfemi_correct_serves(b) ? (1 + a) * (1 + a) * (1 - a) / 4 : b->p;
     sfemi_guard_energies e;
     sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
     sfem_real stretch[3] = {0, 0, 0}, terms[3] = {0, 0, 0};
@@ -18137,7 +18122,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
     e.rounding = 1e-12 * (terms[0] + terms[1] + terms[2]);
     e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
-           (weight - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
+           (sfemi_guard_weight(b) - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
     e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
     return e;
 }
@@ -19703,7 +19688,7 @@ static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
     }
     *kinetic = sum * sfemi_body_coefficients(b, b->p).r;
-    return *kinetic + (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (b->p - 0.5) / 2 * stretch);
+    return *kinetic + (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (sfemi_guard_weight(b) - 0.5) / 2 * stretch);
 }
 
 /* The way from where the last step's energy was taken to where this one's is. */
@@ -19847,7 +19832,7 @@ static void sfemi_fracture_round(sfem_body *b)
     sfemi_damage_round(b->damage, &step, &change);
     if (!change.broken && !change.softened) return;
     b->refactor.quiet = 0;
-    fallen = g->rejected ? change.psi1 : (change.psi0 + change.psi1) / 2 + (b->p - 0.5) / 2 * change.cross;
+    fallen = g->rejected ? change.psi1 : (change.psi0 + change.psi1) / 2 + (sfemi_guard_weight(b) - 0.5) / 2 * change.cross;
     if (!g->rejected) head->psi += change.psi0;
     g->psi += change.psi1;
     head->budget += fallen;
@@ -20983,8 +20968,12 @@ static void sfemi_body_finish_linear(sfem_body *b)
     else if (b->bridges) sfemi_resume_bridge_finish(b);
     else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
-    if (!sfemi_body_keeps_mean(b)) sfemi_newmark_settle_handles(b, g->place);
     b->state.head->started = b->bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
+    if (sfemi_body_keeps_mean(b)) return;
+    sfemi_newmark_settle_handles(b, g->place);
+    /* a node that is taken while it moves changes its velocity, and D v: the acceleration is found again. Without that,
+     * stiffness damping makes energy, three times what there was */
+    if (sfemi_resume_takes(b) && (b->beta != 0 || b->zd)) b->state.head->started = SFEMI_RESTARTED;
 }
 
 /* Are u and w of a linear body's step finite at its end? */
