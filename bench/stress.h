@@ -1200,6 +1200,7 @@ typedef struct stress_push {
     double force[3 * STRESS_NODES];   /* that pushes, for half a second; balanced on a free body */
     double impulse[3 * STRESS_NODES]; /* N s, of this step */
     double way[3 * STRESS_NODES];     /* of the step before */
+    int runs; /* the last step was neither the first nor rejected */
 } stress_push;
 
 STRESS_STATIC void stress_choose_force(const stress_body *s, double *force, uint64_t *random)
@@ -1239,22 +1240,28 @@ STRESS_STATIC void stress_choose_push(const stress_body *s, stress_push *q, int 
         for (c = 0; c < 3; ++c) q->force[3 * s->pins[k] + c] = q->impulse[3 * s->pins[k] + c] = 0;
 }
 
-/* A step in three parts, with those forces. M (w' - w) = h F, and h F/2 in the first step, so that the mean kinetic
- * energy grows by F.(d' + d)/2, d = h w, and up to the end of the step by F.d'/2 more. This work, less that on the centre of mass of a free body, and the momentum
- * go where the energy and the momentum at the start are. */
-STRESS_STATIC sfem_status stress_pushed_step(stress_body *s, stress_push *q, double h, double part,
-                                             stress_watch *w, sfem_error *err)
+/* A step in three parts, with those forces and impulses. M (w' - w) = h F + I: h F/2 in a step from a start, h F/2 more
+ * in a rejected one, whose w' is the velocity at its end, from which the next one starts. The mean kinetic energy grows
+ * by F.(d' + d)/2, d = h w, and up to the end of the step by F.d'/2 more. This work, less that on the centre of mass of a
+ * free body, and the momentum go where the energy and the momentum at the start are. */
+STRESS_STATIC sfem_status stress_pushed_step(stress_body *s, stress_push *q, double h, stress_watch *w,
+                                             sfem_error *err)
 {
     const double *mass = sfem_model_node_mass(s->model);
     const size_t n = 3 * (size_t)s->mesh.nodes;
-    double sum[3] = {0, 0, 0}, centre[3] = {0, 0, 0}, work = 0, ahead = 0;
+    const int64_t before = sfem_body_get_info(s->body).rejected;
+    double sum[3] = {0, 0, 0}, centre[3] = {0, 0, 0}, work = 0, ahead = 0, part;
     size_t i;
     sfem_status status = sfem_body_predict(s->body, h, err);
-    for (i = 0; i < n && !status; ++i) sfem_body_rhs(s->body)[i] += q->force[i] + q->impulse[i] / h;
+    for (i = 0; i < n && !status; ++i) sfem_body_rhs(s->body)[i] += q->force[i];
+    for (i = 0; i < n / 3 && !status; ++i)
+        status = sfem_body_add_impulse(s->body, (sfem_int)i, q->impulse + 3 * i, err);
     if (!status) status = sfem_body_solve(s->body, err);
     if (!status) status = sfem_body_finish(s->body, err);
+    part = (q->runs ? 1 : 0.5) + (sfem_body_get_info(s->body).rejected > before ? 0.5 : 0);
+    q->runs = sfem_body_get_info(s->body).rejected == before;
     for (i = 0; i < n && !status; ++i) {
-        const double f = part * (q->force[i] + q->impulse[i] / h);
+        const double f = part * q->force[i] + q->impulse[i] / h;
         const double d = sfem_body_displacement(s->body)[i] - s->before[i];
         work += f * (d + q->way[i]) / 2;
         ahead += q->force[i] * d / 2; /* which is balanced */
@@ -1302,7 +1309,7 @@ STRESS_STATIC void stress_six_seconds(stress_body *s, stress_form form, uint64_t
                3 * (size_t)s->mesh.nodes * sizeof(double));
         if (scene->family == STRESS_PUSH) {
             stress_choose_push(s, &push, another, random);
-            if (!status) status = stress_pushed_step(s, &push, h, k ? 1 : 0.5, &w, &err);
+            if (!status) status = stress_pushed_step(s, &push, h, &w, &err);
         } else if (!status) {
             status = sfem_body_step(s->body, h, &err);
         }
