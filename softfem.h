@@ -19496,7 +19496,7 @@ static int sfemi_guard_linearise(sfem_body *b)
  * columns are this factor's until the next step. */
 static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sfem_real tolerance, sfem_error *err)
 {
-    enum { MOST = 10 };
+    enum { MOST = 40 };
     sfemi_guard *g = &b->guard;
     sfem_status status = SFEM_OK;
     int k;
