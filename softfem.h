@@ -10619,7 +10619,7 @@ typedef struct sfemi_block {
     sfem_real shape[9][SFEMI_LANES];  /* gradients of nodes 1, 2, 3, 1/m */
     sfem_real lambda[SFEMI_LANES];    /* times the volume, J; 0 in lanes that fill up */
     sfem_real mu[SFEMI_LANES];
-    sfem_real volume[SFEMI_LANES];    /* m^3, 0 likewise */
+    sfem_real weight[SFEMI_LANES];    /* of the rotation in those of its nodes, 0 likewise */
     sfem_int node[4][SFEMI_LANES];    /* 4 times the node's number within the chunk */
     sfem_int tet[SFEMI_LANES];
     sfem_int law, count;              /* so many lanes are tets, the others copies of the last */
@@ -10632,7 +10632,7 @@ typedef struct sfemi_totals {
 } sfemi_totals;
 
 /* Adds to out the internal forces of count blocks displaced by u, both [nodes of the chunk][4];
- * the nearest rotations go to rotation [tets][9], and times the volume are added to their nodes'
+ * the nearest rotations go to rotation [tets][9], and times their weights are added to their nodes'
  * spin [nodes of the chunk][12], nine of them used, where these are not NULL. */
 typedef void (*sfemi_blocks_kernel)(const sfemi_block *block, sfem_int count, const sfem_real *u,
                                     sfem_real *out, sfem_real *rotation, sfem_real *spin,
@@ -11138,7 +11138,7 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
         for (i = 0; block->law == SFEM_LINEAR && i < 9; ++i)                                       \
             for (l = 0; l < SFEMI_LANES; ++l) w.r[i][l] = i % 4 ? 0 : 1;                           \
         for (i = 0; i < 9; ++i)                                                                    \
-            for (l = 0; l < SFEMI_LANES; ++l) w.d[i][l] = (sfem_real)w.r[i][l] * block->volume[l]; \
+            for (l = 0; l < SFEMI_LANES; ++l) w.d[i][l] = (sfem_real)w.r[i][l] * block->weight[l]; \
         spread(block, (const sfem_real(*)[SFEMI_LANES])w.d, spin);                                 \
     }                                                                                              \
     *totals = sum;                                                                                 \
@@ -11295,6 +11295,7 @@ struct sfem_model {
     sfem_real *volume;         /* [tets] */
     unsigned char *law;        /* [tets] sfem_law */
     int turns;                 /* some law is not linear */
+    sfem_real stiffest;        /* Pa, the largest lambda + 2 mu */
     sfem_real margin;          /* p for modes that steps do not resolve, by the laws, see SFEM_P_SAFE */
     sfemi_chunks chunks;
     sfem_real total_mass;
@@ -11500,6 +11501,15 @@ static void sfemi_chunks_count(const sfem_model *model, sfemi_chunks *c, sfem_in
     c->copies = c->copy_start[c->count];
 }
 
+/* What the rotation of tet e counts in those of its nodes: its volume, times its stiffness over the largest one. At
+ * the surface of a stiff part in soft material nodes are to rotate with the stiff part, whose K in other frames
+ * would resist that rotation. */
+static sfem_real sfemi_fem_weight(const sfem_model *model, sfem_int e)
+{
+    const sfem_real stiffness = model->lambda[e] + 2 * model->mu[e];
+    return model->stiffest > 0 ? model->volume[e] * (stiffness / model->stiffest) : model->volume[e];
+}
+
 /* Puts tet e, or a copy of it without stiffness, into a lane. local: a node's number in the
  * chunk. */
 static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
@@ -11513,7 +11523,7 @@ static void sfemi_chunks_fill(const sfem_model *model, sfem_int e, int filler,
     for (i = 0; i < 4; ++i) block->node[i][lane] = 4 * local[t[i]];
     block->lambda[lane] = filler ? 0 : model->volume[e] * model->lambda[e];
     block->mu[lane] = filler ? 0 : model->volume[e] * model->mu[e];
-    block->volume[lane] = filler ? 0 : model->volume[e];
+    block->weight[lane] = filler ? 0 : sfemi_fem_weight(model, e);
     block->tet[lane] = e;
     if (!filler) block->count = lane + 1;
 }
@@ -11657,6 +11667,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
     model->law[e] = (unsigned char)m->law;
     model->turns |= m->law != SFEM_LINEAR;
+    model->stiffest = fmax(model->stiffest, model->lambda[e] + 2 * model->mu[e]);
     model->margin = fmax(model->margin, sfemi_fem_margin(m->law));
     model->density[e] = m->density;
     node = m->density * v / 20;
@@ -12031,7 +12042,7 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)c->copies + 2 * (size_t)c->count + 4 * (size_t)c->most * (size_t)sfemi_forces_tasks(c);
 }
 
-/* sfem_model_forces; also sum [nodes][9], the tets' rotations times their volumes added up by
+/* sfem_model_forces; also sum [nodes][9], the tets' rotations times their weights added up by
  * nodes, with spin [copies][12] as scratch, both NULL where that is not wanted. block: the
  * model's, or a body's own copy in which tets that it treats otherwise are masked. */
 static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *block,
@@ -13252,7 +13263,7 @@ static void sfemi_damage_mask(sfemi_damage *d, sfem_int e)
     if (!d->block) return;
     block = d->block + d->lane[e] / SFEMI_LANES;
     l = d->lane[e] % SFEMI_LANES;
-    block->lambda[l] = block->mu[l] = block->volume[l] = 0;
+    block->lambda[l] = block->mu[l] = block->weight[l] = 0;
     for (i = 0; i < 9; ++i) block->shape[i][l] = 0;
 }
 
@@ -13540,7 +13551,7 @@ static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
         const size_t e = (size_t)d->tet[i];
         for (a = 0; a < 4; ++a)
             for (k = 0; k < 9; ++k)
-                sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += model->volume[e] * r[9 * e + k];
+                sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += sfemi_fem_weight(model, (sfem_int)e) * r[9 * e + k];
     }
     return energy;
 }
@@ -16944,13 +16955,13 @@ static void sfemi_turn_size(sfem_body *b)
         if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
 }
 
-/* The same, 1 / sum V_e of the nodes, and whether some laws of a body that turns are linear. */
+/* The same, 1 / sum of the weights of the nodes' tets, and whether some laws of a body that turns are linear. */
 static void sfemi_turn_weigh(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
     memset(b->turn.over, 0, (size_t)model->mesh.nodes * sizeof *b->turn.over);
-    for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += model->volume[i / 4];
+    for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += sfemi_fem_weight(model, i / 4);
     for (i = 0; i < model->mesh.nodes; ++i)
         if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
     b->turn.twists = 0;
