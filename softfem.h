@@ -64,6 +64,7 @@
  *     SFEM_NO_DISPATCH   portable kernels only, whatever the processor offers
  *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
+ *     SFEM_NO_MESHIO     leave out the readers and writers of files, >>api-meshio
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -313,6 +314,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
 SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
                               sfem_int *tet, sfem_real bary[4]);
 
+#ifndef SFEM_NO_MESHIO
 /* ============================================================================================
  * >>api-meshio   files
  * ============================================================================================ */
@@ -394,6 +396,7 @@ SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err);
 #endif
+#endif /* SFEM_NO_MESHIO */
 
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
@@ -1948,7 +1951,9 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
 #if defined(SOFTFEM_IMPLEMENTATION) && !defined(SFEMI_IMPLEMENTED)
 #define SFEMI_IMPLEMENTED
 
+#ifndef SFEM_NO_MESHIO
 #include <errno.h>
+#endif
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -3703,6 +3708,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
     return 1;
 }
 
+#ifndef SFEM_NO_MESHIO
 /* ============================================================================================
  * >>meshio   readers and writers
  * ============================================================================================ */
@@ -6160,6 +6166,7 @@ done:
 }
 
 #endif /* SFEM_NO_STDIO */
+#endif /* SFEM_NO_MESHIO */
 
 /* ============================================================================================
  * >>sparse   3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
