@@ -65,6 +65,7 @@
  *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
  *     SFEM_NO_MESHIO     leave out the readers and writers of files, >>api-meshio
+ *     SFEM_NO_LINK       leave out senders and receivers, >>api-link
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -1793,6 +1794,7 @@ typedef struct sfem_modal_info {
 } sfem_modal_info;
 SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
 
+#ifndef SFEM_NO_LINK
 /* ============================================================================================
  * >>api-link   modal motion over a lossy link
  * ============================================================================================ */
@@ -1941,6 +1943,7 @@ typedef struct sfem_receiver_info {
     int64_t overflows; /* modes stopped */
 } sfem_receiver_info;
 SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver);
+#endif /* SFEM_NO_LINK */
 
 #ifdef __cplusplus
 }
@@ -27013,6 +27016,7 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
     return info;
 }
 
+#ifndef SFEM_NO_LINK
 /* ============================================================================================
  * >>link   packets of accelerations, key frames
  * ============================================================================================ */
@@ -27722,6 +27726,7 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
     info.sequence = (uint32_t)(receiver->step & 0xffffffff);
     return info;
 }
+#endif /* SFEM_NO_LINK */
 
 #ifdef __cplusplus
 }
