@@ -66,6 +66,7 @@
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
  *     SFEM_NO_MESHIO     leave out the readers and writers of files, >>api-meshio
  *     SFEM_NO_LINK       leave out senders and receivers, >>api-link
+ *     SFEM_NO_REDUCED    leave out reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -79,6 +80,10 @@
 #define SFEM_VERSION_MINOR 4
 #define SFEM_VERSION_PATCH 0
 #define SFEM_VERSION (SFEM_VERSION_MAJOR * 10000 + SFEM_VERSION_MINOR * 100 + SFEM_VERSION_PATCH)
+
+#if defined(SFEM_NO_REDUCED) && !defined(SFEM_NO_LINK)
+#error "softfem.h: senders and receivers carry the motion of modal bodies: with SFEM_NO_REDUCED define SFEM_NO_LINK too"
+#endif
 
 #ifdef SFEM_STATIC
 #if defined(__GNUC__)
@@ -1487,6 +1492,7 @@ SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL a
 
 SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(lambda) / 2 pi */
 
+#ifndef SFEM_NO_REDUCED
 /* ============================================================================================
  * >>api-reduced   modal bodies: oscillators, warping, handles
  * ============================================================================================ */
@@ -1793,6 +1799,7 @@ typedef struct sfem_modal_info {
     size_t state_bytes, body_bytes;
 } sfem_modal_info;
 SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
+#endif /* SFEM_NO_REDUCED */
 
 #ifndef SFEM_NO_LINK
 /* ============================================================================================
@@ -24123,6 +24130,7 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k)
     return sqrt(fmax(modes->lambda[k], 0.0)) / 6.283185307179586;
 }
 
+#ifndef SFEM_NO_REDUCED
 /* ============================================================================================
  * >>reduced   modal bodies: oscillators, warping, handles
  *
@@ -27015,6 +27023,7 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
     info.body_bytes = b->bytes;
     return info;
 }
+#endif /* SFEM_NO_REDUCED */
 
 #ifndef SFEM_NO_LINK
 /* ============================================================================================
@@ -28658,6 +28667,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t per, size_t k,
 }
 #undef SFEMI_OUTER
 
+#ifndef SFEM_NO_REDUCED
 /* --- modal bodies ------------------------------------------------------------------------------ */
 
 #if SFEMI_BITS == 64
@@ -28831,6 +28841,7 @@ SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, 
     }
 }
 #undef SFEMI_TERMS
+#endif /* SFEM_NO_REDUCED */
 
 /* --- four right sides ------------------------------------------------------------------------
  *
