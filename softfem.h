@@ -67,6 +67,7 @@
  *     SFEM_NO_MESHIO     leave out the readers and writers of files, >>api-meshio
  *     SFEM_NO_LINK       leave out senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    leave out reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
+ *     SFEM_NO_MODES      leave out the eigen-solver for bodies, >>api-modes; needs SFEM_NO_REDUCED
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -81,6 +82,9 @@
 #define SFEM_VERSION_PATCH 0
 #define SFEM_VERSION (SFEM_VERSION_MAJOR * 10000 + SFEM_VERSION_MINOR * 100 + SFEM_VERSION_PATCH)
 
+#if defined(SFEM_NO_MODES) && !defined(SFEM_NO_REDUCED)
+#error "softfem.h: reduced models are made of modes: with SFEM_NO_MODES define SFEM_NO_REDUCED too"
+#endif
 #if defined(SFEM_NO_REDUCED) && !defined(SFEM_NO_LINK)
 #error "softfem.h: senders and receivers carry the motion of modal bodies: with SFEM_NO_REDUCED define SFEM_NO_LINK too"
 #endif
@@ -1406,6 +1410,7 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
  * take them, turned with the intact edges there. Between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
 
+#ifndef SFEM_NO_MODES
 /* ============================================================================================
  * >>api-modes   eigenvalues and modes
  * ============================================================================================ */
@@ -1491,6 +1496,7 @@ SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *
 SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL allowed */
 
 SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(lambda) / 2 pi */
+#endif /* SFEM_NO_MODES */
 
 #ifndef SFEM_NO_REDUCED
 /* ============================================================================================
@@ -7611,9 +7617,11 @@ typedef struct sfemi_ldl_kernels {
     void (*forward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
     void (*backward8)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                       const double *, double *);
+#ifndef SFEM_NO_MODES /* only the eigen-solver has four right sides */
     void (*forward4)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
     void (*backward4)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                       const double *, double *);
+#endif
     void (*invert32)(size_t, size_t, float *, const double *);
     void (*forward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, float *);
     void (*backward32)(size_t, size_t, size_t, size_t, const float *, float *, const sfem_int *,
@@ -7625,12 +7633,16 @@ typedef struct sfemi_ldl_kernels {
 
 static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 {
+#ifndef SFEM_NO_MODES
+#define SFEMI_FOUR(p) sfemi_ldl_forward4_64_##p, sfemi_ldl_backward4_64_##p,
+#else
+#define SFEMI_FOUR(p)
+#endif
 #define SFEMI_TABLE(name, width, p)                                                                \
     {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,    \
      sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p,                      \
      sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p,                 \
-     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, sfemi_ldl_forward4_64_##p,             \
-     sfemi_ldl_backward4_64_##p, sfemi_ldl_invert_32_##p,                                          \
+     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, \
      sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p,               \
      sfemi_ldl_backward8_32_##p}
     static const sfemi_ldl_kernels table[] = {
@@ -7641,6 +7653,7 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 #endif
     };
 #undef SFEMI_TABLE
+#undef SFEMI_FOUR
     return table + path;
 }
 
@@ -8394,8 +8407,13 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         }                                                                                          \
     }
 
+#ifndef SFEM_NO_MODES
 SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
                   backward, forward4, backward4, forward8, backward8)
+#else /* no block is of four */
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8, forward8, backward8)
+#endif
 SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32,
                   panel32, forward32, backward32, forward8_32, backward8_32, forward8_32,
                   backward8_32)
@@ -9575,6 +9593,7 @@ static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfe
     return 1;
 }
 
+#ifndef SFEM_NO_MODES
 /* Plane rotations of neighbouring rows and columns make a matrix of half bandwidth 4 a tridiagonal one
  * [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
  * number that each rotation leaves outside, and the next ones chase over the edge. The columns of z
@@ -9712,6 +9731,7 @@ static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
     }
     return 1;
 }
+#endif /* SFEM_NO_MODES */
 
 /* Ascending, the columns of z with them. */
 static void sfemi_eigen_sort(size_t n, sfem_real *d, size_t rows, sfem_real *z, size_t h)
@@ -22367,6 +22387,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     return info;
 }
 
+#ifndef SFEM_NO_MODES
 /* ============================================================================================
  * >>modes   eigenvalues and modes
  * ============================================================================================ */
@@ -24129,6 +24150,7 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k)
     SFEM_ASSERT(modes && k >= 0 && k < modes->count);
     return sqrt(fmax(modes->lambda[k], 0.0)) / 6.283185307179586;
 }
+#endif /* SFEM_NO_MODES */
 
 #ifndef SFEM_NO_REDUCED
 /* ============================================================================================
@@ -28847,7 +28869,7 @@ SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, 
  *
  * Solves and products for blocks of four vectors of doubles, interleaved: what the eigen-solver works
  * with. A row is one vector of 32 bytes on every path. */
-#if SFEMI_BITS == 64
+#if SFEMI_BITS == 64 && !defined(SFEM_NO_MODES)
 #if SFEMI_PATH >= 1
 #define SFEMI_V4             __m256d
 #define SFEMI_LD4(p)         _mm256_loadu_pd(p)
