@@ -64,10 +64,18 @@
  *     SFEM_NO_DISPATCH   portable kernels only, whatever the processor offers
  *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
- *     SFEM_NO_MESHIO     leave out the readers and writers of files, >>api-meshio
- *     SFEM_NO_LINK       leave out senders and receivers, >>api-link
- *     SFEM_NO_REDUCED    leave out reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
- *     SFEM_NO_MODES      leave out the eigen-solver for bodies, >>api-modes; needs SFEM_NO_REDUCED
+ *     SFEM_DEF           what stands before every public function, instead of extern: a visibility, dllexport
+ *                        where the implementation is compiled and dllimport elsewhere. It may differ between files
+ *
+ * PARTS that a program does not use can be left out, which makes the object smaller and compiles faster. What is left
+ * out is not declared either. A file that uses a part which the implementation was compiled without does not link.
+ *
+ *     SFEM_NO_MESHIO     without readers and writers of files, >>api-meshio
+ *     SFEM_NO_LINK       without senders and receivers, >>api-link
+ *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
+ *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
+ *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK (with both)
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -82,6 +90,34 @@
 #define SFEM_VERSION_PATCH 0
 #define SFEM_VERSION (SFEM_VERSION_MAJOR * 10000 + SFEM_VERSION_MINOR * 100 + SFEM_VERSION_PATCH)
 
+/* Which parts there are: SFEM_NO_x is defined of each that is left out. */
+#ifdef SFEM_MINIMAL
+#if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
+#define SFEM_NO_MESHIO
+#endif
+#if !defined(SFEM_NO_LINK) && !defined(SFEM_ENABLE_LINK)
+#define SFEM_NO_LINK
+#endif
+#if !defined(SFEM_NO_REDUCED) && !defined(SFEM_ENABLE_REDUCED) && !defined(SFEM_ENABLE_LINK)
+#define SFEM_NO_REDUCED
+#endif
+#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES) && !defined(SFEM_ENABLE_REDUCED) && \
+    !defined(SFEM_ENABLE_LINK)
+#define SFEM_NO_MODES
+#endif
+#endif
+#if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
+#error "softfem.h: SFEM_ENABLE_MESHIO and SFEM_NO_MESHIO are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_LINK) && defined(SFEM_NO_LINK)
+#error "softfem.h: SFEM_ENABLE_LINK and SFEM_NO_LINK are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_REDUCED) && defined(SFEM_NO_REDUCED)
+#error "softfem.h: SFEM_ENABLE_REDUCED and SFEM_NO_REDUCED are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_MODES) && defined(SFEM_NO_MODES)
+#error "softfem.h: SFEM_ENABLE_MODES and SFEM_NO_MODES are both defined: define only one of them"
+#endif
 #if defined(SFEM_NO_MODES) && !defined(SFEM_NO_REDUCED)
 #error "softfem.h: reduced models are made of modes: with SFEM_NO_MODES define SFEM_NO_REDUCED too"
 #endif
@@ -89,6 +125,9 @@
 #error "softfem.h: senders and receivers carry the motion of modal bodies: with SFEM_NO_REDUCED define SFEM_NO_LINK too"
 #endif
 
+#if defined(SFEM_STATIC) && defined(SFEM_DEF)
+#error "softfem.h: SFEM_STATIC and SFEM_DEF are both defined: define only one of them"
+#endif
 #ifdef SFEM_STATIC
 #if defined(__GNUC__)
 #define SFEM_DEF static __attribute__((unused))
@@ -98,7 +137,7 @@
 #else
 #define SFEM_DEF static
 #endif
-#else
+#elif !defined(SFEM_DEF)
 #define SFEM_DEF extern
 #endif
 
