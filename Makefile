@@ -104,6 +104,9 @@ examples: $(EXAMPLE_PROGRAMS) ## build every example
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
 	@BUILD=$(BUILD)/strict sh tests/strict.sh
 
+sizes: ## bytes of the object and time to compile it: whole, without each part, for three uses
+	@BUILD=$(BUILD)/sizes CC='$(CC)' sh tests/sizes.sh
+
 # without the emulation of other vector paths, which would take as long as all the rest, and without the
 # checks of single pointers, which the address sanitizer does for what they point at
 comma := ,

@@ -64,6 +64,18 @@
  *     SFEM_NO_DISPATCH   portable kernels only, whatever the processor offers
  *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
+ *     SFEM_DEF           what stands before every public function, instead of extern: a visibility, dllexport
+ *                        where the implementation is compiled and dllimport elsewhere. It may differ between files
+ *
+ * PARTS that a program does not use can be left out, which makes the object smaller and compiles faster. What is left
+ * out is not declared either. A file that uses a part which the implementation was compiled without does not link.
+ *
+ *     SFEM_NO_MESHIO     without readers and writers of files, >>api-meshio
+ *     SFEM_NO_LINK       without senders and receivers, >>api-link
+ *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
+ *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
+ *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK (with both)
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -78,6 +90,44 @@
 #define SFEM_VERSION_PATCH 0
 #define SFEM_VERSION (SFEM_VERSION_MAJOR * 10000 + SFEM_VERSION_MINOR * 100 + SFEM_VERSION_PATCH)
 
+/* Which parts there are: SFEM_NO_x is defined of each that is left out. */
+#ifdef SFEM_MINIMAL
+#if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
+#define SFEM_NO_MESHIO
+#endif
+#if !defined(SFEM_NO_LINK) && !defined(SFEM_ENABLE_LINK)
+#define SFEM_NO_LINK
+#endif
+#if !defined(SFEM_NO_REDUCED) && !defined(SFEM_ENABLE_REDUCED) && !defined(SFEM_ENABLE_LINK)
+#define SFEM_NO_REDUCED
+#endif
+#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES) && !defined(SFEM_ENABLE_REDUCED) && \
+    !defined(SFEM_ENABLE_LINK)
+#define SFEM_NO_MODES
+#endif
+#endif
+#if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
+#error "softfem.h: SFEM_ENABLE_MESHIO and SFEM_NO_MESHIO are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_LINK) && defined(SFEM_NO_LINK)
+#error "softfem.h: SFEM_ENABLE_LINK and SFEM_NO_LINK are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_REDUCED) && defined(SFEM_NO_REDUCED)
+#error "softfem.h: SFEM_ENABLE_REDUCED and SFEM_NO_REDUCED are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_MODES) && defined(SFEM_NO_MODES)
+#error "softfem.h: SFEM_ENABLE_MODES and SFEM_NO_MODES are both defined: define only one of them"
+#endif
+#if defined(SFEM_NO_MODES) && !defined(SFEM_NO_REDUCED)
+#error "softfem.h: reduced models are made of modes: with SFEM_NO_MODES define SFEM_NO_REDUCED too"
+#endif
+#if defined(SFEM_NO_REDUCED) && !defined(SFEM_NO_LINK)
+#error "softfem.h: senders and receivers carry the motion of modal bodies: with SFEM_NO_REDUCED define SFEM_NO_LINK too"
+#endif
+
+#if defined(SFEM_STATIC) && defined(SFEM_DEF)
+#error "softfem.h: SFEM_STATIC and SFEM_DEF are both defined: define only one of them"
+#endif
 #ifdef SFEM_STATIC
 #if defined(__GNUC__)
 #define SFEM_DEF static __attribute__((unused))
@@ -87,7 +137,7 @@
 #else
 #define SFEM_DEF static
 #endif
-#else
+#elif !defined(SFEM_DEF)
 #define SFEM_DEF extern
 #endif
 
@@ -313,6 +363,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
 SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
                               sfem_int *tet, sfem_real bary[4]);
 
+#ifndef SFEM_NO_MESHIO
 /* ============================================================================================
  * >>api-meshio   files
  * ============================================================================================ */
@@ -394,6 +445,7 @@ SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err);
 #endif
+#endif /* SFEM_NO_MESHIO */
 
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
@@ -1397,6 +1449,7 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
  * take them, turned with the intact edges there. Between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
 
+#ifndef SFEM_NO_MODES
 /* ============================================================================================
  * >>api-modes   eigenvalues and modes
  * ============================================================================================ */
@@ -1482,7 +1535,9 @@ SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *
 SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL allowed */
 
 SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(lambda) / 2 pi */
+#endif /* SFEM_NO_MODES */
 
+#ifndef SFEM_NO_REDUCED
 /* ============================================================================================
  * >>api-reduced   modal bodies: oscillators, warping, handles
  * ============================================================================================ */
@@ -1789,7 +1844,9 @@ typedef struct sfem_modal_info {
     size_t state_bytes, body_bytes;
 } sfem_modal_info;
 SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
+#endif /* SFEM_NO_REDUCED */
 
+#ifndef SFEM_NO_LINK
 /* ============================================================================================
  * >>api-link   modal motion over a lossy link
  * ============================================================================================ */
@@ -1938,6 +1995,7 @@ typedef struct sfem_receiver_info {
     int64_t overflows; /* modes stopped */
 } sfem_receiver_info;
 SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver);
+#endif /* SFEM_NO_LINK */
 
 #ifdef __cplusplus
 }
@@ -1948,7 +2006,9 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
 #if defined(SOFTFEM_IMPLEMENTATION) && !defined(SFEMI_IMPLEMENTED)
 #define SFEMI_IMPLEMENTED
 
+#ifndef SFEM_NO_MESHIO
 #include <errno.h>
+#endif
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -3703,6 +3763,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
     return 1;
 }
 
+#ifndef SFEM_NO_MESHIO
 /* ============================================================================================
  * >>meshio   readers and writers
  * ============================================================================================ */
@@ -6160,6 +6221,7 @@ done:
 }
 
 #endif /* SFEM_NO_STDIO */
+#endif /* SFEM_NO_MESHIO */
 
 /* ============================================================================================
  * >>sparse   3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
@@ -7594,9 +7656,11 @@ typedef struct sfemi_ldl_kernels {
     void (*forward8)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
     void (*backward8)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                       const double *, double *);
+#ifndef SFEM_NO_MODES /* only the eigen-solver has four right sides */
     void (*forward4)(size_t, size_t, size_t, const double *, double *, const sfem_int *, double *);
     void (*backward4)(size_t, size_t, size_t, size_t, const double *, double *, const sfem_int *,
                       const double *, double *);
+#endif
     void (*invert32)(size_t, size_t, float *, const double *);
     void (*forward32)(size_t, size_t, size_t, const float *, float *, const sfem_int *, float *);
     void (*backward32)(size_t, size_t, size_t, size_t, const float *, float *, const sfem_int *,
@@ -7608,12 +7672,16 @@ typedef struct sfemi_ldl_kernels {
 
 static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 {
+#ifndef SFEM_NO_MODES
+#define SFEMI_FOUR(p) sfemi_ldl_forward4_64_##p, sfemi_ldl_backward4_64_##p,
+#else
+#define SFEMI_FOUR(p)
+#endif
 #define SFEMI_TABLE(name, width, p)                                                                \
     {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,    \
      sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p,                      \
      sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p,                 \
-     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, sfemi_ldl_forward4_64_##p,             \
-     sfemi_ldl_backward4_64_##p, sfemi_ldl_invert_32_##p,                                          \
+     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, \
      sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p,               \
      sfemi_ldl_backward8_32_##p}
     static const sfemi_ldl_kernels table[] = {
@@ -7624,6 +7692,7 @@ static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
 #endif
     };
 #undef SFEMI_TABLE
+#undef SFEMI_FOUR
     return table + path;
 }
 
@@ -8377,8 +8446,13 @@ SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
         }                                                                                          \
     }
 
+#ifndef SFEM_NO_MODES
 SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
                   backward, forward4, backward4, forward8, backward8)
+#else /* no block is of four */
+SFEMI_SOLVE_TASKS(double, sfemi_solve_forward, sfemi_solve_backward, w, scratch, l, panel, forward,
+                  backward, forward8, backward8, forward8, backward8)
+#endif
 SFEMI_SOLVE_TASKS(float, sfemi_solve_forward32, sfemi_solve_backward32, w32, scratch32, l32,
                   panel32, forward32, backward32, forward8_32, backward8_32, forward8_32,
                   backward8_32)
@@ -9558,6 +9632,7 @@ static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfe
     return 1;
 }
 
+#ifndef SFEM_NO_MODES
 /* Plane rotations of neighbouring rows and columns make a matrix of half bandwidth 4 a tridiagonal one
  * [Schwarz 1968]: a(j + k, j) stands in a [n][8] at 8 j + k, k <= 5, where the fifth is room for the
  * number that each rotation leaves outside, and the next ones chase over the edge. The columns of z
@@ -9695,6 +9770,7 @@ static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
     }
     return 1;
 }
+#endif /* SFEM_NO_MODES */
 
 /* Ascending, the columns of z with them. */
 static void sfemi_eigen_sort(size_t n, sfem_real *d, size_t rows, sfem_real *z, size_t h)
@@ -22361,6 +22437,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     return info;
 }
 
+#ifndef SFEM_NO_MODES
 /* ============================================================================================
  * >>modes   eigenvalues and modes
  * ============================================================================================ */
@@ -24123,7 +24200,9 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k)
     SFEM_ASSERT(modes && k >= 0 && k < modes->count);
     return sqrt(fmax(modes->lambda[k], 0.0)) / 6.283185307179586;
 }
+#endif /* SFEM_NO_MODES */
 
+#ifndef SFEM_NO_REDUCED
 /* ============================================================================================
  * >>reduced   modal bodies: oscillators, warping, handles
  *
@@ -27016,7 +27095,9 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
     info.body_bytes = b->bytes;
     return info;
 }
+#endif /* SFEM_NO_REDUCED */
 
+#ifndef SFEM_NO_LINK
 /* ============================================================================================
  * >>link   packets of accelerations, key frames
  * ============================================================================================ */
@@ -27726,6 +27807,7 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
     info.sequence = (uint32_t)(receiver->step & 0xffffffff);
     return info;
 }
+#endif /* SFEM_NO_LINK */
 
 #ifdef __cplusplus
 }
@@ -28657,6 +28739,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t per, size_t k,
 }
 #undef SFEMI_OUTER
 
+#ifndef SFEM_NO_REDUCED
 /* --- modal bodies ------------------------------------------------------------------------------ */
 
 #if SFEMI_BITS == 64
@@ -28830,12 +28913,13 @@ SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, 
     }
 }
 #undef SFEMI_TERMS
+#endif /* SFEM_NO_REDUCED */
 
 /* --- four right sides ------------------------------------------------------------------------
  *
  * Solves and products for blocks of four vectors of doubles, interleaved: what the eigen-solver works
  * with. A row is one vector of 32 bytes on every path. */
-#if SFEMI_BITS == 64
+#if SFEMI_BITS == 64 && !defined(SFEM_NO_MODES)
 #if SFEMI_PATH >= 1
 #define SFEMI_V4             __m256d
 #define SFEMI_LD4(p)         _mm256_loadu_pd(p)

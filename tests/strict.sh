@@ -4,12 +4,15 @@
 #
 # Each of compilers x standards x switches builds two files that share the header: impl.c defines
 # the implementation twice, user.c includes the header twice and calls it. Both are linked and run.
+# The switches that leave parts out are checked by -fsyntax-only, which takes a third of the time, but for three builds.
 set -u
 cd "$(dirname "$0")/.." || exit 1
 BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
+PARTS='SFEM_NO_MESHIO SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MODES
+    SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -28,6 +31,10 @@ switch_flags() {
     O2 | O3) echo "-$1" ;;
     m32) echo -m32 -mfpmath=387 ;; # where there is more than double precision in between
     openmp) echo -fopenmp ;;
+    SFEM_NO_REDUCED) echo -DSFEM_NO_REDUCED -DSFEM_NO_LINK ;;
+    SFEM_NO_MODES) echo -DSFEM_NO_MODES -DSFEM_NO_REDUCED -DSFEM_NO_LINK ;;
+    SFEM_ENABLE_*) echo -DSFEM_MINIMAL "-D$1" ;;
+    SFEM_DEF) echo '-DSFEM_DEF=__attribute__((visibility("hidden")))' ;;
     *) echo "-D$1" ;;
     esac
 }
@@ -42,10 +49,32 @@ symbols() {
     [ -z "$kept" ] || { echo "variables that outlive a call:" $kept; return 1; }
 }
 
+# whole COMPILER STANDARD SWITCH: is it built, linked and run, or is only its syntax checked?
+whole() {
+    case $3-$1-$2 in SFEM_MINIMAL-gcc*-c99 | SFEM_NO_MESHIO-clang*-c99 | SFEM_ENABLE_REDUCED-clang*-c++11) return 0 ;; esac
+    for part in $PARTS; do
+        [ "$part" != "$3" ] || return 1
+    done
+}
+
+# lacks OUT COMPILER STANDARD: a file that uses a part which the implementation was compiled without does not link
+lacks() {
+    $(command_for "$2" "$3") -I. -c -o "$1-more.o" "$BUILD/user.c" || return 1
+    if $link -o "$1-more" "$1-more.o" "$1-impl.o" -lm 2>"$1-more.log"; then
+        echo 'links without a part that it uses'; return 1
+    fi
+    grep -q sfem_mesh_parse "$1-more.log" && rm -f "$1-more.o" "$1-more.log"
+}
+
 one() { # COMPILER STANDARD SWITCH
     compile="$(command_for "$1" "$2") $(switch_flags "$3") -I."
     link="$(command_for "$1" "$2" | cut -d' ' -f1) $(switch_flags "$3")"
     out=$BUILD/$1-$2-$3
+    if ! whole "$1" "$2" "$3"; then
+        $compile -fsyntax-only "$BUILD/impl.c" >"$out.log" 2>&1 ||
+            { echo "FAILED: $1 $2 $3"; head -n 40 "$out.log"; return 1; }
+        return
+    fi
     {
         $compile -c -o "$out-impl.o" "$BUILD/impl.c" &&
         $compile -c -o "$out-user.o" "$BUILD/user.c" &&
@@ -54,7 +83,8 @@ one() { # COMPILER STANDARD SWITCH
             $compile -DSOFTFEM_IMPLEMENTATION -DCALL -c -o "$out-user.o" "$BUILD/user.c"
         fi &&
         $link -o "$out" "$out-user.o" "$out-impl.o" -lm &&
-        "$out"
+        "$out" &&
+        if [ "$3" = SFEM_MINIMAL ]; then lacks "$out" "$1" "$2"; fi
     } >"$out.log" 2>&1 || { echo "FAILED: $1 $2 $3"; head -n 40 "$out.log"; return 1; }
     rm -f "$out" "$out-impl.o" "$out-user.o"
 }
@@ -64,18 +94,84 @@ if [ $# = 3 ]; then one "$@" || exit 255; exit; fi # 255: xargs starts no more
 mkdir -p "$BUILD"
 printf '%s\n' '#define SOFTFEM_IMPLEMENTATION' '#include "softfem.h"' \
     '#define SOFTFEM_IMPLEMENTATION' '#include "softfem.h"' >"$BUILD/impl.c"
-printf '%s\n' '#include "softfem.h"' '#include "softfem.h"' \
-    '#if defined(SFEM_STATIC) && !defined(CALL)' \
-    'int main(void) { return 0; }' \
-    '#else' \
-    'int main(void)' '{' \
-    '    static const char text[] = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n1 0 0 0\n2 1 0 0\n"' \
-    '        "3 0 1 0\n4 0 0 1\n$EndNodes\n$Elements\n1\n1 4 0 1 2 3 4\n$EndElements\n";' \
-    '    sfem_mesh mesh;' \
-    '    const int failed = sfem_mesh_parse(text, sizeof text - 1, 0, &mesh, 0) != SFEM_OK || mesh.tets != 1;' \
-    '    if (!failed) sfem_mesh_free(&mesh);' \
-    '    return failed;' '}' \
-    '#endif' >"$BUILD/user.c"
+cat >"$BUILD/user.c" <<'END'
+#include "softfem.h"
+#include "softfem.h"
+#if defined(SFEM_STATIC) && !defined(CALL)
+int main(void) { return 0; }
+#else
+static int reads(sfem_mesh *mesh)
+{
+#ifndef SFEM_NO_MESHIO
+    static const char text[] = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n1 0 0 0\n2 1 0 0\n"
+        "3 0 1 0\n4 0 0 1\n$EndNodes\n$Elements\n1\n1 4 0 1 2 3 4\n$EndElements\n";
+    if (sfem_mesh_parse(text, sizeof text - 1, 0, mesh, 0) != SFEM_OK || mesh->tets != 1) return 0;
+    sfem_mesh_free(mesh);
+#endif
+    (void)mesh;
+    return 1;
+}
+
+static int steps(sfem_model *model) /* a body, and in its modes */
+{
+    sfem_body_def def = sfem_default_body_def();
+    sfem_body *body = 0;
+    int good = sfem_body_create(model, &def, &body, 0) == SFEM_OK && sfem_body_step(body, 0.01, 0) == SFEM_OK;
+    sfem_body_free(body);
+#ifndef SFEM_NO_REDUCED
+    {
+        sfem_modes_def modes_def = sfem_default_modes_def();
+        sfem_reduced_def reduced_def = sfem_default_reduced_def();
+        sfem_modal_def modal_def = sfem_default_modal_def();
+        sfem_modes modes;
+        sfem_reduced *reduced = 0;
+        sfem_modal *modal = 0;
+        modes_def.modes = 3;
+        modes_def.rigid = 1;
+        if (sfem_modes_create(model, &modes_def, &modes, 0) != SFEM_OK) return 0;
+        good &= sfem_reduced_create(model, &modes, &reduced_def, &reduced, 0) == SFEM_OK &&
+                sfem_modal_create(reduced, &modal_def, &modal, 0) == SFEM_OK &&
+                sfem_modal_step(modal, 0.01, 0) == SFEM_OK;
+        sfem_modal_free(modal);
+        sfem_reduced_free(reduced);
+        sfem_modes_free(&modes);
+    }
+#endif
+#ifndef SFEM_NO_LINK
+    good &= sfem_default_link_def().modes == 0;
+#endif
+    return good;
+}
+
+int main(void)
+{
+    const sfem_int cells[3] = {2, 1, 1};
+    const sfem_real size[3] = {2, 1, 1};
+    sfem_model_def def = sfem_default_model_def();
+    sfem_mesh mesh;
+    sfem_model *model;
+    int good = reads(&mesh);
+    if (sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, 0, &mesh, 0) != SFEM_OK) return 1;
+    def.mesh = &mesh;
+    def.material.law = SFEM_COROTATIONAL;
+    if (sfem_model_create(&def, &model, 0) != SFEM_OK) return 1;
+    good &= steps(model);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+    return !good;
+}
+#endif
+END
+
+# switches that contradict each other are refused with a sentence
+for compiler in $COMPILERS; do
+    command=$(command_for "$compiler" c99) || continue
+    for switches in SFEM_NO_MODES SFEM_NO_REDUCED 'SFEM_NO_MODES -DSFEM_NO_LINK' \
+        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_MINIMAL -DSFEM_ENABLE_REDUCED -DSFEM_NO_MODES' 'SFEM_STATIC -DSFEM_DEF='; do
+        $command -I. -E -D$switches -o /dev/null "$BUILD/user.c" 2>&1 | grep -q 'error.*softfem[.]h: .* define ' ||
+            { echo "FAILED: $compiler accepts $switches"; exit 1; }
+    done
+done
 
 # what is there to compile with
 jobs=$BUILD/jobs
@@ -84,7 +180,7 @@ for compiler in $COMPILERS; do
     for standard in $STANDARDS; do
         command=$(command_for "$compiler" "$standard") || {
             echo "left out: $compiler $standard is not installed"; continue; }
-        for switch in $SWITCHES; do
+        for switch in $SWITCHES $PARTS; do
             case $switch-$standard in # the switches matter less between standards than to each
             plain-* | *-c99 | *-c++11) ;;
             *) continue ;;
@@ -112,8 +208,8 @@ for compiler in $COMPILERS; do
     for file in examples/*.c tests/test_*.c bench/*.c; do
         [ -f "$file" ] || continue
         case $file in tests/*) [ -f /usr/include/cmocka.h ] || continue ;; esac
-        $command -fsyntax-only -I. '-DSFEM_BENCH_FLAGS=""' "$file" ||
-            { echo "FAILED: $compiler $file"; exit 1; }
-    done
+        echo "$file"
+    done | xargs -P "$(nproc 2>/dev/null || echo 2)" -I@ sh -c "$command -fsyntax-only -I. '-DSFEM_BENCH_FLAGS=\"\"' @ ||
+        { echo 'FAILED: $compiler @'; exit 255; }" || exit 1
 done
 echo "no warning in $(wc -l <"$jobs") builds"
