@@ -29231,7 +29231,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  * CHANGES
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
- *           forces with (p,q,r); Medit meshes; states saved by 0.3.0 are refused
+ *           forces with (p,q,r); Medit meshes; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
  *           oscillators; redone steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed

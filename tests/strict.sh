@@ -51,7 +51,9 @@ symbols() {
 
 # whole COMPILER STANDARD SWITCH: is it built, linked and run, or is only its syntax checked?
 whole() {
-    case $3-$1-$2 in SFEM_MINIMAL-gcc*-c99 | SFEM_NO_MESHIO-clang*-c99 | SFEM_ENABLE_REDUCED-clang*-c++11) return 0 ;; esac
+    case $3-$1-$2 in
+    SFEM_MINIMAL-gcc*-c99 | SFEM_NO_MESHIO-clang*-c99 | SFEM_ENABLE_REDUCED-clang*-c++11) return 0 ;;
+    esac
     for part in $PARTS; do
         [ "$part" != "$3" ] || return 1
     done
@@ -167,7 +169,8 @@ END
 for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
     for switches in SFEM_NO_MODES SFEM_NO_REDUCED 'SFEM_NO_MODES -DSFEM_NO_LINK' \
-        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_MINIMAL -DSFEM_ENABLE_REDUCED -DSFEM_NO_MODES' 'SFEM_STATIC -DSFEM_DEF='; do
+        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_MINIMAL -DSFEM_ENABLE_REDUCED -DSFEM_NO_MODES' \
+        'SFEM_STATIC -DSFEM_DEF='; do
         $command -I. -E -D$switches -o /dev/null "$BUILD/user.c" 2>&1 | grep -q 'error.*softfem[.]h: .* define ' ||
             { echo "FAILED: $compiler accepts $switches"; exit 1; }
     done
