@@ -863,6 +863,7 @@ static void model_forces_are_the_sum_over_tets(void **state)
                 double *sum = (double *)calloc(3 * (size_t)b.mesh->nodes, sizeof *sum);
                 double *spin = (double *)calloc(12 * (size_t)b.model->chunks.copies, sizeof *spin);
                 double *spins = (double *)calloc(18 * (size_t)b.mesh->nodes, sizeof *spins);
+                double stiffest = 0;
                 double energy = 0, got, r[9], f[9], x[12], u[12], force[12];
                 sfem_int t, inverted = 0, counted = -1;
                 int a, i;
@@ -895,6 +896,8 @@ static void model_forces_are_the_sum_over_tets(void **state)
                         counted += (sfem_int)job.inverted[t];
                     }
                 }
+                for (t = 0; t < b.mesh->tets; ++t)
+                    stiffest = fmax(stiffest, b.model->lambda[t] + 2 * b.model->mu[t]);
                 for (t = 0; t < b.mesh->tets; ++t) {
                     sfem_real l, m;
                     sfem_law tet_law;
@@ -908,10 +911,11 @@ static void model_forces_are_the_sum_over_tets(void **state)
                     sfem_polar(f, r, NULL);
                     for (i = 0; i < 9; ++i)
                         assert_near(b.rotation[9 * t + i], tet_law ? r[i] : i % 4 == 0, 0, 1e-11);
-                    for (a = 0; a < 4; ++a) /* the second half is the sum of V R by nodes */
+                    for (a = 0; a < 4; ++a) /* the second half: V R by nodes, times lambda + 2 mu over the largest */
                         for (i = 0; i < 9; ++i)
                             spins[9 * (b.mesh->nodes + b.mesh->tet[4 * t + a]) + i] +=
-                                b.model->volume[t] * b.rotation[9 * t + i];
+                                b.model->volume[t] * (b.model->lambda[t] + 2 * b.model->mu[t]) / stiffest *
+                                b.rotation[9 * t + i];
                 }
                 assert_all_near(spins, spins + 9 * b.mesh->nodes, 9 * b.mesh->nodes, 1e-12, 0);
                 free(spin);
