@@ -1149,8 +1149,8 @@ typedef struct sfem_body_def {
     sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.1
                                * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: work a step on a factor of the present
-                               * tangent, over that of a step of one solve, see sfem_body_refactorise. 4 halves
-                               * the solves of a step on meshes with slivers; 0, the default: none, no memory */
+                               * tangent, over that of a step of one solve, see sfem_body_refactorise. 4 saves
+                               * a third of the solves on meshes with slivers; 0, the default: none, no memory */
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark. KR-alpha takes
                                * (F + rho_inf F-)/(1 + rho_inf) */
@@ -1331,7 +1331,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  * for bit on any number of threads. The finished factor is taken between two steps: w, the forces and the energy
  * budget stay. Handles cost three solves for each of their nodes in that step. Asking again starts over. A matrix that
  * is not positive definite is given up, and counted as failed.
- *   cost    of all: as 10 to 20 corrections (armadillo, 3 700 tets: 4 ms)
+ *   cost    of all: that of 10 to 20 corrections
  *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
  *   dropped by sfem_body_set_state and _load, static solutions, steps of another length and other pins: the body goes
  *           on with the rest pose's factor. A saved state holds no factor: to go on from it with the same bits as the
@@ -13625,9 +13625,10 @@ static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
     energy += sfemi_damage_forces(d, u, force, r, inverted, exec);
     for (i = 0; sum && i < d->tets; ++i) {
         const size_t e = (size_t)d->tet[i];
+        const sfem_real weight = sfemi_fem_weight(model, d->tet[i]);
         for (a = 0; a < 4; ++a)
             for (k = 0; k < 9; ++k)
-                sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += sfemi_fem_weight(model, (sfem_int)e) * r[9 * e + k];
+                sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += weight * r[9 * e + k];
     }
     return energy;
 }
@@ -15272,7 +15273,7 @@ struct sfem_body {
     int fresh;           /* the state being that of a running body; w otherwise */
     int bridges;         /* >>resume: the step is one of another method */
     int falls;           /* >>resume: velocity is to be taken from the right side */
-    int parts;           /* >>resume: the step starts from m = r M w, not from A w */
+    int starts_from_mass; /* >>resume: the step starts from m = r M w, not from A w */
     sfemi_implicit implicit;
     sfemi_refactor refactor;
 };
@@ -17555,17 +17556,17 @@ static int sfemi_resume_bounded(const sfem_body *b)
     return b->turns && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_MAJORANT);
 }
 
-/* Is there a B that is not known, see 3? */
-static int sfemi_resume_is_lost(const sfem_body *b)
+/* Does the projection of free pieces change B, so that it is not at hand? See 3. */
+static int sfemi_resume_inertia_is_unknown(const sfem_body *b)
 {
     return sfemi_resume_bounded(b) && sfemi_turn_projects(b);
 }
 
-/* Is a step of h that of another method for that reason? */
-static int sfemi_resume_gives_up(const sfem_body *b, sfem_real h)
+/* Is backward Euler's step taken in place of one of h for that reason? */
+static int sfemi_resume_falls_back(const sfem_body *b, sfem_real h)
 {
     return sfemi_resume_serves(b) && b->def.integrator == SFEM_PQR && !b->def.no_guard &&
-           b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_is_lost(b);
+           b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_inertia_is_unknown(b);
 }
 
 /* B = k K + bound (K in A) + m M + d (rest of D). */
@@ -17969,15 +17970,15 @@ static int sfemi_resume_change(sfem_body *b, sfem_real h)
     sfem_real *v;
     size_t i;
     int change;
-    b->fresh = b->parts = 0;
+    b->fresh = b->starts_from_mass = 0;
     if (!sfemi_resume_serves(b) || s->head->started < SFEMI_RESTARTED) return 0;
     v = b->spare + 4 * n; /* only bodies that this serves have it */
     from = sfemi_resume_inertia(b, s->head->h, s->head->p);
     to = sfemi_resume_inertia(b, h, sfemi_body_coefficients(b, b->p).p);
     change = sfemi_resume_compare(b, &from, &to);
     if (b->base) return 0;
-    if (!newmark && sfemi_resume_is_lost(b)) {
-        b->parts = s->head->started == SFEMI_RESTARTED;
+    if (!newmark && sfemi_resume_inertia_is_unknown(b)) {
+        b->starts_from_mass = s->head->started == SFEMI_RESTARTED;
         return 0;
     }
     if (s->head->started == SFEMI_RESTARTED && !newmark) { /* m is the lesser B v, not r M v */
@@ -18495,7 +18496,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     t = sfemi_pqr_weigh(b, h);
     force = sfemi_correct_forecast(b);
     if (force != s->f) t.ck = 0;
-    if (b->parts) t.cd -= k.q; /* A w' = r M w + ..; the rest of A w is left out */
+    if (b->starts_from_mass) t.cd -= k.q; /* A w' = r M w + ..; the rest of A w is left out */
     if (b->base) {
         sfemi_guard_predict_alpha(b, h, t.back);
         t.ck = 0; /* forces at the end of the last step are at hand */
@@ -18515,7 +18516,7 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     if (stiff) {
         const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
         for (i = 0; i < n; ++i) {
-            const sfem_real ck = b->parts && !(b->mask[i / 3] >> (i % 3) & 1) ? 0 : t.ck;
+            const sfem_real ck = b->starts_from_mass && !(b->mask[i / 3] >> (i % 3) & 1) ? 0 : t.ck;
             b->zk[i] = (b->beta * t.cd - ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
         }
         for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
@@ -18538,12 +18539,12 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     sfemi_correct_brake(b, &t);
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     sfemi_resume_lessen(b, b->falls, t.d, b->rhs);
-    for (i = 0; b->parts && i < n; ++i) b->rhs[i] += k.r * model->node_mass[i / 3] * s->w[i] / t.d;
+    for (i = 0; b->starts_from_mass && i < n; ++i) b->rhs[i] += k.r * model->node_mass[i / 3] * s->w[i] / t.d;
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
 
 /* x -= part P w, P taking out the rigid motion of free pieces. */
-static void sfemi_guard_take_motion(sfem_body *b, sfem_real part, sfem_real *x)
+static void sfemi_guard_subtract_velocity(sfem_body *b, sfem_real part, sfem_real *x)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t i;
@@ -18577,7 +18578,7 @@ static void sfemi_guard_try(sfem_body *b)
     sfemi_turn_solve_pushed(b, f, b->state.u, b->state.frame, !b->base, x);
     ++b->state.head->solves;
     for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
-    if (b->parts) sfemi_guard_take_motion(b, 1 / t.d, x);
+    if (b->starts_from_mass) sfemi_guard_subtract_velocity(b, 1 / t.d, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
     if (b->grip.count) {
@@ -19669,7 +19670,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const sfem_real before = head->budget;
     sfem_status status;
     sfem_real budget;
-    const int other = sfemi_resume_gives_up(b, b->step);
+    const int other = sfemi_resume_falls_back(b, b->step);
     g->rejected = g->measured = 0;
     if (other) head->budget = head->last;
     if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && (b->model->turns || sfemi_correct_serves(b) || other)) {
@@ -20808,8 +20809,7 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
                                              : b->def.p;
     if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
-        const sfem_real a = b->def.dissipation;
-        *p = sfemi_correct_serves(b) ? (1 + a) * (1 + a) * (1 - a) / 4 : b->model->margin;
+        *p = sfemi_correct_serves(b) ? sfemi_guard_weight(b) : b->model->margin;
         *p = fmax(*p, sfemi_fracture_least_p(b));
     }
     if (*p < sfemi_fracture_least_p(b))
@@ -29231,7 +29231,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  * CHANGES
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
- *           forces with (p,q,r); Medit meshes; switches that leave parts out; states saved by 0.3.0 are refused
+ *           forces with (p,q,r); refactorise in place of renew; Medit meshes; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
  *           oscillators; redone steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
