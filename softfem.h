@@ -21422,7 +21422,7 @@ static int sfemi_state_hold_sound(const sfemi_hold *hold)
 static int sfemi_state_handle_sound(const sfem_model *model, const sfemi_handle *h)
 {
     int c;
-    if (!h->used) return 1;
+    if (h->used != 1) return h->used == 0;
     if (!sfemi_state_hold_sound(&h->hold) || !sfemi_all_finite(h->weight, 4) ||
         !(fabs(h->weight[0] + h->weight[1] + h->weight[2] + h->weight[3] - 1) <= 1e-6))
         return 0;
@@ -26974,8 +26974,8 @@ static int sfemi_modal_handles_sound(const sfem_modal *b, const sfemi_modal_head
     sfem_int i, j, used = 0, places = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         const sfemi_modal_handle h = sfemi_modal_handle_at(at, i);
-        if (!h.used) continue;
-        if (h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
+        if (h.used == 0) continue;
+        if (h.used != 1 || h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
             h.count > head->handle_nodes - places || !sfemi_all_finite(h.target, 3))
             return 0;
         for (j = 0; j < i; ++j) {

@@ -189,6 +189,8 @@ static void a_body_block_with_a_number_out_of_its_range_is_refused(void **state)
     refuse_body(&m, "a handle");
     v->handle[0].hold.age = -1;
     refuse_body(&m, "a handle");
+    v->handle[0].used = 2147483647; /* they are counted by adding these up */
+    refuse_body(&m, "a handle");
     v->pin[1].past[0] = NAN;
     refuse_body(&m, "a pin");
     v->force[2][35] = INFINITY;

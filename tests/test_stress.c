@@ -24,6 +24,7 @@ static void survive(stress_family family, stress_form form, int steps)
 {
     stress_scene s;
     int k, runs = 0;
+    if (TEST_SANITIZED && (family == STRESS_STIFF || family == STRESS_SLIVER)) skip(); /* minutes, by the same code */
     for (k = 0; stress_fixed(k, &s); ++k) {
         stress_result r;
         if (s.family != family || k % 3 != 1) continue;
@@ -117,6 +118,7 @@ static void knotted_and_torn_bars_come_to_rest(void **state)
     size_t i;
     int k;
     (void)state;
+    if (TEST_SANITIZED) skip();
     for (k = 0; stress_fixed(k, &s); ++k)
         for (i = 0; i < sizeof seeds / sizeof *seeds; ++i) {
             stress_result r;
