@@ -78,6 +78,9 @@ bench-integrators: $(BUILD)/bench/integrators ## run time against error of every
 bench-source: $(BUILD)/bench/source ## the experiments of the (p,q,r) paper, with their mistakes shown
 	OMP_THREAD_LIMIT=1 $(BUILD)/bench/source --out $(BUILD)/bench-source
 
+hash: $(BUILD)/bench/hash ## hashes of what bodies do in many scenes, to compare before and after an edit
+	@OMP_THREAD_LIMIT=1 $(BUILD)/bench/hash
+
 stress: $(BUILD)/bench/stress ## which integrator survives what: 488 scenes; the default has to survive all
 	$(BUILD)/bench/stress
 
@@ -202,7 +205,7 @@ $(BUILD)/tests/%: tests/%.c $(wildcard tests/*.h) softfem.h $(BUILD)/softfem.o $
 
 $(BUILD)/tests/test_stress: bench/stress.h tests/bodies.h
 
-$(addprefix $(BUILD)/bench/,real integrators accuracy stress): tests/bodies.h
+$(addprefix $(BUILD)/bench/,real integrators accuracy stress hash): tests/bodies.h
 
 $(BUILD)/bench/%: bench/%.c $(wildcard bench/*.h) softfem.h $(BUILD)/softfem.o
 	@mkdir -p $(@D)
