@@ -47,6 +47,7 @@
  *            >>guard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>refactor     a factor of the present tangent, made in slices
+ *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
@@ -15229,7 +15230,38 @@ enum {
     SFEMI_REFACTOR_FACTOR
 };
 
-/* What a step is made of. The arrays from u to handle are the state; the rest is derived or scratch. */
+/* How a body steps. One of three constant tables, chosen by sfemi_method_choose when the body is created: linear
+ * bodies (by one solve), Newton's, and those that rotate. */
+typedef struct sfemi_method {
+    void (*predict)(sfem_body *b);                        /* fills b->rhs */
+    sfem_status (*solve)(sfem_body *b, sfem_error *err);  /* leaves the acceleration in b->acc */
+    sfem_status (*accept)(sfem_body *b, sfem_error *err); /* tests the step's end, may put another one in its place */
+    void (*finish)(sfem_body *b);                         /* takes the step */
+    sfem_real (*elastic)(sfem_body *b);                   /* the elastic energy at u; may use b->zk */
+    void (*conserved)(sfem_body *b, sfem_energy *e);      /* sets e->conserved; may use b->zm and b->rhs */
+    void (*balance)(sfem_body *b, sfem_real *v);          /* b->rhs = what the supports do not exert, F - f - .. at u, v */
+} sfemi_method;
+
+/* What an integrator comes to, in numbers and properties. Constant from creation on. */
+typedef struct sfemi_scheme {
+    const sfemi_method *method;
+    int rotates;    /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
+    int newton;     /* >>implicit */
+    int resumes;    /* >>resume: a linear body by one solve a step, damaged or not */
+    int mean;       /* w is the mean velocity over a step, not the velocity */
+    int newmark;    /* Newmark(beta, gamma), by one solve or by Newton's iteration */
+    int pqr;        /* SFEM_PQR: p, q and r are the caller's */
+    int central;    /* central difference */
+    int lagging;    /* >>alpha: KR-alpha */
+    int guarded;    /* the energy safeguard may reject steps */
+    int refactors;  /* >>refactor */
+    sfem_real q, r; /* of A = r M + (q/2) h D + p h^2 K */
+    sfem_real beta, gamma, am, af; /* of generalized-alpha's equation: of a Newton method, or of Newmark */
+    int stages;     /* of a step of Newton's: 2 for Bathe, else 1; */
+    int euler;      /* backward Euler */
+} sfemi_scheme;
+
+/* What a step is made of. The arrays from u to handle are the state; the rest is derived or temporary. */
 struct sfem_body {
     sfem_allocator allocator;
     sfem_exec exec;
@@ -15239,7 +15271,7 @@ struct sfem_body {
     sfem_int *pin;       /* [pin_count] nodes, each once */
     unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    int turns;             /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
+    sfemi_scheme scheme;
     int sleeps;            /* it may */
     sfemi_state state;
     sfemi_grip grip;
@@ -15295,11 +15327,8 @@ static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real 
 {
     sfemi_coefficients k;
     k.p = p;
-    k.q = b->def.integrator == SFEM_PQR ? b->def.q : 1;
-    k.r = b->def.integrator == SFEM_PQR ? b->def.r : 1;
-    if (b->def.integrator == SFEM_NEWMARK) k.q = 2 * b->def.gamma;
-    if (b->def.integrator == SFEM_KR_ALPHA)
-        k.q = (3 - b->def.rho_inf) / ((1 + b->def.rho_inf) * (2 - b->def.rho_inf));
+    k.q = b->scheme.q;
+    k.r = b->scheme.r;
     return k;
 }
 
@@ -15613,14 +15642,6 @@ static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
     return SFEM_OK;
 }
 
-/* Is a step of this body solved here? */
-static int sfemi_implicit_serves(const sfem_body *b)
-{
-    if (b->def.integrator == SFEM_NEWMARK)
-        return !sfemi_implicit_linear(b->model) || b->def.damping_force.force != NULL;
-    return b->def.integrator >= SFEM_BACKWARD_EULER && b->def.integrator <= SFEM_BATHE;
-}
-
 /* Does Newton's matrix never change, so that a shared factor serves? */
 static int sfemi_implicit_constant(const sfem_body *b)
 {
@@ -15755,37 +15776,24 @@ done:
 
 /* ---- stages ---- */
 
-static int sfemi_implicit_stages(const sfem_body *b) { return b->def.integrator == SFEM_BATHE ? 2 : 1; }
-
 /* The numbers of stage k of a step of h seconds. */
 static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
 {
-    sfem_real beta = b->def.beta, gamma = b->def.gamma, am = 0, af = 0;
+    const sfem_real beta = b->scheme.beta, gamma = b->scheme.gamma, am = b->scheme.am, af = b->scheme.af;
     sfemi_stage s;
     memset(&s, 0, sizeof s);
     s.end = 1;
-    if (b->def.integrator == SFEM_HHT) {
-        af = b->def.hht_alpha;
-    } else if (b->def.integrator == SFEM_GENERALIZED_ALPHA) {
-        const sfem_real rho = b->def.rho_inf;
-        am = (2 * rho - 1) / (rho + 1);
-        af = rho / (rho + 1);
-    }
-    if (b->def.integrator != SFEM_NEWMARK) {
-        gamma = 0.5 - am + af;
-        beta = (1 - am + af) * (1 - am + af) / 4;
-    }
     s.m1 = 1 - am;
     s.m0 = am;
     s.w1 = 1 - af;
     s.w0 = af;
-    if (b->def.integrator == SFEM_BACKWARD_EULER) {
+    if (b->scheme.euler) {
         s.c1 = 1 / h;
         s.c2 = 1 / (h * h);
         s.av = -1 / h;
         return s;
     }
-    if (b->def.integrator == SFEM_BATHE && k == 1) {
+    if (b->scheme.stages == 2 && k == 1) {
         s.c1 = 3 / h; /* v' = (u - 4 u_mid + 3 u')/h, and a' from v alike */
         s.vd = -4 / h;
         s.c2 = 9 / (h * h);
@@ -15794,7 +15802,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         s.am = -4 / h;
         return s;
     }
-    if (b->def.integrator == SFEM_BATHE) {
+    if (b->scheme.stages == 2) {
         s.end = 0.5;
         h /= 2;
     }
@@ -15833,7 +15841,7 @@ static sfem_status sfemi_implicit_get_factor(sfem_body *b, sfem_real h, sfem_fac
     sfem_status status;
     if (sfemi_implicit_constant(b)) {
         status = sfemi_factor_get(b->model, &key, &b->exec, out, &b->factors_made, err);
-        if (status != SFEM_OK || sfemi_implicit_stages(b) == 1) return status;
+        if (status != SFEM_OK || b->scheme.stages == 1) return status;
         {
             const sfemi_factor_key other = sfemi_implicit_key(b, 1, h);
             status = sfemi_factor_get(b->model, &other, &b->exec, &second, &b->factors_made, err);
@@ -16359,7 +16367,7 @@ static void sfemi_implicit_predict(sfem_body *b)
     memset(m->mid_v, 0, n * sizeof *m->mid_v);
     if (b->state.head->started == SFEMI_RUNNING) {
         memcpy(m->a0, b->state.a, n * sizeof *m->a0);
-    } else if (b->def.integrator == SFEM_BACKWARD_EULER) {
+    } else if (b->scheme.euler) {
         memset(m->a0, 0, n * sizeof *m->a0);
     } else {
         memcpy(m->v, b->state.w, n * sizeof *m->v);
@@ -16397,7 +16405,7 @@ static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
 {
     sfemi_implicit *m = &b->implicit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int stages = sfemi_implicit_stages(b);
+    const int stages = b->scheme.stages;
     sfem_status status;
     size_t i;
     int k;
@@ -16644,7 +16652,7 @@ static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
     const int running = sfemi_body_goes_on(b), first = b->state.head->started <= SFEMI_LOAD_FIXED;
     const sfem_real h1 = running ? b->state.head->h : 0, p1 = h1 > 0 ? b->state.head->p : 0;
     sfemi_pqr_terms t;
-    if (b->def.integrator == SFEM_KR_ALPHA) return sfemi_alpha_weigh(b, h1, h2);
+    if (b->scheme.lagging) return sfemi_alpha_weigh(b, h1, h2);
     t.back = t.am = t.af = t.cka = t.lag = 0;
     t.d = (h1 + h2) / 2;
     t.ck = (p1 * h1 * h1 - k.p * h2 * h2) / t.d;
@@ -16908,7 +16916,7 @@ static sfem_real sfemi_pqr_stable_step(const sfem_body *b, sfem_real p)
 {
     const sfemi_coefficients k = sfemi_body_coefficients(b, p);
     const sfem_real w2 = b->omega_max * b->omega_max;
-    if (b->def.integrator == SFEM_NEWMARK) {
+    if (b->scheme.newmark) {
         const sfem_real gap = b->def.gamma / 2 - b->def.beta;
         return gap <= 0 ? 0 : 1 / sqrt(gap * w2);
     }
@@ -16918,9 +16926,8 @@ static sfem_real sfemi_pqr_stable_step(const sfem_body *b, sfem_real p)
 /* Does a step of any length need omega_max? */
 static int sfemi_pqr_needs_omega(const sfem_body *b)
 {
-    if (b->def.integrator == SFEM_NEWMARK) return b->def.beta < b->def.gamma / 2;
-    if (b->def.integrator > SFEM_CENTRAL) return 0;
-    if (b->def.integrator == SFEM_CENTRAL) return 1;
+    if (b->scheme.newmark) return b->def.beta < b->def.gamma / 2;
+    if (!b->scheme.pqr) return b->scheme.central;
     if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
 }
@@ -17180,7 +17187,7 @@ static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, 
 static int sfemi_turn_projects(const sfem_body *b)
 {
     sfem_int k;
-    if (b->turns && b->def.frame == SFEM_FRAME_REST) return 0;
+    if (b->scheme.rotates && b->def.frame == SFEM_FRAME_REST) return 0;
     for (k = 0; k < b->turn.pieces; ++k)
         if (!b->turn.piece[k].held) return 1;
     return 0;
@@ -17489,10 +17496,10 @@ static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot
 {
     const sfemi_handle *h = b->state.handle + slot;
     sfem_status status = SFEM_OK;
-    sfem_int parts = b->def.no_allocation ? (b->turns ? 4 : 1) : 0, k, used = 0;
+    sfem_int parts = b->def.no_allocation ? (b->scheme.rotates ? 4 : 1) : 0, k, used = 0;
     sfem_real *y;
     for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
-    if (used > 0 && !b->turns) used = 1;
+    if (used > 0 && !b->scheme.rotates) used = 1;
     if (used > parts) parts = used;
     if (parts <= g->parts[slot]) return SFEM_OK;
     SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)parts * (size_t)b->model->mesh.nodes);
@@ -17545,15 +17552,10 @@ done:
  * and A, or nearly where the step changes. Some 15 solves at p = 1/2, 40 at p = .28; at p = 1/4, q = 1 none.
  * ============================================================================================ */
 
-static int sfemi_resume_serves(const sfem_body *b)
-{
-    return !b->model->turns && b->turns != SFEMI_CORRECTS && !sfemi_implicit_serves(b);
-}
-
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
-    return b->turns && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_MAJORANT);
+    return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_MAJORANT);
 }
 
 /* Does the projection of free pieces change B, so that it is not at hand? See 3. */
@@ -17565,7 +17567,7 @@ static int sfemi_resume_inertia_is_unknown(const sfem_body *b)
 /* Is backward Euler's step taken in place of one of h for that reason? */
 static int sfemi_resume_falls_back(const sfem_body *b, sfem_real h)
 {
-    return sfemi_resume_serves(b) && b->def.integrator == SFEM_PQR && !b->def.no_guard &&
+    return b->scheme.resumes && b->scheme.pqr && !b->def.no_guard &&
            b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_inertia_is_unknown(b);
 }
 
@@ -17577,7 +17579,7 @@ typedef struct sfemi_inertia {
 static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_real p)
 {
     const sfemi_coefficients k = sfemi_body_coefficients(b, p);
-    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const int newmark = b->scheme.newmark;
     sfemi_inertia t;
     t.d = newmark ? 0 : (k.q - 1) / 2 * h;
     t.m = k.r + t.d * b->alpha;
@@ -17672,14 +17674,14 @@ static void sfemi_resume_mean_force(sfem_body *b)
     const sfem_real load[3] = {0, 1 - past, past}, half = s->head->h / 2;
     size_t i;
     for (i = 0; i < n; ++i) {
-        b->zk[i] = (b->turns ? 0 : s->u[i] - half * s->w[i]) + b->beta * s->w[i];
+        b->zk[i] = (b->scheme.rotates ? 0 : s->u[i] - half * s->w[i]) + b->beta * s->w[i];
         b->zm[i] = b->alpha * s->w[i];
         if (b->zd) b->zd[i] = s->w[i];
         b->acc[i] = 0;
     }
-    if (b->turns && b->beta != 0) sfemi_fracture_multiply(b, b->zk, b->acc);
+    if (b->scheme.rotates && b->beta != 0) sfemi_fracture_multiply(b, b->zk, b->acc);
     sfemi_body_residual(b, load, b->alpha != 0);
-    for (i = 0; b->turns && i < n; ++i) b->rhs[i] -= (s->f[i] + s->f_past[i]) / 2 + b->acc[i];
+    for (i = 0; b->scheme.rotates && i < n; ++i) b->rhs[i] -= (s->f[i] + s->f_past[i]) / 2 + b->acc[i];
 }
 
 /* The velocity v at the end of the last step, see above, to v: what holds has that of sfem_body_velocities. */
@@ -17824,15 +17826,15 @@ static void sfemi_resume_between_leading(sfem_body *b, sfem_real h, sfem_real *v
 static void sfemi_resume_stop(sfem_body *b, int pins)
 {
     sfemi_state *s = &b->state;
-    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const int newmark = b->scheme.newmark;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_inertia t;
     sfem_real *v = b->velocity;
     size_t i;
-    if (s->head->started != SFEMI_RUNNING || !(sfemi_resume_serves(b) || newmark)) return;
+    if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
     b->phase = SFEMI_IDLE;
     b->fresh = 0;
-    if (!sfemi_resume_serves(b)) { /* Newton's: its a is stale, too */
+    if (!b->scheme.resumes) { /* Newton's: its a is stale, too */
         s->head->started = SFEMI_RESTARTED;
         return;
     }
@@ -17851,10 +17853,10 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
             if (b->model->node_mass[i / 3] > 0 && (pins || !(b->mask[i / 3] >> (i % 3) & 1)))
                 s->w[i] = b->model->block_mass ? v[i] : b->spare[i] / b->model->node_mass[i / 3];
     }
-    if (b->turns) memcpy(s->f_past, s->f, n * sizeof *v);
+    if (b->scheme.rotates) memcpy(s->f_past, s->f, n * sizeof *v);
     memset(s->a, 0, n * sizeof *s->a);
     s->head->started = SFEMI_RESTARTED;
-    if (b->turns && s->head->rebase == SFEMI_LEDGER) s->head->rebase = SFEMI_REBASE;
+    if (b->scheme.rotates && s->head->rebase == SFEMI_LEDGER) s->head->rebase = SFEMI_REBASE;
 }
 
 /* v projected in the norm of M to what is held in the step under way, which has the velocity that takes it to
@@ -17904,10 +17906,10 @@ static void sfemi_resume_pin(sfem_body *b)
 {
     sfem_real *w = b->state.w;
     size_t i;
-    if (sfemi_resume_serves(b) && b->def.integrator != SFEM_NEWMARK &&
+    if (b->scheme.resumes && !b->scheme.newmark &&
         b->state.head->started >= SFEMI_RESTARTED)
         return;
-    if (sfemi_resume_serves(b) && b->model->block_mass && b->state.head->steps > 0) sfemi_resume_stand(b, w);
+    if (b->scheme.resumes && b->model->block_mass && b->state.head->steps > 0) sfemi_resume_stand(b, w);
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) w[i] = b->state.a[i] = 0;
 }
@@ -17946,7 +17948,7 @@ static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const 
     if (change < 0) {
         sfemi_resume_multiply(b, &less, v, b->acc);
         for (i = 0; i < n; ++i) out[i] = b->acc[i] / 2;
-    } else if (b->def.integrator == SFEM_NEWMARK) {
+    } else if (b->scheme.newmark) {
         sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
     } else {
         sfemi_resume_mean_force(b);
@@ -17964,14 +17966,14 @@ static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const 
 static int sfemi_resume_change(sfem_body *b, sfem_real h)
 {
     const sfemi_state *s = &b->state;
-    const int newmark = b->def.integrator == SFEM_NEWMARK;
+    const int newmark = b->scheme.newmark;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_inertia from, to;
     sfem_real *v;
     size_t i;
     int change;
     b->fresh = b->starts_from_mass = 0;
-    if (!sfemi_resume_serves(b) || s->head->started < SFEMI_RESTARTED) return 0;
+    if (!b->scheme.resumes || s->head->started < SFEMI_RESTARTED) return 0;
     v = b->spare + 4 * n; /* only bodies that this serves have it */
     from = sfemi_resume_inertia(b, s->head->h, s->head->p);
     to = sfemi_resume_inertia(b, h, sfemi_body_coefficients(b, b->p).p);
@@ -18009,7 +18011,7 @@ static int sfemi_resume_bridges(sfem_body *b, sfem_real h)
 {
     const sfemi_state_head *head = b->state.head;
     const int other = head->steps > 0 && h != head->h;
-    if (!b->base || !sfemi_resume_serves(b)) return 0;
+    if (!b->base || !b->scheme.resumes) return 0;
     if (head->started == SFEMI_RUNNING) {
         if (!other && !sfemi_resume_takes(b)) return 0;
         b->fresh = 0;
@@ -18146,18 +18148,11 @@ static void sfemi_resume_lessen(const sfem_body *b, int falls, sfem_real d, sfem
 /* Does the rigid part of a free piece's step need corrections? Only where the caller's damping brakes it. */
 static int sfemi_correct_is_braked(const sfem_body *b) { return b->def.damping_force.force != NULL; }
 
-/* Is the step to be corrected towards the equation? */
-static int sfemi_correct_serves(const sfem_body *b)
-{
-    return b->turns && b->def.integrator == SFEM_PQR && b->def.accuracy < 1 &&
-           (b->model->turns || sfemi_correct_is_braked(b));
-}
-
 /* p of the energy that a step keeps: that of HHT's equation where it is corrected, whatever p the trial has. */
 static sfem_real sfemi_guard_weight(const sfem_body *b)
 {
     const sfem_real a = b->def.dissipation;
-    return sfemi_correct_serves(b) ? (1 + a) * (1 + a) * (1 - a) / 4 : b->p;
+    return b->scheme.rotates == SFEMI_CORRECTS ? (1 + a) * (1 + a) * (1 - a) / 4 : b->p;
 }
 
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
@@ -18453,7 +18448,7 @@ static const sfem_real *sfemi_correct_forecast(sfem_body *b)
     sfem_real *f = b->guard.f, ahead;
     sfemi_equation q;
     size_t i;
-    if (!sfemi_correct_serves(b)) return s->f;
+    if (b->scheme.rotates != SFEMI_CORRECTS) return s->f;
     sfemi_correct_open(b, &q);
     if (s->head->started != SFEMI_RUNNING) return s->f;
     ahead = q.h / s->head->h;
@@ -18760,7 +18755,7 @@ static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real 
     *budget = head->budget + sfemi_guard_step_work(b, head->started == SFEMI_RUNNING ? head->h / 2 : 0);
     *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
     scale = sfemi_guard_in_motion(b, e);
-    if (b->turns != SFEMI_CORRECTS) scale += (head->psi + g->psi) / 2; /* by one solve Eb is off by parts of Psi */
+    if (b->scheme.rotates != SFEMI_CORRECTS) scale += (head->psi + g->psi) / 2; /* by one solve Eb is off by parts of Psi */
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
            e->ec <= *budget + sfemi_guard_step_work(b, 0) + e->rounding + 0.3 * scale;
 }
@@ -19673,7 +19668,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const int other = sfemi_resume_falls_back(b, b->step);
     g->rejected = g->measured = 0;
     if (other) head->budget = head->last;
-    if (!b->def.no_guard && b->def.integrator != SFEM_CENTRAL && (b->model->turns || sfemi_correct_serves(b) || other)) {
+    if (b->scheme.guarded || other) {
         g->rejected = other || !sfemi_guard_accepts(b, &g->energies, &budget);
         g->measured = !g->rejected;
         if (!g->rejected) head->budget = budget;
@@ -19735,7 +19730,7 @@ static void sfemi_guard_finish(sfem_body *b)
     head->lag = sfemi_pqr_weigh(b, b->step).lag;
     head->gamma = (b->step / 2 + a * h1) / ((1 - a) * b->step + a * h1);
     head->rejected += g->rejected;
-    if (b->turns == SFEMI_CORRECTS && !g->rejected) sfemi_correct_store(b);
+    if (b->scheme.rotates == SFEMI_CORRECTS && !g->rejected) sfemi_correct_store(b);
     for (k = 0; k < b->pin_count; ++k) {
         sfem_real x[3];
         for (c = 0; c < 3; ++c)
@@ -19978,7 +19973,7 @@ static void sfemi_sleep_begin(sfem_body *b)
     s->head->started = SFEMI_LOAD_FIXED;
     s->head->pairs = s->head->skipped = 0;
     s->head->estimate = s->head->rate = 0;
-    if (!b->turns) return;
+    if (!b->scheme.rotates) return;
     memcpy(s->f_past, s->f, bytes);
     s->head->energy = sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
     s->head->rebase = SFEMI_NEW_LEDGER;
@@ -20099,12 +20094,6 @@ static void sfemi_refactor_destroy(sfem_body *b)
     r->failed = failed;
 }
 
-static int sfemi_refactor_serves(const sfem_body *b)
-{
-    return b->turns && b->def.refactorise > 0 && b->def.integrator == SFEM_PQR &&
-           b->def.frame != SFEM_FRAME_MAJORANT;
-}
-
 /* What a factor costs, with the tangent or without. */
 static double sfemi_refactor_price(const sfem_body *b, int tangent)
 {
@@ -20130,7 +20119,7 @@ static sfem_status sfemi_refactor_reserve(sfem_body *b, const sfem_factor *f, sf
     sfemi_refactor *r = &b->refactor;
     sfem_status status = SFEM_OK;
     sfem_int k, at, count = 0;
-    if (!sfemi_refactor_serves(b) || !f->ldl || r->source) return SFEM_OK;
+    if (!b->scheme.refactors || !f->ldl || r->source) return SFEM_OK;
     SFEMI_TRY(sfemi_factor_matrix(model, f, &r->a, err));
     SFEMI_NEW(sfem_real, r->u, &b->allocator, 4 * n);
     r->frame = r->u + n;
@@ -20339,7 +20328,7 @@ SFEM_DEF sfem_status sfem_body_refactorise(sfem_body *b, const sfem_matrix *k, s
 {
     const sfem_model *model = b->model;
     sfem_int i;
-    if (!sfemi_refactor_serves(b))
+    if (!b->scheme.refactors)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "only a nonlinear or breaking (p,q,r) body with def.refactorise > 0 makes another factor");
     if (!b->refactor.source)
@@ -20368,6 +20357,308 @@ SFEM_DEF sfem_refactorisation sfem_body_get_refactorisation(const sfem_body *b)
     info.made = r->made;
     info.failed = r->failed;
     return info;
+}
+
+/* ============================================================================================
+ * >>method   what predict, solve and finish do: linear bodies, Newton's, those that rotate
+ *
+ * A linear body takes one solve a step, by (p,q,r), Newmark or KR-alpha; after a change KR-alpha bridges (>>resume).
+ * ============================================================================================ */
+
+static sfem_status sfemi_method_check_acceleration(const sfem_body *b, sfem_error *err)
+{
+    if (sfemi_all_finite(b->acc, 3 * (size_t)b->model->mesh.nodes)) return SFEM_OK;
+    return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
+}
+
+static void sfemi_method_note_handle_forces(sfem_body *b)
+{
+    const sfemi_grip *g = &b->grip;
+    sfem_int i;
+    for (i = 0; i < g->count; ++i)
+        memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
+}
+
+/* v and a of the handles' points; the acceleration that a new handle makes stale is found again, see below. */
+static void sfemi_method_settle_handles(sfem_body *b)
+{
+    sfemi_newmark_settle_handles(b, b->grip.place);
+    /* a node that is taken while it moves changes its velocity, and D v: the acceleration is found again. Without that,
+     * stiffness damping makes energy, three times what there was */
+    if (sfemi_resume_takes(b) && (b->beta != 0 || b->zd)) b->state.head->started = SFEMI_RESTARTED;
+}
+
+/* ---- linear bodies ---- */
+
+/* Of a linear body: the momentum that the step's loads give its free pieces; by hand, less that of the right
+ * side, which the solve will add when the caller has added to it what he likes. */
+static void sfemi_linear_push(sfem_body *b)
+{
+    static const sfem_real end[3] = {1, 0, 0};
+    const int newmark = b->scheme.newmark;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfemi_pqr_terms t;
+    size_t i;
+    if (!sfemi_turn_projects(b)) return;
+    t = sfemi_pqr_weigh(b, b->step);
+    if (b->base && !sfemi_body_goes_on(b)) { /* at a start base comes from a solve, too */
+        for (i = 0; i < n; ++i) b->zk[i] = sfemi_body_way(b)[i] - b->base[i];
+        sfemi_turn_motion(b, NULL, b->zk, 1);
+        sfemi_turn_add_motion(b, NULL, 1, 0, b->base);
+    }
+    sfemi_turn_push(b, NULL, newmark ? end : t.load, b->zm, b->alpha != 0 || t.am != 0);
+    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, -1);
+}
+
+static void sfemi_linear_settle(sfem_body *b)
+{
+    if (!sfemi_turn_projects(b)) return;
+    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, 1);
+    sfemi_turn_settle(b, b->factor->key.cm, b->acc);
+}
+
+static void sfemi_linear_predict(sfem_body *b)
+{
+    const sfem_real h = b->step;
+    b->bridges = sfemi_resume_bridges(b, h);
+    b->falls = sfemi_resume_change(b, h);
+    if (b->bridges) {
+        sfemi_resume_bridge_predict(b, h);
+        return;
+    }
+    if (b->scheme.newmark) sfemi_newmark_predict(b, h);
+    else sfemi_pqr_predict(b, h);
+    sfemi_resume_lessen(b, b->falls, sfemi_pqr_weigh(b, h).d, b->rhs);
+    sfemi_linear_push(b);
+}
+
+static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
+{
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_linear_settle(b);
+    if (b->bridges) sfemi_resume_bridge_settle(b, b->acc);
+    else if (b->scheme.newmark) sfemi_newmark_solve(b);
+    else sfemi_pqr_solve(b);
+    return sfemi_method_check_acceleration(b, err);
+}
+
+/* Are u and w of a linear body's step finite at its end? */
+static int sfemi_linear_ends_finite(const sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    const sfem_real h = b->step, *u = b->state.u;
+    const int newmark = b->scheme.newmark;
+    const sfem_real *base = b->bridges ? b->velocity : sfemi_pqr_base(b);
+    /* a bridging step has two stages more, which T, a contraction in energy, may rotate between u and v */
+    const sfem_real d = newmark ? 0 : b->bridges ? 1e6 * h : sfemi_pqr_weigh(b, h).d;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        sfem_real x, v;
+        if (newmark) {
+            sfemi_newmark_guess(b, i, h, &x, &v);
+            x += b->def.beta * h * h * b->acc[i];
+            v += b->def.gamma * h * b->acc[i];
+        } else {
+            v = base[i] + d * b->acc[i];
+            x = u[i] + h * v;
+        }
+        if (!sfemi_finite(x) || !sfemi_finite(v)) return 0;
+    }
+    return 1;
+}
+
+static sfem_status sfemi_linear_accept(sfem_body *b, sfem_error *err)
+{
+    if (sfemi_linear_ends_finite(b)) return SFEM_OK;
+    return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to a displacement that is not finite");
+}
+
+static void sfemi_linear_finish(sfem_body *b)
+{
+    sfemi_method_note_handle_forces(b);
+    if (b->bridges) sfemi_resume_bridge_finish(b);
+    else if (b->scheme.newmark) sfemi_newmark_finish(b);
+    else sfemi_pqr_finish(b);
+    b->state.head->started = b->bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
+    if (b->scheme.newmark) sfemi_method_settle_handles(b);
+}
+
+static sfem_real sfemi_linear_elastic(sfem_body *b)
+{
+    sfem_model_multiply_stiffness(b->model, b->state.u, b->zk, &b->exec);
+    return sfemi_dot(3 * (size_t)b->model->mesh.nodes, b->state.u, b->zk) / 2;
+}
+
+static void sfemi_linear_conserved(sfem_body *b, sfem_energy *e)
+{
+    const sfem_model *model = b->model;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfemi_state *s = &b->state;
+    const sfem_real h = s->head->h, *force = s->force[0];
+    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    sfem_real wkw, load_w = 0;
+    size_t i;
+    if (s->head->started != SFEMI_RUNNING || b->base) return;
+    if (b->scheme.newmark) {
+        sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
+        e->conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_dot(n, s->a, b->zm);
+        return;
+    }
+    sfem_model_multiply_mass(model, s->w, b->zm, &b->exec);
+    sfem_model_multiply_stiffness(model, s->w, b->rhs, &b->exec);
+    wkw = sfemi_dot(n, s->w, b->rhs);
+    for (i = 0; i < n; ++i)
+        load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
+    /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
+    e->conserved = k.r / 2 * sfemi_dot(n, s->w, b->zm) + k.p * h * h / 2 * wkw + e->elastic -
+                   h / 2 * sfemi_dot(n, s->u, b->rhs) + e->load + h / 2 * load_w;
+}
+
+static void sfemi_linear_balance(sfem_body *b, sfem_real *v)
+{
+    static const sfem_real load[3] = {1, 0, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = b->state.u[i] + b->beta * v[i];
+        b->zm[i] = b->state.a[i] + b->alpha * v[i];
+        if (b->zd) b->zd[i] = v[i];
+    }
+    sfemi_body_residual(b, load,
+                        b->model->block_mass != NULL || b->alpha != 0 || b->state.head->started == SFEMI_RUNNING);
+}
+
+/* ---- Newton's ---- */
+
+static sfem_status sfemi_newton_accept(sfem_body *b, sfem_error *err)
+{
+    (void)b;
+    (void)err;
+    return SFEM_OK; /* solve ends with a residual, which is finite */
+}
+
+static void sfemi_newton_finish(sfem_body *b)
+{
+    sfemi_method_note_handle_forces(b);
+    sfemi_implicit_finish(b);
+    b->state.head->started = SFEMI_RUNNING;
+    sfemi_method_settle_handles(b);
+}
+
+static sfem_real sfemi_newton_elastic(sfem_body *b)
+{
+    return sfemi_implicit_linear(b->model) ? sfemi_linear_elastic(b) : sfemi_implicit_forces(b, b->state.u, b->zk);
+}
+
+static void sfemi_newton_conserved(sfem_body *b, sfem_energy *e)
+{
+    if (b->scheme.newmark) sfemi_linear_conserved(b, e);
+}
+
+static void sfemi_newton_balance(sfem_body *b, sfem_real *v)
+{
+    memcpy(b->zm, b->state.a, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zm);
+    sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
+}
+
+/* ---- bodies that rotate ---- */
+
+static void sfemi_rotated_predict(sfem_body *b)
+{
+    b->falls = sfemi_resume_change(b, b->step);
+    sfemi_guard_predict(b, b->step);
+}
+
+static sfem_status sfemi_rotated_solve(sfem_body *b, sfem_error *err)
+{
+    sfemi_guard_try(b);
+    sfemi_guard_advance(b);
+    if (b->scheme.rotates == SFEMI_CORRECTS) sfemi_correct(b);
+    return sfemi_method_check_acceleration(b, err);
+}
+
+static sfem_real sfemi_rotated_elastic(sfem_body *b)
+{
+    return b->state.head->current ? b->state.head->psi : sfemi_guard_forces(b, b->state.u, b->zk);
+}
+
+static void sfemi_rotated_conserved(sfem_body *b, sfem_energy *e)
+{
+    const sfemi_state *s = &b->state;
+    sfemi_guard_look(b);
+    e->conserved = s->head->steps ? s->head->energy
+                                  : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
+}
+
+static void sfemi_rotated_balance(sfem_body *b, sfem_real *v)
+{
+    static const sfem_real load[3] = {1, 0, 0};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    for (i = 0; i < n; ++i) {
+        b->zk[i] = b->state.u[i] + b->beta * v[i];
+        b->zm[i] = b->state.a[i] + b->alpha * v[i];
+        if (b->zd) b->zd[i] = v[i];
+        b->zk[i] -= b->state.u[i];
+    }
+    sfemi_guard_look(b);
+    sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+    for (i = 0; i < n; ++i) b->zk[i] = b->beta * v[i];
+    sfemi_fracture_soften(b, b->zk, b->rhs);
+    for (i = 0; i < n; ++i) b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
+    sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
+}
+
+/* ---- the choice ---- */
+
+static const sfemi_method sfemi_method_linear = {sfemi_linear_predict, sfemi_linear_solve, sfemi_linear_accept,
+                                                 sfemi_linear_finish, sfemi_linear_elastic, sfemi_linear_conserved,
+                                                 sfemi_linear_balance};
+static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
+                                                 sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
+                                                 sfemi_newton_balance};
+static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict, sfemi_rotated_solve, sfemi_guard_judge_step,
+                                                  sfemi_guard_finish, sfemi_rotated_elastic, sfemi_rotated_conserved,
+                                                  sfemi_rotated_balance};
+
+/* beta, gamma, am and af of the Newton methods as generalized-alpha [Chung, Hulbert 1993]; Newmark has its own. */
+static void sfemi_method_weigh(const sfem_body_def *d, sfemi_scheme *s)
+{
+    const sfem_real rho = d->rho_inf;
+    s->stages = d->integrator == SFEM_BATHE ? 2 : 1;
+    s->euler = d->integrator == SFEM_BACKWARD_EULER;
+    if (d->integrator == SFEM_HHT) s->af = d->hht_alpha;
+    if (d->integrator == SFEM_GENERALIZED_ALPHA) {
+        s->am = (2 * rho - 1) / (rho + 1);
+        s->af = rho / (rho + 1);
+    }
+    s->gamma = s->newmark ? d->gamma : 0.5 - s->am + s->af;
+    s->beta = s->newmark ? d->beta : (1 - s->am + s->af) * (1 - s->am + s->af) / 4;
+}
+
+/* b->scheme, of the translated definition in b->def. `def` still has its damage. */
+static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
+{
+    const sfem_body_def *d = &b->def;
+    const int nonlinear = b->model->turns, braked = d->damping_force.force != NULL;
+    sfemi_scheme *s = &b->scheme;
+    s->newmark = d->integrator == SFEM_NEWMARK;
+    s->pqr = d->integrator == SFEM_PQR;
+    s->central = d->integrator == SFEM_CENTRAL;
+    s->lagging = d->integrator == SFEM_KR_ALPHA;
+    s->mean = s->pqr || s->central || s->lagging;
+    s->newton = !s->mean && !(s->newmark && !nonlinear && !braked);
+    if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)))
+        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked) ? SFEMI_CORRECTS : SFEMI_ROTATES;
+    s->resumes = !nonlinear && s->rotates != SFEMI_CORRECTS && !s->newton;
+    s->guarded = !d->no_guard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
+    s->refactors = s->rotates && d->refactorise > 0 && s->pqr && d->frame != SFEM_FRAME_MAJORANT;
+    s->q = s->pqr ? d->q : 1;
+    s->r = s->pqr ? d->r : 1;
+    if (s->newmark) s->q = 2 * d->gamma;
+    if (s->lagging) s->q = (3 - d->rho_inf) / ((1 + d->rho_inf) * (2 - d->rho_inf));
+    sfemi_method_weigh(d, s);
+    s->method = s->rotates ? &sfemi_method_rotated : s->newton ? &sfemi_method_newton : &sfemi_method_linear;
 }
 
 /* ============================================================================================
@@ -20438,18 +20729,11 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     return sfemi_implicit_check(d, err);
 }
 
-/* Is w the mean velocity over a step, not the velocity? */
-static int sfemi_body_keeps_mean(const sfem_body *b)
-{
-    return b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL ||
-           b->def.integrator == SFEM_KR_ALPHA;
-}
-
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
 static uint64_t sfemi_body_key(const sfem_body *b)
 {
     const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
-                              !sfemi_body_keeps_mean(b)};
+                              !b->scheme.mean};
     const uint64_t hash = sfemi_hash(SFEMI_HASH, shape, sizeof shape);
     return sfemi_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
@@ -20502,7 +20786,7 @@ static void sfemi_body_place_pins(sfem_body *b)
             hold->target[c] = hold->past[c] = b->model->mesh.x[at] + b->state.u[at];
         }
         hold->age = 0;
-        if (!b->turns || b->mask[b->pin[k]] == SFEM_AXIS_ALL) continue;
+        if (!b->scheme.rotates || b->mask[b->pin[k]] == SFEM_AXIS_ALL) continue;
         for (c = 0; c < 9; ++c) /* in a frame that has rotated, the axes that the factor holds are others */
             b->state.frame[9 * (size_t)b->pin[k] + (size_t)c] = c % 4 ? 0 : 1;
     }
@@ -20513,7 +20797,7 @@ static void sfemi_body_place_pins(sfem_body *b)
  * where its tets are damped each in its own way, which makes no rule for it. */
 static int sfemi_body_settles(const sfem_body *b)
 {
-    return !b->turns && !sfemi_implicit_serves(b) && !b->model->damping;
+    return !b->scheme.rotates && !b->scheme.newton && !b->model->damping;
 }
 
 /* Which pieces are held; a body that does not turn has them in their places for good. */
@@ -20521,7 +20805,7 @@ static void sfemi_body_find_held(sfem_body *b)
 {
     if (!b->turn.pieces) return;
     sfemi_turn_find_held(b);
-    if (!b->turns) sfemi_turn_locate(b, NULL);
+    if (!b->scheme.rotates) sfemi_turn_locate(b, NULL);
 }
 
 static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
@@ -20591,7 +20875,7 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, sfem_error *err)
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
     b->turn.still = !b->model->turns;
-    if (!b->turns) return sfemi_body_allocate_lever(b, err);
+    if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
     SFEMI_NEW(sfem_real, b->turn.work, al,
               sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + n +
                   (3 + 3 + 3 + 2 * SFEMI_MEMORY + sizeof vector / sizeof *vector) * n);
@@ -20651,9 +20935,9 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
                                       &b->pin_count, err));
     if (def->damage) SFEMI_TRY(sfemi_bonds_create(b->model, def->damage, al, &b->bonds, err));
     damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
-    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, b->pin_count, def->max_handles, damage);
+    bytes = sfemi_state_bytes(nodes, b->scheme.rotates, b->sleeps, b->pin_count, def->max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->turns, b->sleeps, b->pin_count, def->max_handles, damage);
+    sfemi_state_lay_out(&b->state, block, nodes, b->scheme.rotates, b->sleeps, b->pin_count, def->max_handles, damage);
     sfemi_body_reset_head(b, bytes);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
@@ -20665,21 +20949,21 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->late = b->rhs + 5 * n;
     b->kick = b->rhs + 6 * n;
     b->zd = b->model->damping ? b->rhs + 7 * n : NULL;
-    if (b->def.integrator == SFEM_KR_ALPHA) SFEMI_NEW(sfem_real, b->base, al, n);
-    if (sfemi_resume_serves(b)) {
+    if (b->scheme.lagging) SFEMI_NEW(sfem_real, b->base, al, n);
+    if (b->scheme.resumes) {
         SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
         b->velocity = b->spare + 5 * n;
     }
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
-    if (b->turns || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
-    if (sfemi_implicit_serves(b)) SFEMI_TRY(sfemi_implicit_reserve(b, err));
+    if (b->scheme.rotates || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
+    if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
     if (b->bonds) {
         SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
         sfemi_damage_attach(b->damage, b->state.damage);
         sfemi_damage_reset(b->damage);
         sfemi_fracture_regroup(b);
     }
-    if (b->turns) sfemi_turn_weigh(b);
+    if (b->scheme.rotates) sfemi_turn_weigh(b);
     sfemi_body_find_held(b);
 done:
     return status;
@@ -20702,16 +20986,13 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
-    b->turns = (model->turns && sfemi_body_keeps_mean(b)) ||
-               (def->damping_force.force && b->def.integrator == SFEM_PQR) ||
-               (def->damage && (b->def.integrator == SFEM_PQR || b->def.integrator == SFEM_CENTRAL));
-    if (sfemi_correct_serves(b)) b->turns = SFEMI_CORRECTS;
+    sfemi_method_choose(b, def);
     b->sleeps = def->sleep_tolerance > 0;
     b->def.damage = NULL;
     sfemi_lock(&model->lock);
     ++model->references;
     sfemi_unlock(&model->lock);
-    if (def->damage && (!b->turns || b->def.integrator == SFEM_KR_ALPHA)) {
+    if (def->damage && (!b->scheme.rotates || b->scheme.lagging)) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
         goto done;
     }
@@ -20719,7 +21000,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
         goto done;
     }
-    if (b->turns && model->block_mass) {
+    if (b->scheme.rotates && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
                             "a nonlinear body steps with lumped mass only: a consistent one does not turn");
         goto done;
@@ -20745,7 +21026,7 @@ static void sfemi_body_held_changed(sfem_body *b)
     int changed = 0;
     for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
     sfemi_body_find_held(b);
-    if (!b->turns) return;
+    if (!b->scheme.rotates) return;
     for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
@@ -20766,13 +21047,14 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->turns,
+            sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
                                g->y[i], b->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
-    sfemi_grip_gather(g, b->state.handle, b->model, b->turns, b->mask);
-    if (b->turns && (b->model->turns || sfemi_correct_serves(b) || b->damage) && b->def.no_allocation && !b->def.no_guard) {
+    sfemi_grip_gather(g, b->state.handle, b->model, b->scheme.rotates, b->mask);
+    if (b->scheme.rotates && (b->model->turns || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
+        b->def.no_allocation && !b->def.no_guard) {
         SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
         SFEMI_TRY(sfemi_guard_open_system(b, err));
     }
@@ -20800,16 +21082,14 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
     if (sfemi_pqr_needs_omega(b) && b->omega_max == 0)
         status = sfemi_pqr_find_omega(b, err);
     if (status != SFEM_OK) return status;
-    if (b->def.integrator > SFEM_CENTRAL) {
+    if (!b->scheme.newmark && !b->scheme.pqr && !b->scheme.central) {
         *p = b->base ? sfemi_alpha_p(b) : 0;
         return SFEM_OK;
     }
-    *p = b->def.integrator == SFEM_NEWMARK    ? b->def.beta
-         : b->def.integrator == SFEM_CENTRAL ? 0
-                                             : b->def.p;
+    *p = b->scheme.newmark ? b->def.beta : b->scheme.central ? 0 : b->def.p;
     if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
-        *p = sfemi_correct_serves(b) ? sfemi_guard_weight(b) : b->model->margin;
+        *p = b->scheme.rotates == SFEMI_CORRECTS ? sfemi_guard_weight(b) : b->model->margin;
         *p = fmax(*p, sfemi_fracture_least_p(b));
     }
     if (*p < sfemi_fracture_least_p(b))
@@ -20867,13 +21147,13 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
-        if (sfemi_implicit_serves(b)) return sfemi_body_prepare_implicit(b, h, p, err);
+        if (b->scheme.newton) return sfemi_body_prepare_implicit(b, h, p, err);
         k = sfemi_body_coefficients(b, p);
         key.ck = k.p * h * h + k.q / 2 * h * b->beta;
         key.cm = k.r + k.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? k.q / 2 * h : 0;
         key.mask = b->mask;
-        key.majorant = b->turns && b->def.frame == SFEM_FRAME_MAJORANT;
+        key.majorant = b->scheme.rotates && b->def.frame == SFEM_FRAME_MAJORANT;
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -20888,36 +21168,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         sfemi_body_adopt(b, f);
         b->h = h;
         b->p = p;
-        if (b->turns) sfemi_correct_weigh(b);
+        if (b->scheme.rotates) sfemi_correct_weigh(b);
     }
     return sfemi_body_prepare_handles(b, err);
-}
-
-/* Of a linear body: the momentum that the step's loads give its free pieces; by hand, less that of the right
- * side, which the solve will add when the caller has added to it what he likes. */
-static void sfemi_body_push(sfem_body *b)
-{
-    static const sfem_real end[3] = {1, 0, 0};
-    const int newmark = b->def.integrator == SFEM_NEWMARK;
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfemi_pqr_terms t;
-    size_t i;
-    if (!sfemi_turn_projects(b)) return;
-    t = sfemi_pqr_weigh(b, b->step);
-    if (b->base && !sfemi_body_goes_on(b)) { /* at a start base comes from a solve, too */
-        for (i = 0; i < n; ++i) b->zk[i] = sfemi_body_way(b)[i] - b->base[i];
-        sfemi_turn_motion(b, NULL, b->zk, 1);
-        sfemi_turn_add_motion(b, NULL, 1, 0, b->base);
-    }
-    sfemi_turn_push(b, NULL, newmark ? end : t.load, b->zm, b->alpha != 0 || t.am != 0);
-    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, -1);
-}
-
-static void sfemi_body_settle(sfem_body *b)
-{
-    if (!sfemi_turn_projects(b)) return;
-    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, 1);
-    sfemi_turn_settle(b, b->factor->key.cm, b->acc);
 }
 
 /* Takes out of a body's head what a step has changed before its end: it failed, or was given up. What the
@@ -20942,7 +21195,7 @@ static void sfemi_body_take_back(const sfem_body *b, sfemi_state_head *head)
 /* Has a step under way put an acceleration in the state? A body that does not go on has none there. */
 static int sfemi_body_lends(const sfem_body *b)
 {
-    return b->begun && !b->turns && sfemi_resume_serves(b) && b->state.head->started != SFEMI_RUNNING;
+    return b->begun && !b->scheme.rotates && b->scheme.resumes && b->state.head->started != SFEMI_RUNNING;
 }
 
 static void sfemi_body_undo(sfem_body *b)
@@ -20970,19 +21223,8 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     b->step = h;
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
     sfemi_sleep_compare_load(b);
-    b->bridges = sfemi_resume_bridges(b, h);
-    b->falls = sfemi_resume_change(b, h);
-    if (b->bridges) {
-        sfemi_resume_bridge_predict(b, h);
-        b->phase = SFEMI_PREDICTED;
-        return SFEM_OK;
-    }
-    if (b->turns) sfemi_guard_predict(b, h);
-    else if (sfemi_implicit_serves(b)) sfemi_implicit_predict(b);
-    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_predict(b, h);
-    else sfemi_pqr_predict(b, h);
-    if (!b->turns) sfemi_resume_lessen(b, b->falls, sfemi_pqr_weigh(b, h).d, b->rhs);
-    if (!b->turns) sfemi_body_push(b);
+    b->bridges = b->falls = b->fresh = b->starts_from_mass = 0;
+    b->scheme.method->predict(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
 }
@@ -21004,33 +21246,16 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_status status;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
     if (b->turn.by_hand && !sfemi_all_finite(b->rhs, n)) { /* on held axes, too: it would enter the energy budget */
         sfemi_body_undo(b);
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's right side is not finite: a force was not");
     }
-    if (sfemi_implicit_serves(b)) {
-        const sfem_status status = sfemi_implicit_solve(b, err);
-        if (status == SFEM_OK) b->phase = SFEMI_SOLVED;
-        else sfemi_body_undo(b);
-        return status;
-    }
-    if (!b->turns)
-        sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
-    if (!b->turns) sfemi_body_settle(b);
-    if (b->turns) {
-        sfemi_guard_try(b);
-        sfemi_guard_advance(b);
-        if (sfemi_correct_serves(b)) sfemi_correct(b);
-    } else if (b->bridges) sfemi_resume_bridge_settle(b, b->acc);
-    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_solve(b);
-    else sfemi_pqr_solve(b);
-    if (!sfemi_all_finite(b->acc, n)) {
-        sfemi_body_undo(b);
-        return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
-    }
-    b->phase = SFEMI_SOLVED;
-    return SFEM_OK;
+    status = b->scheme.method->solve(b, err);
+    if (status == SFEM_OK) b->phase = SFEMI_SOLVED;
+    else sfemi_body_undo(b);
+    return status;
 }
 
 /* The load of the step that ends becomes that of the start of the next one. */
@@ -21038,54 +21263,10 @@ static void sfemi_body_age_load(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     if (!b->state.head->loaded || b->state.head->load_age >= 2) return;
-    if (b->turns) b->state.head->budget += sfemi_guard_load_change(b);
+    if (b->scheme.rotates) b->state.head->budget += sfemi_guard_load_change(b);
     memcpy(b->state.force[2], b->state.force[1], bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     ++b->state.head->load_age;
-}
-
-/* The handles' forces, and what the integrator does at the end of a step of a linear body. */
-static void sfemi_body_finish_linear(sfem_body *b)
-{
-    const sfemi_grip *g = &b->grip;
-    sfem_int i;
-    for (i = 0; i < g->count; ++i)
-        memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
-    if (sfemi_implicit_serves(b)) sfemi_implicit_finish(b);
-    else if (b->bridges) sfemi_resume_bridge_finish(b);
-    else if (b->def.integrator == SFEM_NEWMARK) sfemi_newmark_finish(b);
-    else sfemi_pqr_finish(b);
-    b->state.head->started = b->bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
-    if (sfemi_body_keeps_mean(b)) return;
-    sfemi_newmark_settle_handles(b, g->place);
-    /* a node that is taken while it moves changes its velocity, and D v: the acceleration is found again. Without that,
-     * stiffness damping makes energy, three times what there was */
-    if (sfemi_resume_takes(b) && (b->beta != 0 || b->zd)) b->state.head->started = SFEMI_RESTARTED;
-}
-
-/* Are u and w of a linear body's step finite at its end? */
-static int sfemi_body_ends_finite(const sfem_body *b)
-{
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, *u = b->state.u;
-    const int newmark = b->def.integrator == SFEM_NEWMARK;
-    const sfem_real *base = b->bridges ? b->velocity : sfemi_pqr_base(b);
-    /* a bridging step has two stages more, which T, a contraction in energy, may rotate between u and v */
-    const sfem_real d = newmark ? 0 : b->bridges ? 1e6 * h : sfemi_pqr_weigh(b, h).d;
-    size_t i;
-    for (i = 0; i < n; ++i) {
-        sfem_real x, v;
-        if (newmark) {
-            sfemi_newmark_guess(b, i, h, &x, &v);
-            x += b->def.beta * h * h * b->acc[i];
-            v += b->def.gamma * h * b->acc[i];
-        } else {
-            v = base[i] + d * b->acc[i];
-            x = u[i] + h * v;
-        }
-        if (!sfemi_finite(x) || !sfemi_finite(v)) return 0;
-    }
-    return 1;
 }
 
 /* The step solved again, for what the caller has added since: all of that is in `late` then. */
@@ -21107,29 +21288,23 @@ static sfem_status sfemi_body_solve_again(sfem_body *b, sfem_error *err)
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
 {
     sfemi_grip *g = &b->grip;
+    sfem_status status;
     sfem_int i;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
     if (b->is_late) {
-        const sfem_status status = sfemi_body_solve_again(b, err);
+        status = sfemi_body_solve_again(b, err);
         if (status != SFEM_OK) return status;
     }
     b->phase = SFEMI_IDLE;
-    if (b->turns) {
-        const sfem_status status = sfemi_guard_judge_step(b, err);
-        if (status != SFEM_OK) {
-            sfemi_body_undo(b);
-            return status;
-        }
-    }
-    if (!b->turns && sfemi_resume_serves(b) && !sfemi_body_ends_finite(b)) {
+    status = b->scheme.method->accept(b, err);
+    if (status != SFEM_OK) {
         sfemi_body_undo(b);
-        return sfemi_fail(err, SFEM_NOT_FINITE, "the step leads to a displacement that is not finite");
+        return status;
     }
     b->begun = 0;
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
-    if (b->turns) sfemi_guard_finish(b);
-    else sfemi_body_finish_linear(b);
+    b->scheme.method->finish(b);
     for (i = 0; i < g->count; ++i)
         sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
     b->state.head->time += b->step;
@@ -21207,7 +21382,7 @@ static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, cons
 static sfem_real sfemi_body_span(const sfem_body *b)
 {
     sfemi_pqr_terms t;
-    if (!sfemi_body_keeps_mean(b)) return b->step;
+    if (!b->scheme.mean) return b->step;
     t = sfemi_pqr_weigh(b, b->step);
     return t.d - t.back;
 }
@@ -21282,7 +21457,7 @@ SFEM_DEF void sfem_body_positions(const sfem_body *b, sfem_real *x)
 SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
+    const int mean = b->scheme.mean && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
     size_t i;
     sfem_int k;
@@ -21296,7 +21471,7 @@ SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
 SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t stride)
 {
     const sfemi_state *s = &b->state;
-    const int mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
+    const int mean = b->scheme.mean && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
     sfem_int k;
     size_t i, at;
@@ -21454,7 +21629,7 @@ static int sfemi_state_damage_sound(const sfemi_bonds *g, const char *at)
 /* What of the block is not safe, or NULL. The block may stand at any address. */
 static const char *sfemi_body_state_fault(const sfem_body *b, const sfemi_state_head *head, const char *memory)
 {
-    const size_t nodes = (size_t)b->model->mesh.nodes, reals = sfemi_state_reals((sfem_int)nodes, b->turns, b->sleeps);
+    const size_t nodes = (size_t)b->model->mesh.nodes, reals = sfemi_state_reals((sfem_int)nodes, b->scheme.rotates, b->sleeps);
     const char *at = memory + sizeof *head;
     sfem_int k;
     if (!sfemi_state_head_sound(head, b->sleeps)) return "its head";
@@ -21527,12 +21702,12 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
     damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
-    bytes = sfemi_state_bytes(nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
+    bytes = sfemi_state_bytes(nodes, b->scheme.rotates, b->sleeps, listed, b->def.max_handles, damage);
     SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, b->turns, b->sleeps, listed, b->def.max_handles, damage);
+    sfemi_state_lay_out(&fresh, block, nodes, b->scheme.rotates, b->sleeps, listed, b->def.max_handles, damage);
     sfemi_resume_stop(b, 1);
     memcpy(fresh.head, old.head,
-           sizeof *old.head + sfemi_state_reals(nodes, b->turns, b->sleeps) * sizeof(sfem_real));
+           sizeof *old.head + sfemi_state_reals(nodes, b->scheme.rotates, b->sleeps) * sizeof(sfem_real));
     memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
     if (damage) {
         memcpy(fresh.books, old.books, sizeof *old.books + damage);
@@ -21713,35 +21888,10 @@ static sfemi_scratch sfemi_body_look_aside(sfem_body *b)
 
 static void sfemi_body_find_reactions(sfem_body *b, sfem_real *force)
 {
-    const sfem_real load[3] = {1, 0, 0};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int inertia = b->model->block_mass != NULL || b->alpha != 0;
-    sfem_real *v = b->acc;
     size_t i;
-    sfem_body_velocities(b, v);
-    if (sfemi_implicit_serves(b)) {
-        memcpy(b->zm, b->state.a, n * sizeof *b->zm);
-        sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
-        for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
-        return;
-    }
-    for (i = 0; i < n; ++i) {
-        b->zk[i] = b->state.u[i] + b->beta * v[i];
-        b->zm[i] = b->state.a[i] + b->alpha * v[i];
-        if (b->zd) b->zd[i] = v[i];
-    }
-    if (b->turns) {
-        for (i = 0; i < n; ++i) b->zk[i] -= b->state.u[i];
-        sfemi_guard_look(b);
-        sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
-        for (i = 0; i < n; ++i) b->zk[i] = b->beta * v[i];
-        sfemi_fracture_soften(b, b->zk, b->rhs);
-        for (i = 0; i < n; ++i)
-            b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
-        sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
-    } else {
-        sfemi_body_residual(b, load, inertia || b->state.head->started == SFEMI_RUNNING);
-    }
+    sfem_body_velocities(b, b->acc);
+    b->scheme.method->balance(b, b->acc);
     for (i = 0; i < n; ++i) force[i] = b->mask[i / 3] >> (i % 3) & 1 ? -b->rhs[i] : 0;
 }
 
@@ -21795,7 +21945,7 @@ SFEM_DEF void sfem_body_pieces(const sfem_body *b, sfem_piece *out)
     int mean, fresh;
     SFEM_ASSERT(b && b->damage && out);
     s = &b->state;
-    mean = sfemi_body_keeps_mean(b) && s->head->started == SFEMI_RUNNING;
+    mean = b->scheme.mean && s->head->started == SFEMI_RUNNING;
     fresh = b->pin_count > 0 && s->pin[0].age == 0;
     sfemi_damage_pieces(b->damage, s->u, s->w, mean ? s->head->h / 2 : 0, s->a, fresh ? b->mask : NULL, out);
 }
@@ -22328,61 +22478,23 @@ done:
 
 /* ---- what a body tells ---- */
 
-/* 1/2 x.M x, or x.K x with K's product in kx. */
-static sfem_real sfemi_body_dot(const sfem_real *a, const sfem_real *b, size_t n)
-{
-    sfem_real sum = 0;
-    size_t i;
-    for (i = 0; i < n; ++i) sum += a[i] * b[i];
-    return sum;
-}
-
 static sfem_energy sfemi_body_find_energy(sfem_body *b)
 {
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real h = s->head->h, *force = s->force[0];
-    const int running = s->head->started == SFEMI_RUNNING;
+    const sfem_real *force = s->force[0];
     sfem_energy e;
     size_t i;
     sfem_body_velocities(b, b->acc);
     sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
-    e.kinetic = sfemi_body_dot(b->acc, b->zm, n) / 2;
-    if (b->turns) {
-        e.elastic = s->head->current ? s->head->psi : sfemi_guard_forces(b, s->u, b->zk);
-    } else if (sfemi_implicit_linear(model)) {
-        sfem_model_multiply_stiffness(model, s->u, b->zk, &b->exec);
-        e.elastic = sfemi_body_dot(s->u, b->zk, n) / 2;
-    } else {
-        e.elastic = sfemi_implicit_forces(b, s->u, b->zk);
-    }
+    e.kinetic = sfemi_dot(n, b->acc, b->zm) / 2;
+    e.elastic = b->scheme.method->elastic(b);
     e.load = 0;
     for (i = 0; i < n; ++i)
-        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
     e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    if (b->turns) {
-        sfemi_guard_look(b);
-        e.conserved = s->head->steps ? s->head->energy
-                                     : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, h).ec;
-    }
-    if (!running || b->turns || b->base) return e;
-    if (!sfemi_body_keeps_mean(b)) {
-        if (b->def.integrator != SFEM_NEWMARK) return e;
-        sfem_model_multiply_mass(model, s->a, b->zm, &b->exec);
-        e.conserved += (b->def.beta - 0.25) * h * h / 2 * sfemi_body_dot(s->a, b->zm, n);
-    } else {
-        const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
-        sfem_real wkw, load_w = 0;
-        sfem_model_multiply_mass(model, s->w, b->zm, &b->exec);
-        sfem_model_multiply_stiffness(model, s->w, b->rhs, &b->exec);
-        wkw = sfemi_body_dot(s->w, b->rhs, n);
-        for (i = 0; i < n; ++i)
-            load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * b->state.head->gravity[i % 3]);
-        /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
-        e.conserved = k.r / 2 * sfemi_body_dot(s->w, b->zm, n) + k.p * h * h / 2 * wkw + e.elastic -
-                      h / 2 * sfemi_body_dot(s->u, b->rhs, n) + e.load + h / 2 * load_w;
-    }
+    b->scheme.method->conserved(b, &e);
     return e;
 }
 
@@ -22416,7 +22528,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
                           sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-    if (b->turns) /* as sfemi_body_allocate_turn lays it out */
+    if (b->scheme.rotates) /* as sfemi_body_allocate_turn lays it out */
         info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
                             (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
