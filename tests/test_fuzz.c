@@ -150,7 +150,7 @@ static body_block make_body_block(int scene)
     m.block = (unsigned char *)malloc(m.scene->bytes);
     assert_ok(sfem_body_create(m.scene->model, &m.scene->def, &m.body, &err), err);
     memcpy(m.block, m.scene->block[2], m.scene->bytes);
-    sfemi_state_lay_out(&m.view, m.block, 12, m.body->turns, m.body->sleeps, m.body->pin_count, 3,
+    sfemi_state_lay_out(&m.view, m.block, 12, m.body->scheme.rotates, m.body->sleeps, m.body->pin_count, 3,
                         m.body->bonds ? sfemi_damage_state_bytes(m.body->bonds) : 0);
     return m;
 }
