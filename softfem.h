@@ -75,8 +75,10 @@
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
  *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and their fracture, >>api-damage
  *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK (with both)
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK
+ *                        (with modes and reduced models)
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -96,6 +98,9 @@
 #if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
 #define SFEM_NO_MESHIO
 #endif
+#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY)
+#define SFEM_NO_BODY
+#endif
 #if !defined(SFEM_NO_LINK) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_LINK
 #endif
@@ -109,6 +114,9 @@
 #endif
 #if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
 #error "softfem.h: SFEM_ENABLE_MESHIO and SFEM_NO_MESHIO are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
+#error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
 #endif
 #if defined(SFEM_ENABLE_LINK) && defined(SFEM_NO_LINK)
 #error "softfem.h: SFEM_ENABLE_LINK and SFEM_NO_LINK are both defined: define only one of them"
@@ -759,6 +767,8 @@ SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
  * >>api-model   finite elements: K, M, D, loads, stress
  * ============================================================================================ */
 
+enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
+
 typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
 
 /* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
@@ -860,6 +870,7 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
 
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
@@ -1077,8 +1088,6 @@ typedef enum sfem_frame {
     SFEM_FRAME_REST,
     SFEM_FRAME_MAJORANT
 } sfem_frame;
-
-enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
 
 typedef struct sfem_body sfem_body;
 
@@ -1449,6 +1458,8 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
 /* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
  * take them, turned with the intact edges there. Between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
+
+#endif /* SFEM_NO_BODY */
 
 #ifndef SFEM_NO_MODES
 /* ============================================================================================
@@ -2154,6 +2165,7 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
         if (status != SFEM_OK) goto done;                                                            \
     } while (0)
 
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
 /* FNV-1a [Fowler, Noll, Vo 1991]; it starts from hash, SFEMI_HASH or that of what came before. */
 #define SFEMI_HASH ((uint64_t)0xcbf29ce484222325u)
 static uint64_t sfemi_hash(uint64_t hash, const void *data, size_t bytes)
@@ -2163,6 +2175,7 @@ static uint64_t sfemi_hash(uint64_t hash, const void *data, size_t bytes)
     for (i = 0; i < bytes; ++i) hash = (hash ^ p[i]) * 0x100000001b3u;
     return hash;
 }
+#endif
 
 static sfem_int sfemi_threads(const sfem_exec *e)
 {
@@ -2230,6 +2243,23 @@ SFEM_DEF int sfem_vector_width(void)
     static const int width[3] = {1, 4, 8};
     return width[sfemi_path()];
 }
+
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
+/* Counts that only grow: none reaches this in practice, and adding to it does not overflow. */
+#define SFEMI_STATE_COUNT ((int64_t)1 << 62)
+
+/* Are so many reals finite that may stand at any address? */
+static int sfemi_state_all_finite(const char *at, size_t count)
+{
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        sfem_real x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    return 1;
+}
+#endif
 
 /* ============================================================================================
  * >>math   3-vectors, 3x3 matrices (row-major), polar and singular value decomposition
@@ -2509,6 +2539,7 @@ SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9])
     memcpy(r, rotation, sizeof rotation);
 }
 
+#ifndef SFEM_NO_BODY
 /* r = exp([v]x), the rotation by |v| about v [Rodrigues 1840]. */
 static void sfemi_rotate_by(const sfem_real v[3], sfem_real r[9])
 {
@@ -2523,6 +2554,39 @@ static void sfemi_rotate_by(const sfem_real v[3], sfem_real r[9])
         r[3 * ((i + 1) % 3) + (i + 2) % 3] -= a * v[i];
     }
 }
+#endif
+
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
+/* In-place L D L^T of a small symmetric matrix, lower, row-major with the given stride. A row whose
+ * pivot is lost depends on those before it: its pivot becomes 0, which leaves it out. */
+static void sfemi_small_factor(sfem_real *a, sfem_int n, sfem_int stride)
+{
+    sfem_int i, j, k;
+    for (i = 0; i < n; ++i) {
+        const sfem_real whole = a[i * stride + i];
+        for (j = 0; j < i; ++j) {
+            sfem_real sum = a[i * stride + j];
+            for (k = 0; k < j; ++k) sum -= a[i * stride + k] * a[k * stride + k] * a[j * stride + k];
+            a[i * stride + j] = a[j * stride + j] > 0 ? sum / a[j * stride + j] : 0;
+        }
+        for (k = 0; k < i; ++k) a[i * stride + i] -= a[i * stride + k] * a[i * stride + k] * a[k * stride + k];
+        if (!(a[i * stride + i] > 1e-9 * whole)) a[i * stride + i] = 0;
+    }
+}
+
+/* Solves with it for x, x[0], x[step], x[2 step], ..; rows left out get 0. */
+static void sfemi_small_solve(const sfem_real *a, sfem_int n, sfem_int stride, sfem_real *x, sfem_int step)
+{
+    sfem_int i, k;
+    for (i = 0; i < n; ++i)
+        for (k = 0; k < i; ++k) x[i * step] -= a[i * stride + k] * x[k * step];
+    for (i = 0; i < n; ++i) x[i * step] = a[i * stride + i] > 0 ? x[i * step] / a[i * stride + i] : 0;
+    for (i = n - 1; i >= 0; --i)
+        for (k = i + 1; k < n; ++k) x[i * step] -= a[k * stride + i] * x[k * step];
+    for (i = 0; i < n; ++i)
+        if (!(a[i * stride + i] > 0)) x[i * step] = 0;
+}
+#endif
 
 /* ============================================================================================
  * >>mesh   tets, surface, generators, checks, renumbering
@@ -9156,6 +9220,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return status;
 }
 
+#ifndef SFEM_NO_BODY
 /* A factorisation in slices, with the bits of one at a stroke: where it stands, in fronts of the tasks by
  * levels, and in a large front in its units. */
 typedef struct sfemi_slice {
@@ -9217,6 +9282,7 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     }
     return cost / (double)units;
 }
+#endif
 
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
@@ -11224,6 +11290,39 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
+#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
+                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
+                        sfemi_totals *totals)                                                      \
+{                                                                                                  \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
+                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+}
+
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+#if SFEMI_X86
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+#endif
+
+/* The widest path that this processor has. */
+static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
+{
+    const int mixed = precision == SFEM_MIXED;
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+    default: break;
+    }
+#endif
+    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
+#ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
 static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
                                             const sfem_real *over, sfem_real *rotation,
@@ -11270,14 +11369,6 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
     }
 }
 
-#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
-                        sfemi_totals *totals)                                                      \
-{                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
-                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
-}
 #define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
 TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
                         sfem_real *rotation, sfem_real *trace)                                     \
@@ -11285,31 +11376,11 @@ TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *o
     sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
 SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
 #if SFEMI_X86
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
 SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
 SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
 #endif
-
-/* The widest path that this processor has. */
-static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
-{
-    const int mixed = precision == SFEM_MIXED;
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
-    default: break;
-    }
-#endif
-    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
-}
 
 static sfemi_polars_kernel sfemi_polars_pick(void)
 {
@@ -11322,6 +11393,7 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
 #endif
     return sfemi_polars_portable;
 }
+#endif
 
 /* ============================================================================================
  * >>fem   assembly, mass, damping, forces, tangents, loads, stress
@@ -12341,6 +12413,7 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
     }
 }
 
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
@@ -14951,36 +15024,6 @@ typedef struct sfemi_grip {
     int dirty;        /* the set of handles or the factor changed */
 } sfemi_grip;
 
-/* In-place L D L^T of a small symmetric matrix, lower, row-major with the given stride. A row whose
- * pivot is lost depends on those before it: its pivot becomes 0, which leaves it out. */
-static void sfemi_grip_factor(sfem_real *a, sfem_int n, sfem_int stride)
-{
-    sfem_int i, j, k;
-    for (i = 0; i < n; ++i) {
-        const sfem_real whole = a[i * stride + i];
-        for (j = 0; j < i; ++j) {
-            sfem_real sum = a[i * stride + j];
-            for (k = 0; k < j; ++k) sum -= a[i * stride + k] * a[k * stride + k] * a[j * stride + k];
-            a[i * stride + j] = a[j * stride + j] > 0 ? sum / a[j * stride + j] : 0;
-        }
-        for (k = 0; k < i; ++k) a[i * stride + i] -= a[i * stride + k] * a[i * stride + k] * a[k * stride + k];
-        if (!(a[i * stride + i] > 1e-9 * whole)) a[i * stride + i] = 0;
-    }
-}
-
-static void sfemi_grip_solve(const sfem_real *a, sfem_int n, sfem_int stride, sfem_real *x,
-                             sfem_int step)
-{
-    sfem_int i, k;
-    for (i = 0; i < n; ++i)
-        for (k = 0; k < i; ++k) x[i * step] -= a[i * stride + k] * x[k * step];
-    for (i = 0; i < n; ++i) x[i * step] = a[i * stride + i] > 0 ? x[i * step] / a[i * stride + i] : 0;
-    for (i = n - 1; i >= 0; --i)
-        for (k = i + 1; k < n; ++k) x[i * step] -= a[k * stride + i] * x[k * step];
-    for (i = 0; i < n; ++i)
-        if (!(a[i * stride + i] > 0)) x[i * step] = 0;
-}
-
 /* (H x) of one handle: the weighted mean over its nodes. */
 static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
 {
@@ -15035,8 +15078,8 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             }
         }
     }
-    if (!turns) sfemi_grip_factor(g->s, 3 * k, 3 * k);
-    for (b = 0; b < 3; ++b) sfemi_grip_factor(g->wm + b * k * k, k, k);
+    if (!turns) sfemi_small_factor(g->s, 3 * k, 3 * k);
+    for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
 }
 
 /* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
@@ -15051,7 +15094,7 @@ static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int
         sfemi_grip_mean(handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     for (i = 0; i < g->count; ++i) {
         for (c = 0; c < 3; ++c) {
             const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
@@ -15073,7 +15116,7 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
         sfemi_grip_mean(handle + g->slot[i], x, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    for (c = 0; c < 3; ++c) sfemi_grip_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
+    for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
     for (i = 0; i < k; ++i) {
         const sfemi_handle *h = handle + g->slot[i];
         for (p = 0; p < 4; ++p)
@@ -18278,7 +18321,7 @@ static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *fra
                 }
         }
     }
-    sfemi_grip_factor(g->s, size, size);
+    sfemi_small_factor(g->s, size, size);
 }
 
 /* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
@@ -18296,7 +18339,7 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
         sfemi_grip_mean(b->state.handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     memset(y, 0, n * sizeof *y);
     for (i = 0; i < g->count; ++i) {
         const sfemi_handle *h = b->state.handle + g->slot[i];
@@ -19097,7 +19140,7 @@ static void sfemi_correct_find_handle_forces(sfem_body *b)
                                                b->model->node_mass[h->node[p]];
         }
     }
-    for (c = 0; c < 3; ++c) sfemi_grip_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
+    for (c = 0; c < 3; ++c) sfemi_small_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
 }
 
 /* Energy beyond what a fallback may have: the budget, or what there was, and the work done in it. */
@@ -21536,9 +21579,6 @@ SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
  * when it was given. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever they
  * are, a step that they spoil fails or is rejected. */
 
-/* Counts that only grow: none reaches this in practice, and adding to it does not overflow. */
-#define SFEMI_STATE_COUNT ((int64_t)1 << 62)
-
 static int sfemi_state_counts_sound(const sfemi_state_head *head)
 {
     const int64_t count[4] = {head->steps, head->rejected, head->solves, head->evaluations};
@@ -21558,18 +21598,6 @@ static int sfemi_state_head_sound(const sfemi_state_head *head, int sleeps)
            head->sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(head->lag) &&
            sfemi_finite(head->gamma) && head->estimate >= 0 && head->rate >= 0 && head->rate <= 1 &&
            sfemi_finite(head->pair_h) && sfemi_finite(head->calm) && head->calm >= 0 && sfemi_state_counts_sound(head);
-}
-
-/* Are so many reals finite that may stand at any address? */
-static int sfemi_state_all_finite(const char *at, size_t count)
-{
-    size_t i;
-    for (i = 0; i < count; ++i) {
-        sfem_real x;
-        memcpy(&x, at + i * sizeof x, sizeof x);
-        if (!sfemi_finite(x)) return 0;
-    }
-    return 1;
 }
 
 static int sfemi_state_hold_sound(const sfemi_hold *hold)
@@ -22532,6 +22560,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     sfemi_unlock(&b->model->lock);
     return info;
 }
+
+#endif /* SFEM_NO_BODY */
 
 #ifndef SFEM_NO_MODES
 /* ============================================================================================
@@ -25947,7 +25977,7 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     size_t k;
     int c;
     sfemi_handle_matrix(b, b->light, b->rows, head->rigid.r, NULL);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
          hi = sfemi_handle_next(b, hi + 1), i += 3) {
@@ -25959,7 +25989,7 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
         sfemi_cross(w, b->arm + i, turn);
         for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
     }
-    sfemi_grip_solve(b->s, n, n, b->l, 1);
+    sfemi_small_solve(b->s, n, n, b->l, 1);
     memset(b->b, 0, b->stride * sizeof *b->b);
     sfemi_handle_subtract(b, b->l, b->b);
     for (k = 0; k < b->m; ++k) y[k] += b->light[k] * b->b[k];
@@ -26218,11 +26248,11 @@ static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
     memcpy(b->q, b->from, b->stride * sizeof *b->q);
     sfemi_handle_locate(b);
     sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r, step);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
     sfemi_handle_gaps(b, step, b->from);
-    sfemi_grip_solve(b->s, n, n, b->residual, 1);
+    sfemi_small_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
         step->to->rows_left += b->fixed[i];
@@ -26339,7 +26369,7 @@ static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_
         }
         for (c = 0; c < 3; ++c) b->l_trial[i + c] = b->residual[i + c] / wide + back[c];
     }
-    sfemi_grip_solve(b->s, n, n, b->l_trial, 1);
+    sfemi_small_solve(b->s, n, n, b->l_trial, 1);
     memset(b->trial, 0, b->stride * sizeof *b->trial);
     sfemi_handle_subtract(b, b->l_trial, b->trial);
     for (k = 0; k < b->m; ++k) b->trial[k] = -b->trial[k];
@@ -26361,7 +26391,7 @@ static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, pose, x, b->arm + i,
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
     sfemi_handle_matrix(b, b->inverse, b->rows, pose->r, step);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
         step->to->rows_left += b->fixed[i];
