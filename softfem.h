@@ -15512,6 +15512,23 @@ typedef struct sfemi_scheme {
     int euler;      /* backward Euler */
 } sfemi_scheme;
 
+/* The numbers of the step under way, filled in by predict and constant from then on. d .. lag are those of >>pqr and
+ * >>alpha; their equation there. Newton's methods use h alone. */
+typedef struct sfemi_step {
+    sfem_real h;       /* s */
+    sfem_real d;       /* s, between the centres of the mean velocities: w' = w + d a */
+    sfem_real ck, cd, ca;
+    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
+    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
+    sfem_real am, af;  /* these; zero at a start */
+    sfem_real cka;     /* K a- */
+    sfem_real lag;     /* s */
+    int bridges;       /* >>resume: the step is one of another method */
+    int falls;         /* >>resume: velocity is to be taken from the right side */
+    int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
+    int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
+} sfemi_step;
+
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or temporary. */
 struct sfem_body {
     sfem_allocator allocator;
@@ -15542,7 +15559,7 @@ struct sfem_body {
     int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
     int begun;           /* not finished, nor undone: before holds */
     sfemi_state_head before; /* what was when it began */
-    sfem_real step;      /* its h */
+    sfemi_step step;
     sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
     sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
     sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
@@ -15552,11 +15569,7 @@ struct sfem_body {
     sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
     sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
     sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
-    sfem_real *velocity; /* >>resume: [nodes][3] what a step that starts afresh (fresh) starts from, */
-    int fresh;           /* the state being that of a running body; w otherwise */
-    int bridges;         /* >>resume: the step is one of another method */
-    int falls;           /* >>resume: velocity is to be taken from the right side */
-    int starts_from_mass; /* >>resume: the step starts from m = r M w, not from A w */
+    sfem_real *velocity; /* >>resume: [nodes][3] what a step starts from, if step.fresh; or is to lose, if step.falls */
     sfemi_implicit implicit;
     sfemi_refactor refactor;
 };
@@ -15569,27 +15582,13 @@ static const sfem_factor *sfemi_body_active(const sfem_body *b)
 
 enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 
-/* Coefficients of A = r M + (q/2) h D + p h^2 K for the body's integrator, D resolved into K, M, rest. */
-typedef struct sfemi_coefficients {
-    sfem_real p, q, r;
-} sfemi_coefficients;
-
-static sfemi_coefficients sfemi_body_coefficients(const sfem_body *b, sfem_real p)
-{
-    sfemi_coefficients k;
-    k.p = p;
-    k.q = b->scheme.q;
-    k.r = b->scheme.r;
-    return k;
-}
-
 /* The velocity, or mean velocity, that the step under way starts from. */
-static const sfem_real *sfemi_body_way(const sfem_body *b) { return b->fresh ? b->velocity : b->state.w; }
+static const sfem_real *sfemi_body_way(const sfem_body *b) { return b->step.fresh ? b->velocity : b->state.w; }
 
 /* Does the step under way go on from one before it? */
 static int sfemi_body_goes_on(const sfem_body *b)
 {
-    return b->state.head->started == SFEMI_RUNNING && !b->fresh;
+    return b->state.head->started == SFEMI_RUNNING && !b->step.fresh;
 }
 
 /* out = load[0] F+ + load[1] F + load[2] F- + their sum M g - rhs; out may be rhs. */
@@ -15743,16 +15742,18 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_
  * ============================================================================================ */
 
 /* The predictors of one axis. */
-static void sfemi_newmark_guess(const sfem_body *b, size_t i, sfem_real h, sfem_real *u, sfem_real *v)
+static void sfemi_newmark_guess(const sfem_body *b, size_t i, sfem_real *u, sfem_real *v)
 {
+    const sfem_real h = b->step.h;
     const sfemi_state *s = &b->state;
     const sfem_real w = sfemi_body_way(b)[i];
     *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * s->a[i]);
     *v = w + (1 - b->def.gamma) * h * s->a[i];
 }
 
-static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
+static void sfemi_newmark_predict(sfem_body *b)
 {
+    const sfem_real h = b->step.h;
     const sfem_real load[3] = {1, 0, 0};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_int k;
@@ -15761,7 +15762,7 @@ static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
     if (b->state.head->started != SFEMI_RUNNING) sfemi_body_initial_acceleration(b, 1);
     for (i = 0; i < n; ++i) {
         sfem_real u, v;
-        sfemi_newmark_guess(b, i, h, &u, &v);
+        sfemi_newmark_guess(b, i, &u, &v);
         b->zk[i] = u + b->beta * v;
         b->zm[i] = b->alpha * v;
         if (b->zd) b->zd[i] = v;
@@ -15788,11 +15789,11 @@ static void sfemi_newmark_predict(sfem_body *b, sfem_real h)
 static void sfemi_newmark_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfem_real h = b->step.h;
     size_t i;
     sfem_real v;
     if (!b->grip.count) return;
-    for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, h, &b->zk[i], &v);
+    for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, &b->zk[i], &v);
     sfemi_body_handle_gap(b, &b->grip, b->zk, b->def.beta * h * h);
     sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
 }
@@ -15800,7 +15801,7 @@ static void sfemi_newmark_solve(sfem_body *b)
 static void sfemi_newmark_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step;
+    const sfem_real h = b->step.h;
     sfemi_state *s = &b->state;
     sfem_int k;
     size_t i;
@@ -15808,7 +15809,7 @@ static void sfemi_newmark_finish(sfem_body *b)
     for (i = 0; i < n; ++i) {
         sfem_real u, v;
         if (b->mask[i / 3] >> (i % 3) & 1) continue;
-        sfemi_newmark_guess(b, i, h, &u, &v);
+        sfemi_newmark_guess(b, i, &u, &v);
         s->u[i] = u + b->def.beta * h * h * b->acc[i];
         s->w[i] = v + b->def.gamma * h * b->acc[i];
         s->a[i] = b->acc[i];
@@ -15837,7 +15838,7 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
     for (pass = 0; pass < 2 && b->grip.count; ++pass) {
         for (i = 0; i < b->grip.count; ++i) {
             sfem_real motion[2][3];
-            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step,
+            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step.h,
                               b->state.head->h, motion[0], motion[1]);
             for (c = 0; c < 3; ++c) b->grip.lambda[3 * i + c] = motion[pass][c];
         }
@@ -16124,9 +16125,9 @@ static sfem_status sfemi_implicit_get_factor(sfem_body *b, sfem_real h, sfem_fac
 static void sfemi_implicit_hold(const sfem_body *b, const sfemi_hold *hold, const sfem_real *x,
                                 sfem_real place[3], sfem_real v[3], sfem_real a[3])
 {
-    const sfem_real back = (1 - b->implicit.stage.end) * b->step;
+    const sfem_real back = (1 - b->implicit.stage.end) * b->step.h;
     int c;
-    sfemi_hold_motion(hold, x, b->step, b->state.head->h, v, a);
+    sfemi_hold_motion(hold, x, b->step.h, b->state.head->h, v, a);
     for (c = 0; c < 3; ++c) {
         place[c] = hold->target[c] - back * (v[c] - back / 2 * a[c]);
         v[c] -= back * a[c];
@@ -16634,7 +16635,7 @@ static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
     sfemi_implicit *m = &b->implicit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *v = stage ? m->mid_v : b->state.w, *a = stage ? m->mid_a : m->a0;
-    const sfem_real h = b->step * (stage ? 0.5 : m->stage.end);
+    const sfem_real h = b->step.h * (stage ? 0.5 : m->stage.end);
     sfem_real energy, q0;
     size_t i;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
@@ -16675,7 +16676,7 @@ static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
         t.iterations = b->def.newton.iterations;
         t.once = t.iterations == 1 ||
                  (sfemi_implicit_linear(b->model) && !b->def.damping_force.force);
-        m->stage = sfemi_implicit_stage(b, k, b->step);
+        m->stage = sfemi_implicit_stage(b, k, b->step.h);
         share = 1 - m->stage.w1 * m->stage.end;
         memcpy(m->load, b->rhs, n * sizeof *m->load);
         if (share != 0 && b->state.head->loaded && b->state.head->load_age < 2)
@@ -16708,7 +16709,7 @@ static void sfemi_implicit_finish(sfem_body *b)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
-        sfemi_hold_motion(s->pin + k, x, b->step, s->head->h, v, a);
+        sfemi_hold_motion(s->pin + k, x, b->step.h, s->head->h, v, a);
         for (c = 0; c < 3; ++c) {
             i = at + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
@@ -16855,40 +16856,29 @@ static sfem_real sfemi_alpha_p(const sfem_body *b)
  * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
  * ============================================================================================ */
 
-typedef struct sfemi_pqr_terms {
-    sfem_real d;       /* s, see above */
-    sfem_real ck, cd, ca;
-    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
-    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
-    sfem_real am, af;  /* these; zero at a start */
-    sfem_real cka;     /* K a- */
-    sfem_real lag;     /* s */
-} sfemi_pqr_terms;
-
-/* The terms of KR-alpha for steps of h1, then h2. */
-static sfemi_pqr_terms sfemi_alpha_weigh(const sfem_body *b, sfem_real h1, sfem_real h2)
+/* KR-alpha's terms of a step of h2 after one of h1, to b->step. */
+static void sfemi_alpha_weigh(sfem_body *b, sfem_real h1, sfem_real h2)
 {
     const sfem_real rho = b->def.rho_inf, gamma = (3 - rho) / (2 * (1 + rho)),
                     beta = 1 / ((1 + rho) * (1 + rho));
+    sfemi_step *t = &b->step;
     sfem_real last;
-    sfemi_pqr_terms t;
-    memset(&t, 0, sizeof t);
-    t.cd = t.load[1] = 1;
-    t.d = h2 / 2;
-    t.lag = (0.5 - gamma) * h2; /* after a start as if all had gone on at h2: (p,q,r)'s form from then on */
-    if (!(h1 > 0)) return t;
-    t.am = (2 * rho - 1) / (1 + rho);
-    t.af = rho / (1 + rho);
-    last = fmin(b->state.head->lag, (1 - t.af) * h1 / 2); /* keeps the denominator above 0 */
-    t.lag = ((t.am - t.af) * h1 - t.am * last) / (1 - t.am);
-    t.d = (h1 + h2) / 2 * (h1 - last) / (h1 - last + t.lag);
-    t.back = t.d - (h1 + h2) / 2;
-    t.ck = t.af * h1; /* u - h1 w is where the last step started */
-    t.cka = t.af * (beta * h1 * h1);
-    t.ca = t.af * h1 / 2 - (1 - t.af) * (h1 / 2 - gamma * h2); /* the velocities are w -+ h1/2 a- */
-    t.load[1] = 1 - t.af;
-    t.load[2] = t.af;
-    return t;
+    t->cd = t->load[1] = 1;
+    t->d = h2 / 2;
+    t->lag = (0.5 - gamma) * h2; /* after a start as if all had gone on at h2: (p,q,r)'s form from then on */
+    t->load[0] = t->load[2] = t->ck = t->ca = 0;
+    if (!(h1 > 0)) return;
+    t->am = (2 * rho - 1) / (1 + rho);
+    t->af = rho / (1 + rho);
+    last = fmin(b->state.head->lag, (1 - t->af) * h1 / 2); /* keeps the denominator above 0 */
+    t->lag = ((t->am - t->af) * h1 - t->am * last) / (1 - t->am);
+    t->d = (h1 + h2) / 2 * (h1 - last) / (h1 - last + t->lag);
+    t->back = t->d - (h1 + h2) / 2;
+    t->ck = t->af * h1; /* u - h1 w is where the last step started */
+    t->cka = t->af * (beta * h1 * h1);
+    t->ca = t->af * h1 / 2 - (1 - t->af) * (h1 / 2 - gamma * h2); /* the velocities are w -+ h1/2 a- */
+    t->load[1] = 1 - t->af;
+    t->load[2] = t->af;
 }
 
 static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
@@ -16897,44 +16887,47 @@ static int sfemi_pqr_starts_at_fourth_order(const sfem_body *b)
            b->beta == 0 && !b->model->damping;
 }
 
-static sfemi_pqr_terms sfemi_pqr_weigh(const sfem_body *b, sfem_real h2)
+/* The terms of a step of h2 that goes on from the state, or starts from b->velocity, to b->step. */
+static void sfemi_pqr_weigh(sfem_body *b, sfem_real h2)
 {
-    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
     const int running = sfemi_body_goes_on(b), first = b->state.head->started <= SFEMI_LOAD_FIXED;
-    const sfem_real h1 = running ? b->state.head->h : 0, p1 = h1 > 0 ? b->state.head->p : 0;
-    sfemi_pqr_terms t;
-    if (b->scheme.lagging) return sfemi_alpha_weigh(b, h1, h2);
-    t.back = t.am = t.af = t.cka = t.lag = 0;
-    t.d = (h1 + h2) / 2;
-    t.ck = (p1 * h1 * h1 - k.p * h2 * h2) / t.d;
-    t.cd = running ? (h1 - k.q / 2 * (h1 - h2)) / t.d : 1; /* 1: the mass that q adds has v0, too */
-    t.ca = first && b->beta == 0 && !b->zd ? (0.25 - k.p) * h2 * h2 / t.d : 0; /* by K it would make energy */
-    t.load[0] = k.p * h2 / t.d;
-    t.load[2] = p1 * h1 / t.d;
-    if (first && sfemi_pqr_starts_at_fourth_order(b)) {
-        t.ck = -h2 / 3;
-        t.load[0] = 1.0 / 3;
+    const sfem_real h1 = running ? b->state.head->h : 0, p1 = h1 > 0 ? b->state.head->p : 0, q = b->scheme.q;
+    sfemi_step *t = &b->step;
+    t->h = h2;
+    t->back = t->am = t->af = t->cka = t->lag = 0;
+    if (b->scheme.lagging) {
+        sfemi_alpha_weigh(b, h1, h2);
+        return;
     }
-    if (b->def.plain_load) t.load[0] = t.load[2] = 0;
-    t.load[1] = 1 - t.load[0] - t.load[2];
-    return t;
+    t->d = (h1 + h2) / 2;
+    t->ck = (p1 * h1 * h1 - b->p * h2 * h2) / t->d;
+    t->cd = running ? (h1 - q / 2 * (h1 - h2)) / t->d : 1; /* 1: the mass that q adds has v0, too */
+    t->ca = first && b->beta == 0 && !b->zd ? (0.25 - b->p) * h2 * h2 / t->d : 0; /* by K it would make energy */
+    t->load[0] = b->p * h2 / t->d;
+    t->load[2] = p1 * h1 / t->d;
+    if (first && sfemi_pqr_starts_at_fourth_order(b)) {
+        t->ck = -h2 / 3;
+        t->load[0] = 1.0 / 3;
+    }
+    if (b->def.plain_load) t->load[0] = t->load[2] = 0;
+    t->load[1] = 1 - t->load[0] - t->load[2];
 }
 
 /* What a step adds its acceleration to: b->base where there is one, else w. */
 static const sfem_real *sfemi_pqr_base(const sfem_body *b) { return b->base ? b->base : b->state.w; }
 
 /* b->base of a step that goes on; at a start, y comes from a solve. */
-static void sfemi_alpha_predict(sfem_body *b, sfem_real h, sfem_real back)
+static void sfemi_alpha_predict(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *w = sfemi_body_way(b), *a = b->state.a;
     size_t i;
     if (sfemi_body_goes_on(b)) {
-        for (i = 0; i < n; ++i) b->base[i] = w[i] - back * a[i];
+        for (i = 0; i < n; ++i) b->base[i] = w[i] - b->step.back * a[i];
         return;
     }
     sfem_model_multiply_stiffness(b->model, w, b->rhs, &b->exec);
-    for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * h * h;
+    for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * b->step.h * b->step.h;
     memset(b->base, 0, n * sizeof *b->base);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->work, &b->exec);
     if (b->grip.count) {
@@ -16944,21 +16937,20 @@ static void sfemi_alpha_predict(sfem_body *b, sfem_real h, sfem_real back)
     for (i = 0; i < n; ++i) b->base[i] += w[i];
 }
 
-static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
+static void sfemi_pqr_predict(sfem_body *b)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfemi_step t = b->step;
+    const sfem_real h = t.h;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     const sfem_real *base = sfemi_pqr_base(b), *w = sfemi_body_way(b);
     int with_mass, c;
-    sfemi_pqr_terms t;
     sfem_int j;
     size_t i;
     if (s->head->started <= SFEMI_LOAD_FIXED && damped && b->p != 0.25 && !b->base)
-        sfemi_body_initial_acceleration(b, k.r);
-    t = sfemi_pqr_weigh(b, h);
-    if (b->base) sfemi_alpha_predict(b, h, t.back);
+        sfemi_body_initial_acceleration(b, b->scheme.r);
+    if (b->base) sfemi_alpha_predict(b);
     with_mass = b->alpha != 0 || t.am != 0;
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * w[i] - t.ca * s->a[i] : 0;
@@ -16974,9 +16966,9 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
             a = (1 - t.am) * ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
             b->acc[i] = a;
-            b->zk[i] += (k.p * h + k.q / 2 * b->beta) * h * a;
-            b->zm[i] += (k.r + k.q / 2 * h * b->alpha) * a;
-            if (b->zd) b->zd[i] += k.q / 2 * h * a;
+            b->zk[i] += (b->p * h + b->scheme.q / 2 * b->beta) * h * a;
+            b->zm[i] += (b->scheme.r + b->scheme.q / 2 * h * b->alpha) * a;
+            if (b->zd) b->zd[i] += b->scheme.q / 2 * h * a;
             with_mass |= b->model->block_mass != NULL && a != 0;
         }
     }
@@ -16986,8 +16978,8 @@ static void sfemi_pqr_predict(sfem_body *b, sfem_real h)
 static void sfemi_pqr_solve(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
-    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
+    const sfemi_step t = b->step;
+    const sfem_real h = b->step.h, *base = sfemi_pqr_base(b);
     size_t i;
     if (b->grip.count) {
         for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
@@ -17000,8 +16992,8 @@ static void sfemi_pqr_solve(sfem_body *b)
 static void sfemi_pqr_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, h);
+    const sfem_real h = b->step.h, *base = sfemi_pqr_base(b);
+    const sfemi_step t = b->step;
     sfemi_state *s = &b->state;
     sfem_int k;
     size_t i;
@@ -17165,13 +17157,12 @@ static sfem_real sfemi_pqr_smallest_root(sfem_real a, sfem_real half, sfem_real 
  * largest omega w, from 4 A >= h^2 K + 2 h D. For Newmark 1/sqrt(gamma/2 - beta) [Hughes 1987]. */
 static sfem_real sfemi_pqr_stable_step(const sfem_body *b, sfem_real p)
 {
-    const sfemi_coefficients k = sfemi_body_coefficients(b, p);
     const sfem_real w2 = b->omega_max * b->omega_max;
     if (b->scheme.newmark) {
         const sfem_real gap = b->def.gamma / 2 - b->def.beta;
         return gap <= 0 ? 0 : 1 / sqrt(gap * w2);
     }
-    return sfemi_pqr_smallest_root((4 * k.p - 1) * w2, (k.q - 1) * (b->alpha + b->beta * w2), 4 * k.r);
+    return sfemi_pqr_smallest_root((4 * p - 1) * w2, (b->scheme.q - 1) * (b->alpha + b->beta * w2), 4 * b->scheme.r);
 }
 
 /* Does a step of any length need omega_max? */
@@ -17829,11 +17820,10 @@ typedef struct sfemi_inertia {
 
 static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_real p)
 {
-    const sfemi_coefficients k = sfemi_body_coefficients(b, p);
     const int newmark = b->scheme.newmark;
     sfemi_inertia t;
-    t.d = newmark ? 0 : (k.q - 1) / 2 * h;
-    t.m = k.r + t.d * b->alpha;
+    t.d = newmark ? 0 : (b->scheme.q - 1) / 2 * h;
+    t.m = b->scheme.r + t.d * b->alpha;
     t.bound = p * h * h + t.d * b->beta;
     t.k = newmark ? -b->def.gamma / 2 * h * h : -h * h / 4;
     return t;
@@ -18038,19 +18028,19 @@ static void sfemi_resume_lead(sfem_body *b, sfem_real h)
 static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real before = b->state.head->h, d = sfemi_pqr_weigh(b, h).d;
+    const sfem_real before = b->state.head->h;
     sfemi_grip *g = &b->grip;
     const sfem_int count = g->count;
     sfem_int k;
     size_t i;
-    b->step = h;
+    sfemi_pqr_weigh(b, h);
     for (g->count = k = 0; k < count; ++k)
         if (b->state.handle[g->slot[k]].hold.age > 0) g->slot[g->count++] = g->slot[k];
     if (g->count < count) sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
-    sfemi_pqr_predict(b, h);
+    sfemi_pqr_predict(b);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
     sfemi_pqr_solve(b);
-    for (i = 0; i < n; ++i) v[i] = (h * b->state.w[i] + before * (b->base[i] + d * b->acc[i])) / (before + h);
+    for (i = 0; i < n; ++i) v[i] = (h * b->state.w[i] + before * (b->base[i] + b->step.d * b->acc[i])) / (before + h);
     if (g->count == count) return;
     for (g->count = k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
@@ -18084,7 +18074,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
     b->phase = SFEMI_IDLE;
-    b->fresh = 0;
+    b->step.fresh = 0;
     if (!b->scheme.resumes) { /* Newton's: its a is stale, too */
         s->head->started = SFEMI_RESTARTED;
         return;
@@ -18125,13 +18115,13 @@ static void sfemi_resume_hold(sfem_body *b, sfem_real *v)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1)
-                v[i] = (b->state.pin[k].target[c] - b->model->mesh.x[i] - b->state.u[i]) / b->step;
+                v[i] = (b->state.pin[k].target[c] - b->model->mesh.x[i] - b->state.u[i]) / b->step.h;
         }
     for (k = 0; k < b->grip.count; ++k) {
         sfem_real at[3];
         sfem_body_handle_position(b, b->grip.slot[k], at);
         for (c = 0; c < 3; ++c)
-            b->grip.lambda[3 * k + c] = (b->state.handle[b->grip.slot[k]].hold.target[c] - at[c]) / b->step;
+            b->grip.lambda[3 * k + c] = (b->state.handle[b->grip.slot[k]].hold.target[c] - at[c]) / b->step.h;
     }
     sfemi_body_project(b, m, v);
 }
@@ -18223,20 +18213,20 @@ static int sfemi_resume_change(sfem_body *b, sfem_real h)
     sfem_real *v;
     size_t i;
     int change;
-    b->fresh = b->starts_from_mass = 0;
+    b->step.fresh = b->step.starts_from_mass = 0;
     if (!b->scheme.resumes || s->head->started < SFEMI_RESTARTED) return 0;
     v = b->spare + 4 * n; /* only bodies that this serves have it */
     from = sfemi_resume_inertia(b, s->head->h, s->head->p);
-    to = sfemi_resume_inertia(b, h, sfemi_body_coefficients(b, b->p).p);
+    to = sfemi_resume_inertia(b, h, b->p);
     change = sfemi_resume_compare(b, &from, &to);
     if (b->base) return 0;
     if (!newmark && sfemi_resume_inertia_is_unknown(b)) {
-        b->starts_from_mass = s->head->started == SFEMI_RESTARTED;
+        b->step.starts_from_mass = s->head->started == SFEMI_RESTARTED;
         return 0;
     }
     if (s->head->started == SFEMI_RESTARTED && !newmark) { /* m is the lesser B v, not r M v */
         sfemi_inertia more = change < 0 ? to : from;
-        more.m -= sfemi_body_coefficients(b, b->p).r;
+        more.m -= b->scheme.r;
         if (more.bound + more.k == 0 && more.m == 0 && more.d == 0 && !sfemi_resume_bounded(b)) return 0;
         sfemi_resume_multiply(b, &more, s->w, b->velocity);
         for (i = 0; i < n; ++i) b->velocity[i] = -b->velocity[i];
@@ -18252,7 +18242,7 @@ static int sfemi_resume_change(sfem_body *b, sfem_real h)
     sfemi_resume_rescale(b, &from, &to, change, v, b->rhs);
     sfemi_body_mass_solve(b, b->velocity);
     for (i = 0; i < n; ++i) b->velocity[i] = s->w[i] - b->velocity[i];
-    return b->fresh = 1;
+    return b->step.fresh = 1;
 }
 
 /* ---- the step of another method, see 5 ---- */
@@ -18265,7 +18255,7 @@ static int sfemi_resume_bridges(sfem_body *b, sfem_real h)
     if (!b->base || !b->scheme.resumes) return 0;
     if (head->started == SFEMI_RUNNING) {
         if (!other && !sfemi_resume_takes(b)) return 0;
-        b->fresh = 0;
+        b->step.fresh = 0;
         sfemi_resume_between_leading(b, h, b->velocity);
     } else {
         if (!other && head->started != SFEMI_RESTARTED) return 0;
@@ -18276,8 +18266,9 @@ static int sfemi_resume_bridges(sfem_body *b, sfem_real h)
 }
 
 /* A a = (F+ + F)/2 - K u - D v - g h K v, a = dv1/h. */
-static void sfemi_resume_bridge_predict(sfem_body *b, sfem_real h)
+static void sfemi_resume_bridge_predict(sfem_body *b)
 {
+    const sfem_real h = b->step.h;
     static const sfem_real load[3] = {0.5, 0.5, 0};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real g = sqrt(b->p), *v = b->velocity;
@@ -18307,7 +18298,7 @@ static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
 {
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes, rows = 3 * (size_t)b->grip.count;
-    const sfem_real c = (sqrt(b->p) - sfemi_body_coefficients(b, b->p).q / 2) * b->step;
+    const sfem_real c = (sqrt(b->p) - b->scheme.q / 2) * b->step.h;
     sfem_real *x = b->spare + 2 * n, *y = b->spare + 3 * n;
     size_t i;
     sfemi_resume_bridge_hold(b, a);
@@ -18331,7 +18322,7 @@ static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
 static void sfemi_resume_bridge_stage(sfem_body *b, sfem_real *du, sfem_real *dv)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real gh = sqrt(b->p) * b->step;
+    const sfem_real gh = sqrt(b->p) * b->step.h;
     size_t i;
     if (sfemi_turn_projects(b)) sfemi_turn_push_velocity(b, dv);
     for (i = 0; i < n; ++i) b->zk[i] = -gh * du[i];
@@ -18346,7 +18337,7 @@ static void sfemi_resume_bridge_stage(sfem_body *b, sfem_real *du, sfem_real *dv
 static void sfemi_resume_bridge_finish(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real g = sqrt(b->p), h = b->step;
+    const sfem_real g = sqrt(b->p), h = b->step.h;
     const sfem_real weight[3] = {g, 3 - 2 * g - 1 / (2 * g), 1 / (2 * g) - 2 + g};
     sfem_real *du = b->spare, *dv = b->spare + n, *v = b->velocity;
     sfemi_state *s = &b->state;
@@ -18376,10 +18367,10 @@ static void sfemi_resume_bridge_finish(sfem_body *b)
 }
 
 /* Takes it from the right side of a step of (p,q,r). */
-static void sfemi_resume_lessen(const sfem_body *b, int falls, sfem_real d, sfem_real *rhs)
+static void sfemi_resume_lessen(const sfem_body *b, sfem_real *rhs)
 {
     size_t i;
-    for (i = 0; falls && !b->fresh && i < 3 * (size_t)b->model->mesh.nodes; ++i) rhs[i] -= b->velocity[i] / d;
+    for (i = 0; b->step.falls && !b->step.fresh && i < 3 * (size_t)b->model->mesh.nodes; ++i) rhs[i] -= b->velocity[i] / b->step.d;
 }
 
 /* ============================================================================================
@@ -18412,7 +18403,7 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
 {
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
-    const sfem_real *g = s->head->gravity, r = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real *g = s->head->gravity, r = b->scheme.r;
     sfemi_guard_energies e;
     sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
     sfem_real stretch[3] = {0, 0, 0}, terms[3] = {0, 0, 0};
@@ -18577,14 +18568,14 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
 }
 
 /* b->base as in sfemi_alpha_predict, in the turned frames. */
-static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
+static void sfemi_guard_predict_alpha(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_state *s = &b->state;
     size_t i;
-    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - back * s->a[i];
+    for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->step.back * s->a[i];
     if (s->head->started == SFEMI_RUNNING) return;
-    for (i = 0; i < n; ++i) b->zk[i] = b->p * h * h * s->w[i];
+    for (i = 0; i < n; ++i) b->zk[i] = b->p * b->step.h * b->step.h * s->w[i];
     sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
     sfemi_turn_solve(b, b->factor, s->u, s->frame, b->zm);
     if (b->grip.count) {
@@ -18600,7 +18591,7 @@ static void sfemi_guard_predict_alpha(sfem_body *b, sfem_real h, sfem_real back)
 static void sfemi_guard_settle_momentum(sfem_body *b)
 {
     const sfem_real load[3] = {0, 1, 0};
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfemi_step t = b->step;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t i;
     sfem_int k;
@@ -18672,8 +18663,8 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
 {
     const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
-    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0, h2 = b->step;
+    const sfemi_step t = b->step;
+    const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0, h2 = b->step.h;
     const sfem_real a = b->def.dissipation, beta = (1 + a) * (1 + a) / 4, gamma = s->head->gamma;
     const sfem_real k1 = h2 * beta / t.d, k2 = (h2 * (0.5 - beta) + h1 * (gamma - beta)) / t.d;
     const sfem_real k3 = h1 * (0.5 - gamma + beta) / t.d;
@@ -18684,7 +18675,7 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     q->h = h2;
     q->d = t.d;
     q->end = b->guard.end = k1 * (1 - a);
-    q->after = sfemi_body_coefficients(b, b->p).q / 2 * h2 / t.d;
+    q->after = b->scheme.q / 2 * h2 / t.d;
     q->before = t.cd - q->after;
     for (i = 0; i < n; ++i) b->guard.known[i] = now * s->f[i] + past * s->f_past[i];
     for (i = 0; h1 > 0 && a != 0 && i < n; ++i) b->guard.known[i] += k3 * a * s->f_past2[i];
@@ -18710,11 +18701,11 @@ static const sfem_real *sfemi_correct_forecast(sfem_body *b)
 
 /* The caller's damping at the velocity that is expected, to b->rhs and to the motion of free pieces: corrections take
  * what is left. All of it, which is of first order, would be lost in steps that need none by accuracy. */
-static void sfemi_correct_brake(sfem_body *b, const sfemi_pqr_terms *t)
+static void sfemi_correct_brake(sfem_body *b, const sfemi_step *t)
 {
     const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real ahead = sfemi_body_coefficients(b, b->p).q / 2 * b->step;
+    const sfem_real ahead = b->scheme.q / 2 * b->step.h;
     sfem_real *v = b->guard.dir, *force = b->guard.other;
     size_t i;
     if (!sfemi_correct_is_braked(b)) return;
@@ -18725,26 +18716,24 @@ static void sfemi_correct_brake(sfem_body *b, const sfemi_pqr_terms *t)
     if (sfemi_turn_projects(b)) sfemi_turn_push_more(b, s->u, force, -1);
 }
 
-static void sfemi_guard_predict(sfem_body *b, sfem_real h)
+static void sfemi_guard_predict(sfem_body *b)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
+    const sfem_real h = b->step.h;
+    sfemi_step t = b->step; /* less what the forecast of forces has */
     const sfem_real *base = sfemi_pqr_base(b);
     const sfem_model *model = b->model;
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_real *force;
     int stiff, c;
-    sfemi_pqr_terms t;
     sfem_int j;
     size_t i;
-    b->step = h;
     sfemi_guard_refresh(b, h);
-    t = sfemi_pqr_weigh(b, h);
     force = sfemi_correct_forecast(b);
     if (force != s->f) t.ck = 0;
-    if (b->starts_from_mass) t.cd -= k.q; /* A w' = r M w + ..; the rest of A w is left out */
+    if (b->step.starts_from_mass) t.cd -= b->scheme.q; /* A w' = r M w + ..; the rest of A w is left out */
     if (b->base) {
-        sfemi_guard_predict_alpha(b, h, t.back);
+        sfemi_guard_predict_alpha(b);
         t.ck = 0; /* forces at the end of the last step are at hand */
     } else {
         t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
@@ -18760,16 +18749,16 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
             stiff |= b->acc[i] != 0;
         }
     if (stiff) {
-        const sfem_real held = (k.p * h + k.q / 2 * b->beta) * h; /* only held axes have an acc yet */
+        const sfem_real held = (b->p * h + b->scheme.q / 2 * b->beta) * h; /* only held axes have an acc yet */
         for (i = 0; i < n; ++i) {
-            const sfem_real ck = b->starts_from_mass && !(b->mask[i / 3] >> (i % 3) & 1) ? 0 : t.ck;
+            const sfem_real ck = b->step.starts_from_mass && !(b->mask[i / 3] >> (i % 3) & 1) ? 0 : t.ck;
             b->zk[i] = (b->beta * t.cd - ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
         }
-        for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + k.q / 2 * h * b->acc[i];
+        for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + b->scheme.q / 2 * h * b->acc[i];
         if ((b->beta != 0 || b->zd) && sfemi_guard_centripetal(b, b->guard.grad))
             for (i = 0; i < n; ++i) {
-                b->zk[i] += k.q / 2 * h * b->beta * b->guard.grad[i];
-                if (b->zd) b->zd[i] += k.q / 2 * h * b->guard.grad[i];
+                b->zk[i] += b->scheme.q / 2 * h * b->beta * b->guard.grad[i];
+                if (b->zd) b->zd[i] += b->scheme.q / 2 * h * b->guard.grad[i];
             }
         sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i) b->rhs[i] += force[i];
@@ -18784,8 +18773,8 @@ static void sfemi_guard_predict(sfem_body *b, sfem_real h)
     for (i = 0; t.af != 0 && i < n; ++i) b->rhs[i] += t.af * (s->f_past[i] - s->f[i]);
     sfemi_correct_brake(b, &t);
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
-    sfemi_resume_lessen(b, b->falls, t.d, b->rhs);
-    for (i = 0; b->starts_from_mass && i < n; ++i) b->rhs[i] += k.r * model->node_mass[i / 3] * s->w[i] / t.d;
+    sfemi_resume_lessen(b, b->rhs);
+    for (i = 0; b->step.starts_from_mass && i < n; ++i) b->rhs[i] += b->scheme.r * model->node_mass[i / 3] * s->w[i] / t.d;
     for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
 }
 
@@ -18803,8 +18792,8 @@ static void sfemi_guard_subtract_velocity(sfem_body *b, sfem_real part, sfem_rea
 static void sfemi_guard_try(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
-    const sfem_real h = b->step, *base = sfemi_pqr_base(b);
+    const sfemi_step t = b->step;
+    const sfem_real h = b->step.h, *base = sfemi_pqr_base(b);
     const sfem_factor *f = sfemi_body_active(b);
     sfem_real *x = b->zm;
     int centripetal, c, more = 0;
@@ -18824,7 +18813,7 @@ static void sfemi_guard_try(sfem_body *b)
     sfemi_turn_solve_pushed(b, f, b->state.u, b->state.frame, !b->base, x);
     ++b->state.head->solves;
     for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
-    if (b->starts_from_mass) sfemi_guard_subtract_velocity(b, 1 / t.d, x);
+    if (b->step.starts_from_mass) sfemi_guard_subtract_velocity(b, 1 / t.d, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
     if (b->grip.count) {
@@ -18841,11 +18830,11 @@ static void sfemi_guard_advance(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real d = sfemi_pqr_weigh(b, b->step).d, *base = sfemi_pqr_base(b);
+    const sfem_real d = b->step.d, *base = sfemi_pqr_base(b);
     size_t i;
     for (i = 0; i < n; ++i) {
         g->w[i] = base[i] + d * b->acc[i];
-        g->u[i] = b->state.u[i] + b->step * g->w[i];
+        g->u[i] = b->state.u[i] + b->step.h * g->w[i];
     }
     g->psi = sfemi_guard_forces(b, g->u, g->f);
     ++b->state.head->evaluations;
@@ -18920,7 +18909,7 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b, sfem_real back)
 {
     const sfemi_state *s = &b->state;
     const sfemi_guard *g = &b->guard;
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfemi_step t = b->step;
     const int loads = s->head->loaded && s->head->load_age < 2;
     sfem_real work = sfemi_guard_outer_work(b, .5, back, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
     sfem_int k;
@@ -18971,8 +18960,8 @@ static sfem_real sfemi_guard_held_work(const sfem_body *b)
 /* Impulses are forces over the span of a (p,q,r) step, from the middle of the last one; in a fallback over its length. */
 static void sfemi_guard_spread_impulses(sfem_body *b)
 {
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
-    const sfem_real change = 1 / b->step - 1 / (t.d - t.back);
+    const sfemi_step t = b->step;
+    const sfem_real change = 1 / b->step.h - 1 / (t.d - t.back);
     size_t i;
     for (i = 0; b->kicked && i < 3 * (size_t)b->model->mesh.nodes; ++i) b->guard.added[i] += change * b->kick[i];
 }
@@ -18984,7 +18973,7 @@ static sfem_real sfemi_guard_fallback_work(sfem_body *b)
     sfem_real *added = b->guard.added, work = sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
     if (!b->kicked) return work;
     b->guard.added = b->kick;
-    work -= sfemi_guard_outer_work(b, 0, h1 / 2 / b->step, 0, 0);
+    work -= sfemi_guard_outer_work(b, 0, h1 / 2 / b->step.h, 0, 0);
     b->guard.added = added;
     return work;
 }
@@ -19004,7 +18993,7 @@ static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real 
     const sfemi_state_head *head = b->state.head;
     sfem_real scale;
     *budget = head->budget + sfemi_guard_step_work(b, head->started == SFEMI_RUNNING ? head->h / 2 : 0);
-    *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+    *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
     scale = sfemi_guard_in_motion(b, e);
     if (b->scheme.rotates != SFEMI_CORRECTS) scale += (head->psi + g->psi) / 2; /* by one solve Eb is off by parts of Psi */
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
@@ -19065,7 +19054,7 @@ static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const 
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *w = b->state.w, *mass = b->model->node_mass;
-    const sfem_real r = sfemi_body_coefficients(b, b->p).r;
+    const sfem_real r = b->scheme.r;
     const int projects = !q->fallback && sfemi_turn_projects(b);
     size_t i;
     for (i = 0; i < n; ++i) out[i] = q->end * f1[i] + b->guard.known[i];
@@ -19367,7 +19356,7 @@ static sfem_real sfemi_guard_excess(sfem_body *b)
 {
     const sfemi_guard *g = &b->guard;
     const sfemi_state_head *head = b->state.head;
-    const sfem_real ec = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step).ec;
+    const sfem_real ec = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec;
     if (b->grip.count) sfemi_correct_find_handle_forces(b);
     return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_guard_fallback_work(b);
 }
@@ -19403,8 +19392,8 @@ static void sfemi_correct_store(sfem_body *b)
     const size_t n = 3 * (size_t)nodes;
     int k;
     size_t i;
-    if (g->dropped || head->pair_h != b->step) head->pairs = 0;
-    head->pair_h = b->step;
+    if (g->dropped || head->pair_h != b->step.h) head->pairs = 0;
+    head->pair_h = b->step.h;
     for (k = g->made < SFEMI_MEMORY ? g->made : SFEMI_MEMORY; k > 0; --k) {
         sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - k) % SFEMI_MEMORY);
         float *to = b->state.pair + 2 * n * (size_t)(head->pairs++ % SFEMI_MEMORY);
@@ -19507,7 +19496,7 @@ static void sfemi_correct(sfem_body *b)
     if (!sfemi_finite(g->psi)) return;
     sfemi_correct_open(b, &q);
     memset(g->external, 0, n * sizeof *g->external);
-    sfemi_body_take_from_load(b, sfemi_pqr_weigh(b, q.h).load, g->external, g->external);
+    sfemi_body_take_from_load(b, b->step.load, g->external, g->external);
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
     for (i = 0; i < n; ++i) cheap += g->grad[i] * g->grad[i] * b->turn.diagonal[i / 3];
@@ -19542,13 +19531,13 @@ static void sfemi_correct(sfem_body *b)
  * it is the velocity, the middle of the last step, to the end of this one. */
 static void sfemi_guard_keep_momentum(sfem_body *b)
 {
-    const sfem_real *mass = b->model->node_mass, r = sfemi_body_coefficients(b, b->p).r;
-    const sfem_real h = b->step + (b->state.head->started == SFEMI_RUNNING ? b->state.head->h / 2 : 0);
+    const sfem_real *mass = b->model->node_mass, r = b->scheme.r;
+    const sfem_real h = b->step.h + (b->state.head->started == SFEMI_RUNNING ? b->state.head->h / 2 : 0);
     sfem_int k;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
         b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->guard.external[i] -
-                    (b->kicked ? (h / b->step - 1) * b->kick[i] : 0)) / (r + h * b->alpha);
+                    (b->kicked ? (h / b->step.h - 1) * b->kick[i] : 0)) / (r + h * b->alpha);
     sfemi_turn_momentum(b, b->state.u, b->zk, 0);
     for (k = 0; k < b->turn.pieces; ++k)
         memcpy(b->turn.piece[k].push, b->turn.piece[k].motion, sizeof b->turn.piece[k].push);
@@ -19571,7 +19560,7 @@ static void sfemi_guard_restore_momentum(sfem_body *b, int moving)
     sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
     for (i = 0; moving && i < nodes; ++i)
         for (c = 0; c < 3 && of[i] >= 0 && !b->turn.piece[of[i]].held; ++c)
-            g->u[3 * (size_t)i + (size_t)c] += b->step * b->turn.piece[of[i]].motion[c];
+            g->u[3 * (size_t)i + (size_t)c] += b->step.h * b->turn.piece[of[i]].motion[c];
     sfemi_turn_locate(b, b->state.u);
 }
 
@@ -19586,10 +19575,10 @@ static void sfemi_guard_constrain(sfem_body *b)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (b->mask[b->pin[k]] >> c & 1)
-                g->w[at] = (s->pin[k].target[c] - b->model->mesh.x[at] - s->u[at]) / b->step;
+                g->w[at] = (s->pin[k].target[c] - b->model->mesh.x[at] - s->u[at]) / b->step.h;
         }
     if (!b->grip.count) return;
-    sfemi_body_handle_gap(b, &b->grip, s->u, b->step);
+    sfemi_body_handle_gap(b, &b->grip, s->u, b->step.h);
     sfemi_guard_hold(b, &b->grip, s->frame, g->w);
 }
 
@@ -19599,7 +19588,7 @@ static void sfemi_guard_constrain(sfem_body *b)
 static void sfemi_guard_move_rigidly(sfem_body *b)
 {
     sfemi_guard *g = &b->guard;
-    const sfem_real h = b->step;
+    const sfem_real h = b->step.h;
     sfem_int i, k;
     int c;
     memset(g->w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *g->w);
@@ -19665,7 +19654,7 @@ static void sfemi_guard_slow_down(sfem_body *b, sfem_real excess, int all)
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) inner += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
         else b->zk[i] = 0;
-    inner *= sfemi_body_coefficients(b, b->p).r;
+    inner *= b->scheme.r;
     scale = inner > excess ? 1 - sqrt(1 - excess / inner) : 1;
     for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
     sfemi_turn_locate(b, b->state.u);
@@ -19707,7 +19696,7 @@ static sfem_status sfemi_guard_prepare_isotropic(sfem_body *b, sfem_error *err)
     if (!g->isotropic || g->isotropic_h != b->h) {
         key.majorant = 1;
         key.ck = b->h * b->h;
-        key.cm = sfemi_body_coefficients(b, b->p).r + b->h * b->alpha;
+        key.cm = b->scheme.r + b->h * b->alpha;
         key.cd = 0;
         SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
         sfemi_factor_release(b->model, g->isotropic);
@@ -19737,7 +19726,7 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
     if (g->system.factor) return sfemi_body_reserve_work(b, g->system.factor, 3, err);
     key.majorant = 0;
     key.ck = b->h * b->h;
-    key.cm = sfemi_body_coefficients(b, b->p).r;
+    key.cm = b->scheme.r;
     key.cd = 0;
     if (!g->tangent.val) {
         sfem_real *val = NULL;
@@ -19772,7 +19761,7 @@ static sfem_status sfemi_guard_factor_tangent(sfem_body *b, sfem_real shift)
     const sfem_model *model = b->model;
     sfemi_guard *g = &b->guard;
     const sfemi_system *y = &g->system;
-    const sfem_real h2 = b->step * b->step, cm = sfemi_body_coefficients(b, b->p).r + b->step * b->alpha + shift;
+    const sfem_real h2 = b->step.h * b->step.h, cm = b->scheme.r + b->step.h * b->alpha + shift;
     sfem_int k, at = 0;
     int r, c;
     for (k = 0; k < y->matrix.n; ++k) {
@@ -19816,7 +19805,7 @@ static int sfemi_guard_linearise(sfem_body *b)
             for (c = 0; c < 9 && model->node_mass[i] > 0; c += 4)
                 fastest = fmax(fastest, g->tangent.val[9 * (size_t)(model->row[i + 1] - 1) + (size_t)c] /
                                             model->node_mass[i]);
-        fastest *= b->step * b->step;
+        fastest *= b->step.h * b->step.h;
         for (tries = 0; status != SFEM_OK && tries < 4; ++tries)
             status = sfemi_guard_factor_tangent(b, fastest * pow(10.0, 2.0 * tries - 12));
     }
@@ -19857,7 +19846,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_guard_energies there = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step);
+    const sfemi_guard_energies there = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step.h);
     /* what has moved before is no measure where most of it has been lost since */
     const sfem_real tolerance = 0.01 * fmin(head->scale, head->psi + there.kinetic + there.floor);
     sfemi_equation q;
@@ -19866,7 +19855,7 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     size_t i;
     q.fallback = 1;
     q.moving = there.kinetic + there.floor;
-    q.h = q.d = b->step;
+    q.h = q.d = b->step.h;
     q.end = q.after = 1;
     q.before = 0;
     memset(g->known, 0, n * sizeof *g->known);
@@ -19916,7 +19905,7 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     const sfem_real before = head->budget;
     sfem_status status;
     sfem_real budget;
-    const int other = sfemi_resume_falls_back(b, b->step);
+    const int other = sfemi_resume_falls_back(b, b->step.h);
     g->rejected = g->measured = 0;
     if (other) head->budget = head->last;
     if (b->scheme.guarded || other) {
@@ -19950,7 +19939,7 @@ static void sfemi_guard_settle_budget(sfem_body *b)
     const sfemi_guard *g = &b->guard;
     sfemi_state_head *head = b->state.head;
     const sfemi_guard_energies e =
-        g->measured ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        g->measured ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
     sfem_real least;
     head->energy = g->rejected ? e.ec : e.eb;
     /* what damping takes may not come back, as it would where fragments spin too fast for the frames of D */
@@ -19978,8 +19967,8 @@ static void sfemi_guard_finish(sfem_body *b)
         memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_guard_settle_budget(b);
     head->psi = g->psi;
-    head->lag = sfemi_pqr_weigh(b, b->step).lag;
-    head->gamma = (b->step / 2 + a * h1) / ((1 - a) * b->step + a * h1);
+    head->lag = b->step.lag;
+    head->gamma = (b->step.h / 2 + a * h1) / ((1 - a) * b->step.h + a * h1);
     head->rejected += g->rejected;
     if (b->scheme.rotates == SFEMI_CORRECTS && !g->rejected) sfemi_correct_store(b);
     for (k = 0; k < b->pin_count; ++k) {
@@ -20021,7 +20010,7 @@ static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
         stretch += (g->u[i] - s->u[i]) * (g->f[i] - s->f[i]);
         if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
     }
-    *kinetic = sum * sfemi_body_coefficients(b, b->p).r;
+    *kinetic = sum * b->scheme.r;
     return *kinetic + (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (sfemi_guard_weight(b) - 0.5) / 2 * stretch);
 }
 
@@ -20031,7 +20020,7 @@ static sfem_real sfemi_fracture_way(const sfem_body *b, size_t i)
     const sfemi_guard *g = &b->guard;
     const sfemi_state *s = &b->state;
     const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
-    return h1 / 2 * s->w[i] + (g->rejected ? g->u[i] - s->u[i] : b->step / 2 * g->w[i]);
+    return h1 / 2 * s->w[i] + (g->rejected ? g->u[i] - s->u[i] : b->step.h / 2 * g->w[i]);
 }
 
 /* The work of loads, handles and moved pins in the step. */
@@ -20040,7 +20029,7 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     const sfemi_state *s = &b->state;
     const sfemi_guard *g = &b->guard;
     const sfem_real *gravity = s->head->gravity, *mass = b->model->node_mass;
-    const sfemi_pqr_terms t = sfemi_pqr_weigh(b, b->step);
+    const sfemi_step t = b->step;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
     sfem_real work = g->rejected ? sfemi_guard_held_work(b) : 0;
@@ -20069,8 +20058,8 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
         for (c = 0; c < 3; ++c) {
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
-            work += (s->f[i] + b->p * (b->step / t.d) * (g->f[i] - s->f[i]) +
-                     b->p * (2 - b->step / t.d) * (s->f_past[i] - s->f[i])) * sfemi_fracture_way(b, i);
+            work += (s->f[i] + b->p * (b->step.h / t.d) * (g->f[i] - s->f[i]) +
+                     b->p * (2 - b->step.h / t.d) * (s->f_past[i] - s->f[i])) * sfemi_fracture_way(b, i);
         }
     return work;
 }
@@ -20082,7 +20071,7 @@ static sfem_real sfemi_fracture_damping(sfem_body *b)
     const sfemi_guard *g = &b->guard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int running = s->head->started == SFEMI_RUNNING;
-    const sfem_real d = sfemi_pqr_weigh(b, b->step).d;
+    const sfem_real d = b->step.d;
     sfem_real sum = 0;
     size_t i;
     if (g->rejected || (b->alpha == 0 && b->beta == 0 && !b->zd)) return 0;
@@ -20175,10 +20164,10 @@ static void sfemi_fracture_round(sfem_body *b)
     if (change.pieces) { /* what the energies leave out, the centres' motion, is other motion now */
         sfemi_guard_energies before, after;
         sfemi_turn_locate(b, b->state.u);
-        before = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        before = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
         sfemi_fracture_regroup(b);
         sfemi_turn_locate(b, b->state.u);
-        after = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step);
+        after = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
         head->budget += g->rejected ? after.ec - before.ec : after.eb - before.eb;
     }
 }
@@ -20242,7 +20231,7 @@ static void sfemi_sleep_watch(sfem_body *b)
         head->sleep = SFEMI_AWAKE;
         return;
     }
-    head->calm += b->step;
+    head->calm += b->step.h;
     if (head->sleep == SFEMI_CALM && head->calm < b->def.sleep_time) return;
     if (head->sleep == SFEMI_CALM && !(head->loaded && head->load_age < 2) &&
         sfemi_sleep_within(s->w, s->before, nodes, tolerance / 4)) {
@@ -20648,10 +20637,9 @@ static void sfemi_linear_push(sfem_body *b)
     static const sfem_real end[3] = {1, 0, 0};
     const int newmark = b->scheme.newmark;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfemi_pqr_terms t;
+    const sfemi_step t = b->step;
     size_t i;
     if (!sfemi_turn_projects(b)) return;
-    t = sfemi_pqr_weigh(b, b->step);
     if (b->base && !sfemi_body_goes_on(b)) { /* at a start base comes from a solve, too */
         for (i = 0; i < n; ++i) b->zk[i] = sfemi_body_way(b)[i] - b->base[i];
         sfemi_turn_motion(b, NULL, b->zk, 1);
@@ -20670,16 +20658,17 @@ static void sfemi_linear_settle(sfem_body *b)
 
 static void sfemi_linear_predict(sfem_body *b)
 {
-    const sfem_real h = b->step;
-    b->bridges = sfemi_resume_bridges(b, h);
-    b->falls = sfemi_resume_change(b, h);
-    if (b->bridges) {
-        sfemi_resume_bridge_predict(b, h);
+    const sfem_real h = b->step.h;
+    b->step.bridges = sfemi_resume_bridges(b, h);
+    b->step.falls = sfemi_resume_change(b, h);
+    sfemi_pqr_weigh(b, h);
+    if (b->step.bridges) {
+        sfemi_resume_bridge_predict(b);
         return;
     }
-    if (b->scheme.newmark) sfemi_newmark_predict(b, h);
-    else sfemi_pqr_predict(b, h);
-    sfemi_resume_lessen(b, b->falls, sfemi_pqr_weigh(b, h).d, b->rhs);
+    if (b->scheme.newmark) sfemi_newmark_predict(b);
+    else sfemi_pqr_predict(b);
+    sfemi_resume_lessen(b, b->rhs);
     sfemi_linear_push(b);
 }
 
@@ -20687,7 +20676,7 @@ static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
     sfemi_linear_settle(b);
-    if (b->bridges) sfemi_resume_bridge_settle(b, b->acc);
+    if (b->step.bridges) sfemi_resume_bridge_settle(b, b->acc);
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     return sfemi_method_check_acceleration(b, err);
@@ -20697,16 +20686,16 @@ static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 static int sfemi_linear_ends_finite(const sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_real h = b->step, *u = b->state.u;
+    const sfem_real h = b->step.h, *u = b->state.u;
     const int newmark = b->scheme.newmark;
-    const sfem_real *base = b->bridges ? b->velocity : sfemi_pqr_base(b);
+    const sfem_real *base = b->step.bridges ? b->velocity : sfemi_pqr_base(b);
     /* a bridging step has two stages more, which T, a contraction in energy, may rotate between u and v */
-    const sfem_real d = newmark ? 0 : b->bridges ? 1e6 * h : sfemi_pqr_weigh(b, h).d;
+    const sfem_real d = newmark ? 0 : b->step.bridges ? 1e6 * h : b->step.d;
     size_t i;
     for (i = 0; i < n; ++i) {
         sfem_real x, v;
         if (newmark) {
-            sfemi_newmark_guess(b, i, h, &x, &v);
+            sfemi_newmark_guess(b, i, &x, &v);
             x += b->def.beta * h * h * b->acc[i];
             v += b->def.gamma * h * b->acc[i];
         } else {
@@ -20727,10 +20716,10 @@ static sfem_status sfemi_linear_accept(sfem_body *b, sfem_error *err)
 static void sfemi_linear_finish(sfem_body *b)
 {
     sfemi_method_note_handle_forces(b);
-    if (b->bridges) sfemi_resume_bridge_finish(b);
+    if (b->step.bridges) sfemi_resume_bridge_finish(b);
     else if (b->scheme.newmark) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
-    b->state.head->started = b->bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
+    b->state.head->started = b->step.bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
     if (b->scheme.newmark) sfemi_method_settle_handles(b);
 }
 
@@ -20746,7 +20735,6 @@ static void sfemi_linear_conserved(sfem_body *b, sfem_energy *e)
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfemi_state *s = &b->state;
     const sfem_real h = s->head->h, *force = s->force[0];
-    const sfemi_coefficients k = sfemi_body_coefficients(b, b->p);
     sfem_real wkw, load_w = 0;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || b->base) return;
@@ -20761,7 +20749,7 @@ static void sfemi_linear_conserved(sfem_body *b, sfem_energy *e)
     for (i = 0; i < n; ++i)
         load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
     /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
-    e->conserved = k.r / 2 * sfemi_dot(n, s->w, b->zm) + k.p * h * h / 2 * wkw + e->elastic -
+    e->conserved = b->scheme.r / 2 * sfemi_dot(n, s->w, b->zm) + b->p * h * h / 2 * wkw + e->elastic -
                    h / 2 * sfemi_dot(n, s->u, b->rhs) + e->load + h / 2 * load_w;
 }
 
@@ -20816,8 +20804,9 @@ static void sfemi_newton_balance(sfem_body *b, sfem_real *v)
 
 static void sfemi_rotated_predict(sfem_body *b)
 {
-    b->falls = sfemi_resume_change(b, b->step);
-    sfemi_guard_predict(b, b->step);
+    b->step.falls = sfemi_resume_change(b, b->step.h);
+    sfemi_pqr_weigh(b, b->step.h);
+    sfemi_guard_predict(b);
 }
 
 static sfem_status sfemi_rotated_solve(sfem_body *b, sfem_error *err)
@@ -21010,7 +20999,9 @@ static sfemi_state_shape sfemi_body_state_shape(const sfem_body *b, sfem_int pin
 static sfem_status sfemi_body_new_state(const sfem_body *b, sfem_int pins, sfemi_state *out, sfem_error *err)
 {
     const sfemi_state_shape shape = sfemi_body_state_shape(b, pins);
-    return sfemi_saved_new(&sfemi_state_kind, &shape, 0, &b->allocator, out, err);
+    const sfem_status status = sfemi_saved_new(&sfemi_state_kind, &shape, 0, &b->allocator, out, err);
+    if (!b->bonds) out->books = NULL, out->damage = NULL;
+    return status;
 }
 
 /* Pins as a mask and a list without repetition. Nodes in no tet are masked and not listed. */
@@ -21395,7 +21386,6 @@ static sfem_status sfemi_body_check_step(sfem_real h, sfem_error *err)
 
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *err)
 {
-    sfemi_coefficients k;
     sfemi_factor_key key;
     sfem_factor *f;
     sfem_real p;
@@ -21409,10 +21399,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
         if (b->scheme.newton) return sfemi_body_prepare_implicit(b, h, p, err);
-        k = sfemi_body_coefficients(b, p);
-        key.ck = k.p * h * h + k.q / 2 * h * b->beta;
-        key.cm = k.r + k.q / 2 * h * b->alpha;
-        key.cd = b->model->damping ? k.q / 2 * h : 0;
+        key.ck = p * h * h + b->scheme.q / 2 * h * b->beta;
+        key.cm = b->scheme.r + b->scheme.q / 2 * h * b->alpha;
+        key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
         key.mask = b->mask;
         key.majorant = b->scheme.rotates && b->def.frame == SFEM_FRAME_MAJORANT;
         key.precision = b->def.precision;
@@ -21481,10 +21470,10 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     sfemi_body_undo(b);
     b->before = *b->state.head;
     b->begun = 1;
-    b->step = h;
+    b->step.h = h;
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
     sfemi_sleep_compare_load(b);
-    b->bridges = b->falls = b->fresh = b->starts_from_mass = 0;
+    b->step.bridges = b->step.falls = b->step.fresh = b->step.starts_from_mass = 0;
     b->scheme.method->predict(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
@@ -21537,7 +21526,7 @@ static sfem_status sfemi_body_solve_again(sfem_body *b, sfem_error *err)
     sfem_status status;
     size_t i;
     for (i = 0; i < n; ++i) b->late[i] += b->rhs[i] - b->predicted[i];
-    status = sfemi_body_predict(b, b->step, err);
+    status = sfemi_body_predict(b, b->step.h, err);
     for (i = 0; i < n; ++i) {
         b->rhs[i] += b->late[i];
         b->late[i] = 0;
@@ -21568,9 +21557,9 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->scheme.method->finish(b);
     for (i = 0; i < g->count; ++i)
         sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
-    b->state.head->time += b->step;
-    b->state.head->h = b->step;
-    b->state.head->p = sfemi_body_coefficients(b, b->p).p;
+    b->state.head->time += b->step.h;
+    b->state.head->h = b->step.h;
+    b->state.head->p = b->p;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
     if (b->damage && b->damage->events) sfemi_sleep_rouse(b);
@@ -21642,10 +21631,7 @@ static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, cons
 /* How long a force on the right side acts, so that d F is the change of momentum. */
 static sfem_real sfemi_body_span(const sfem_body *b)
 {
-    sfemi_pqr_terms t;
-    if (!b->scheme.mean) return b->step;
-    t = sfemi_pqr_weigh(b, b->step);
-    return t.d - t.back;
+    return b->scheme.mean ? b->step.d - b->step.back : b->step.h;
 }
 
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sfem_real j[3], sfem_error *err)
