@@ -27,6 +27,7 @@
  *            >>api-modes    eigenvalues and modes                 >>api-reduced modal bodies, warping
  *            >>api-link     modal motion over a lossy link
  *     IMPL   >>base         status, allocation, threads, vector paths
+ *            >>saved        what is saved: a head and arrays in one block of memory
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
  *            >>meshio       readers and writers
@@ -2245,17 +2246,190 @@ SFEM_DEF int sfem_vector_width(void)
 }
 
 #if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
-/* Counts that only grow: none reaches this in practice, and adding to it does not overflow. */
-#define SFEMI_STATE_COUNT ((int64_t)1 << 62)
+/* ============================================================================================
+ * >>saved   what is saved: a head and arrays in one block of memory
+ *
+ * A body's state, a modal body's and a reduced model each stand in one block, and its bytes are what is saved. A
+ * constant table lists its arrays in their order, the head first. From it follow where each array stands, how long
+ * the block is, and what in a block from outside is out of its range. All heads begin with the same fields. Each
+ * array starts at a multiple of SFEMI_ALIGN, and the bytes between two are 0.
+ *
+ * A checksum is no signature. sfemi_saved_open tells whether a block is whole and belongs to an object,
+ * sfemi_saved_fault whether an object is safe with it: what is used as an index, a count or a flag has to be in its
+ * range, and what comes from the caller is finite, as when it was given. Both take blocks at any address.
+ * ============================================================================================ */
 
-/* Are so many reals finite that may stand at any address? */
-static int sfemi_state_all_finite(const char *at, size_t count)
+typedef struct sfemi_saved_head {
+    char magic[8];
+    uint32_t version, order; /* order: SFEMI_SAVED_ORDER as this machine writes it */
+    uint64_t size, key;      /* bytes; what it belongs to */
+    uint64_t checksum;       /* of all bytes, with 0 here */
+} sfemi_saved_head;
+
+#define SFEMI_SAVED_ORDER 0x01020304u
+
+/* Counts that only grow: none reaches this in practice, and adding to it does not overflow. */
+#define SFEMI_SAVED_MOST ((int64_t)1 << 62)
+
+/* Are these elements in their ranges? They may stand at any address. shape: what the ranges depend on. */
+typedef int (*sfemi_saved_check)(const void *shape, const char *at, size_t count);
+
+/* each * rows * columns elements; rows and columns are fields of the shape, a struct that belongs to the kind. */
+typedef struct sfemi_saved_array {
+    size_t pointer, size;    /* where in the object its address goes; bytes of an element */
+    size_t each, rows, columns; /* the last two: offsets in the shape, or SFEMI_SAVED_ONE */
+    sfemi_saved_check check; /* NULL: whatever they are */
+    const char *name;        /* of an element that is out of its range, in messages */
+} sfemi_saved_array;
+
+#define SFEMI_SAVED_ONE ((size_t)-1)
+#define SFEMI_SAVED(object, field, each, rows, columns, check, name)                                  \
+    {offsetof(object, field), sizeof *((object *)0)->field, each, rows, columns, check, name}
+
+#define SFEMI_SAVED_KIND(magic, name, version, arrays)                                                \
+    {magic, name, version, (int)(sizeof(arrays) / sizeof *(arrays)), arrays}
+
+typedef struct sfemi_saved_kind {
+    const char *magic, *name; /* 8 characters; in messages */
+    uint32_t version;
+    int arrays;
+    const sfemi_saved_array *array; /* the first is the head, and has a check */
+} sfemi_saved_kind;
+
+static size_t sfemi_saved_count(const void *shape, size_t field)
+{
+    return field == SFEMI_SAVED_ONE ? 1 : (size_t)*(const sfem_int *)(const void *)((const char *)shape + field);
+}
+
+static size_t sfemi_saved_elements(const sfemi_saved_array *a, const void *shape)
+{
+    return a->each * sfemi_saved_count(shape, a->rows) * sfemi_saved_count(shape, a->columns);
+}
+
+/* The bytes up to the next array. */
+static size_t sfemi_saved_bytes(const sfemi_saved_array *a, const void *shape)
+{
+    return (sfemi_saved_elements(a, shape) * a->size + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+}
+
+/* Points the object's arrays into the block; with block = NULL only the size, 0 if there is no memory that large. */
+static size_t sfemi_saved_lay_out(const sfemi_saved_kind *kind, const void *shape, void *object, void *block)
+{
+    double total = 0;
+    size_t at = 0;
+    int k;
+    for (k = 0; k < kind->arrays; ++k) {
+        const sfemi_saved_array *a = kind->array + k;
+        total += (double)(a->each * a->size) * (double)sfemi_saved_count(shape, a->rows) *
+                     (double)sfemi_saved_count(shape, a->columns) + SFEMI_ALIGN;
+    }
+    if (total > (double)((size_t)-1 / 2) || total > 4e15) return 0;
+    for (k = 0; k < kind->arrays; ++k) {
+        const void *address = (char *)block + at;
+        if (block) memcpy((char *)object + kind->array[k].pointer, &address, sizeof address);
+        at += sfemi_saved_bytes(kind->array + k, shape);
+    }
+    return at;
+}
+
+/* A new block for the object, with its arrays 0. sfemi_delete its head. */
+static sfem_status sfemi_saved_new(const sfemi_saved_kind *kind, const void *shape, uint64_t key,
+                                   const sfem_allocator *al, void *object, sfem_error *err)
+{
+    const size_t bytes = sfemi_saved_lay_out(kind, shape, NULL, NULL);
+    sfemi_saved_head *head;
+    if (!bytes) return sfemi_fail(err, SFEM_TOO_LARGE, "a %s of this size does not fit into memory", kind->name);
+    head = (sfemi_saved_head *)sfemi_new(al, bytes, 1);
+    if (!head) return sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: a %s", kind->name);
+    sfemi_saved_lay_out(kind, shape, object, head);
+    memcpy(head->magic, kind->magic, sizeof head->magic);
+    head->version = kind->version;
+    head->order = SFEMI_SAVED_ORDER;
+    head->size = bytes;
+    head->key = key;
+    return SFEM_OK;
+}
+
+/* The checksum that belongs into a block of the size in its head. */
+static uint64_t sfemi_saved_checksum(const void *memory)
+{
+    sfemi_saved_head head;
+    memcpy(&head, memory, sizeof head);
+    head.checksum = 0;
+    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head), (const char *)memory + sizeof head,
+                      (size_t)head.size - sizeof head);
+}
+
+static void sfemi_saved_seal(void *memory)
+{
+    const uint64_t sum = sfemi_saved_checksum(memory);
+    memcpy((char *)memory + offsetof(sfemi_saved_head, checksum), &sum, sizeof sum);
+}
+
+/* Is this a whole block of this kind, of the size and key that own has? own = NULL: of any. */
+static sfem_status sfemi_saved_open(const sfemi_saved_kind *kind, const sfemi_saved_head *own, const void *memory,
+                                    size_t bytes, sfem_error *err)
+{
+    sfemi_saved_head head;
+    if (bytes < kind->array->size)
+        return sfemi_fail(err, SFEM_FORMAT, "a %s of %lu bytes is cut short", kind->name, (unsigned long)bytes);
+    memcpy(&head, memory, sizeof head);
+    if (memcmp(head.magic, kind->magic, sizeof head.magic) != 0)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no %s", kind->name);
+    if (head.order != SFEMI_SAVED_ORDER)
+        return sfemi_fail(err, SFEM_FORMAT, "the %s was saved on a machine of another byte order", kind->name);
+    if (head.version != kind->version)
+        return sfemi_fail(err, SFEM_FORMAT, "the %s has version %lu, this library reads %lu", kind->name,
+                          (unsigned long)head.version, (unsigned long)kind->version);
+    if (head.size != bytes)
+        return sfemi_fail(err, SFEM_FORMAT, "the %s is damaged: %lu bytes of %lu", kind->name, (unsigned long)bytes,
+                          (unsigned long)head.size);
+    if (head.checksum != sfemi_saved_checksum(memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the %s is damaged: its checksum does not fit", kind->name);
+    if (own && (head.size != own->size || head.key != own->key))
+        return sfemi_fail(err, SFEM_MISMATCH, "the %s is of a body with another mesh, pins or handles", kind->name);
+    return SFEM_OK;
+}
+
+/* Fails, naming the first array with an element out of its range. The shape may come from the block's own head: it is
+ * used once the head's check has passed. */
+static sfem_status sfemi_saved_fault(const sfemi_saved_kind *kind, const void *shape, const void *memory,
+                                     size_t bytes, sfem_error *err)
+{
+    const char *at = (const char *)memory, *fault = NULL;
+    int k;
+    if (!kind->array->check(shape, at, 1)) fault = kind->array->name;
+    else if (sfemi_saved_lay_out(kind, shape, NULL, NULL) != bytes) fault = "its sizes";
+    for (k = 0; k < kind->arrays && !fault; ++k) {
+        const sfemi_saved_array *a = kind->array + k;
+        if (a->check && !a->check(shape, at, sfemi_saved_elements(a, shape))) fault = a->name;
+        at += sfemi_saved_bytes(a, shape);
+    }
+    if (!fault) return SFEM_OK;
+    return sfemi_fail(err, SFEM_FORMAT, "the %s holds numbers out of their ranges: %s", kind->name, fault);
+}
+
+/* ---- checks that more than one kind has ---- */
+
+static int sfemi_saved_finite(const void *shape, const char *at, size_t count)
 {
     size_t i;
+    (void)shape;
     for (i = 0; i < count; ++i) {
         sfem_real x;
         memcpy(&x, at + i * sizeof x, sizeof x);
         if (!sfemi_finite(x)) return 0;
+    }
+    return 1;
+}
+
+static SFEMI_UNUSED int sfemi_saved_below(sfem_int limit, const char *at, size_t count)
+{
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        sfem_int x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (x < 0 || x >= limit) return 0;
     }
     return 1;
 }
@@ -14888,12 +15062,8 @@ typedef struct sfemi_handle {
     sfem_real force[3]; /* N, on the body, over the last step */
 } sfemi_handle;
 
-enum { SFEMI_STATE_VERSION = 4 };
-
 typedef struct sfemi_state_head {
-    char magic[8];
-    uint32_t version, checksum;
-    uint64_t size, key; /* key: what it belongs to */
+    sfemi_saved_head saved;
     sfem_real time, h, p; /* h, p: of the last step */
     sfem_real gravity[3];
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
@@ -14930,8 +15100,8 @@ typedef struct sfemi_books {
     int64_t open;           /* start is known */
 } sfemi_books;
 
-/* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
- * the mean velocity over the last step for (p,q,r). */
+/* In one block, see sfemi_state_array. w is the velocity for Newmark and before the first step, the mean velocity over
+ * the last step for (p,q,r). */
 typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
@@ -14940,10 +15110,10 @@ typedef struct sfemi_state {
     sfem_real *frame;      /* [nodes][3][3] Q: these only where the body rotates */
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
-    sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
     sfemi_books *books;    /* these two only where the body may break */
-    void *damage;          /* [bytes] >>damage's own state */
+    uint64_t *damage;      /* [] >>damage's own state */
+    sfemi_hold *pin;       /* [pin_count] last: what stands before it stays where pins change */
 } sfemi_state;
 
 /* Does a body rotate, and if so, is it corrected? */
@@ -14952,55 +15122,121 @@ enum { SFEMI_STILL, SFEMI_ROTATES, SFEMI_CORRECTS };
 /* Pairs of steps and changes of the residual that L-BFGS remembers. */
 enum { SFEMI_MEMORY = 6 };
 
-/* reals a node: u, w, a and three loads; three forces and the frame besides; pairs, of floats; before */
-static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
-{
-    return ((turns ? 36u : 18u) + (turns == SFEMI_CORRECTS ? 3u * SFEMI_MEMORY : 0u) + (sleeps ? 3u : 0u)) *
-           (size_t)nodes;
-}
+/* What the block's sizes and ranges depend on. */
+typedef struct sfemi_state_shape {
+    const sfem_model *model;
+    const sfemi_bonds *bonds; /* NULL: the body cannot break */
+    sfem_int nodes, handles, pins;
+    sfem_int rotating, correcting, sleeping; /* nodes, or 0 where the body does no such thing */
+    sfem_int breaking, damage; /* 1 or 0; 8 bytes of >>damage's own state each */
+} sfemi_state_shape;
 
-/* damage: how many bytes of it, 0 where the body cannot break */
-static size_t sfemi_state_bytes(sfem_int nodes, int turns, int sleeps, sfem_int pins, sfem_int handles,
-                                size_t damage)
-{
-    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns, sleeps) * sizeof(sfem_real) +
-           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle) +
-           (damage ? sizeof(sfemi_books) + damage : 0);
-}
+/* ---- checks, see >>saved. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever
+ * they are, a step that they spoil fails or is rejected. ---- */
 
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, int sleeps,
-                                sfem_int pins, sfem_int handles, size_t damage)
+static int sfemi_state_check_counts(const sfemi_state_head *head)
 {
-    const size_t n = 3 * (size_t)nodes;
-    sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
+    const int64_t count[4] = {head->steps, head->rejected, head->solves, head->evaluations};
     int k;
-    s->head = (sfemi_state_head *)block;
-    s->u = at;
-    s->w = at + n;
-    s->a = at + 2 * n;
-    for (k = 0; k < 3; ++k) s->force[k] = at + (3 + (size_t)k) * n;
-    s->f = turns ? at + 6 * n : NULL;
-    s->f_past = turns ? at + 7 * n : NULL;
-    s->f_past2 = turns ? at + 8 * n : NULL;
-    s->frame = turns ? at + 9 * n : NULL;
-    s->pair = turns == SFEMI_CORRECTS ? (float *)(void *)(at + 12 * n) : NULL;
-    s->before = sleeps ? at + sfemi_state_reals(nodes, turns, 0) : NULL;
-    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
-    s->handle = (sfemi_handle *)(void *)(s->pin + pins);
-    s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
-    s->damage = damage ? (void *)(s->books + 1) : NULL;
+    for (k = 0; k < 4; ++k)
+        if (count[k] < 0 || count[k] > SFEMI_SAVED_MOST) return 0;
+    return head->pairs >= 0 && head->pairs <= 1 << 20 && head->skipped >= 0 && head->load_age >= 0 &&
+           head->load_age <= 2;
 }
 
-static uint32_t sfemi_state_checksum(const void *block, size_t bytes)
+static int sfemi_state_check_head(const void *shape, const char *at, size_t count)
 {
-    sfemi_state_head head;
-    uint64_t hash;
-    memcpy(&head, block, sizeof head);
-    head.checksum = 0;
-    hash = sfemi_hash(SFEMI_HASH, &head, sizeof head);
-    hash = sfemi_hash(hash, (const char *)block + sizeof head, bytes - sizeof head);
-    return (uint32_t)(hash ^ hash >> 32);
+    const int sleeps = ((const sfemi_state_shape *)shape)->sleeping > 0;
+    sfemi_state_head h;
+    (void)count;
+    memcpy(&h, at, sizeof h);
+    return sfemi_all_finite(&h.time, 3) && h.h >= 0 && h.p >= 0 && sfemi_all_finite(h.gravity, 3) &&
+           h.started >= SFEMI_NOT_STARTED && h.started <= SFEMI_RUNNING && (h.started < SFEMI_RESTARTED || h.h > 0) &&
+           h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
+           h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
+           h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
+           h.calm >= 0 && sfemi_state_check_counts(&h);
 }
+
+static int sfemi_state_check_holds(const void *shape, const char *at, size_t count)
+{
+    size_t i;
+    (void)shape;
+    for (i = 0; i < count; ++i) {
+        sfemi_hold hold;
+        memcpy(&hold, at + i * sizeof hold, sizeof hold);
+        if (!sfemi_all_finite(hold.target, 3) || !sfemi_all_finite(hold.past, 3) || hold.age < 0 || hold.age > 2)
+            return 0;
+    }
+    return 1;
+}
+
+/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
+static int sfemi_state_check_handles(const void *shape, const char *at, size_t count)
+{
+    const sfem_model *model = ((const sfemi_state_shape *)shape)->model;
+    size_t i;
+    int c;
+    for (i = 0; i < count; ++i) {
+        sfemi_handle h;
+        memcpy(&h, at + i * sizeof h, sizeof h);
+        if (h.used == 0) continue;
+        if (h.used != 1 || !sfemi_state_check_holds(shape, (const char *)&h.hold, 1) || !sfemi_all_finite(h.weight, 4) ||
+            !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
+            return 0;
+        for (c = 0; c < 4; ++c)
+            if (h.node[c] < 0 || h.node[c] >= model->mesh.nodes || model->node_mass[h.node[c]] == 0) return 0;
+    }
+    return 1;
+}
+
+static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
+{
+    const sfemi_bonds *g = ((const sfemi_state_shape *)shape)->bonds;
+    const size_t edges = g ? (size_t)g->edges : 0;
+    sfem_real account[SFEMI_ACCOUNTS], zeta;
+    size_t k;
+    if (!count) return 1;
+    memcpy(account, at, sizeof account);
+    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
+    at += sizeof account;
+    for (k = 0; k < edges; ++k) {
+        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
+    for (k = 0; k < edges; ++k)
+        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
+    return 1;
+}
+
+#define SFEMI_ROW(field, each, rows, check, name)                                                     \
+    SFEMI_SAVED(sfemi_state, field, each, offsetof(sfemi_state_shape, rows), SFEMI_SAVED_ONE, check, name)
+#define SFEMI_LOAD(k)                                                                                 \
+    {offsetof(sfemi_state, force) + (k) * sizeof(sfem_real *), sizeof(sfem_real), 3,                  \
+     offsetof(sfemi_state_shape, nodes), SFEMI_SAVED_ONE, sfemi_saved_finite, "a load"}
+static const sfemi_saved_array sfemi_state_array[] = {
+    SFEMI_SAVED(sfemi_state, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_state_check_head, "its head"),
+    SFEMI_ROW(u, 3, nodes, sfemi_saved_finite, "a displacement"),
+    SFEMI_ROW(w, 3, nodes, sfemi_saved_finite, "a velocity"),
+    SFEMI_ROW(a, 3, nodes, sfemi_saved_finite, "an acceleration"),
+    SFEMI_LOAD(0),
+    SFEMI_LOAD(1),
+    SFEMI_LOAD(2),
+    SFEMI_ROW(f, 3, rotating, NULL, NULL),
+    SFEMI_ROW(f_past, 3, rotating, NULL, NULL),
+    SFEMI_ROW(f_past2, 3, rotating, NULL, NULL),
+    SFEMI_ROW(frame, 9, rotating, NULL, NULL),
+    SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
+    SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
+    SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
+    SFEMI_ROW(books, 1, breaking, NULL, NULL),
+    SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
+    SFEMI_ROW(pin, 1, pins, sfemi_state_check_holds, "a pin")};
+#undef SFEMI_ROW
+#undef SFEMI_LOAD
+
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
 
 /* ============================================================================================
  * >>handle   pins and handles set, moved and released while the body runs
@@ -20770,13 +21006,30 @@ static uint64_t sfemi_body_key(const sfem_body *b)
     return sfemi_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
 
-static void sfemi_body_reset_head(sfem_body *b, size_t bytes)
+/* Of the body's state with so many pins. */
+static sfemi_state_shape sfemi_body_state_shape(const sfem_body *b, sfem_int pins)
 {
-    sfemi_state_head *head = b->state.head;
-    memcpy(head->magic, "sfemstat", 8);
-    head->version = SFEMI_STATE_VERSION;
-    head->size = bytes;
-    head->key = sfemi_body_key(b);
+    const sfem_int nodes = b->model->mesh.nodes;
+    sfemi_state_shape s;
+    s.model = b->model;
+    s.bonds = b->bonds;
+    s.nodes = nodes;
+    s.handles = b->def.max_handles;
+    s.pins = pins;
+    s.rotating = b->scheme.rotates ? nodes : 0;
+    s.correcting = b->scheme.rotates == SFEMI_CORRECTS ? nodes : 0;
+    s.sleeping = b->sleeps ? nodes : 0;
+    s.breaking = b->bonds ? 1 : 0;
+    s.damage = b->bonds ? (sfem_int)(sfemi_damage_state_bytes(b->bonds) / sizeof *b->state.damage) : 0;
+    return s;
+}
+
+static sfem_status sfemi_body_new_state(const sfem_body *b, sfem_int pins, sfemi_state *out, sfem_error *err)
+{
+    const sfemi_state_shape shape = sfemi_body_state_shape(b, pins);
+    const sfem_status status = sfemi_saved_new(&sfemi_state_kind, &shape, 0, &b->allocator, out, err);
+    if (!b->bonds) out->books = NULL, out->damage = NULL;
+    return status;
 }
 
 /* Pins as a mask and a list without repetition. Nodes in no tet are masked and not listed. */
@@ -20959,18 +21212,13 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
     const size_t vectors = b->model->damping ? 8 : 7;
     sfem_status status = SFEM_OK;
-    size_t bytes, damage;
-    void *block = NULL;
     SFEMI_NEW(unsigned char, b->mask, al, nodes);
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
     if (def->damage) SFEMI_TRY(sfemi_bonds_create(b->model, def->damage, al, &b->bonds, err));
-    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
-    bytes = sfemi_state_bytes(nodes, b->scheme.rotates, b->sleeps, b->pin_count, def->max_handles, damage);
-    SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->scheme.rotates, b->sleeps, b->pin_count, def->max_handles, damage);
-    sfemi_body_reset_head(b, bytes);
+    SFEMI_TRY(sfemi_body_new_state(b, b->pin_count, &b->state, err));
+    b->state.head->saved.key = sfemi_body_key(b);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
     SFEMI_NEW(sfem_real, b->aside, al, 7 * n);
@@ -21556,135 +21804,29 @@ SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const
     return SFEM_OK;
 }
 
-SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->state.head->size; }
+SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->state.head->saved.size; }
 
 SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
 {
     const size_t bytes = sfem_body_state_size(b);
     sfemi_state_head head = *b->state.head;
-    uint32_t sum;
     sfemi_body_take_back(b, &head);
     memcpy(memory, b->state.head, bytes);
     memcpy(memory, &head, sizeof head);
     if (sfemi_body_lends(b))
         memset((char *)memory + ((const char *)b->state.a - (const char *)b->state.head), 0,
                3 * (size_t)b->model->mesh.nodes * sizeof *b->state.a);
-    sum = sfemi_state_checksum(memory, bytes);
-    memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
-}
-
-/* ---- would a body be safe with a block of its own size? A checksum is no signature ----
- *
- * What is used as an index, a count or a flag has to be in its range, and what comes from the caller is finite, as
- * when it was given. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever they
- * are, a step that they spoil fails or is rejected. */
-
-static int sfemi_state_counts_sound(const sfemi_state_head *head)
-{
-    const int64_t count[4] = {head->steps, head->rejected, head->solves, head->evaluations};
-    int k;
-    for (k = 0; k < 4; ++k)
-        if (count[k] < 0 || count[k] > SFEMI_STATE_COUNT) return 0;
-    return head->pairs >= 0 && head->pairs <= 1 << 20 && head->skipped >= 0 && head->load_age >= 0 &&
-           head->load_age <= 2;
-}
-
-static int sfemi_state_head_sound(const sfemi_state_head *head, int sleeps)
-{
-    return sfemi_all_finite(&head->time, 3) && head->h >= 0 && head->p >= 0 && sfemi_all_finite(head->gravity, 3) &&
-           head->started >= SFEMI_NOT_STARTED && head->started <= SFEMI_RUNNING &&
-           (head->started < SFEMI_RESTARTED || head->h > 0) && head->rebase >= SFEMI_LEDGER &&
-           head->rebase <= SFEMI_NEW_LEDGER && head->sleep >= SFEMI_AWAKE &&
-           head->sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(head->lag) &&
-           sfemi_finite(head->gamma) && head->estimate >= 0 && head->rate >= 0 && head->rate <= 1 &&
-           sfemi_finite(head->pair_h) && sfemi_finite(head->calm) && head->calm >= 0 && sfemi_state_counts_sound(head);
-}
-
-static int sfemi_state_hold_sound(const sfemi_hold *hold)
-{
-    return sfemi_all_finite(hold->target, 3) && sfemi_all_finite(hold->past, 3) && hold->age >= 0 && hold->age <= 2;
-}
-
-/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
-static int sfemi_state_handle_sound(const sfem_model *model, const sfemi_handle *h)
-{
-    int c;
-    if (h->used != 1) return h->used == 0;
-    if (!sfemi_state_hold_sound(&h->hold) || !sfemi_all_finite(h->weight, 4) ||
-        !(fabs(h->weight[0] + h->weight[1] + h->weight[2] + h->weight[3] - 1) <= 1e-6))
-        return 0;
-    for (c = 0; c < 4; ++c)
-        if (h->node[c] < 0 || h->node[c] >= model->mesh.nodes || model->node_mass[h->node[c]] == 0) return 0;
-    return 1;
-}
-
-/* at: >>damage's own state */
-static int sfemi_state_damage_sound(const sfemi_bonds *g, const char *at)
-{
-    const size_t edges = (size_t)g->edges;
-    const int ductile = g->def.criterion == SFEM_BREAK_DUCTILE;
-    sfem_real account[SFEMI_ACCOUNTS], zeta;
-    size_t k;
-    memcpy(account, at, sizeof account);
-    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
-    at += sizeof account;
-    for (k = 0; k < edges; ++k) {
-        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
-        if (!(zeta >= 0 && zeta <= 1)) return 0;
-    }
-    at += (ductile ? 2 : 1) * edges * sizeof zeta;
-    for (k = 0; k < edges; ++k)
-        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
-    return 1;
-}
-
-/* What of the block is not safe, or NULL. The block may stand at any address. */
-static const char *sfemi_body_state_fault(const sfem_body *b, const sfemi_state_head *head, const char *memory)
-{
-    const size_t nodes = (size_t)b->model->mesh.nodes, reals = sfemi_state_reals((sfem_int)nodes, b->scheme.rotates, b->sleeps);
-    const char *at = memory + sizeof *head;
-    sfem_int k;
-    if (!sfemi_state_head_sound(head, b->sleeps)) return "its head";
-    if (!sfemi_state_all_finite(at, 9 * nodes)) return "a displacement, velocity or acceleration";
-    if (!sfemi_state_all_finite(at + 9 * nodes * sizeof(sfem_real), 9 * nodes)) return "a load";
-    if (b->sleeps && !sfemi_state_all_finite(at + (reals - 3 * nodes) * sizeof(sfem_real), 3 * nodes))
-        return "a velocity where the calm began";
-    at += reals * sizeof(sfem_real);
-    for (k = 0; k < b->pin_count; ++k, at += sizeof(sfemi_hold)) {
-        sfemi_hold hold;
-        memcpy(&hold, at, sizeof hold);
-        if (!sfemi_state_hold_sound(&hold)) return "a pin";
-    }
-    for (k = 0; k < b->def.max_handles; ++k, at += sizeof(sfemi_handle)) {
-        sfemi_handle handle;
-        memcpy(&handle, at, sizeof handle);
-        if (!sfemi_state_handle_sound(b->model, &handle)) return "a handle";
-    }
-    if (b->bonds && !sfemi_state_damage_sound(b->bonds, at + sizeof(sfemi_books))) return "the damage of an edge";
-    return NULL;
+    sfemi_saved_seal(memory);
 }
 
 SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size_t bytes,
                                           sfem_error *err)
 {
-    sfemi_state_head head;
-    const char *fault;
-    if (bytes < sizeof head)
-        return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
-    memcpy(&head, memory, sizeof head);
-    if (memcmp(head.magic, "sfemstat", 8) != 0)
-        return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
-    if (head.version != SFEMI_STATE_VERSION)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads %d",
-                          (unsigned)head.version, (int)SFEMI_STATE_VERSION);
-    if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
-        return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
-    if (head.size != b->state.head->size || head.key != b->state.head->key)
-        return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
-    fault = sfemi_body_state_fault(b, &head, (const char *)memory);
-    if (fault) return sfemi_fail(err, SFEM_FORMAT, "the saved state holds numbers out of their ranges: %s", fault);
+    const sfemi_state_shape shape = sfemi_body_state_shape(b, b->pin_count);
+    sfem_status status = sfemi_saved_open(&sfemi_state_kind, &b->state.head->saved, memory, bytes, err);
+    if (status == SFEM_OK) status = sfemi_saved_fault(&sfemi_state_kind, &shape, memory, bytes, err);
+    if (status != SFEM_OK) return status;
     memcpy(b->state.head, memory, bytes);
-    b->state.head->checksum = 0;
     if (b->damage) {
         sfemi_damage_refresh(b->damage);
         sfemi_fracture_regroup(b);
@@ -21707,22 +21849,17 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfemi_state fresh, old = b->state;
     unsigned char *mask = NULL;
     sfem_int *list = NULL, listed;
-    void *block = NULL;
-    size_t bytes, damage;
     sfem_status status = SFEM_OK;
+    uint64_t bytes;
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
-    bytes = sfemi_state_bytes(nodes, b->scheme.rotates, b->sleeps, listed, b->def.max_handles, damage);
-    SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, b->scheme.rotates, b->sleeps, listed, b->def.max_handles, damage);
+    SFEMI_TRY(sfemi_body_new_state(b, listed, &fresh, err));
     sfemi_resume_stop(b, 1);
-    memcpy(fresh.head, old.head,
-           sizeof *old.head + sfemi_state_reals(nodes, b->scheme.rotates, b->sleeps) * sizeof(sfem_real));
-    memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
-    if (damage) {
-        memcpy(fresh.books, old.books, sizeof *old.books + damage);
+    bytes = fresh.head->saved.size;
+    memcpy(fresh.head, old.head, (size_t)((char *)fresh.pin - (char *)fresh.head));
+    fresh.head->saved.size = bytes;
+    if (b->damage) {
         sfemi_damage_attach(b->damage, fresh.damage);
         sfemi_damage_refresh(b->damage);
     }
@@ -21734,7 +21871,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->pin = list;
     b->pin_count = listed;
     b->omega_max = 0;
-    sfemi_body_reset_head(b, bytes);
+    b->state.head->saved.key = sfemi_body_key(b);
     b->phase = SFEMI_IDLE;
     sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
@@ -22535,7 +22672,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.solves = b->state.head->solves;
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->size +
+    info.body_bytes = (size_t)b->state.head->saved.size +
                       ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
                           sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
@@ -24511,9 +24648,7 @@ static void sfemi_turn_derivative(int kind, const sfem_real w[3], const sfem_rea
 /* --- the reduced model ----------------------------------------------------------------------- */
 
 typedef struct sfemi_reduced_head {
-    char magic[8];
-    uint32_t version, order; /* order: 0x01020304 as this machine writes it */
-    uint64_t size, checksum;
+    sfemi_saved_head saved;
     sfem_int nodes, modes, stride, free; /* stride: modes, padded */
     sfem_int surface_nodes, surface_triangles, groups, unused;
     sfem_real mass, centre[3], inertia[9], inverse[9];
@@ -24523,7 +24658,7 @@ struct sfem_reduced {
     sfem_allocator allocator;
     int lock;
     sfem_int references;
-    void *block;
+    /* in one block, see sfemi_reduced_array */
     sfemi_reduced_head *head;
     sfem_real *x, *mass;             /* [nodes][3], [nodes] */
     sfem_real *lambda, *damping;     /* [stride] */
@@ -24535,59 +24670,69 @@ struct sfem_reduced {
     sfem_int *surface_node, *surface_tri;
 };
 
-enum { SFEMI_REDUCED_ARRAYS = 13, SFEMI_REDUCED_VERSION = 1 };
+/* ---- what is saved, see >>saved. The shape is the block's own head, aligned. ---- */
 
-/* Where the arrays stand in the block: at[k] bytes from its start, at[last] its size; 0 on
- * overflow. */
-static int sfemi_reduced_layout(const sfemi_reduced_head *h, size_t at[SFEMI_REDUCED_ARRAYS + 1])
+static int sfemi_reduced_check_head(const void *head, const char *at, size_t count)
 {
-    const double n = h->nodes, m = h->stride, g = h->groups, real = sizeof(sfem_real);
-    const double bytes[SFEMI_REDUCED_ARRAYS] = {3 * n * real,
-                                                n * real,
-                                                m * real,
-                                                m * real,
-                                                m * real,
-                                                m * real,
-                                                3 * m * real,
-                                                3 * n * m * real,
-                                                3 * n * m * real,
-                                                3 * g * m * real,
-                                                3 * g * m * real,
-                                                h->surface_nodes * (double)sizeof(sfem_int),
-                                                3.0 * h->surface_triangles *
-                                                    (double)sizeof(sfem_int)};
-    double total = sizeof *h;
-    int k;
-    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k) total += bytes[k] + SFEMI_ALIGN;
-    if (total > (double)((size_t)-1 / 2) || total > 4e15) return 0;
-    at[0] = (sizeof *h + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
-    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k)
-        at[k + 1] = (at[k] + (size_t)bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    const sfemi_reduced_head *h = (const sfemi_reduced_head *)head;
+    (void)at;
+    (void)count;
+    return h->nodes >= 1 && h->modes >= 0 && h->stride >= h->modes && h->stride % 8 == 0 && h->groups >= 0 &&
+           h->surface_nodes >= 0 && h->surface_triangles >= 0 && h->surface_triangles <= INT32_MAX / 3 &&
+           (h->free == 0 || h->free == 1) && h->mass > 0 && sfemi_all_finite(&h->mass, 22);
+}
+
+static int sfemi_reduced_check_node(const void *head, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_reduced_head *)head)->nodes, at, count);
+}
+
+static int sfemi_reduced_check_surface_node(const void *head, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_reduced_head *)head)->surface_nodes, at, count);
+}
+
+static int sfemi_reduced_check_gain(const void *head, const char *at, size_t count)
+{
+    size_t i;
+    (void)head;
+    for (i = 0; i < count; ++i) {
+        sfem_real x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (!(x >= 0)) return 0; /* it may be infinite */
+    }
     return 1;
 }
 
-static void sfemi_reduced_lay_out(sfem_reduced *r, const size_t at[SFEMI_REDUCED_ARRAYS + 1])
+static int sfemi_reduced_check_positive(const void *head, const char *at, size_t count)
 {
-    char *b = (char *)r->block;
-    sfem_real **real[11];
-    int k;
-    real[0] = &r->x, real[1] = &r->mass, real[2] = &r->lambda, real[3] = &r->damping;
-    real[4] = &r->amplitude, real[5] = &r->gain, real[6] = &r->gravity, real[7] = &r->phi;
-    real[8] = &r->psi, real[9] = &r->group_phi, real[10] = &r->group_psi;
-    r->head = (sfemi_reduced_head *)r->block;
-    for (k = 0; k < 11; ++k) *real[k] = (sfem_real *)(void *)(b + at[k]);
-    r->surface_node = (sfem_int *)(void *)(b + at[11]);
-    r->surface_tri = (sfem_int *)(void *)(b + at[12]);
+    return sfemi_saved_finite(head, at, count) && sfemi_reduced_check_gain(head, at, count);
 }
 
-static uint64_t sfemi_reduced_checksum(const void *block, size_t bytes)
-{
-    sfemi_reduced_head head;
-    memcpy(&head, block, sizeof head);
-    head.checksum = 0;
-    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head),
-                            (const char *)block + sizeof head, bytes - sizeof head);
-}
+#define SFEMI_ROW(field, each, rows, check, name)                                                     \
+    SFEMI_SAVED(sfem_reduced, field, each, offsetof(sfemi_reduced_head, rows), SFEMI_SAVED_ONE, check, name)
+#define SFEMI_ROWS(field, rows, name)                                                                 \
+    SFEMI_SAVED(sfem_reduced, field, 3, offsetof(sfemi_reduced_head, rows), offsetof(sfemi_reduced_head, stride), \
+                sfemi_saved_finite, name)
+static const sfemi_saved_array sfemi_reduced_array[] = {
+    SFEMI_SAVED(sfem_reduced, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_reduced_check_head, "its head"),
+    SFEMI_ROW(x, 3, nodes, sfemi_saved_finite, "a position"),
+    SFEMI_ROW(mass, 1, nodes, sfemi_saved_finite, "the mass of a node"),
+    SFEMI_ROW(lambda, 1, stride, sfemi_reduced_check_positive, "an eigenvalue"),
+    SFEMI_ROW(damping, 1, stride, sfemi_reduced_check_positive, "the damping of a mode"),
+    SFEMI_ROW(amplitude, 1, stride, sfemi_reduced_check_positive, "the amplitude of a mode"),
+    SFEMI_ROW(gain, 1, stride, sfemi_reduced_check_gain, "the gain of a mode"),
+    SFEMI_ROW(gravity, 3, stride, sfemi_saved_finite, "the weight of a mode"),
+    SFEMI_ROWS(phi, nodes, "a mode"),
+    SFEMI_ROWS(psi, nodes, "the rotation of a mode"),
+    SFEMI_ROWS(group_phi, groups, "a group of nodes"),
+    SFEMI_ROWS(group_psi, groups, "a group of nodes"),
+    SFEMI_ROW(surface_node, 1, surface_nodes, sfemi_reduced_check_node, "a node of the surface"),
+    SFEMI_ROW(surface_tri, 3, surface_triangles, sfemi_reduced_check_surface_node, "a triangle of the surface")};
+#undef SFEMI_ROW
+#undef SFEMI_ROWS
+
+static const sfemi_saved_kind sfemi_reduced_kind = SFEMI_SAVED_KIND("sfemred", "reduced model", 2, sfemi_reduced_array);
 
 SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
 {
@@ -24608,7 +24753,7 @@ SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
     sfemi_unlock(&r->lock);
     if (left > 0) return;
     al = r->allocator;
-    sfemi_delete(&al, r->block);
+    sfemi_delete(&al, r->head);
     sfemi_delete(&al, r);
 }
 
@@ -24623,25 +24768,18 @@ static void sfemi_reduced_retain(sfem_reduced *r)
 static sfem_status sfemi_reduced_new(const sfemi_reduced_head *head, const sfem_allocator *al,
                                      sfem_reduced **out, sfem_error *err)
 {
-    size_t at[SFEMI_REDUCED_ARRAYS + 1];
+    sfemi_saved_head saved;
     sfem_reduced *r = NULL;
     sfem_status status = SFEM_OK;
-    if (!sfemi_reduced_layout(head, at))
-        return sfemi_fail(err, SFEM_TOO_LARGE, "%d modes of %d nodes do not fit into memory",
-                          (int)head->modes, (int)head->nodes);
     SFEMI_NEW(sfem_reduced, r, al, 1);
     r->allocator = *al;
     r->references = 1;
-    r->block = sfemi_new(al, at[SFEMI_REDUCED_ARRAYS], 1);
-    if (!r->block) {
-        status = sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: a reduced model");
-        goto done;
-    }
-    sfemi_reduced_lay_out(r, at);
+    SFEMI_TRY(sfemi_saved_new(&sfemi_reduced_kind, head, 0, al, r, err));
+    saved = r->head->saved;
     *r->head = *head;
-    r->head->size = at[SFEMI_REDUCED_ARRAYS];
+    r->head->saved = saved;
     *out = r;
-    return SFEM_OK;
+    r = NULL;
 done:
     sfem_reduced_free(r);
     return status;
@@ -24864,9 +25002,6 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     if (status != SFEM_OK) return status;
     memset(&surface, 0, sizeof surface);
     memset(&head, 0, sizeof head);
-    memcpy(head.magic, "sfemred", 8);
-    head.version = SFEMI_REDUCED_VERSION;
-    head.order = 0x01020304u;
     head.nodes = mesh->nodes;
     head.free = def->free >= 0 ? def->free : modes->rigid == 6;
     skipped = head.free ? modes->rigid : 0;
@@ -24895,7 +25030,7 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     sfemi_reduced_curl(r, model, work);
     sfemi_reduced_groups(r, work, number);
     sfemi_reduced_constants(r, def, skipped);
-    r->head->checksum = sfemi_reduced_checksum(r->block, (size_t)r->head->size);
+    sfemi_saved_seal(r->head);
     *out = r;
     r = NULL;
 done:
@@ -24924,7 +25059,7 @@ SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
     info.mass = r->head->mass;
     memcpy(info.centre, r->head->centre, sizeof info.centre);
     memcpy(info.inertia, r->head->inertia, sizeof info.inertia);
-    info.bytes = (size_t)r->head->size;
+    info.bytes = (size_t)r->head->saved.size;
     return info;
 }
 
@@ -24941,31 +25076,11 @@ SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *r, sfem_int node, sfem
     }
 }
 
-SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r) { return (size_t)r->head->size; }
+SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r) { return (size_t)r->head->saved.size; }
 
 SFEM_DEF void sfem_reduced_save(const sfem_reduced *r, void *memory)
 {
-    memcpy(memory, r->block, (size_t)r->head->size);
-}
-
-/* Sizes that belong together, numbers in their ranges: a checksum is no signature. */
-static int sfemi_reduced_sound(const sfem_reduced *r)
-{
-    const sfemi_reduced_head *h = r->head;
-    const size_t m = (size_t)h->stride, nodes = (size_t)h->nodes, groups = (size_t)h->groups;
-    sfem_int i;
-    for (i = 0; i < h->surface_nodes; ++i)
-        if (r->surface_node[i] < 0 || r->surface_node[i] >= h->nodes) return 0;
-    for (i = 0; i < 3 * h->surface_triangles; ++i)
-        if (r->surface_tri[i] < 0 || r->surface_tri[i] >= h->surface_nodes) return 0;
-    for (i = 0; i < h->stride; ++i) /* the gain may be infinite */
-        if (!(r->lambda[i] >= 0 && r->damping[i] >= 0 && r->amplitude[i] >= 0 && r->gain[i] >= 0)) return 0;
-    return (h->free == 0 || h->free == 1) && h->mass > 0 && sfemi_all_finite(&h->mass, 22) &&
-           sfemi_all_finite(r->lambda, 2 * m) && sfemi_all_finite(r->amplitude, m) &&
-           sfemi_all_finite(r->gravity, 3 * m) && sfemi_all_finite(r->group_phi, 3 * m * groups) &&
-           sfemi_all_finite(r->group_psi, 3 * m * groups) && sfemi_all_finite(r->mass, nodes) &&
-           sfemi_all_finite(r->x, 3 * nodes) && sfemi_all_finite(r->phi, 3 * m * nodes) &&
-           sfemi_all_finite(r->psi, 3 * m * nodes);
+    memcpy(memory, r->head, (size_t)r->head->saved.size);
 }
 
 SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
@@ -24974,42 +25089,16 @@ SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
 {
     const sfem_allocator plain = {NULL, NULL, NULL};
     const sfem_allocator *al = allocator ? allocator : &plain;
-    size_t at[SFEMI_REDUCED_ARRAYS + 1];
     sfemi_reduced_head h;
     sfem_reduced *r = NULL;
     sfem_status status;
-    if (bytes < sizeof h)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a reduced model",
-                          (unsigned long)bytes);
+    SFEMI_TRY(sfemi_saved_open(&sfemi_reduced_kind, NULL, memory, bytes, err));
     memcpy(&h, memory, sizeof h);
-    if (memcmp(h.magic, "sfemred", 8) != 0)
-        return sfemi_fail(err, SFEM_FORMAT, "this is no reduced model");
-    if (h.order != 0x01020304u)
-        return sfemi_fail(err, SFEM_FORMAT,
-                          "the reduced model was saved on a machine of another byte order");
-    if (h.version != SFEMI_REDUCED_VERSION)
-        return sfemi_fail(err, SFEM_FORMAT, "the reduced model is of version %u, this reads %d",
-                          (unsigned)h.version, SFEMI_REDUCED_VERSION);
-    if (h.size != bytes)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes of a reduced model of %lu",
-                          (unsigned long)bytes, (unsigned long)h.size);
-    if (h.nodes < 1 || h.modes < 0 || h.stride < h.modes || h.stride % 8 || h.groups < 0 ||
-        h.surface_nodes < 0 || h.surface_triangles < 0 || h.surface_triangles > INT32_MAX / 3 ||
-        !sfemi_reduced_layout(&h, at) || at[SFEMI_REDUCED_ARRAYS] != bytes ||
-        sfemi_reduced_checksum(memory, bytes) != h.checksum)
-        return sfemi_fail(err, SFEM_FORMAT,
-                          "the reduced model is damaged: its checksum does not fit");
+    SFEMI_TRY(sfemi_saved_fault(&sfemi_reduced_kind, &h, memory, bytes, err));
     SFEMI_TRY(sfemi_reduced_new(&h, al, &r, err));
-    memcpy(r->block, memory, bytes);
-    if (!sfemi_reduced_sound(r)) {
-        status =
-            sfemi_fail(err, SFEM_FORMAT, "the reduced model holds numbers out of their ranges");
-        goto done;
-    }
+    memcpy(r->head, memory, bytes);
     *out = r;
-    return SFEM_OK;
 done:
-    sfem_reduced_free(r);
     return status;
 }
 
@@ -25219,9 +25308,7 @@ static void sfemi_oscillator_fit(sfem_real omega2, sfem_real c, sfem_real h, sfe
 /* --- modal bodies: the state ----------------------------------------------------------------- */
 
 typedef struct sfemi_modal_head {
-    char magic[8];
-    uint32_t version, unused;
-    uint64_t size, key, checksum;
+    sfemi_saved_head saved;
     sfem_real time, beta, gamma; /* of the last step */
     sfem_real h;                 /* the step that a is fitted to; 0: to none; -1: a was given */
     sfem_real gravity[3];
@@ -25243,8 +25330,8 @@ struct sfem_modal {
     sfem_modal_def def;
     sfem_reduced *reduced;
     const sfemi_modal_kernels *kernels;
-    size_t m, stride, state_bytes, small_bytes, bytes; /* small: what a failed step restores */
-    /* the state, one block */
+    size_t m, stride, small_bytes, bytes; /* small: what a failed step restores */
+    /* the state, in one block, see sfemi_modal_array */
     sfemi_modal_head *head;
     sfem_real *q, *v, *a, *f;      /* [stride] */
     sfem_real *rest;               /* [stride] the load with which a mode fell asleep */
@@ -25279,8 +25366,6 @@ struct sfem_modal {
     double turn[2 * SFEMI_TURN_TERMS + 1];
     float turn32[2 * SFEMI_TURN_TERMS32 + 1];
 };
-
-enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 2 };
 
 static int sfemi_modal_path_kind(const sfem_modal *b)
 {
@@ -25372,54 +25457,119 @@ static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
     return SFEM_OK;
 }
 
-/* The state's arrays in one block; with block = NULL only the sizes. */
-static void sfemi_modal_lay_out(sfem_modal *b, void *block)
+/* ---- what is saved, see >>saved. Of handles' forces, rows and residual nothing is made but output: a step that failed may
+ * leave any there. ---- */
+
+typedef struct sfemi_modal_shape {
+    const sfem_modal *body;
+    sfemi_modal_head head; /* of the block that is checked */
+    sfem_int nodes, stride, handles, handle_nodes;
+} sfemi_modal_shape;
+
+static sfemi_modal_shape sfemi_modal_shape_of(const sfem_modal *b)
 {
-    const size_t real = b->stride * sizeof(sfem_real), handles = (size_t)b->def.max_handles;
-    const size_t held = (size_t)b->def.max_handle_nodes, n = (size_t)b->reduced->head->nodes;
-    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head),
-                                              real,
-                                              real,
-                                              real,
-                                              real,
-                                              real,
-                                              real,
-                                              b->stride * sizeof(sfem_int),
-                                              handles * sizeof(sfemi_modal_handle),
-                                              held * sizeof(sfem_real),
-                                              held * sizeof(sfem_int),
-                                              3 * handles * real,
-                                              3 * n * sizeof(sfem_real),
-                                              n * sizeof(sfem_int)};
-    size_t at[SFEMI_MODAL_ARRAYS + 1];
-    char *p = (char *)block;
-    int k;
-    at[0] = 0;
-    for (k = 0; k < SFEMI_MODAL_ARRAYS; ++k)
-        at[k + 1] = (at[k] + bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
-    b->state_bytes = at[SFEMI_MODAL_ARRAYS];
-    b->small_bytes = at[9];
-    if (!p) return;
-    b->head = (sfemi_modal_head *)(void *)p;
-    b->q = (sfem_real *)(void *)(p + at[1]);
-    b->v = (sfem_real *)(void *)(p + at[2]);
-    b->a = (sfem_real *)(void *)(p + at[3]);
-    b->f = (sfem_real *)(void *)(p + at[4]);
-    b->rest = (sfem_real *)(void *)(p + at[5]);
-    b->mean = (sfem_real *)(void *)(p + at[6]);
-    b->asleep = (sfem_int *)(void *)(p + at[7]);
-    b->handle = (sfemi_modal_handle *)(void *)(p + at[8]);
-    b->weight = (sfem_real *)(void *)(p + at[9]);
-    b->handle_node = (sfem_int *)(void *)(p + at[10]);
-    b->rows = (sfem_real *)(void *)(p + at[11]);
-    b->force = (sfem_real *)(void *)(p + at[12]);
-    b->force_node = (sfem_int *)(void *)(p + at[13]);
+    sfemi_modal_shape s;
+    memset(&s, 0, sizeof s);
+    s.body = b;
+    s.nodes = b->reduced->head->nodes;
+    s.stride = b->reduced->head->stride;
+    s.handles = b->def.max_handles;
+    s.handle_nodes = b->def.max_handle_nodes;
+    return s;
 }
+
+static int sfemi_modal_check_head(const void *shape, const char *at, size_t count)
+{
+    const sfem_modal *b = ((const sfemi_modal_shape *)shape)->body;
+    const sfemi_modal_head *h = &((const sfemi_modal_shape *)shape)->head;
+    (void)at;
+    (void)count;
+    return sfemi_all_finite(&h->time, 3) && (h->h >= 0 || h->h == -1) && sfemi_finite(h->h) && h->beta >= 0 &&
+           h->gamma >= 0 && sfemi_all_finite(h->gravity, 3) &&
+           sfemi_all_finite(h->rigid.x, sizeof h->rigid / sizeof(sfem_real)) && sfemi_all_finite(h->momentum, 9) &&
+           h->forces >= 0 && h->forces <= b->reduced->head->nodes && h->handles >= 0 && h->handle_nodes >= 0 &&
+           h->handle_nodes <= b->def.max_handle_nodes && h->steps >= 0 && h->steps <= SFEMI_SAVED_MOST;
+}
+
+static sfemi_modal_handle sfemi_modal_handle_at(const char *at, size_t k)
+{
+    sfemi_modal_handle h;
+    memcpy(&h, at + k * sizeof h, sizeof h);
+    return h;
+}
+
+/* Handles in use share out all handle_nodes places: their ranges do not overlap, and add up to that. */
+static int sfemi_modal_check_handles(const void *shape, const char *at, size_t count)
+{
+    const sfemi_modal_head *head = &((const sfemi_modal_shape *)shape)->head;
+    sfem_int used = 0, places = 0;
+    size_t i, j;
+    for (i = 0; i < count; ++i) {
+        const sfemi_modal_handle h = sfemi_modal_handle_at(at, i);
+        if (h.used == 0) continue;
+        if (h.used != 1 || h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
+            h.count > head->handle_nodes - places || !sfemi_all_finite(h.target, 3))
+            return 0;
+        for (j = 0; j < i; ++j) {
+            const sfemi_modal_handle o = sfemi_modal_handle_at(at, j);
+            if (o.used && h.first < o.first + o.count && o.first < h.first + h.count) return 0;
+        }
+        ++used;
+        places += h.count;
+    }
+    return used == head->handles && places == head->handle_nodes;
+}
+
+static int sfemi_modal_check_nodes(const void *shape, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_modal_shape *)shape)->nodes, at, count);
+}
+
+/* Does each node with a force stand in the list once? A node that was met is marked in its place, by a negative
+ * number, which the second pass takes back. */
+static int sfemi_modal_check_force_nodes(const void *shape, const char *at, size_t count)
+{
+    const sfem_modal *b = ((const sfemi_modal_shape *)shape)->body;
+    const sfem_int forces = ((const sfemi_modal_shape *)shape)->head.forces;
+    sfem_int met, i, node;
+    if (!sfemi_modal_check_nodes(shape, at, count)) return 0;
+    for (met = 0; met < forces; ++met) {
+        memcpy(&node, at + (size_t)met * sizeof node, sizeof node);
+        if (b->place[node] < 0) break;
+        b->place[node] = -1 - b->place[node];
+    }
+    for (i = 0; i < met; ++i) {
+        memcpy(&node, at + (size_t)i * sizeof node, sizeof node);
+        b->place[node] = -1 - b->place[node];
+    }
+    return met == forces;
+}
+
+#define SFEMI_ROW(field, each, rows, check, name)                                                     \
+    SFEMI_SAVED(sfem_modal, field, each, offsetof(sfemi_modal_shape, rows), SFEMI_SAVED_ONE, check, name)
+static const sfemi_saved_array sfemi_modal_array[] = {
+    SFEMI_SAVED(sfem_modal, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_modal_check_head, "its head"),
+    SFEMI_ROW(q, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(v, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(a, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(f, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(rest, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(mean, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(asleep, 1, stride, NULL, NULL),
+    SFEMI_ROW(handle, 1, handles, sfemi_modal_check_handles, "a handle"),
+    SFEMI_ROW(weight, 1, handle_nodes, sfemi_saved_finite, "a handle"),
+    SFEMI_ROW(handle_node, 1, handle_nodes, sfemi_modal_check_nodes, "a handle"),
+    SFEMI_SAVED(sfem_modal, rows, 3, offsetof(sfemi_modal_shape, handles), offsetof(sfemi_modal_shape, stride), NULL, NULL),
+    SFEMI_ROW(force, 3, nodes, sfemi_saved_finite, "a force"),
+    SFEMI_ROW(force_node, 1, nodes, sfemi_modal_check_force_nodes, "a force")};
+#undef SFEMI_ROW
+
+static const sfemi_saved_kind sfemi_modal_kind = SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 3, sfemi_modal_array);
 
 static uint64_t sfemi_modal_key(const sfem_modal *b)
 {
     const sfem_int sizes[3] = {b->def.max_handles, b->def.max_handle_nodes, (sfem_int)b->def.warp};
-    return sfemi_hash(b->reduced->head->checksum, sizes, sizeof sizes);
+    return sfemi_hash(b->reduced->head->saved.checksum, sizes, sizeof sizes);
 }
 
 /* The oscillators for steps of h; 0: as they are. */
@@ -25476,8 +25626,8 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     const sfem_allocator *al = &def->allocator;
     const size_t rows = 3 * (size_t)(def->max_handles > 0 ? def->max_handles : 0);
     sfem_modal *b = NULL;
+    sfemi_modal_shape shape;
     sfem_status status = sfemi_modal_check(def, err);
-    char *block = NULL;
     if (status != SFEM_OK) return status;
     SFEMI_NEW(sfem_modal, b, al, 1);
     b->def = *def;
@@ -25486,9 +25636,9 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->kernels = sfemi_modal_kernels_of(sfemi_path());
     b->m = (size_t)reduced->head->modes;
     b->stride = (size_t)reduced->head->stride;
-    sfemi_modal_lay_out(b, NULL);
-    SFEMI_NEW(char, block, al, b->state_bytes);
-    sfemi_modal_lay_out(b, block);
+    shape = sfemi_modal_shape_of(b);
+    SFEMI_TRY(sfemi_saved_new(&sfemi_modal_kind, &shape, sfemi_modal_key(b), al, b, err));
+    b->small_bytes = (size_t)((char *)b->weight - (char *)b->head);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
     SFEMI_NEW(sfem_real, b->next, al, 13 * b->stride + 1);
     b->b = b->next + b->stride;
@@ -25515,7 +25665,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
-    b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
+    b->bytes = sizeof *b + (size_t)b->head->saved.size + b->small_bytes +
                b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
                rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
@@ -25523,10 +25673,6 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     sfemi_modal_series(b);
     b->fit_h = -1;
     sfemi_modal_fit(b, def->h);
-    memcpy(b->head->magic, "sfemmod", 8);
-    b->head->version = SFEMI_MODAL_VERSION;
-    b->head->size = b->state_bytes;
-    b->head->key = sfemi_modal_key(b);
     b->head->beta = def->beta;
     b->head->gamma = def->gamma;
     memcpy(b->head->gravity, def->gravity, sizeof def->gravity);
@@ -27052,135 +27198,24 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *b, sfem_real linear[3], sfem
 
 /* --- state and figures ----------------------------------------------------------------------- */
 
-SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b) { return b->state_bytes; }
-
-static uint64_t sfemi_modal_checksum(const void *block, size_t bytes)
-{
-    sfemi_modal_head head;
-    memcpy(&head, block, sizeof head);
-    head.checksum = 0;
-    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head),
-                            (const char *)block + sizeof head, bytes - sizeof head);
-}
+SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b) { return (size_t)b->head->saved.size; }
 
 SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
 {
-    sfemi_modal_head head = *b->head;
-    memcpy(memory, b->head, b->state_bytes);
-    head.checksum = 0;
-    memcpy(memory, &head, sizeof head);
-    head.checksum = sfemi_modal_checksum(memory, b->state_bytes);
-    memcpy(memory, &head, sizeof head);
-}
-
-/* ---- would a body be safe with a block of its own size? A checksum is no signature ----
- *
- * Of handles' forces, rows and residual nothing is made but output: a step that failed may leave any there. */
-
-static int sfemi_modal_head_sound(const sfem_modal *b, const sfemi_modal_head *head)
-{
-    return sfemi_all_finite(&head->time, 3) && (head->h >= 0 || head->h == -1) && sfemi_finite(head->h) &&
-           head->beta >= 0 && head->gamma >= 0 && sfemi_all_finite(head->gravity, 3) &&
-           sfemi_all_finite(head->rigid.x, sizeof head->rigid / sizeof(sfem_real)) &&
-           sfemi_all_finite(head->momentum, 9) && head->forces >= 0 &&
-           head->forces <= b->reduced->head->nodes && head->handles >= 0 && head->handle_nodes >= 0 &&
-           head->handle_nodes <= b->def.max_handle_nodes && head->steps >= 0 && head->steps <= SFEMI_STATE_COUNT;
-}
-
-static sfemi_modal_handle sfemi_modal_handle_at(const char *at, sfem_int k)
-{
-    sfemi_modal_handle h;
-    memcpy(&h, at + (size_t)k * sizeof h, sizeof h);
-    return h;
-}
-
-/* Handles in use share out all handle_nodes places: their ranges do not overlap, and add up to that. */
-static int sfemi_modal_handles_sound(const sfem_modal *b, const sfemi_modal_head *head, const char *at)
-{
-    sfem_int i, j, used = 0, places = 0;
-    for (i = 0; i < b->def.max_handles; ++i) {
-        const sfemi_modal_handle h = sfemi_modal_handle_at(at, i);
-        if (h.used == 0) continue;
-        if (h.used != 1 || h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
-            h.count > head->handle_nodes - places || !sfemi_all_finite(h.target, 3))
-            return 0;
-        for (j = 0; j < i; ++j) {
-            const sfemi_modal_handle o = sfemi_modal_handle_at(at, j);
-            if (o.used && h.first < o.first + o.count && o.first < h.first + h.count) return 0;
-        }
-        ++used;
-        places += h.count;
-    }
-    return used == head->handles && places == head->handle_nodes;
-}
-
-/* Are all of these nodes there? */
-static int sfemi_modal_nodes_sound(const sfem_modal *b, const char *at, sfem_int count)
-{
-    sfem_int i, node;
-    for (i = 0; i < count; ++i) {
-        memcpy(&node, at + (size_t)i * sizeof node, sizeof node);
-        if (node < 0 || node >= b->reduced->head->nodes) return 0;
-    }
-    return 1;
-}
-
-/* Does each node with a force stand in the list once? A node that was met is marked in its place, by a negative
- * number, which the second pass takes back. */
-static int sfemi_modal_forces_sound(const sfem_modal *b, const char *at, sfem_int count)
-{
-    sfem_int met, i, node;
-    if (!sfemi_modal_nodes_sound(b, at, count)) return 0;
-    for (met = 0; met < count; ++met) {
-        memcpy(&node, at + (size_t)met * sizeof node, sizeof node);
-        if (b->place[node] < 0) break;
-        b->place[node] = -1 - b->place[node];
-    }
-    for (i = 0; i < met; ++i) {
-        memcpy(&node, at + (size_t)i * sizeof node, sizeof node);
-        b->place[node] = -1 - b->place[node];
-    }
-    return met == count;
-}
-
-/* What of the block is not safe, or NULL. It may stand at any address. */
-static const char *sfemi_modal_state_fault(const sfem_modal *b, const sfemi_modal_head *head, const char *memory)
-{
-    const char *base = (const char *)b->head;
-    const size_t array = (size_t)((const char *)b->v - (const char *)b->q); /* q, v, a, f, rest, mean: so far apart */
-    const size_t held = (size_t)(head->handle_nodes > 0 ? head->handle_nodes : 0);
-    size_t k;
-    if (!sfemi_modal_head_sound(b, head)) return "its head";
-    for (k = 0; k < 6; ++k)
-        if (!sfemi_state_all_finite(memory + ((const char *)b->q - base) + k * array, b->stride)) return "a mode";
-    if (!sfemi_modal_handles_sound(b, head, memory + ((const char *)b->handle - base)) ||
-        !sfemi_modal_nodes_sound(b, memory + ((const char *)b->handle_node - base), head->handle_nodes) ||
-        !sfemi_state_all_finite(memory + ((const char *)b->weight - base), held))
-        return "a handle";
-    if (!sfemi_modal_forces_sound(b, memory + ((const char *)b->force_node - base), head->forces) ||
-        !sfemi_state_all_finite(memory + ((const char *)b->force - base), 3 * (size_t)head->forces))
-        return "a force";
-    return NULL;
+    memcpy(memory, b->head, sfem_modal_state_size(b));
+    sfemi_saved_seal(memory);
 }
 
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes,
                                            sfem_error *err)
 {
-    sfemi_modal_head head;
-    const char *fault;
+    sfemi_modal_shape shape = sfemi_modal_shape_of(b);
     sfem_int i;
-    if (bytes < sizeof head)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a state",
-                          (unsigned long)bytes);
-    memcpy(&head, memory, sizeof head);
-    if (memcmp(head.magic, "sfemmod", 8) != 0 || head.version != SFEMI_MODAL_VERSION)
-        return sfemi_fail(err, SFEM_FORMAT, "this is no state of a modal body of this version");
-    if (head.size != bytes || sfemi_modal_checksum(memory, bytes) != head.checksum)
-        return sfemi_fail(err, SFEM_FORMAT, "the state is damaged: its checksum does not fit");
-    if (head.key != b->head->key || head.size != b->state_bytes)
-        return sfemi_fail(err, SFEM_MISMATCH, "the state is of another body");
-    fault = sfemi_modal_state_fault(b, &head, (const char *)memory);
-    if (fault) return sfemi_fail(err, SFEM_FORMAT, "the state holds numbers out of their ranges: %s", fault);
+    sfem_status status = sfemi_saved_open(&sfemi_modal_kind, &b->head->saved, memory, bytes, err);
+    if (status != SFEM_OK) return status;
+    memcpy(&shape.head, memory, sizeof shape.head);
+    status = sfemi_saved_fault(&sfemi_modal_kind, &shape, memory, bytes, err);
+    if (status != SFEM_OK) return status;
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
     memcpy(b->head, memory, bytes);
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = i + 1;
@@ -27217,7 +27252,7 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
     info.beta = h->beta;
     info.gamma = h->gamma;
     info.steps = h->steps;
-    info.state_bytes = b->state_bytes;
+    info.state_bytes = sfem_modal_state_size(b);
     info.body_bytes = b->bytes;
     return info;
 }
