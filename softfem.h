@@ -36,8 +36,10 @@
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>damage       edge form of the tet, damage laws, criterion, pieces
  *            >>factor       the shared factor of a body's system matrix
- *            >>state        what of a body changes, in one block of memory
+ *            >>data         what a body is made of: all its structs
+ *            >>state        the saved state: its arrays and their checks
  *            >>handle       pins and handles set, moved and released while the body runs
+ *            >>balance      right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
  *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
  *                           nonlinear statics
@@ -15045,7 +15047,10 @@ static void sfemi_factor_solve(const sfem_factor *f, sfem_int nodes, sfem_int rh
 }
 
 /* ============================================================================================
- * >>state   what of a body changes, in one block of memory
+ * >>data   what a body is made of: all its structs, each field under the section that writes it
+ *
+ * Three kinds of data: what create fixes (sfemi_scheme, masks), what prepare makes (factors), and what a step changes:
+ * the saved state, one block of memory, and temporaries. Arrays are [nodes][3] unless stated.
  * ============================================================================================ */
 
 /* Something that holds points in place: the history that gives its velocity and acceleration. */
@@ -15131,121 +15136,7 @@ typedef struct sfemi_state_shape {
     sfem_int breaking, damage; /* 1 or 0; 8 bytes of >>damage's own state each */
 } sfemi_state_shape;
 
-/* ---- checks, see >>saved. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever
- * they are, a step that they spoil fails or is rejected. ---- */
-
-static int sfemi_state_check_counts(const sfemi_state_head *head)
-{
-    const int64_t count[4] = {head->steps, head->rejected, head->solves, head->evaluations};
-    int k;
-    for (k = 0; k < 4; ++k)
-        if (count[k] < 0 || count[k] > SFEMI_SAVED_MOST) return 0;
-    return head->pairs >= 0 && head->pairs <= 1 << 20 && head->skipped >= 0 && head->load_age >= 0 &&
-           head->load_age <= 2;
-}
-
-static int sfemi_state_check_head(const void *shape, const char *at, size_t count)
-{
-    const int sleeps = ((const sfemi_state_shape *)shape)->sleeping > 0;
-    sfemi_state_head h;
-    (void)count;
-    memcpy(&h, at, sizeof h);
-    return sfemi_all_finite(&h.time, 3) && h.h >= 0 && h.p >= 0 && sfemi_all_finite(h.gravity, 3) &&
-           h.started >= SFEMI_NOT_STARTED && h.started <= SFEMI_RUNNING && (h.started < SFEMI_RESTARTED || h.h > 0) &&
-           h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
-           h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
-           h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
-           h.calm >= 0 && sfemi_state_check_counts(&h);
-}
-
-static int sfemi_state_check_holds(const void *shape, const char *at, size_t count)
-{
-    size_t i;
-    (void)shape;
-    for (i = 0; i < count; ++i) {
-        sfemi_hold hold;
-        memcpy(&hold, at + i * sizeof hold, sizeof hold);
-        if (!sfemi_all_finite(hold.target, 3) || !sfemi_all_finite(hold.past, 3) || hold.age < 0 || hold.age > 2)
-            return 0;
-    }
-    return 1;
-}
-
-/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
-static int sfemi_state_check_handles(const void *shape, const char *at, size_t count)
-{
-    const sfem_model *model = ((const sfemi_state_shape *)shape)->model;
-    size_t i;
-    int c;
-    for (i = 0; i < count; ++i) {
-        sfemi_handle h;
-        memcpy(&h, at + i * sizeof h, sizeof h);
-        if (h.used == 0) continue;
-        if (h.used != 1 || !sfemi_state_check_holds(shape, (const char *)&h.hold, 1) || !sfemi_all_finite(h.weight, 4) ||
-            !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
-            return 0;
-        for (c = 0; c < 4; ++c)
-            if (h.node[c] < 0 || h.node[c] >= model->mesh.nodes || model->node_mass[h.node[c]] == 0) return 0;
-    }
-    return 1;
-}
-
-static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
-{
-    const sfemi_bonds *g = ((const sfemi_state_shape *)shape)->bonds;
-    const size_t edges = g ? (size_t)g->edges : 0;
-    sfem_real account[SFEMI_ACCOUNTS], zeta;
-    size_t k;
-    if (!count) return 1;
-    memcpy(account, at, sizeof account);
-    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
-    at += sizeof account;
-    for (k = 0; k < edges; ++k) {
-        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
-        if (!(zeta >= 0 && zeta <= 1)) return 0;
-    }
-    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
-    for (k = 0; k < edges; ++k)
-        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
-    return 1;
-}
-
-#define SFEMI_ROW(field, each, rows, check, name)                                                     \
-    SFEMI_SAVED(sfemi_state, field, each, offsetof(sfemi_state_shape, rows), SFEMI_SAVED_ONE, check, name)
-#define SFEMI_LOAD(k)                                                                                 \
-    {offsetof(sfemi_state, force) + (k) * sizeof(sfem_real *), sizeof(sfem_real), 3,                  \
-     offsetof(sfemi_state_shape, nodes), SFEMI_SAVED_ONE, sfemi_saved_finite, "a load"}
-static const sfemi_saved_array sfemi_state_array[] = {
-    SFEMI_SAVED(sfemi_state, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_state_check_head, "its head"),
-    SFEMI_ROW(u, 3, nodes, sfemi_saved_finite, "a displacement"),
-    SFEMI_ROW(w, 3, nodes, sfemi_saved_finite, "a velocity"),
-    SFEMI_ROW(a, 3, nodes, sfemi_saved_finite, "an acceleration"),
-    SFEMI_LOAD(0),
-    SFEMI_LOAD(1),
-    SFEMI_LOAD(2),
-    SFEMI_ROW(f, 3, rotating, NULL, NULL),
-    SFEMI_ROW(f_past, 3, rotating, NULL, NULL),
-    SFEMI_ROW(f_past2, 3, rotating, NULL, NULL),
-    SFEMI_ROW(frame, 9, rotating, NULL, NULL),
-    SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
-    SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
-    SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
-    SFEMI_ROW(books, 1, breaking, NULL, NULL),
-    SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
-    SFEMI_ROW(pin, 1, pins, sfemi_state_check_holds, "a pin")};
-#undef SFEMI_ROW
-#undef SFEMI_LOAD
-
-static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
-
-/* ============================================================================================
- * >>handle   pins and handles set, moved and released while the body runs
- *
- * With A^-1 at hand, a constraint H a = c on a = A^-1 (b + H^T l) asks for  (H A^-1 H^T) l = c - H A^-1 b.
- * The columns Y = A^-1 H^T of a handle, three of them, are solved for when it is taken; a step costs one
- * small dense solve and one sum over the columns, whatever moves.
- * ============================================================================================ */
-
+/* >>handle: the handles' columns and their dense block. */
 typedef struct sfemi_grip {
     sfem_int count;   /* handles in use */
     sfem_int *slot;   /* [max] their numbers */
@@ -15259,128 +15150,6 @@ typedef struct sfemi_grip {
     sfem_real *place;  /* [3 max] where the handles are before a step */
     int dirty;        /* the set of handles or the factor changed */
 } sfemi_grip;
-
-/* (H x) of one handle: the weighted mean over its nodes. */
-static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
-{
-    int k, c;
-    for (c = 0; c < 3; ++c) {
-        out[c] = 0;
-        for (k = 0; k < 4; ++k)
-            if (h->weight[k] != 0) out[c] += h->weight[k] * x[3 * (size_t)h->node[k] + (size_t)c];
-    }
-}
-
-/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
-static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
-                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
-{
-    const size_t n = 3 * (size_t)nodes;
-    int first, k, c;
-    for (first = 0; first < (apart ? 4 : 1); ++first) {
-        if (h->weight[first] == 0 && apart) continue;
-        memset(y, 0, 3 * n * sizeof *y);
-        for (c = 0; c < 3; ++c)
-            for (k = first; k < (apart ? first + 1 : 4); ++k)
-                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
-                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
-        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
-        y += 3 * n;
-    }
-}
-
-/* Factors S = H Y, unless the body turns, and W = H M^-1 H^T over the handles in g->slot. */
-static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
-                              int turns, const unsigned char *mask)
-{
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_int k = g->count;
-    sfem_int i, j;
-    int a, b, p, q;
-    for (i = 0; i < k; ++i) {
-        const sfemi_handle *hi = handle + g->slot[i];
-        for (j = 0; j <= i; ++j) {
-            const sfemi_handle *hj = handle + g->slot[j];
-            for (b = 0; b < 3; ++b) {
-                sfem_real mean[3], w = 0;
-                if (!turns) sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3 && !turns; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
-                for (p = 0; p < 4; ++p)
-                    for (q = 0; q < 4; ++q)
-                        if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
-                            !(mask[hi->node[p]] >> b & 1))
-                            w += hi->weight[p] * hj->weight[q] / model->node_mass[hi->node[p]];
-                g->wm[(b * k + i) * k + j] = w;
-            }
-        }
-    }
-    if (!turns) sfemi_small_factor(g->s, 3 * k, 3 * k);
-    for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
-}
-
-/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
-static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
-{
-    const size_t n = 3 * (size_t)nodes;
-    sfem_int i;
-    size_t k;
-    int c;
-    for (i = 0; i < g->count; ++i) {
-        sfem_real mean[3];
-        sfemi_grip_mean(handle + g->slot[i], a, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
-    }
-    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
-    for (i = 0; i < g->count; ++i) {
-        for (c = 0; c < 3; ++c) {
-            const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
-            for (k = 0; k < n; ++k) a[k] += l * y[k];
-        }
-    }
-}
-
-/* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
- * lumped M serves: it only chooses among the changes. */
-static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
-                               const unsigned char *mask, sfem_real *x)
-{
-    const sfem_int k = g->count;
-    sfem_int i;
-    int c, p;
-    for (i = 0; i < k; ++i) {
-        sfem_real mean[3];
-        sfemi_grip_mean(handle + g->slot[i], x, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
-    }
-    for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
-    for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = handle + g->slot[i];
-        for (p = 0; p < 4; ++p)
-            for (c = 0; c < 3; ++c)
-                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
-                    x[3 * (size_t)h->node[p] + (size_t)c] +=
-                        h->weight[p] * g->lambda[3 * i + c] / model->node_mass[h->node[p]];
-    }
-}
-
-/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
- * of h_before seconds: of second and first order once three positions are known. */
-static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h,
-                              sfem_real h_before, sfem_real v[3], sfem_real a[3])
-{
-    int c;
-    for (c = 0; c < 3; ++c) {
-        const sfem_real d = (hold->target[c] - x[c]) / h;
-        a[c] = hold->age > 0 ? 2 * (d - (x[c] - hold->past[c]) / h_before) / (h + h_before) : 0;
-        v[c] = d + h / 2 * a[c];
-    }
-}
-
-static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
-{
-    memcpy(hold->past, x, sizeof hold->past);
-    if (hold->age < 2) ++hold->age;
-}
 
 /* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
 typedef struct sfemi_piece {
@@ -15425,7 +15194,7 @@ typedef struct sfemi_system {
     sfem_int *source;   /* [blocks] their places in K's pattern */
 } sfemi_system;
 
-/* >>guard: scratch of a step, all [nodes][3] unless stated. */
+/* >>guard: a step of a body that rotates, all [nodes][3] unless stated. */
 typedef struct sfemi_guard {
     sfem_real *u, *w, *f;  /* the step's end */
     sfem_real *external;   /* the loads, and what the caller added, in the equation; */
@@ -15557,58 +15326,315 @@ typedef struct sfemi_step {
     int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
 } sfemi_step;
 
+/* Between which of predict, solve and finish a step is. */
+enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
+
 /* What a step is made of. The arrays from u to handle are the state; the rest is derived or temporary. */
 struct sfem_body {
+    /* create */
     sfem_allocator allocator;
     sfem_exec exec;
     sfem_model *model;
-    sfem_body_def def;   /* without its pins */
-    sfem_int pin_count;
-    sfem_int *pin;       /* [pin_count] nodes, each once */
-    unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
+    sfem_body_def def;     /* without its pins and its damage */
+    sfemi_scheme scheme;   /* >>method */
     sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    sfemi_scheme scheme;
     int sleeps;            /* it may */
-    sfemi_state state;
-    sfemi_grip grip;
-    sfemi_turn turn;
-    sfemi_guard guard;
     sfemi_bonds *bonds;    /* these two only where the body may break */
     sfemi_damage *damage;
-    /* prepared */
+
+    /* create and set_pins */
+    sfem_int pin_count;
+    sfem_int *pin;         /* [pin_count] nodes, each once */
+    unsigned char *mask;   /* [nodes] axes held; all of a node that is in no tet */
+
+    /* the state, which is saved */
+    sfemi_state state;
+
+    /* prepare */
     sfem_factor *factor;
-    sfem_real h, p;      /* what the factor is for */
-    sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
-    sfem_real omega_max; /* 0: not known */
+    sfem_real h, p;        /* what the factor is for */
+    sfem_real omega_max;   /* >>pqr: 0: not known */
     sfem_int factors_made;
-    sfem_real *work;     /* for the factor's solves */
+    sfem_real *work;       /* [work_size] for the factor's solves */
     size_t work_size;
-    /* the step under way */
-    int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
-    int begun;           /* not finished, nor undone: before holds */
+    sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
+    sfemi_grip grip;       /* >>handle */
+
+    /* predict, solve, finish: the step under way */
+    int phase;             /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
+    int begun;             /* not finished, nor undone: before holds */
     sfemi_state_head before; /* what was when it began */
     sfemi_step step;
-    sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
-    sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
-    sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
+    sfem_real *rhs;        /* [nodes][3] right side, N, and what the caller adds to it */
+    sfem_real *acc;        /* [nodes][3] the acceleration that solve leaves */
+    sfem_real *predicted;  /* [nodes][3] rhs as predict left it, where the caller may add to it; */
+    sfem_real *late;       /* [nodes][3] what he added since solve, if is_late */
     int is_late;
-    sfem_real *kick;      /* [nodes][3] N s, the impulses among it, if kicked */
+    sfem_real *kick;       /* [nodes][3] N s, the impulses among it, if kicked */
     int kicked;
-    sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
-    sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
-    sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
-    sfem_real *velocity; /* >>resume: [nodes][3] what a step starts from, if step.fresh; or is to lose, if step.falls */
-    sfemi_implicit implicit;
-    sfemi_refactor refactor;
+    sfem_real *base;       /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to; else NULL */
+    sfem_real *velocity;   /* >>resume: [nodes][3] what a step starts from, if step.fresh; is to lose, if step.falls */
+    sfemi_turn turn;       /* >>turn */
+    sfemi_guard guard;     /* >>guard */
+    sfemi_implicit implicit; /* >>implicit */
+    sfemi_refactor refactor; /* >>refactor */
+
+    /* temporaries: no call leaves anything in them */
+    sfem_real *zk, *zm, *zd; /* [nodes][3] what K, M and the rest of D are applied to; zd NULL where there is none */
+    sfem_real *spare;      /* >>resume: [5][nodes][3] */
+    sfem_real *aside;      /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
 };
+
+/* ============================================================================================
+ * >>state   the saved state: its arrays and their checks
+ * ============================================================================================ */
+
+/* ---- checks, see >>saved. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever
+ * they are, a step that they spoil fails or is rejected. ---- */
+
+static int sfemi_state_check_counts(const sfemi_state_head *head)
+{
+    const int64_t count[4] = {head->steps, head->rejected, head->solves, head->evaluations};
+    int k;
+    for (k = 0; k < 4; ++k)
+        if (count[k] < 0 || count[k] > SFEMI_SAVED_MOST) return 0;
+    return head->pairs >= 0 && head->pairs <= 1 << 20 && head->skipped >= 0 && head->load_age >= 0 &&
+           head->load_age <= 2;
+}
+
+static int sfemi_state_check_head(const void *shape, const char *at, size_t count)
+{
+    const int sleeps = ((const sfemi_state_shape *)shape)->sleeping > 0;
+    sfemi_state_head h;
+    (void)count;
+    memcpy(&h, at, sizeof h);
+    return sfemi_all_finite(&h.time, 3) && h.h >= 0 && h.p >= 0 && sfemi_all_finite(h.gravity, 3) &&
+           h.started >= SFEMI_NOT_STARTED && h.started <= SFEMI_RUNNING && (h.started < SFEMI_RESTARTED || h.h > 0) &&
+           h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
+           h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
+           h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
+           h.calm >= 0 && sfemi_state_check_counts(&h);
+}
+
+static int sfemi_state_check_holds(const void *shape, const char *at, size_t count)
+{
+    size_t i;
+    (void)shape;
+    for (i = 0; i < count; ++i) {
+        sfemi_hold hold;
+        memcpy(&hold, at + i * sizeof hold, sizeof hold);
+        if (!sfemi_all_finite(hold.target, 3) || !sfemi_all_finite(hold.past, 3) || hold.age < 0 || hold.age > 2)
+            return 0;
+    }
+    return 1;
+}
+
+/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
+static int sfemi_state_check_handles(const void *shape, const char *at, size_t count)
+{
+    const sfem_model *model = ((const sfemi_state_shape *)shape)->model;
+    size_t i;
+    int c;
+    for (i = 0; i < count; ++i) {
+        sfemi_handle h;
+        memcpy(&h, at + i * sizeof h, sizeof h);
+        if (h.used == 0) continue;
+        if (h.used != 1 || !sfemi_state_check_holds(shape, (const char *)&h.hold, 1) || !sfemi_all_finite(h.weight, 4) ||
+            !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
+            return 0;
+        for (c = 0; c < 4; ++c)
+            if (h.node[c] < 0 || h.node[c] >= model->mesh.nodes || model->node_mass[h.node[c]] == 0) return 0;
+    }
+    return 1;
+}
+
+static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
+{
+    const sfemi_bonds *g = ((const sfemi_state_shape *)shape)->bonds;
+    const size_t edges = g ? (size_t)g->edges : 0;
+    sfem_real account[SFEMI_ACCOUNTS], zeta;
+    size_t k;
+    if (!count) return 1;
+    memcpy(account, at, sizeof account);
+    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
+    at += sizeof account;
+    for (k = 0; k < edges; ++k) {
+        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
+    for (k = 0; k < edges; ++k)
+        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
+    return 1;
+}
+
+#define SFEMI_ROW(field, each, rows, check, name)                                                     \
+    SFEMI_SAVED(sfemi_state, field, each, offsetof(sfemi_state_shape, rows), SFEMI_SAVED_ONE, check, name)
+#define SFEMI_LOAD(k)                                                                                 \
+    {offsetof(sfemi_state, force) + (k) * sizeof(sfem_real *), sizeof(sfem_real), 3,                  \
+     offsetof(sfemi_state_shape, nodes), SFEMI_SAVED_ONE, sfemi_saved_finite, "a load"}
+static const sfemi_saved_array sfemi_state_array[] = {
+    SFEMI_SAVED(sfemi_state, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_state_check_head, "its head"),
+    SFEMI_ROW(u, 3, nodes, sfemi_saved_finite, "a displacement"),
+    SFEMI_ROW(w, 3, nodes, sfemi_saved_finite, "a velocity"),
+    SFEMI_ROW(a, 3, nodes, sfemi_saved_finite, "an acceleration"),
+    SFEMI_LOAD(0),
+    SFEMI_LOAD(1),
+    SFEMI_LOAD(2),
+    SFEMI_ROW(f, 3, rotating, NULL, NULL),
+    SFEMI_ROW(f_past, 3, rotating, NULL, NULL),
+    SFEMI_ROW(f_past2, 3, rotating, NULL, NULL),
+    SFEMI_ROW(frame, 9, rotating, NULL, NULL),
+    SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
+    SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
+    SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
+    SFEMI_ROW(books, 1, breaking, NULL, NULL),
+    SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
+    SFEMI_ROW(pin, 1, pins, sfemi_state_check_holds, "a pin")};
+#undef SFEMI_ROW
+#undef SFEMI_LOAD
+
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
+
+/* ============================================================================================
+ * >>handle   pins and handles set, moved and released while the body runs
+ *
+ * With A^-1 at hand, a constraint H a = c on a = A^-1 (b + H^T l) asks for  (H A^-1 H^T) l = c - H A^-1 b.
+ * The columns Y = A^-1 H^T of a handle, three of them, are solved for when it is taken; a step costs one
+ * small dense solve and one sum over the columns, whatever moves.
+ * ============================================================================================ */
+
+/* (H x) of one handle: the weighted mean over its nodes. */
+static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
+{
+    int k, c;
+    for (c = 0; c < 3; ++c) {
+        out[c] = 0;
+        for (k = 0; k < 4; ++k)
+            if (h->weight[k] != 0) out[c] += h->weight[k] * x[3 * (size_t)h->node[k] + (size_t)c];
+    }
+}
+
+/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
+static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
+                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
+{
+    const size_t n = 3 * (size_t)nodes;
+    int first, k, c;
+    for (first = 0; first < (apart ? 4 : 1); ++first) {
+        if (h->weight[first] == 0 && apart) continue;
+        memset(y, 0, 3 * n * sizeof *y);
+        for (c = 0; c < 3; ++c)
+            for (k = first; k < (apart ? first + 1 : 4); ++k)
+                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
+                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
+        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
+        y += 3 * n;
+    }
+}
+
+/* Factors S = H Y, unless the body turns, and W = H M^-1 H^T over the handles in g->slot. */
+static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
+                              int turns, const unsigned char *mask)
+{
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_int k = g->count;
+    sfem_int i, j;
+    int a, b, p, q;
+    for (i = 0; i < k; ++i) {
+        const sfemi_handle *hi = handle + g->slot[i];
+        for (j = 0; j <= i; ++j) {
+            const sfemi_handle *hj = handle + g->slot[j];
+            for (b = 0; b < 3; ++b) {
+                sfem_real mean[3], w = 0;
+                if (!turns) sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3 && !turns; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+                for (p = 0; p < 4; ++p)
+                    for (q = 0; q < 4; ++q)
+                        if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
+                            !(mask[hi->node[p]] >> b & 1))
+                            w += hi->weight[p] * hj->weight[q] / model->node_mass[hi->node[p]];
+                g->wm[(b * k + i) * k + j] = w;
+            }
+        }
+    }
+    if (!turns) sfemi_small_factor(g->s, 3 * k, 3 * k);
+    for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
+}
+
+/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
+static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
+{
+    const size_t n = 3 * (size_t)nodes;
+    sfem_int i;
+    size_t k;
+    int c;
+    for (i = 0; i < g->count; ++i) {
+        sfem_real mean[3];
+        sfemi_grip_mean(handle + g->slot[i], a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    for (i = 0; i < g->count; ++i) {
+        for (c = 0; c < 3; ++c) {
+            const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
+            for (k = 0; k < n; ++k) a[k] += l * y[k];
+        }
+    }
+}
+
+/* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
+ * lumped M serves: it only chooses among the changes. */
+static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
+                               const unsigned char *mask, sfem_real *x)
+{
+    const sfem_int k = g->count;
+    sfem_int i;
+    int c, p;
+    for (i = 0; i < k; ++i) {
+        sfem_real mean[3];
+        sfemi_grip_mean(handle + g->slot[i], x, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
+    for (i = 0; i < k; ++i) {
+        const sfemi_handle *h = handle + g->slot[i];
+        for (p = 0; p < 4; ++p)
+            for (c = 0; c < 3; ++c)
+                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
+                    x[3 * (size_t)h->node[p] + (size_t)c] +=
+                        h->weight[p] * g->lambda[3 * i + c] / model->node_mass[h->node[p]];
+    }
+}
+
+/* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
+ * of h_before seconds: of second and first order once three positions are known. */
+static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h,
+                              sfem_real h_before, sfem_real v[3], sfem_real a[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real d = (hold->target[c] - x[c]) / h;
+        a[c] = hold->age > 0 ? 2 * (d - (x[c] - hold->past[c]) / h_before) / (h + h_before) : 0;
+        v[c] = d + h / 2 * a[c];
+    }
+}
+
+static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
+{
+    memcpy(hold->past, x, sizeof hold->past);
+    if (hold->age < 2) ++hold->age;
+}
+
+/* ============================================================================================
+ * >>balance   right sides, and the mass: what the integrators share
+ * ============================================================================================ */
 
 /* The factor that steps solve with. */
 static const sfem_factor *sfemi_body_active(const sfem_body *b)
 {
     return b->refactor.live ? &b->refactor.factor : b->factor;
 }
-
-enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 
 /* The velocity, or mean velocity, that the step under way starts from. */
 static const sfem_real *sfemi_body_way(const sfem_body *b) { return b->step.fresh ? b->velocity : b->state.w; }
