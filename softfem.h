@@ -38,6 +38,7 @@
  *            >>factor       the shared factor of a body's system matrix
  *            >>data         what a body is made of: all its structs
  *            >>state        the saved state: its arrays and their checks
+ *            >>workspace    a step's temporaries, which bodies may share
  *            >>handle       pins and handles set, moved and released while the body runs
  *            >>balance      right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
@@ -1137,6 +1138,18 @@ typedef struct sfem_damping_force {
     void *user;
 } sfem_damping_force;
 
+/* WORKSPACE: what bodies need during a step only, and during calls that compute. By default each body has its own, which
+ * is most of its memory: 0.6 kB a node, 1.5 kB where it rotates. Bodies that are stepped one after the other may share
+ * one (def.workspace), of any models: it becomes as large as the most demanding of them needs. Such bodies are to be
+ * created, stepped, asked and changed by one thread at a time. While one of them is between sfem_body_predict and
+ * _finish, calls to others that compute are errors (SFEM_BAD_ARGUMENT, or trip SFEM_ASSERT where they return no status).
+ *   allocator  NULL: malloc and free. sfem_body_create and _prepare make it larger, nothing else does
+ *   errors     SFEM_OUT_OF_MEMORY */
+typedef struct sfem_workspace sfem_workspace;
+SFEM_DEF sfem_status sfem_workspace_create(const sfem_allocator *allocator, sfem_workspace **out, sfem_error *err);
+SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *workspace);
+SFEM_DEF void sfem_workspace_free(sfem_workspace *workspace); /* after its bodies; NULL allowed */
+
 typedef struct sfem_body_def {
     sfem_integrator integrator;
     sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
@@ -1182,6 +1195,7 @@ typedef struct sfem_body_def {
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
     int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
+    sfem_workspace *workspace; /* shared with other bodies, which it has to outlive; NULL, the default: its own */
     sfem_allocator allocator;
     sfem_exec exec;
 } sfem_body_def;
@@ -1227,8 +1241,8 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
-SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N; good until finish */
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2; the same */
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const sfem_real j[3],
                                            sfem_error *err);
 
@@ -1316,7 +1330,7 @@ typedef struct sfem_body_info {
     sfem_real stable_step;    /* s; 0 means no limit */
     int diagonal;             /* the step needs no factor */
     size_t factor_nnz;        /* scalars in L */
-    size_t factor_bytes, body_bytes;
+    size_t factor_bytes, body_bytes; /* body: its state and its own workspace among it, a shared one not */
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
     int64_t steps, rejected;  /* since its state was set; rejected by the energy safeguard, replaced by another */
@@ -15240,7 +15254,7 @@ typedef struct sfemi_implicit {
     int still;           /* statics: no inertia, no damping */
     sfem_real share;     /* statics: of the load */
     sfem_real energy;    /* Psi at the last evaluation */
-    sfem_real *memory;   /* what follows: [nodes][3] each */
+    int ready;           /* there is room for what follows, [nodes][3] each in the workspace, and for tangent, drag */
     sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
     sfem_real *work;     /* of sfem_model_forces */
 } sfemi_implicit;
@@ -15276,6 +15290,16 @@ enum {
     SFEMI_REFACTOR_TURN,
     SFEMI_REFACTOR_MATRIX,
     SFEMI_REFACTOR_FACTOR
+};
+
+/* >>workspace */
+struct sfem_workspace {
+    sfem_allocator allocator;
+    sfem_real *memory;     /* [size] the arrays of a body: that of user; NULL: nobody's */
+    size_t size;
+    sfem_body *user;
+    sfem_real *work;       /* [work_size] for factors' solves. A block of its own: it may grow during a step */
+    size_t work_size;
 };
 
 /* How a body steps. One of three constant tables, chosen by sfemi_method_choose when the body is created: linear
@@ -15355,8 +15379,6 @@ struct sfem_body {
     sfem_real h, p;        /* what the factor is for */
     sfem_real omega_max;   /* >>pqr: 0: not known */
     sfem_int factors_made;
-    sfem_real *work;       /* [work_size] for the factor's solves */
-    size_t work_size;
     sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
     sfemi_grip grip;       /* >>handle */
 
@@ -15379,7 +15401,9 @@ struct sfem_body {
     sfemi_implicit implicit; /* >>implicit */
     sfemi_refactor refactor; /* >>refactor */
 
-    /* temporaries: no call leaves anything in them */
+    /* >>workspace. The arrays of the step under way and these lie in it; no call leaves anything in these. */
+    sfem_workspace *workspace, own; /* own: where the definition has none */
+    sfem_real *bound;      /* the workspace's memory where the arrays were laid out */
     sfem_real *zk, *zm, *zd; /* [nodes][3] what K, M and the rest of D are applied to; zd NULL where there is none */
     sfem_real *spare;      /* >>resume: [5][nodes][3] */
     sfem_real *aside;      /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
@@ -15495,6 +15519,159 @@ static const sfemi_saved_array sfemi_state_array[] = {
 #undef SFEMI_LOAD
 
 static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
+
+/* ============================================================================================
+ * >>workspace   a step's temporaries, which bodies may share
+ * ============================================================================================ */
+
+SFEM_DEF sfem_status sfem_workspace_create(const sfem_allocator *allocator, sfem_workspace **out, sfem_error *err)
+{
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *al = allocator ? allocator : &standard;
+    sfem_workspace *w = NULL;
+    sfem_status status = SFEM_OK;
+    SFEM_ASSERT(out);
+    SFEMI_NEW(sfem_workspace, w, al, 1);
+    w->allocator = *al;
+    *out = w;
+done:
+    return status;
+}
+
+SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *w)
+{
+    SFEM_ASSERT(w);
+    return (w->size + w->work_size) * sizeof *w->memory;
+}
+
+SFEM_DEF void sfem_workspace_free(sfem_workspace *w)
+{
+    sfem_allocator al;
+    if (!w) return;
+    al = w->allocator;
+    sfemi_delete(&al, w->memory);
+    sfemi_delete(&al, w->work);
+    sfemi_delete(&al, w);
+}
+
+static void sfemi_workspace_take(sfem_real **array, size_t count, sfem_real *memory, size_t *used)
+{
+    if (memory) *array = memory + *used;
+    *used += count;
+}
+
+/* What a body that rotates has in it besides. */
+static void sfemi_workspace_take_rotating(sfem_body *b, sfem_real *memory, size_t *used)
+{
+    sfemi_turn *t = &b->turn;
+    sfemi_guard *g = &b->guard;
+    sfem_real **const vector[] = {&t->v,     &g->u,   &g->w,   &g->f,       &g->external, &g->known, &g->added,
+                                  &g->grad,  &g->dir, &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad, &g->other};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t k;
+    sfemi_workspace_take(&t->work, sfem_model_work_size(b->model), memory, used);
+    sfemi_workspace_take(&t->spin, 12 * (size_t)b->model->chunks.copies, memory, used);
+    sfemi_workspace_take(&t->sum, 3 * n, memory, used);
+    sfemi_workspace_take(&t->fresh, 3 * n, memory, used);
+    sfemi_workspace_take(&t->trace, n / 3, memory, used);
+    sfemi_workspace_take(&g->frame, 3 * n, memory, used);
+    sfemi_workspace_take(&g->pair, 2 * SFEMI_MEMORY * n, memory, used);
+    for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, used);
+}
+
+/* What Newton's iteration has. */
+static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t *used)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfem_real **const vector[SFEMI_IMPLICIT_VECTORS] = {&m->d, &m->best, &m->goal, &m->vmap, &m->amap,
+                                                        &m->a0, &m->load, &m->f, &m->q, &m->x, &m->v, &m->step,
+                                                        &m->mid_d, &m->mid_v, &m->mid_a};
+    size_t k;
+    for (k = 0; k < SFEMI_IMPLICIT_VECTORS; ++k)
+        sfemi_workspace_take(vector[k], 3 * (size_t)b->model->mesh.nodes, memory, used);
+    if (b->model->turns) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
+}
+
+/* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
+static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
+{
+    sfem_real **const vector[] = {&b->rhs, &b->acc, &b->zk, &b->zm, &b->predicted, &b->late, &b->kick};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t used = 0, k;
+    for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, &used);
+    if (b->model->damping) sfemi_workspace_take(&b->zd, n, memory, &used);
+    sfemi_workspace_take(&b->aside, 7 * n, memory, &used);
+    if (b->scheme.lagging) sfemi_workspace_take(&b->base, n, memory, &used);
+    if (b->scheme.resumes) {
+        sfemi_workspace_take(&b->spare, 5 * n, memory, &used);
+        sfemi_workspace_take(&b->velocity, n, memory, &used);
+    }
+    if (b->scheme.rotates) sfemi_workspace_take_rotating(b, memory, &used);
+    if (b->implicit.ready) sfemi_workspace_take_newton(b, memory, &used);
+    return used;
+}
+
+/* Is another body that shares the workspace between predict and finish? */
+static int sfemi_workspace_is_busy(const sfem_body *b)
+{
+    const sfem_body *user = b->workspace->user;
+    return user && user != b && user->phase != SFEMI_IDLE;
+}
+
+static sfem_status sfemi_workspace_check(const sfem_body *b, sfem_error *err)
+{
+    if (!sfemi_workspace_is_busy(b)) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                      "another body that shares the workspace is between sfem_body_predict and sfem_body_finish");
+}
+
+/* Before a body uses its arrays. */
+static void sfemi_workspace_bind(sfem_body *b)
+{
+    sfem_workspace *w = b->workspace;
+    SFEM_ASSERT(!sfemi_workspace_is_busy(b));
+    if (w->user == b && b->bound == w->memory) return;
+    sfemi_workspace_lay_out(b, w->memory);
+    b->bound = w->memory;
+    w->user = b;
+}
+
+/* Room for the body's arrays, which are lost. */
+static sfem_status sfemi_workspace_reserve(sfem_body *b, sfem_error *err)
+{
+    const size_t need = sfemi_workspace_lay_out(b, NULL);
+    sfem_workspace *w = b->workspace;
+    sfem_real *memory;
+    sfem_status status = SFEM_OK;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    if (need > w->size) {
+        SFEMI_NEW(sfem_real, memory, &w->allocator, need);
+        sfemi_delete(&w->allocator, w->memory);
+        w->memory = memory;
+        w->size = need;
+    }
+    w->user = NULL;
+    sfemi_workspace_bind(b);
+done:
+    return status;
+}
+
+/* Room for solves with a factor, `rhs` right sides at a time. */
+static sfem_status sfemi_workspace_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs, sfem_error *err)
+{
+    const size_t need = sfemi_factor_work_size(f, rhs);
+    sfem_workspace *w = b->workspace;
+    sfem_real *work;
+    sfem_status status = SFEM_OK;
+    if (need <= w->work_size) return SFEM_OK;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    SFEMI_NEW(sfem_real, work, &w->allocator, need);
+    sfemi_delete(&w->allocator, w->work);
+    w->work = work;
+    w->work_size = need;
+done:
+    return status;
+}
 
 /* ============================================================================================
  * >>handle   pins and handles set, moved and released while the body runs
@@ -15984,42 +16161,23 @@ static int sfemi_implicit_damped(const sfem_body *b)
 static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
 {
     const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
     sfemi_implicit *m = &b->implicit;
-    sfem_real *memory = NULL, *tangent = NULL, *drag = NULL, *work = NULL, *at;
+    sfem_real *tangent = NULL, *drag = NULL;
     sfem_status status = SFEM_OK;
-    if (m->memory) return SFEM_OK;
-    SFEMI_NEW(sfem_real, memory, &b->allocator, SFEMI_IMPLICIT_VECTORS * n);
-    if (!sfemi_implicit_linear(model)) {
-        SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
-        SFEMI_NEW(sfem_real, work, &b->allocator, sfem_model_work_size(model));
-    }
+    if (m->ready) return SFEM_OK;
+    if (!sfemi_implicit_linear(model)) SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
     if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
+    m->ready = 1;
+    SFEMI_TRY(sfemi_workspace_reserve(b, err));
     m->tangent = m->drag = model->stiffness;
     if (tangent) m->tangent.val = tangent;
     m->drag.val = drag;
-    at = m->memory = memory;
-    m->work = work;
-    m->d = at, at += n;
-    m->best = at, at += n;
-    m->goal = at, at += n;
-    m->vmap = at, at += n;
-    m->amap = at, at += n;
-    m->a0 = at, at += n;
-    m->load = at, at += n;
-    m->f = at, at += n;
-    m->q = at, at += n;
-    m->x = at, at += n;
-    m->v = at, at += n;
-    m->step = at, at += n;
-    m->mid_d = at, at += n;
-    m->mid_v = at, at += n;
-    m->mid_a = at;
     return SFEM_OK;
 done:
-    sfemi_delete(&b->allocator, work);
+    m->ready = 0;
     sfemi_delete(&b->allocator, tangent);
-    sfemi_delete(&b->allocator, memory);
+    sfemi_delete(&b->allocator, drag);
     return status;
 }
 
@@ -16035,11 +16193,9 @@ static void sfemi_implicit_destroy(sfem_body *b)
     sfemi_implicit *m = &b->implicit;
     sfemi_system_close(b, &m->system);
     sfemi_factor_release(b->model, m->second);
-    if (m->memory && m->tangent.val != b->model->stiffness.val)
+    if (m->ready && m->tangent.val != b->model->stiffness.val)
         sfemi_delete(&b->allocator, m->tangent.val);
     sfemi_delete(&b->allocator, m->drag.val);
-    sfemi_delete(&b->allocator, m->work);
-    sfemi_delete(&b->allocator, m->memory);
 }
 
 static size_t sfemi_implicit_bytes(const sfem_body *b)
@@ -16047,8 +16203,7 @@ static size_t sfemi_implicit_bytes(const sfem_body *b)
     const sfemi_implicit *m = &b->implicit;
     const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
     size_t reals = 0;
-    if (m->memory) {
-        reals = 3 * SFEMI_IMPLICIT_VECTORS * (size_t)b->model->mesh.nodes;
+    if (m->ready) {
         if (m->tangent.val != b->model->stiffness.val) reals += values;
         if (m->drag.val) reals += values;
     }
@@ -16538,7 +16693,7 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
         moved |= g[i] != 0;
     }
     if (moved) sfemi_newton_lift(b, g);
-    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->work, &b->exec);
+    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->workspace->work, &b->exec);
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
     ++m->info.iterations;
@@ -16546,7 +16701,7 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     if (y->matrix.val || m->second) {
         for (k = 0; k < b->grip.count; ++k)
             sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
-                               b->grip.y[b->grip.slot[k]], b->work, &b->exec);
+                               b->grip.y[b->grip.slot[k]], b->workspace->work, &b->exec);
         sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
     }
     sfemi_newton_gap(b);
@@ -16983,7 +17138,7 @@ static void sfemi_alpha_predict(sfem_body *b)
     sfem_model_multiply_stiffness(b->model, w, b->rhs, &b->exec);
     for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * b->step.h * b->step.h;
     memset(b->base, 0, n * sizeof *b->base);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->workspace->work, &b->exec);
     if (b->grip.count) {
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
         sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->base);
@@ -17549,7 +17704,7 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
 {
     /* in work, from a node to the next and from an axis to the next */
     const size_t node = f->scalar ? 1 : 3, axis = f->scalar ? (size_t)f->free_nodes : 1;
-    sfem_real *at = b->work;
+    sfem_real *at = b->workspace->work;
     const sfem_real *diagonal = f->inverse;
     sfem_int i, k;
     int c;
@@ -17562,8 +17717,8 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
         at[2 * axis] = q[2] * v0 + q[5] * v1 + q[8] * v2;
     }
     if (f->ldl)
-        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->work, b->work + 3 * (size_t)f->free_nodes, &b->exec);
-    for (i = 0, k = 0, at = b->work; i < b->model->mesh.nodes; ++i) {
+        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->workspace->work, b->workspace->work + 3 * (size_t)f->free_nodes, &b->exec);
+    for (i = 0, k = 0, at = b->workspace->work; i < b->model->mesh.nodes; ++i) {
         const sfem_real *q = frame + 9 * (size_t)i;
         sfem_real *to = x + 3 * (size_t)i;
         if (f->mask[i] == SFEM_AXIS_ALL) {
@@ -17771,22 +17926,6 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     for (i = 0; i < 3 * (size_t)nodes; ++i) y[i] += sum[i];
 }
 
-/* Room for the solves with f, `rhs` at a time. */
-static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
-                                           sfem_error *err)
-{
-    const size_t size = sfemi_factor_work_size(f, rhs);
-    sfem_real *work;
-    sfem_status status = SFEM_OK;
-    if (size <= b->work_size) return SFEM_OK;
-    SFEMI_NEW(sfem_real, work, &b->allocator, size);
-    sfemi_delete(&b->allocator, b->work);
-    b->work = work;
-    b->work_size = size;
-done:
-    return status;
-}
-
 /* Room for the columns of handle `slot`, where it is used or may not allocate later. */
 static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot, sfem_error *err)
 {
@@ -17927,7 +18066,7 @@ static void sfemi_resume_precondition(sfem_body *b, sfem_real *r, sfem_real *z)
     for (i = 0; i < n; ++i) r[i] = mass[i / 3] * z[i];
     if (!b->factor) return;
     memcpy(z, r, n * sizeof *z);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, z, z, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, z, z, b->workspace->work, &b->exec);
     sfemi_resume_still(b, z);
 }
 
@@ -18092,7 +18231,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
         if (b->state.handle[g->slot[k]].hold.age > 0) g->slot[g->count++] = g->slot[k];
     if (g->count < count) sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
     sfemi_pqr_predict(b);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_pqr_solve(b);
     for (i = 0; i < n; ++i) v[i] = (h * b->state.w[i] + before * (b->base[i] + b->step.d * b->acc[i])) / (before + h);
     if (g->count == count) return;
@@ -18124,7 +18263,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     const int newmark = b->scheme.newmark;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_inertia t;
-    sfem_real *v = b->velocity;
+    sfem_real *v;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
     b->phase = SFEMI_IDLE;
@@ -18133,6 +18272,8 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
         s->head->started = SFEMI_RESTARTED;
         return;
     }
+    sfemi_workspace_bind(b);
+    v = b->velocity;
     t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     sfemi_resume_gather(b);
     if (b->base && b->factor && b->h == s->head->h && !b->grip.dirty) {
@@ -18363,7 +18504,7 @@ static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
         for (i = 0; b->zd && i < n; ++i) y[i] = c * a[i];
         if (b->zd) sfemi_fem_add_damping_rest(model, y, x);
         memset(y, 0, n * sizeof *y);
-        sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->work, &b->exec);
+        sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->workspace->work, &b->exec);
         if (rows) memcpy(b->grip.place, b->grip.lambda, rows * sizeof *b->grip.lambda);
         sfemi_resume_bridge_hold(b, y);
         for (i = 0; i < rows; ++i) b->grip.lambda[i] = b->grip.place[i] - b->grip.lambda[i];
@@ -18383,7 +18524,7 @@ static void sfemi_resume_bridge_stage(sfem_body *b, sfem_real *du, sfem_real *dv
     sfem_model_multiply_stiffness(b->model, b->zk, b->rhs, &b->exec);
     sfemi_fem_add_mass(b->model, 1, dv, b->rhs);
     memset(dv, 0, n * sizeof *dv);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->workspace->work, &b->exec);
     sfemi_resume_bridge_settle(b, dv);
     for (i = 0; i < n; ++i) du[i] += gh * dv[i];
 }
@@ -19734,7 +19875,7 @@ static void sfemi_guard_find_columns(sfem_body *b, const sfem_factor *f)
     sfem_int i;
     for (i = 0; i < b->grip.count; ++i) {
         const sfem_int slot = b->grip.slot[i];
-        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->work, &b->exec);
+        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->workspace->work, &b->exec);
     }
 }
 
@@ -19757,7 +19898,7 @@ static sfem_status sfemi_guard_prepare_isotropic(sfem_body *b, sfem_error *err)
         g->isotropic = f;
         g->isotropic_h = b->h;
     }
-    return sfemi_body_reserve_work(b, g->isotropic, 3, err);
+    return sfemi_workspace_reserve_work(b, g->isotropic, 3, err);
 done:
     return status;
 }
@@ -19777,7 +19918,7 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
     sfemi_guard *g = &b->guard;
     sfemi_factor_key key = b->factor->key;
     sfem_status status = SFEM_OK;
-    if (g->system.factor) return sfemi_body_reserve_work(b, g->system.factor, 3, err);
+    if (g->system.factor) return sfemi_workspace_reserve_work(b, g->system.factor, 3, err);
     key.majorant = 0;
     key.ck = b->h * b->h;
     key.cm = b->scheme.r;
@@ -19789,7 +19930,7 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
         g->tangent.val = val;
     }
     SFEMI_TRY(sfemi_system_open(b, &key, &g->system, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, g->system.factor, 3, err));
+    SFEMI_TRY(sfemi_workspace_reserve_work(b, g->system.factor, 3, err));
 done:
     return status;
 }
@@ -20728,7 +20869,7 @@ static void sfemi_linear_predict(sfem_body *b)
 
 static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_linear_settle(b);
     if (b->step.bridges) sfemi_resume_bridge_settle(b, b->acc);
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
@@ -21176,29 +21317,14 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfemi_guard *g = &b->guard;
-    sfem_real **const vector[] = {&b->turn.v, &g->u,       &g->w,       &g->f,       &g->external,   &g->known, &g->added,
-                                  &g->grad,   &g->dir,     &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad,
-                                  &g->other};
     sfem_status status = SFEM_OK;
-    size_t i;
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
     b->turn.still = !b->model->turns;
     if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
-    SFEMI_NEW(sfem_real, b->turn.work, al,
-              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + n +
-                  (3 + 3 + 3 + 2 * SFEMI_MEMORY + sizeof vector / sizeof *vector) * n);
-    b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
-    b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
-    b->turn.fresh = b->turn.sum + 3 * n;
-    b->turn.over = b->turn.fresh + 3 * n;
-    b->turn.trace = b->turn.over + n / 3;
-    b->turn.diagonal = b->turn.trace + n / 3;
-    g->frame = b->turn.diagonal + n / 3;
-    g->pair = g->frame + 3 * n;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->pair + (2 * SFEMI_MEMORY + i) * n;
+    SFEMI_NEW(sfem_real, b->turn.over, al, n / 3);
+    SFEMI_NEW(sfem_real, b->turn.diagonal, al, n / 3);
 done:
     return status;
 }
@@ -21215,18 +21341,17 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->guard.tangent.val);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
-    sfemi_delete(&al, b->turn.work);
+    sfemi_delete(&al, b->turn.over);
+    sfemi_delete(&al, b->turn.diagonal);
     sfemi_delete(&al, b->turn.lever);
     sfemi_damage_free(b->damage);
     sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
-    sfemi_delete(&al, b->rhs);
-    sfemi_delete(&al, b->base);
-    sfemi_delete(&al, b->spare);
-    sfemi_delete(&al, b->aside);
-    sfemi_delete(&al, b->work);
+    if (b->workspace->user == b) b->workspace->user = NULL;
+    sfemi_delete(&al, b->own.memory);
+    sfemi_delete(&al, b->own.work);
     sfem_model_free(b->model);
     sfemi_delete(&al, b);
 }
@@ -21235,8 +21360,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
 {
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
-    const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
-    const size_t vectors = b->model->damping ? 8 : 7;
+    const size_t k = (size_t)def->max_handles;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, b->mask, al, nodes);
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
@@ -21246,20 +21370,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_new_state(b, b->pin_count, &b->state, err));
     b->state.head->saved.key = sfemi_body_key(b);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
-    SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
-    SFEMI_NEW(sfem_real, b->aside, al, 7 * n);
-    b->acc = b->rhs + n;
-    b->zk = b->rhs + 2 * n;
-    b->zm = b->rhs + 3 * n;
-    b->predicted = b->rhs + 4 * n;
-    b->late = b->rhs + 5 * n;
-    b->kick = b->rhs + 6 * n;
-    b->zd = b->model->damping ? b->rhs + 7 * n : NULL;
-    if (b->scheme.lagging) SFEMI_NEW(sfem_real, b->base, al, n);
-    if (b->scheme.resumes) {
-        SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
-        b->velocity = b->spare + 5 * n;
-    }
+    SFEMI_TRY(sfemi_workspace_reserve(b, err));
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->scheme.rotates || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
     if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
@@ -21288,6 +21399,8 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->def = *def;
     b->def.pins = NULL;
     b->def.pin_axes = NULL;
+    b->own.allocator = def->allocator;
+    b->workspace = def->workspace ? def->workspace : &b->own;
     sfemi_alpha_translate(&b->def);
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
@@ -21348,13 +21461,13 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         SFEMI_TRY(sfemi_grip_reserve(b, g, i, err));
         count += b->state.handle[i].used;
     }
-    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_body_reserve_work(b, b->factor, 3, err));
+    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
             sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
-                               g->y[i], b->work, &b->exec);
+                               g->y[i], b->workspace->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
@@ -21425,7 +21538,7 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     if (status != SFEM_OK) return status;
     sfemi_body_adopt(b, f);
     b->h = 0; /* until all is there */
-    status = sfemi_body_reserve_work(b, f, 3, err);
+    status = sfemi_workspace_reserve_work(b, f, 3, err);
     if (status != SFEM_OK) return status;
     b->h = h;
     b->p = p;
@@ -21448,6 +21561,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     status = sfemi_body_check_step(h, err);
     if (status != SFEM_OK) return status;
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
+    status = sfemi_workspace_check(b, err);
+    if (status != SFEM_OK) return status;
+    sfemi_workspace_bind(b);
     b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
@@ -21462,7 +21578,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
         if (status != SFEM_OK) return status;
-        status = sfemi_body_reserve_work(b, f, 1, err);
+        status = sfemi_workspace_reserve_work(b, f, 1, err);
         if (status == SFEM_OK) status = sfemi_refactor_reserve(b, f, err);
         if (status != SFEM_OK) {
             sfemi_factor_release(b->model, f);
@@ -21514,7 +21630,9 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
 {
     sfem_status status;
     status = sfemi_body_check_step(h, err); /* what Newton has prepared would serve any */
+    if (status == SFEM_OK) status = sfemi_workspace_check(b, err);
     if (status != SFEM_OK) return status;
+    sfemi_workspace_bind(b);
     if (!sfemi_body_is_prepared(b, h)) {
         if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
@@ -21542,7 +21660,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     status = sfemi_body_predict(b, h, err);
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
-    if (b->is_late) memset(b->late, 0, bytes);
+    memset(b->late, 0, bytes);
     b->is_late = b->kicked = 0;
     return SFEM_OK;
 }
@@ -21877,6 +21995,8 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfem_int *list = NULL, listed;
     sfem_status status = SFEM_OK;
     uint64_t bytes;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    sfemi_workspace_bind(b);
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
@@ -22043,6 +22163,7 @@ static sfemi_scratch sfemi_body_look_aside(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_scratch own, other;
+    sfemi_workspace_bind(b);
     own.rhs = b->rhs;
     own.acc = b->acc;
     own.zk = b->zk;
@@ -22456,6 +22577,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     sfem_int v;
     int k, c, size, members;
     SFEM_ASSERT(b && b->damage && f && x);
+    sfemi_workspace_bind(b);
     sfemi_shards_turn(b);
     for (v = 0; v < f->vertices; ++v) {
         const sfem_int *node = f->simplex + 4 * (size_t)v;
@@ -22533,7 +22655,7 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
         SFEMI_TRY(sfemi_grip_reserve(b, g, k, err));
-        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
+        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
@@ -22585,7 +22707,7 @@ static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key
     memset(&system, 0, sizeof system);
     SFEMI_TRY(sfemi_implicit_reserve(b, err));
     SFEMI_TRY(sfemi_system_open(b, key, &system, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, system.factor, 3, err));
+    SFEMI_TRY(sfemi_workspace_reserve_work(b, system.factor, 3, err));
     SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
@@ -22615,6 +22737,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     if (b->damage && b->damage->tets)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    sfemi_workspace_bind(b);
     b->phase = SFEMI_IDLE;
     SFEMI_NEW(unsigned char, mask, &b->allocator, b->model->mesh.nodes);
     sfemi_body_static_mask(b, mask);
@@ -22625,13 +22749,13 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
         SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-        SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
+        SFEMI_TRY(sfemi_workspace_reserve_work(b, f, 3, err));
         SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
         sfemi_body_static_known(b, b->zk);
         memcpy(b->acc, b->zk, n * sizeof *b->acc);
         if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
         sfemi_body_residual(b, load, 0);
-        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
         SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
     }
     if (!sfemi_all_finite(b->acc, n)) {
@@ -22698,14 +22822,16 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.solves = b->state.head->solves;
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->saved.size +
-                      ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
-                          sizeof(sfem_real);
+    info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
+                      (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
+    info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
+                                                     3 * sizeof(sfem_int) + sizeof(sfem_real *));
+    if (b->turn.piece_of) /* as sfemi_body_allocate_turn has it */
+        info.body_bytes += (size_t)info.nodes * sizeof *b->turn.piece_of +
+                           (size_t)(b->bonds ? info.nodes : b->turn.pieces) * sizeof *b->turn.piece;
+    if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-    if (b->scheme.rotates) /* as sfemi_body_allocate_turn lays it out */
-        info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
-                            (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
@@ -29416,7 +29542,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
- *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
+ *   0.4.0   bodies may share a workspace; the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
