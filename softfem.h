@@ -30,7 +30,17 @@
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
  *            >>meshio       readers and writers
- *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
+ *            >>matrix       symmetric matrices of 3x3 blocks: pattern, product, conversions
+ *            >>order        orderings with little fill: minimum degree, nested dissection
+ *            >>tree         the elimination tree, counts of the columns of L
+ *            >>crew         shared counters, threads that work off a list of units
+ *            >>front        how a front lies in memory, tables of kernels
+ *            >>symbolic     supernodes, tasks, places
+ *            >>solve        solves with a factor
+ *            >>ldl          multifrontal L D L^T: whole, in part, in slices
+ *            >>dense        Cholesky and L D L^T of full matrices
+ *            >>eigen        eigenvalues of full and band matrices
+ *            >>cg           conjugate gradients
  *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>damage       edge form of the tet, damage laws, criterion, pieces
@@ -6225,10 +6235,12 @@ done:
 #endif /* SFEM_NO_MESHIO */
 
 /* ============================================================================================
- * >>sparse   3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
+ * >>matrix   symmetric matrices of 3x3 blocks: pattern, product, conversions
+ *
+ * The lower half by rows, as sfem_matrix says. Columns ascend in a row and its last block is the diagonal one, which is
+ * always there; sfem_matrix_check tests this, and all that follows relies on it. A product by several threads gathers:
+ * each row is summed by one thread, blocks in the order of its columns, so that the number of threads changes no bit.
  * ============================================================================================ */
-
-/* --- matrices -------------------------------------------------------------------------------- */
 
 SFEM_DEF void sfem_matrix_free(sfem_matrix *a, const sfem_allocator *allocator)
 {
@@ -6539,8 +6551,14 @@ SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full)
                 }
 }
 
-/* --- ordering --------------------------------------------------------------------------------
- * Everything here works on the graph of the nodes; a node is three rows of the matrix. */
+/* ============================================================================================
+ * >>order   orderings with little fill: minimum degree, nested dissection
+ *
+ * Works on the graph of the nodes; a node is three rows of the matrix, or one of a scalar matrix. Minimum degree
+ * [Amestoy, Davis, Duff 1996] orders small sets, nested dissection from the coordinates [George 1973; Miller, Teng,
+ * Thurston, Vavasis 1997] cuts large ones. An ordering is a permutation, order[new] = old. It depends on the pattern
+ * and the coordinates alone: nothing is random.
+ * ============================================================================================ */
 
 typedef struct sfemi_graph { /* neighbours of i: adj[start[i]] ... adj[start[i+1] - 1], without i */
     sfem_int n;
@@ -7313,7 +7331,13 @@ done:
     return status;
 }
 
-/* --- elimination tree ------------------------------------------------------------------------ */
+/* ============================================================================================
+ * >>tree   the elimination tree, and how many entries each column of L has
+ *
+ * The parent of a column is the row of the first entry below its diagonal in L [Schreiber 1982; Liu 1990]; columns in
+ * different subtrees do not depend on each other. Counts are those of [Gilbert, Ng, Peyton 1994], without forming L.
+ * After sfemi_tree_create the order is a postorder: parent[j] > j, and every subtree is a run of columns.
+ * ============================================================================================ */
 
 typedef struct sfemi_tree {
     sfem_int n;
@@ -7450,7 +7474,13 @@ done:
     return status;
 }
 
-/* --- counters that threads share ------------------------------------------------------------- */
+/* ============================================================================================
+ * >>crew   shared counters, and threads that work off a list of units that wait for each other
+ *
+ * For factorisations and solves, whose units are too uneven for a loop in parallel. Units write to places of their own
+ * and are summed in an order that is fixed beforehand: the number of threads changes no bit. Without atomics one thread
+ * does everything.
+ * ============================================================================================ */
 
 #if defined(__GNUC__)
 #define SFEMI_ATOMICS 1
@@ -7561,7 +7591,13 @@ static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
         SFEMI_ATOMIC_SET(&p->longer, longer / 2);
 }
 
-/* --- fronts and kernels ---------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>front   how a front lies in memory, and the table of kernels of each vector path
+ *
+ * A front is the dense matrix in which one supernode is eliminated: its k columns of L and the update matrix of the
+ * f - k rows below, lower half, cut into tiles of t rows. L and the update matrix are separate arrays. The tile in
+ * which row k lies (boundary) may belong to both. >>kernels is included here.
+ * ============================================================================================ */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
 typedef struct sfemi_shape {
@@ -7717,7 +7753,12 @@ static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
     return table + path;
 }
 
-/* --- symbolic analysis ----------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>symbolic   what a factorisation needs to know of the pattern: supernodes, tasks, places
+ *
+ * Supernodes [Ashcraft, Grimes 1989] are columns of equal structure, with children merged where that pays. The result
+ * is never changed once made; factors of one pattern share it by a count of references.
+ * ============================================================================================ */
 
 /* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1]
  * in the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
@@ -8323,7 +8364,14 @@ done:
     return status;
 }
 
-/* --- the factor and its solves --------------------------------------------------------------- */
+/* ============================================================================================
+ * >>solve   solves with a factor: up the elimination tree and down again
+ *
+ * In double, or with a float copy of L in float. The sweep upwards gives each task a buffer of its own for what it adds
+ * to rows outside; tasks of one level run at the same time, and buffers are added in a fixed order. Up to
+ * SFEMI_SOLVE_BLOCK right sides pass through a front together. A solve writes to its work array only, never to the
+ * factor.
+ * ============================================================================================ */
 
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
@@ -8347,8 +8395,6 @@ struct sfem_ldl {
     double *probe; /* unless positive: for a solve that tells whether the factor is any good */
     double pivot_min, pivot_max, residual;
 };
-
-/* --- solve ----------------------------------------------------------------------------------- */
 
 #define SFEMI_SOLVE_BLOCK   8  /* right sides that are solved for together */
 #define SFEMI_SOLVE_ALONE   2  /* up to so many are solved for one by one */
@@ -8597,7 +8643,14 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
     }
 }
 
-/* --- numeric factor -------------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>ldl   the multifrontal factorisation A = L D L^T, whole, in part, in slices; its public functions
+ *
+ * Each front adds the update matrices of its children, eliminates its columns and leaves an update matrix to its parent
+ * [Duff, Reid 1983; Liu 1992]. There is no pivoting: a pivot below its floor ends the factorisation, and the factor is
+ * then not valid. Diagonal tiles are stored inverted, for the solves. Whole, by marked supernodes or in slices, by any
+ * number of threads: the bits are the same.
+ * ============================================================================================ */
 
 typedef struct sfemi_front {
     const sfem_ldl *ldl;
@@ -9399,7 +9452,11 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl);
 }
 
-/* --- dense ----------------------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>dense   Cholesky and L D L^T of full matrices
+ *
+ * The lower half, column-major, in place. Left-looking with the inner loops of >>kernels; no pivoting.
+ * ============================================================================================ */
 
 /* Left-looking by columns, eight at a time: a(j:n, j) -= sum of a(j:n, p) d_p a(j, p); d_p = 1 unless
  * unit, which makes L D L^T. Returns the row of a lost pivot, or -1. */
@@ -9520,7 +9577,12 @@ SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
     sfemi_dense_solve(n, a, rhs, x, 1);
 }
 
-/* --- dense eigenvalues ------------------------------------------------------------------------ */
+/* ============================================================================================
+ * >>eigen   all eigenvalues and vectors of full and of narrow band matrices
+ *
+ * Householder's reduction to a tridiagonal matrix, then implicit QL [Bowdler, Martin, Reinsch, Wilkinson 1968]. The
+ * band matrices of >>modes, by rotations [Schwarz 1968] and inverse iteration. Eigenvalues ascend.
+ * ============================================================================================ */
 
 /* Householder's reduction of the lower half of a to the tridiagonal matrix d, e: a = Q T Q^T, Q = H_0 H_1
  * ..., H_k = I - tau_k v v^T with v in column k below the diagonal, its first entry 1. The matrix is
@@ -9847,7 +9909,12 @@ SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sf
     return SFEM_OK;
 }
 
-/* --- conjugate gradients --------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>cg   conjugate gradients [Hestenes and Stiefel 1952]
+ *
+ * Preconditioned by the inverse diagonal blocks or by a factor. The residual that is reported is computed anew at the
+ * end, not the one of the recurrence. Memory is the caller's.
+ * ============================================================================================ */
 
 SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
 {
