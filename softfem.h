@@ -59,6 +59,8 @@
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
  *            >>body         the pipeline that a user calls: create, prepare, step, read
+ *            >>fragments    the surface of a broken body: pieces, cracks
+ *            >>statics      static solutions
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
  *            >>link         packets of accelerations, key frames
@@ -15546,6 +15548,16 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_
     }
 }
 
+SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
+{
+    sfem_real u[3];
+    int c;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
+    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
+    for (c = 0; c < 3; ++c) x[c] += u[c];
+}
+
 /* ============================================================================================
  * >>newmark   implicit Newmark                                                   [Newmark 1959]
  *
@@ -21888,16 +21900,6 @@ SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_r
     memcpy(force, b->state.handle[handle].force, 3 * sizeof *force);
 }
 
-SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
-{
-    sfem_real u[3];
-    int c;
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
-    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
-    for (c = 0; c < 3; ++c) x[c] += u[c];
-}
-
 /* A step's temporaries. */
 typedef struct sfemi_scratch {
     sfem_real *rhs, *acc, *zk, *zm, *zd, *f, *q;
@@ -21951,6 +21953,79 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     const sfemi_scratch own = sfemi_body_look_aside(b);
     sfemi_body_find_reactions(b, force);
     sfemi_body_use(b, &own);
+}
+
+/* ---- what a body tells ---- */
+
+static sfem_energy sfemi_body_find_energy(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real *force = s->force[0];
+    sfem_energy e;
+    size_t i;
+    sfem_body_velocities(b, b->acc);
+    sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
+    e.kinetic = sfemi_dot(n, b->acc, b->zm) / 2;
+    e.elastic = b->scheme.method->elastic(b);
+    e.load = 0;
+    for (i = 0; i < n; ++i)
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
+    e.total = e.conserved = e.kinetic + e.elastic + e.load;
+    b->scheme.method->conserved(b, &e);
+    return e;
+}
+
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+{
+    const sfemi_scratch own = sfemi_body_look_aside(b);
+    const sfem_energy e = sfemi_body_find_energy(b);
+    sfemi_body_use(b, &own);
+    return e;
+}
+
+SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_body_info info;
+    sfem_int i;
+    memset(&info, 0, sizeof info);
+    info.nodes = b->model->mesh.nodes;
+    info.tets = b->model->mesh.tets;
+    for (i = 0; i < info.nodes; ++i) info.free_nodes += b->mask[i] != SFEM_AXIS_ALL;
+    info.p = b->factor ? b->p : 0;
+    info.omega_max = b->omega_max;
+    info.factors_made = b->factors_made;
+    info.steps = b->state.head->steps;
+    info.rejected = b->state.head->rejected;
+    info.solves = b->state.head->solves;
+    info.evaluations = b->state.head->evaluations;
+    info.corrections = b->guard.corrections;
+    info.body_bytes = (size_t)b->state.head->size +
+                      ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
+                          sizeof(sfem_real);
+    for (i = 0; i < b->def.max_handles; ++i)
+        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
+    if (b->scheme.rotates) /* as sfemi_body_allocate_turn lays it out */
+        info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
+                            (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
+    if (!b->factor) return info;
+    if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
+    info.diagonal = b->factor->inverse != NULL;
+    if (b->factor->ldl) {
+        const sfem_ldl_info ldl = sfem_ldl_get_info(b->factor->ldl);
+        info.factor_nnz = ldl.nnz;
+        info.factor_bytes = ldl.bytes;
+    } else {
+        info.factor_nnz = 3 * (size_t)b->factor->free_nodes;
+        info.factor_bytes = info.factor_nnz * sizeof(sfem_real);
+    }
+    sfemi_lock(&b->model->lock);
+    info.factor_users = b->factor->references;
+    sfemi_unlock(&b->model->lock);
+    return info;
 }
 
 /* ---- fracture ---- */
@@ -22070,7 +22145,13 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
-/* ---- fragments ---- */
+/* ============================================================================================
+ * >>fragments   the surface of a broken body: its pieces and cracks
+ *
+ * Each node keeps its cell of the barycentric dual. The midpoint of an edge, face or tet has one vertex for each group
+ * of its nodes that its own intact edges join: every edge of the surface is in two triangles. Nothing here changes the
+ * body.
+ * ============================================================================================ */
 
 /* Slots of the copies: nodes, then two for each edge, three for each face, four for each tet; number is
  * the vertex made of a slot, or -1. */
@@ -22357,7 +22438,12 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     }
 }
 
-/* ---- statics ---- */
+/* ============================================================================================
+ * >>statics   f(u) = F with the body's pins and handles: a static solution
+ *
+ * Of linear laws one solve with a factor of K of its own, which is kept, with point handles by their dense block; else
+ * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
+ * ============================================================================================ */
 
 /* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
 static int sfemi_body_is_node_handle(const sfemi_handle *h)
@@ -22525,79 +22611,6 @@ done:
     b->static_factor = f; /* kept: loads change more often than pins */
     sfemi_delete(&b->allocator, mask);
     return status;
-}
-
-/* ---- what a body tells ---- */
-
-static sfem_energy sfemi_body_find_energy(sfem_body *b)
-{
-    const sfem_model *model = b->model;
-    const sfemi_state *s = &b->state;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real *force = s->force[0];
-    sfem_energy e;
-    size_t i;
-    sfem_body_velocities(b, b->acc);
-    sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
-    e.kinetic = sfemi_dot(n, b->acc, b->zm) / 2;
-    e.elastic = b->scheme.method->elastic(b);
-    e.load = 0;
-    for (i = 0; i < n; ++i)
-        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
-    e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    b->scheme.method->conserved(b, &e);
-    return e;
-}
-
-SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
-{
-    const sfemi_scratch own = sfemi_body_look_aside(b);
-    const sfem_energy e = sfemi_body_find_energy(b);
-    sfemi_body_use(b, &own);
-    return e;
-}
-
-SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
-{
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_body_info info;
-    sfem_int i;
-    memset(&info, 0, sizeof info);
-    info.nodes = b->model->mesh.nodes;
-    info.tets = b->model->mesh.tets;
-    for (i = 0; i < info.nodes; ++i) info.free_nodes += b->mask[i] != SFEM_AXIS_ALL;
-    info.p = b->factor ? b->p : 0;
-    info.omega_max = b->omega_max;
-    info.factors_made = b->factors_made;
-    info.steps = b->state.head->steps;
-    info.rejected = b->state.head->rejected;
-    info.solves = b->state.head->solves;
-    info.evaluations = b->state.head->evaluations;
-    info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->size +
-                      ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
-                          sizeof(sfem_real);
-    for (i = 0; i < b->def.max_handles; ++i)
-        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-    if (b->scheme.rotates) /* as sfemi_body_allocate_turn lays it out */
-        info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
-                            (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
-    if (!b->factor) return info;
-    if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
-    info.diagonal = b->factor->inverse != NULL;
-    if (b->factor->ldl) {
-        const sfem_ldl_info ldl = sfem_ldl_get_info(b->factor->ldl);
-        info.factor_nnz = ldl.nnz;
-        info.factor_bytes = ldl.bytes;
-    } else {
-        info.factor_nnz = 3 * (size_t)b->factor->free_nodes;
-        info.factor_bytes = info.factor_nnz * sizeof(sfem_real);
-    }
-    sfemi_lock(&b->model->lock);
-    info.factor_users = b->factor->references;
-    sfemi_unlock(&b->model->lock);
-    return info;
 }
 
 #ifndef SFEM_NO_MODES

@@ -32,7 +32,7 @@ INTEGRATOR = {
 }
 
 # What is used above the section that defines it, and how often.
-LATER = {'sfem_body_handle_position': 3}
+LATER = {}
 
 # Declarations ahead of the definition: a model lists its factors.
 FORWARD = {'sfem_factor': 1}
