@@ -31,7 +31,17 @@
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
  *            >>meshio       readers and writers
- *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
+ *            >>matrix       symmetric matrices of 3x3 blocks: pattern, product, conversions
+ *            >>order        orderings with little fill: minimum degree, nested dissection
+ *            >>tree         the elimination tree, counts of the columns of L
+ *            >>crew         shared counters, threads that work off a list of units
+ *            >>front        how a front lies in memory, tables of kernels
+ *            >>symbolic     supernodes, tasks, places
+ *            >>solve        solves with a factor
+ *            >>ldl          multifrontal L D L^T: whole, in part, in slices
+ *            >>dense        Cholesky and L D L^T of full matrices
+ *            >>eigen        eigenvalues of full and band matrices
+ *            >>cg           conjugate gradients
  *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>damage       edge form of the tet, damage laws, criterion, pieces
@@ -53,6 +63,8 @@
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
  *            >>body         the pipeline that a user calls: create, prepare, step, read
+ *            >>fragments    the surface of a broken body: pieces, cracks
+ *            >>statics      static solutions
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
  *            >>link         packets of accelerations, key frames
@@ -6479,10 +6491,12 @@ done:
 #endif /* SFEM_NO_MESHIO */
 
 /* ============================================================================================
- * >>sparse   3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
+ * >>matrix   symmetric matrices of 3x3 blocks: pattern, product, conversions
+ *
+ * The lower half by rows, as sfem_matrix says. Columns ascend in a row and its last block is the diagonal one, which is
+ * always there; sfem_matrix_check tests this, and all that follows relies on it. A product by several threads gathers:
+ * each row is summed by one thread, blocks in the order of its columns, so that the number of threads changes no bit.
  * ============================================================================================ */
-
-/* --- matrices -------------------------------------------------------------------------------- */
 
 SFEM_DEF void sfem_matrix_free(sfem_matrix *a, const sfem_allocator *allocator)
 {
@@ -6793,8 +6807,14 @@ SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full)
                 }
 }
 
-/* --- ordering --------------------------------------------------------------------------------
- * Everything here works on the graph of the nodes; a node is three rows of the matrix. */
+/* ============================================================================================
+ * >>order   orderings with little fill: minimum degree, nested dissection
+ *
+ * Works on the graph of the nodes; a node is three rows of the matrix, or one of a scalar matrix. Minimum degree
+ * [Amestoy, Davis, Duff 1996] orders small sets, nested dissection from the coordinates [George 1973; Miller, Teng,
+ * Thurston, Vavasis 1997] cuts large ones. An ordering is a permutation, order[new] = old. It depends on the pattern
+ * and the coordinates alone: nothing is random.
+ * ============================================================================================ */
 
 typedef struct sfemi_graph { /* neighbours of i: adj[start[i]] ... adj[start[i+1] - 1], without i */
     sfem_int n;
@@ -7567,7 +7587,13 @@ done:
     return status;
 }
 
-/* --- elimination tree ------------------------------------------------------------------------ */
+/* ============================================================================================
+ * >>tree   the elimination tree, and how many entries each column of L has
+ *
+ * The parent of a column is the row of the first entry below its diagonal in L [Schreiber 1982; Liu 1990]; columns in
+ * different subtrees do not depend on each other. Counts are those of [Gilbert, Ng, Peyton 1994], without forming L.
+ * After sfemi_tree_create the order is a postorder: parent[j] > j, and every subtree is a run of columns.
+ * ============================================================================================ */
 
 typedef struct sfemi_tree {
     sfem_int n;
@@ -7704,7 +7730,13 @@ done:
     return status;
 }
 
-/* --- counters that threads share ------------------------------------------------------------- */
+/* ============================================================================================
+ * >>crew   shared counters, and threads that work off a list of units that wait for each other
+ *
+ * For factorisations and solves, whose units are too uneven for a loop in parallel. Units write to places of their own
+ * and are summed in an order that is fixed beforehand: the number of threads changes no bit. Without atomics one thread
+ * does everything.
+ * ============================================================================================ */
 
 #if defined(__GNUC__)
 #define SFEMI_ATOMICS 1
@@ -7815,7 +7847,13 @@ static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
         SFEMI_ATOMIC_SET(&p->longer, longer / 2);
 }
 
-/* --- fronts and kernels ---------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>front   how a front lies in memory, and the table of kernels of each vector path
+ *
+ * A front is the dense matrix in which one supernode is eliminated: its k columns of L and the update matrix of the
+ * f - k rows below, lower half, cut into tiles of t rows. L and the update matrix are separate arrays. The tile in
+ * which row k lies (boundary) may belong to both. >>kernels is included here.
+ * ============================================================================================ */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
 typedef struct sfemi_shape {
@@ -7971,7 +8009,12 @@ static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
     return table + path;
 }
 
-/* --- symbolic analysis ----------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>symbolic   what a factorisation needs to know of the pattern: supernodes, tasks, places
+ *
+ * Supernodes [Ashcraft, Grimes 1989] are columns of equal structure, with children merged where that pays. The result
+ * is never changed once made; factors of one pattern share it by a count of references.
+ * ============================================================================================ */
 
 /* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1]
  * in the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
@@ -8577,7 +8620,14 @@ done:
     return status;
 }
 
-/* --- the factor and its solves --------------------------------------------------------------- */
+/* ============================================================================================
+ * >>solve   solves with a factor: up the elimination tree and down again
+ *
+ * In double, or with a float copy of L in float. The sweep upwards gives each task a buffer of its own for what it adds
+ * to rows outside; tasks of one level run at the same time, and buffers are added in a fixed order. Up to
+ * SFEMI_SOLVE_BLOCK right sides pass through a front together. A solve writes to its work array only, never to the
+ * factor.
+ * ============================================================================================ */
 
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
@@ -8601,8 +8651,6 @@ struct sfem_ldl {
     double *probe; /* unless positive: for a solve that tells whether the factor is any good */
     double pivot_min, pivot_max, residual;
 };
-
-/* --- solve ----------------------------------------------------------------------------------- */
 
 #define SFEMI_SOLVE_BLOCK   8  /* right sides that are solved for together */
 #define SFEMI_SOLVE_ALONE   2  /* up to so many are solved for one by one */
@@ -8851,7 +8899,14 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
     }
 }
 
-/* --- numeric factor -------------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>ldl   the multifrontal factorisation A = L D L^T, whole, in part, in slices; its public functions
+ *
+ * Each front adds the update matrices of its children, eliminates its columns and leaves an update matrix to its parent
+ * [Duff, Reid 1983; Liu 1992]. There is no pivoting: a pivot below its floor ends the factorisation, and the factor is
+ * then not valid. Diagonal tiles are stored inverted, for the solves. Whole, by marked supernodes or in slices, by any
+ * number of threads: the bits are the same.
+ * ============================================================================================ */
 
 typedef struct sfemi_front {
     const sfem_ldl *ldl;
@@ -9655,7 +9710,11 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl);
 }
 
-/* --- dense ----------------------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>dense   Cholesky and L D L^T of full matrices
+ *
+ * The lower half, column-major, in place. Left-looking with the inner loops of >>kernels; no pivoting.
+ * ============================================================================================ */
 
 /* Left-looking by columns, eight at a time: a(j:n, j) -= sum of a(j:n, p) d_p a(j, p); d_p = 1 unless
  * unit, which makes L D L^T. Returns the row of a lost pivot, or -1. */
@@ -9776,7 +9835,12 @@ SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
     sfemi_dense_solve(n, a, rhs, x, 1);
 }
 
-/* --- dense eigenvalues ------------------------------------------------------------------------ */
+/* ============================================================================================
+ * >>eigen   all eigenvalues and vectors of full and of narrow band matrices
+ *
+ * Householder's reduction to a tridiagonal matrix, then implicit QL [Bowdler, Martin, Reinsch, Wilkinson 1968]. The
+ * band matrices of >>modes, by rotations [Schwarz 1968] and inverse iteration. Eigenvalues ascend.
+ * ============================================================================================ */
 
 /* Householder's reduction of the lower half of a to the tridiagonal matrix d, e: a = Q T Q^T, Q = H_0 H_1
  * ..., H_k = I - tau_k v v^T with v in column k below the diagonal, its first entry 1. The matrix is
@@ -10103,7 +10167,12 @@ SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sf
     return SFEM_OK;
 }
 
-/* --- conjugate gradients --------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>cg   conjugate gradients [Hestenes and Stiefel 1952]
+ *
+ * Preconditioned by the inverse diagonal blocks or by a factor. The residual that is reported is computed anew at the
+ * end, not the one of the recurrence. Memory is the caller's.
+ * ============================================================================================ */
 
 SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
 {
@@ -15959,6 +16028,16 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_
         for (c = 0; c < 3; ++c)
             g->lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
     }
+}
+
+SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
+{
+    sfem_real u[3];
+    int c;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
+    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
+    for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
 /* ============================================================================================
@@ -22132,16 +22211,6 @@ SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_r
     memcpy(force, b->state.handle[handle].force, 3 * sizeof *force);
 }
 
-SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
-{
-    sfem_real u[3];
-    int c;
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
-    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
-    for (c = 0; c < 3; ++c) x[c] += u[c];
-}
-
 /* A step's temporaries. */
 typedef struct sfemi_scratch {
     sfem_real *rhs, *acc, *zk, *zm, *zd, *f, *q;
@@ -22196,6 +22265,81 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     const sfemi_scratch own = sfemi_body_look_aside(b);
     sfemi_body_find_reactions(b, force);
     sfemi_body_use(b, &own);
+}
+
+/* ---- what a body tells ---- */
+
+static sfem_energy sfemi_body_find_energy(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real *force = s->force[0];
+    sfem_energy e;
+    size_t i;
+    sfem_body_velocities(b, b->acc);
+    sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
+    e.kinetic = sfemi_dot(n, b->acc, b->zm) / 2;
+    e.elastic = b->scheme.method->elastic(b);
+    e.load = 0;
+    for (i = 0; i < n; ++i)
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
+    e.total = e.conserved = e.kinetic + e.elastic + e.load;
+    b->scheme.method->conserved(b, &e);
+    return e;
+}
+
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+{
+    const sfemi_scratch own = sfemi_body_look_aside(b);
+    const sfem_energy e = sfemi_body_find_energy(b);
+    sfemi_body_use(b, &own);
+    return e;
+}
+
+SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_body_info info;
+    sfem_int i;
+    memset(&info, 0, sizeof info);
+    info.nodes = b->model->mesh.nodes;
+    info.tets = b->model->mesh.tets;
+    for (i = 0; i < info.nodes; ++i) info.free_nodes += b->mask[i] != SFEM_AXIS_ALL;
+    info.p = b->factor ? b->p : 0;
+    info.omega_max = b->omega_max;
+    info.factors_made = b->factors_made;
+    info.steps = b->state.head->steps;
+    info.rejected = b->state.head->rejected;
+    info.solves = b->state.head->solves;
+    info.evaluations = b->state.head->evaluations;
+    info.corrections = b->guard.corrections;
+    info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
+                      (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
+    info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
+                                                     3 * sizeof(sfem_int) + sizeof(sfem_real *));
+    if (b->turn.piece_of) /* as sfemi_body_allocate_turn has it */
+        info.body_bytes += (size_t)info.nodes * sizeof *b->turn.piece_of +
+                           (size_t)(b->bonds ? info.nodes : b->turn.pieces) * sizeof *b->turn.piece;
+    if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
+    for (i = 0; i < b->def.max_handles; ++i)
+        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
+    if (!b->factor) return info;
+    if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
+    info.diagonal = b->factor->inverse != NULL;
+    if (b->factor->ldl) {
+        const sfem_ldl_info ldl = sfem_ldl_get_info(b->factor->ldl);
+        info.factor_nnz = ldl.nnz;
+        info.factor_bytes = ldl.bytes;
+    } else {
+        info.factor_nnz = 3 * (size_t)b->factor->free_nodes;
+        info.factor_bytes = info.factor_nnz * sizeof(sfem_real);
+    }
+    sfemi_lock(&b->model->lock);
+    info.factor_users = b->factor->references;
+    sfemi_unlock(&b->model->lock);
+    return info;
 }
 
 /* ---- fracture ---- */
@@ -22315,7 +22459,13 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
-/* ---- fragments ---- */
+/* ============================================================================================
+ * >>fragments   the surface of a broken body: its pieces and cracks
+ *
+ * Each node keeps its cell of the barycentric dual. The midpoint of an edge, face or tet has one vertex for each group
+ * of its nodes that its own intact edges join: every edge of the surface is in two triangles. Nothing here changes the
+ * body.
+ * ============================================================================================ */
 
 /* Slots of the copies: nodes, then two for each edge, three for each face, four for each tet; number is
  * the vertex made of a slot, or -1. */
@@ -22603,7 +22753,12 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     }
 }
 
-/* ---- statics ---- */
+/* ============================================================================================
+ * >>statics   f(u) = F with the body's pins and handles: a static solution
+ *
+ * Of linear laws one solve with a factor of K of its own, which is kept, with point handles by their dense block; else
+ * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
+ * ============================================================================================ */
 
 /* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
 static int sfemi_body_is_node_handle(const sfemi_handle *h)
@@ -22773,81 +22928,6 @@ done:
     b->static_factor = f; /* kept: loads change more often than pins */
     sfemi_delete(&b->allocator, mask);
     return status;
-}
-
-/* ---- what a body tells ---- */
-
-static sfem_energy sfemi_body_find_energy(sfem_body *b)
-{
-    const sfem_model *model = b->model;
-    const sfemi_state *s = &b->state;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real *force = s->force[0];
-    sfem_energy e;
-    size_t i;
-    sfem_body_velocities(b, b->acc);
-    sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
-    e.kinetic = sfemi_dot(n, b->acc, b->zm) / 2;
-    e.elastic = b->scheme.method->elastic(b);
-    e.load = 0;
-    for (i = 0; i < n; ++i)
-        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
-    e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    b->scheme.method->conserved(b, &e);
-    return e;
-}
-
-SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
-{
-    const sfemi_scratch own = sfemi_body_look_aside(b);
-    const sfem_energy e = sfemi_body_find_energy(b);
-    sfemi_body_use(b, &own);
-    return e;
-}
-
-SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
-{
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_body_info info;
-    sfem_int i;
-    memset(&info, 0, sizeof info);
-    info.nodes = b->model->mesh.nodes;
-    info.tets = b->model->mesh.tets;
-    for (i = 0; i < info.nodes; ++i) info.free_nodes += b->mask[i] != SFEM_AXIS_ALL;
-    info.p = b->factor ? b->p : 0;
-    info.omega_max = b->omega_max;
-    info.factors_made = b->factors_made;
-    info.steps = b->state.head->steps;
-    info.rejected = b->state.head->rejected;
-    info.solves = b->state.head->solves;
-    info.evaluations = b->state.head->evaluations;
-    info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
-                      (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
-    info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
-                                                     3 * sizeof(sfem_int) + sizeof(sfem_real *));
-    if (b->turn.piece_of) /* as sfemi_body_allocate_turn has it */
-        info.body_bytes += (size_t)info.nodes * sizeof *b->turn.piece_of +
-                           (size_t)(b->bonds ? info.nodes : b->turn.pieces) * sizeof *b->turn.piece;
-    if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
-    for (i = 0; i < b->def.max_handles; ++i)
-        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
-    if (!b->factor) return info;
-    if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
-    info.diagonal = b->factor->inverse != NULL;
-    if (b->factor->ldl) {
-        const sfem_ldl_info ldl = sfem_ldl_get_info(b->factor->ldl);
-        info.factor_nnz = ldl.nnz;
-        info.factor_bytes = ldl.bytes;
-    } else {
-        info.factor_nnz = 3 * (size_t)b->factor->free_nodes;
-        info.factor_bytes = info.factor_nnz * sizeof(sfem_real);
-    }
-    sfemi_lock(&b->model->lock);
-    info.factor_users = b->factor->references;
-    sfemi_unlock(&b->model->lock);
-    return info;
 }
 
 #endif /* SFEM_NO_BODY */
