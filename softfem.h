@@ -316,8 +316,10 @@ SFEM_DEF sfem_int sfem_mesh_orient(sfem_mesh *mesh);
  *   cost    O(nodes + tets) */
 typedef struct sfem_surface {
     sfem_int triangles;
-    sfem_int *tri; /* [triangles][3] node numbers of the mesh */
-    sfem_int *tet; /* [triangles]    the tet behind each */
+    sfem_int *tri; /* [triangles][3] node numbers of the mesh, or of x below */
+    sfem_int *tet; /* [triangles]    the tet behind each, or NULL: of a surface without a mesh */
+    sfem_int nodes; /* of a surface without a mesh (sfem_surface_read): how many, and */
+    sfem_real *x;   /* [nodes][3] where, m. Those of sfem_mesh_surface are the mesh's, this is NULL */
     sfem_allocator allocator;
 } sfem_surface;
 SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
@@ -407,7 +409,23 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err);
 
+/* SURFACES, of which sfem_mesh_from_surface makes tets. Which format it is shows in the data itself:
+ *   Wavefront (.obj)   v and f, with numbers from 1 or from the end; all else is passed over
+ *   STL (.stl)         ASCII and binary; vertices at exactly one place become one
+ *   PLY (.ply)         ASCII and binary, in either order of bytes; x, y, z of element vertex, the list vertex_indices
+ *                      (or vertex_index) of element face, other properties passed over
+ *   OFF (.off)         ASCII, 3-dimensional; also COFF, NOFF and the like, whose extras are passed over
+ * Polygons are cut into fans from their first vertex. Holes, doubled or flipped triangles and the like are left for
+ * sfem_mesh_from_surface to mend. Fills x, nodes, tri, triangles.
+ *   errors  as sfem_mesh_parse; SFEM_BAD_MESH: no faces
+ *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it claims. */
+SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
+                                        sfem_surface *out, sfem_error *err);
+
 #ifndef SFEM_NO_STDIO
+SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *allocator, sfem_surface *out,
+                                       sfem_error *err);
+
 /* From a file, which is read whole; with x.node or x.ele, from both of them. */
 SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
                                     sfem_mesh *out, sfem_error *err);
@@ -3049,6 +3067,7 @@ SFEM_DEF void sfem_surface_free(sfem_surface *surface)
     if (!surface) return;
     sfemi_delete(&surface->allocator, surface->tri);
     sfemi_delete(&surface->allocator, surface->tet);
+    sfemi_delete(&surface->allocator, surface->x);
     memset(surface, 0, sizeof *surface);
 }
 
@@ -3095,6 +3114,50 @@ SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocat
     sfem_int overlapping;
     SFEM_ASSERT(mesh && out);
     return sfemi_mesh_surface(mesh, allocator, out, &overlapping, err);
+}
+
+/* ---- vertices at one place ---- */
+
+/* Below or not, by x, then y, then z, then the number. */
+static SFEMI_UNUSED int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_int b)
+{
+    const sfem_real *p = x + 3 * (size_t)a, *q = x + 3 * (size_t)b;
+    int c;
+    for (c = 0; c < 3; ++c)
+        if (p[c] < q[c] || q[c] < p[c]) return p[c] < q[c];
+    return a < b;
+}
+
+/* first[i] = the lowest node at the place of node i. By merge sort, which no input makes slow. */
+static SFEMI_UNUSED sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real *x, const sfem_allocator *a,
+                                                sfem_int *first, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *memory = NULL, *from, *to, *swap;
+    size_t n = (size_t)nodes, width, i, j, k, at, middle, end;
+    SFEMI_NEW(sfem_int, memory, a, 2 * n + 1);
+    from = memory;
+    to = memory + n;
+    for (i = 0; i < n; ++i) from[i] = (sfem_int)i;
+    for (width = 1; width < n; width *= 2) {
+        for (at = 0; at < n; at = end) {
+            middle = at + width < n ? at + width : n;
+            end = at + 2 * width < n ? at + 2 * width : n;
+            for (i = at, j = middle, k = at; k < end; ++k)
+                to[k] = i < middle && (j == end || sfemi_mesh_before(x, from[i], from[j])) ? from[i++] : from[j++];
+        }
+        swap = from;
+        from = to;
+        to = swap;
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_real *p = x + 3 * (size_t)from[i], *q = i ? x + 3 * (size_t)from[i - 1] : p;
+        const int same = i && !(p[0] < q[0] || q[0] < p[0] || p[1] < q[1] || q[1] < p[1] || p[2] < q[2] || q[2] < p[2]);
+        first[from[i]] = same ? first[from[i - 1]] : from[i];
+    }
+done:
+    sfemi_delete(a, memory);
+    return status;
 }
 
 /* ---- components ---- */
@@ -3772,7 +3835,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file formats 2.2 and 4.1. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * manual, MSH file formats 2.2 and 4.1. Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
  * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
  * interactive mesh visualization software, INRIA RT-0253, 2001. */
 
@@ -5847,6 +5910,524 @@ static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
     return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
 }
 
+/* ---- surfaces: OBJ, STL, PLY, OFF ---- */
+
+typedef enum sfemi_soup_kind {
+    SFEMI_NO_SOUP, SFEMI_OBJ, SFEMI_STL, SFEMI_STL_BINARY, SFEMI_PLY, SFEMI_OFF
+} sfemi_soup_kind;
+
+typedef struct sfemi_soup {
+    sfemi_scan s;
+    sfem_surface out;
+    size_t node_room, tri_room;
+    sfem_int polygon[3]; /* first, last and next node of a polygon, which is cut into a fan */
+} sfemi_soup;
+
+static sfem_status sfemi_soup_node(sfemi_soup *r, const sfem_real x[3])
+{
+    sfem_real *grown;
+    if (r->out.nodes == INT32_MAX)
+        return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 vertices");
+    grown = (sfem_real *)sfemi_rows_grow(&r->out.allocator, r->out.x, (size_t)r->out.nodes, &r->node_room,
+                                         3 * sizeof *x);
+    if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: vertices");
+    r->out.x = grown;
+    memcpy(grown + 3 * (size_t)r->out.nodes++, x, 3 * sizeof *x);
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_soup_point(sfemi_soup *r)
+{
+    static const char *const what[3] = {"x of a vertex", "y of a vertex", "z of a vertex"};
+    sfem_real x[3];
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_status status = sfemi_scan_real(&r->s, what[c], x + c);
+        if (status != SFEM_OK) return status;
+    }
+    return sfemi_soup_node(r, x);
+}
+
+/* Corner k of a polygon; from the third on each makes a triangle. */
+static sfem_status sfemi_soup_corner(sfemi_soup *r, int64_t k, sfem_int node)
+{
+    sfem_int *grown;
+    if (k < 2) {
+        r->polygon[k] = node;
+        return SFEM_OK;
+    }
+    if (r->out.triangles == INT32_MAX / 3)
+        return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than (2^31 - 1)/3 triangles");
+    r->polygon[2] = node;
+    grown = (sfem_int *)sfemi_rows_grow(&r->out.allocator, r->out.tri, (size_t)r->out.triangles, &r->tri_room,
+                                        sizeof r->polygon);
+    if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: triangles");
+    r->out.tri = grown;
+    memcpy(grown + 3 * (size_t)r->out.triangles++, r->polygon, sizeof r->polygon);
+    r->polygon[1] = node;
+    return SFEM_OK;
+}
+
+/* f 1/2/3 4//5 -1: only the first number of each counts; negative ones count from the end. */
+static sfem_status sfemi_obj_face(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    int64_t k, v;
+    for (k = 0; status == SFEM_OK; ++k) {
+        const char *end = s->end;
+        w = sfemi_scan_peek(s);
+        if (!w.n) break;
+        for (v = 0; v < (int64_t)w.n && w.p[v] != '/'; ++v) {
+        }
+        s->end = w.p + v; /* the number ends at the slash */
+        status = sfemi_scan_integer(s, -(int64_t)r->out.nodes, r->out.nodes, "the vertex of a face", &v);
+        s->end = end;
+        if (status == SFEM_OK && v == 0)
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "the vertex of a face is 0: they count from 1");
+        if (status == SFEM_OK) status = sfemi_soup_corner(r, k, (sfem_int)(v < 0 ? r->out.nodes + v : v - 1));
+        s->p = w.p + w.n;
+    }
+    if (status == SFEM_OK && k < 3) status = sfemi_scan_fail(s, SFEM_FORMAT, "a face of %d vertices", (int)k);
+    return status;
+}
+
+static sfem_status sfemi_obj_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    s->comment = '#';
+    for (sfemi_scan_space(s); s->p < s->end && status == SFEM_OK; sfemi_scan_space(s)) {
+        const sfemi_word w = sfemi_scan_word(s);
+        s->in_row = 1;
+        if (sfemi_word_is(w, "v"))
+            status = sfemi_soup_point(r);
+        else if (sfemi_word_is(w, "f"))
+            status = sfemi_obj_face(r);
+        s->in_row = 0;
+        if (status == SFEM_OK) sfemi_scan_skip_line(s); /* colours, and all that is no vertex and no face */
+    }
+    return status;
+}
+
+/* Vertices at one place become one: the first of them. */
+static sfem_status sfemi_soup_weld(sfemi_soup *r)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = r->s.err;
+    const sfem_allocator *a = &r->out.allocator;
+    sfem_int *first = NULL, n = 0, i;
+    size_t k;
+    SFEMI_NEW(sfem_int, first, a, r->out.nodes);
+    SFEMI_TRY(sfemi_mesh_weld(r->out.nodes, r->out.x, a, first, err));
+    for (i = 0; i < r->out.nodes; ++i) {
+        if (first[i] < i) {
+            first[i] = first[first[i]];
+            continue;
+        }
+        memmove(r->out.x + 3 * (size_t)n, r->out.x + 3 * (size_t)i, 3 * sizeof *r->out.x);
+        first[i] = n++;
+    }
+    for (k = 0; k < 3 * (size_t)r->out.triangles; ++k) r->out.tri[k] = first[r->out.tri[k]];
+    r->out.nodes = n;
+done:
+    sfemi_delete(a, first);
+    return status;
+}
+
+static sfem_status sfemi_stl_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    int64_t corners = 3;
+    for (sfemi_scan_space(s); s->p < s->end && status == SFEM_OK; sfemi_scan_space(s)) {
+        sfemi_word w = sfemi_scan_peek(s);
+        if (corners < 3 && !sfemi_word_is(w, "vertex")) return sfemi_scan_expected(s, "a vertex of a facet", w);
+        s->p += w.n;
+        if (sfemi_word_is(w, "solid") || sfemi_word_is(w, "endsolid") || sfemi_word_is(w, "facet"))
+            sfemi_scan_skip_line(s); /* a name, or a normal, which the vertices tell, too */
+        else if (sfemi_word_is(w, "loop"))
+            corners = 0;
+        else if (sfemi_word_is(w, "vertex") && corners < 3) {
+            status = sfemi_soup_point(r);
+            if (status == SFEM_OK) status = sfemi_soup_corner(r, corners++, r->out.nodes - 1);
+        } else if (!sfemi_word_is(w, "outer") && !sfemi_word_is(w, "endloop") && !sfemi_word_is(w, "endfacet")) {
+            s->p -= w.n;
+            return sfemi_scan_expected(s, "a facet with one loop of 3 vertices", w);
+        }
+    }
+    if (status == SFEM_OK && corners < 3) status = sfemi_scan_expected(s, "a vertex of a facet", sfemi_scan_peek(s));
+    return status == SFEM_OK ? sfemi_soup_weld(r) : status;
+}
+
+/* 80 bytes of title, a count, then for each triangle a normal and 3 vertices of floats, and 2 bytes. */
+static sfem_status sfemi_stl_read_binary(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    uint64_t count = 0, i;
+    int k;
+    s->start = s->p;
+    s->order = 1;
+    s->real = 4;
+    SFEMI_TRY(sfemi_scan_skip_bytes(s, 80, "80 bytes of title"));
+    SFEMI_TRY(sfemi_scan_bits(s, 4, "the count of triangles", &count));
+    if (count > (uint64_t)(s->end - s->p) / 50)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there are %lld triangles, more than the rest of the data can hold",
+                               (long long)count);
+    for (i = 0; i < count; ++i) {
+        s->p += 12;
+        for (k = 0; k < 3; ++k) {
+            SFEMI_TRY(sfemi_soup_point(r));
+            SFEMI_TRY(sfemi_soup_corner(r, k, r->out.nodes - 1));
+        }
+        s->p += 2;
+    }
+    status = sfemi_soup_weld(r);
+done:
+    return status;
+}
+
+/* OFF, with colours, normals and the like, which stand behind what counts in each line. */
+static sfem_status sfemi_off_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfem_int nodes = 0, faces = 0, i;
+    int64_t corners, k, v;
+    sfemi_word w;
+    s->comment = '#';
+    w = sfemi_scan_word(s);
+    if (w.p[0] == '4')
+        return sfemi_scan_fail(s, SFEM_FORMAT, "OFF of other than 3 dimensions");
+    w = sfemi_scan_peek(s);
+    if (sfemi_word_is(w, "BINARY"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "binary OFF is not read: write it as text, or as PLY");
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of vertices", &nodes));
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of faces", &faces));
+    sfemi_scan_skip_line(s); /* the count of edges */
+    for (i = 0; i < nodes; ++i) {
+        sfemi_scan_space(s);
+        s->in_row = 1;
+        SFEMI_TRY(sfemi_soup_point(r));
+        s->in_row = 0;
+        sfemi_scan_skip_line(s);
+    }
+    for (i = 0; i < faces; ++i) {
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the count of a face's vertices", &corners));
+        s->in_row = 1;
+        for (k = 0; k < corners; ++k) {
+            SFEMI_TRY(sfemi_scan_integer(s, 0, (int64_t)nodes - 1, "the vertex of a face", &v));
+            SFEMI_TRY(sfemi_soup_corner(r, k, (sfem_int)v));
+        }
+        s->in_row = 0;
+        sfemi_scan_skip_line(s);
+    }
+done:
+    return status;
+}
+
+enum { SFEMI_PLY_PROPERTIES = 64, SFEMI_PLY_ELEMENTS = 16 };
+
+typedef struct sfemi_ply {
+    struct {
+        char role; /* 'x' 'y' 'z' coordinates, 'f' the vertices of a face, 0 passed over */
+        unsigned char type, count; /* place in sfemi_ply_types; count: of a list's length, else 0 */
+    } property[SFEMI_PLY_PROPERTIES];
+    struct {
+        char kind; /* 'v' vertices, 'f' faces, 0 others */
+        int first, end;
+        int64_t rows;
+    } element[SFEMI_PLY_ELEMENTS];
+    int elements, properties, order;
+    sfem_int nodes;
+} sfemi_ply;
+
+/* Place 0 is none; odd places are old names, even ones new names of the same type. */
+static const struct {
+    const char *name;
+    unsigned char bytes;
+    char kind; /* i signed, u unsigned, f real */
+} sfemi_ply_types[17] = {{"", 0, 0},          {"char", 1, 'i'},    {"int8", 1, 'i'},    {"uchar", 1, 'u'},
+                         {"uint8", 1, 'u'},   {"short", 2, 'i'},   {"int16", 2, 'i'},   {"ushort", 2, 'u'},
+                         {"uint16", 2, 'u'},  {"int", 4, 'i'},     {"int32", 4, 'i'},   {"uint", 4, 'u'},
+                         {"uint32", 4, 'u'},  {"float", 4, 'f'},   {"float32", 4, 'f'}, {"double", 8, 'f'},
+                         {"float64", 8, 'f'}};
+
+static sfem_status sfemi_ply_type(sfemi_scan *s, unsigned char *type)
+{
+    const sfemi_word w = sfemi_scan_peek(s);
+    for (*type = 1; *type < 17; ++*type)
+        if (sfemi_word_is(w, sfemi_ply_types[*type].name)) break;
+    if (*type == 17) return sfemi_scan_expected(s, "a type of PLY", w);
+    s->p += w.n;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_ply_property(sfemi_scan *s, sfemi_ply *y)
+{
+    const int i = y->properties, e = y->elements - 1;
+    sfem_status status;
+    sfemi_word w;
+    if (e < 0) return sfemi_scan_fail(s, SFEM_FORMAT, "a property before any element");
+    if (i == SFEMI_PLY_PROPERTIES)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "more than %d properties", (int)SFEMI_PLY_PROPERTIES);
+    w = sfemi_scan_peek(s);
+    y->property[i].count = 0;
+    y->property[i].role = 0;
+    if (sfemi_word_is(w, "list")) {
+        s->p += w.n;
+        status = sfemi_ply_type(s, &y->property[i].count);
+        if (status != SFEM_OK) return status;
+        if (sfemi_ply_types[y->property[i].count].kind == 'f')
+            return sfemi_scan_fail(s, SFEM_FORMAT, "the length of a list is no whole number");
+    }
+    status = sfemi_ply_type(s, &y->property[i].type);
+    if (status != SFEM_OK) return status;
+    w = sfemi_scan_word(s);
+    if (y->element[e].kind == 'v' && !y->property[i].count && w.n == 1 && (w.p[0] >= 'x' && w.p[0] <= 'z'))
+        y->property[i].role = w.p[0];
+    if (y->element[e].kind == 'f' && y->property[i].count &&
+        (sfemi_word_is(w, "vertex_indices") || sfemi_word_is(w, "vertex_index")))
+        y->property[i].role = 'f';
+    if (y->property[i].role == 'f' && sfemi_ply_types[y->property[i].type].kind == 'f')
+        return sfemi_scan_fail(s, SFEM_FORMAT, "the vertices of a face are no whole numbers");
+    y->element[e].end = ++y->properties;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_ply_element(sfemi_scan *s, sfemi_ply *y)
+{
+    const int e = y->elements;
+    const sfemi_word w = sfemi_scan_word(s);
+    if (e == SFEMI_PLY_ELEMENTS)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "more than %d elements", (int)SFEMI_PLY_ELEMENTS);
+    y->element[e].kind = (char)(sfemi_word_is(w, "vertex") ? 'v' : sfemi_word_is(w, "face") ? 'f' : 0);
+    y->element[e].first = y->element[e].end = y->properties;
+    y->elements = e + 1;
+    return sfemi_scan_integer(s, 0, INT32_MAX, "the count of an element", &y->element[e].rows);
+}
+
+static sfem_status sfemi_ply_header(sfemi_scan *s, sfemi_ply *y)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    sfemi_scan_skip_line(s); /* ply */
+    y->order = -1;
+    for (;;) {
+        w = sfemi_scan_peek(s);
+        if (!w.n) return sfemi_scan_expected(s, "end_header", w);
+        s->p += w.n;
+        if (sfemi_word_is(w, "end_header")) break;
+        s->in_row = 1;
+        if (sfemi_word_is(w, "format")) {
+            w = sfemi_scan_peek(s);
+            y->order = sfemi_word_is(w, "ascii") ? 0 : sfemi_word_is(w, "binary_little_endian") ? 1
+                       : sfemi_word_is(w, "binary_big_endian") ? 2 : -1;
+            if (y->order < 0) return sfemi_scan_expected(s, "ascii or binary_little_endian or binary_big_endian", w);
+        } else if (sfemi_word_is(w, "element"))
+            SFEMI_TRY(sfemi_ply_element(s, y));
+        else if (sfemi_word_is(w, "property"))
+            SFEMI_TRY(sfemi_ply_property(s, y));
+        else if (!sfemi_word_is(w, "comment") && !sfemi_word_is(w, "obj_info")) {
+            s->p -= w.n;
+            return sfemi_scan_expected(s, "a line of PLY's header", w);
+        }
+        s->in_row = 0;
+        sfemi_scan_skip_line(s);
+    }
+    if (y->order < 0) return sfemi_scan_fail(s, SFEM_FORMAT, "the header does not name its format");
+    sfemi_scan_skip_line(s);
+done:
+    return status;
+}
+
+/* A whole number of the type, from text or binary. */
+static sfem_status sfemi_ply_integer(sfemi_scan *s, unsigned char type, int64_t high, const char *what, int64_t *out)
+{
+    const int bytes = sfemi_ply_types[type].bytes;
+    const char *before = s->p;
+    uint64_t bits = 0;
+    sfem_status status;
+    if (!s->order) return sfemi_scan_integer(s, 0, high, what, out);
+    status = sfemi_scan_bits(s, bytes, what, &bits);
+    if (status != SFEM_OK) return status;
+    *out = (int64_t)bits;
+    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) *out -= (int64_t)1 << 8 * bytes;
+    s->p = before;
+    status = sfemi_scan_range(s, *out, 0, high, what);
+    if (status == SFEM_OK) s->p += bytes;
+    return status;
+}
+
+/* A coordinate: a real, or a whole number in binary. */
+static sfem_status sfemi_ply_real(sfemi_scan *s, unsigned char type, sfem_real *x)
+{
+    int64_t v = 0;
+    uint64_t bits = 0;
+    const int bytes = sfemi_ply_types[type].bytes;
+    sfem_status status;
+    if (!s->order || sfemi_ply_types[type].kind == 'f') {
+        s->real = bytes;
+        return sfemi_scan_real(s, "a coordinate of a vertex", x);
+    }
+    status = sfemi_scan_bits(s, bytes, "a coordinate of a vertex", &bits);
+    v = (int64_t)bits;
+    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) v -= (int64_t)1 << 8 * bytes;
+    *x = (sfem_real)v;
+    return status;
+}
+
+static sfem_status sfemi_ply_pass(sfemi_scan *s, unsigned char type, int64_t count)
+{
+    if (!s->order) return sfemi_scan_skip_words(s, count, "a property");
+    return sfemi_scan_skip_bytes(s, (uint64_t)count * sfemi_ply_types[type].bytes, "a property");
+}
+
+static sfem_status sfemi_ply_row(sfemi_soup *r, const sfemi_ply *y, int e)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfem_real x[3] = {0, 0, 0};
+    int i;
+    for (i = y->element[e].first; i < y->element[e].end; ++i) {
+        const char role = y->property[i].role;
+        const unsigned char type = y->property[i].type;
+        int64_t k, v, n = 1;
+        if (y->property[i].count)
+            SFEMI_TRY(sfemi_ply_integer(s, y->property[i].count, INT32_MAX, "the length of a list", &n));
+        if (!role)
+            SFEMI_TRY(sfemi_ply_pass(s, type, n));
+        else if (role != 'f')
+            SFEMI_TRY(sfemi_ply_real(s, type, x + (role - 'x')));
+        else
+            for (k = 0; k < n; ++k) {
+                SFEMI_TRY(sfemi_ply_integer(s, type, (int64_t)y->nodes - 1, "the vertex of a face", &v));
+                SFEMI_TRY(sfemi_soup_corner(r, k, (sfem_int)v));
+            }
+    }
+    if (y->element[e].kind == 'v') status = sfemi_soup_node(r, x);
+done:
+    return status;
+}
+
+static sfem_status sfemi_ply_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    const char *start = s->p;
+    sfem_status status;
+    sfemi_ply y;
+    int64_t k;
+    int e, i, roles;
+    memset(&y, 0, sizeof y);
+    SFEMI_TRY(sfemi_ply_header(s, &y));
+    for (e = 0; e < y.elements; ++e) {
+        if (y.element[e].kind != 'v') continue;
+        for (roles = 0, i = y.element[e].first; i < y.element[e].end; ++i) roles += y.property[i].role != 0;
+        if (roles != 3 || y.nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "expected one element vertex with x, y and z");
+        y.nodes = (sfem_int)y.element[e].rows;
+    }
+    if (y.order) s->start = start;
+    s->order = y.order;
+    for (e = 0; e < y.elements; ++e) {
+        if (y.element[e].first == y.element[e].end) continue; /* rows of nothing */
+        for (k = 0; k < y.element[e].rows; ++k) SFEMI_TRY(sfemi_ply_row(r, &y, e));
+    }
+    if (r->out.nodes < y.nodes) status = sfemi_scan_fail(s, SFEM_FORMAT, "vertices are missing");
+done:
+    return status;
+}
+
+/* Which kind of surface the data is; path, which may be NULL, decides where the data does not. */
+static sfemi_soup_kind sfemi_soup_find(const void *data, size_t bytes, const char *path)
+{
+    const unsigned char *b = (const unsigned char *)data;
+    const size_t length = path ? strlen(path) : 0;
+    sfemi_scan s = sfemi_scan_of(data, bytes, NULL);
+    sfemi_word w, tail;
+    static const char *const obj[] = {"v", "vn", "vt", "f", "o", "g", "s", "mtllib", "usemtl"};
+    size_t i;
+    if (bytes >= 84) {
+        const uint64_t count = b[80] | (uint64_t)b[81] << 8 | (uint64_t)b[82] << 16 | (uint64_t)b[83] << 24;
+        if (bytes == 84 + 50 * count && count) return SFEMI_STL_BINARY; /* although it may begin with "solid" */
+    }
+    s.comment = '#';
+    w = sfemi_scan_peek(&s);
+    if (sfemi_word_is(w, "solid")) return SFEMI_STL;
+    if (sfemi_word_is(w, "ply")) return SFEMI_PLY;
+    tail.n = 3;
+    tail.p = w.p + w.n - (w.n < 3 ? w.n : 3);
+    if (w.n >= 3 && w.n <= 7 && sfemi_word_is(tail, "OFF")) return SFEMI_OFF;
+    for (i = 0; i < sizeof obj / sizeof *obj; ++i)
+        if (sfemi_word_is(w, obj[i])) return SFEMI_OBJ;
+    if (length < 4) return SFEMI_NO_SOUP;
+    tail.n = 4;
+    tail.p = path + length - 4;
+    if (sfemi_word_is(tail, ".obj")) return SFEMI_OBJ;
+    return sfemi_word_is(tail, ".stl") ? SFEMI_STL_BINARY : SFEMI_NO_SOUP;
+}
+
+static sfem_status sfemi_surface_parse(const void *data, size_t bytes, const char *path, const sfem_allocator *a,
+                                       sfem_surface *out, sfem_error *err)
+{
+    sfem_status status;
+    sfemi_soup r;
+    char begin[25];
+    memset(&r, 0, sizeof r);
+    r.s = sfemi_scan_of(data, bytes, err);
+    r.out.allocator = *a;
+    switch (sfemi_soup_find(data, bytes, path)) {
+    case SFEMI_OBJ: status = sfemi_obj_read(&r); break;
+    case SFEMI_STL: status = sfemi_stl_read(&r); break;
+    case SFEMI_STL_BINARY: status = sfemi_stl_read_binary(&r); break;
+    case SFEMI_PLY: status = sfemi_ply_read(&r); break;
+    case SFEMI_OFF: status = sfemi_off_read(&r); break;
+    default:
+        status = bytes ? sfemi_scan_fail(&r.s, SFEM_FORMAT,
+                                         "only the surfaces .obj, .stl, .ply and .off are read, this begins with '%s'",
+                                         sfemi_word_text(sfemi_scan_peek(&r.s), begin))
+                       : sfemi_scan_fail(&r.s, SFEM_FORMAT, "there is no data");
+    }
+    if (status == SFEM_OK && r.out.triangles < 1)
+        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld vertices, but no faces", (long)r.out.nodes);
+    if (status == SFEM_OK)
+        *out = r.out;
+    else
+        sfem_surface_free(&r.out);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
+                                        sfem_surface *out, sfem_error *err)
+{
+    sfem_allocator a;
+    SFEM_ASSERT(out && (data || !bytes));
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    return sfemi_surface_parse(data, bytes, NULL, &a, out, err);
+}
+
+#ifndef SFEM_NO_STDIO
+SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *allocator, sfem_surface *out,
+                                       sfem_error *err)
+{
+    sfem_allocator a;
+    sfem_status status;
+    char *data = NULL;
+    size_t bytes = 0;
+    SFEM_ASSERT(path && out);
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    status = sfemi_file_read(path, &a, &data, &bytes, err);
+    if (status != SFEM_OK) return status;
+    status = sfemi_surface_parse(data, bytes, path, &a, out, err);
+    sfemi_delete(&a, data);
+    if (status != SFEM_OK) sfemi_file_blame(path, err);
+    return status;
+}
+#endif
+
 /* Of the file at path, which is NULL if there is none. */
 static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *path,
                                     const sfem_allocator *a, sfem_mesh *out, sfem_error *err)
@@ -5870,6 +6451,10 @@ static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *
         status = sfemi_mesh_parse_medit(&s, a, &m);
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
+    else if (sfemi_soup_find(data, bytes, path))
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
+                                 "sfem_mesh_from_surface");
     else
         status = sfemi_scan_fail(&s, SFEM_FORMAT,
                                  "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII and Vega .veg "
