@@ -22,6 +22,7 @@
  * CONTENTS (search for the marker)
  *
  *     API    >>api-base     status, errors, memory, threads       >>api-mesh    >>api-meshio
+ *            >>api-mesher   tets from a surface or a function
  *            >>api-matrix   sparse and dense matrices, solvers    >>api-element >>api-model
  *            >>api-damage   fracture on the edge graph            >>api-body
  *            >>api-modes    eigenvalues and modes                 >>api-reduced modal bodies, warping
@@ -31,6 +32,7 @@
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
  *            >>meshio       readers and writers
+ *            >>mesher       tets from a surface or a function
  *            >>matrix       symmetric matrices of 3x3 blocks: pattern, product, conversions
  *            >>order        orderings with little fill: minimum degree, nested dissection
  *            >>tree         the elimination tree, counts of the columns of L
@@ -88,13 +90,14 @@
  * out is not declared either. A file that uses a part which the implementation was compiled without does not link.
  *
  *     SFEM_NO_MESHIO     without readers and writers of files, >>api-meshio
+ *     SFEM_NO_MESHER     without tets from surfaces and functions, >>api-mesher
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
  *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
  *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and their fracture, >>api-damage
  *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK
- *                        (with modes and reduced models)
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes),
+ *     SFEM_ENABLE_LINK (with modes and reduced models)
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -117,6 +120,9 @@
 #if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY)
 #define SFEM_NO_BODY
 #endif
+#if !defined(SFEM_NO_MESHER) && !defined(SFEM_ENABLE_MESHER)
+#define SFEM_NO_MESHER
+#endif
 #if !defined(SFEM_NO_LINK) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_LINK
 #endif
@@ -133,6 +139,9 @@
 #endif
 #if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
 #error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_MESHER) && defined(SFEM_NO_MESHER)
+#error "softfem.h: SFEM_ENABLE_MESHER and SFEM_NO_MESHER are both defined: define only one of them"
 #endif
 #if defined(SFEM_ENABLE_LINK) && defined(SFEM_NO_LINK)
 #error "softfem.h: SFEM_ENABLE_LINK and SFEM_NO_LINK are both defined: define only one of them"
@@ -341,8 +350,10 @@ SFEM_DEF sfem_int sfem_mesh_orient(sfem_mesh *mesh);
  *   cost    O(nodes + tets) */
 typedef struct sfem_surface {
     sfem_int triangles;
-    sfem_int *tri; /* [triangles][3] node numbers of the mesh */
-    sfem_int *tet; /* [triangles]    the tet behind each */
+    sfem_int *tri; /* [triangles][3] node numbers of the mesh, or of x below */
+    sfem_int *tet; /* [triangles]    the tet behind each, or NULL: of a surface without a mesh */
+    sfem_int nodes; /* of a surface without a mesh (sfem_surface_read): how many, and */
+    sfem_real *x;   /* [nodes][3] where, m. Those of sfem_mesh_surface are the mesh's, this is NULL */
     sfem_allocator allocator;
 } sfem_surface;
 SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
@@ -432,7 +443,23 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err);
 
+/* SURFACES, of which sfem_mesh_from_surface makes tets. Which format it is shows in the data itself:
+ *   Wavefront (.obj)   v and f, with numbers from 1 or from the end; all else is passed over
+ *   STL (.stl)         ASCII and binary; vertices at exactly one place become one
+ *   PLY (.ply)         ASCII and binary, in either order of bytes; x, y, z of element vertex, the list vertex_indices
+ *                      (or vertex_index) of element face, other properties passed over
+ *   OFF (.off)         ASCII, 3-dimensional; also COFF, NOFF and the like, whose extras are passed over
+ * Polygons are cut into fans from their first vertex. Holes, doubled or flipped triangles and the like are left for
+ * sfem_mesh_from_surface to mend. Fills x, nodes, tri, triangles.
+ *   errors  as sfem_mesh_parse; SFEM_BAD_MESH: no faces
+ *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it claims. */
+SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
+                                        sfem_surface *out, sfem_error *err);
+
 #ifndef SFEM_NO_STDIO
+SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *allocator, sfem_surface *out,
+                                       sfem_error *err);
+
 /* From a file, which is read whole; with x.node or x.ele, from both of them. */
 SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
                                     sfem_mesh *out, sfem_error *err);
@@ -471,6 +498,81 @@ SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
                                     sfem_error *err);
 #endif
 #endif /* SFEM_NO_MESHIO */
+
+#ifndef SFEM_NO_MESHER
+/* ============================================================================================
+ * >>api-mesher   tets from a surface or a function
+ * ============================================================================================ */
+
+/* The body is laid into a body-centred cubic lattice, whose tets are all alike: four edges of sqrt(3)/2 size, two of
+ * size, a volume of size^3/12, dihedral angles of 60 and 90 degrees. What is inside is told by the generalised winding
+ * number, |w| > 1/2 [Jacobson, Kavan, Sorkine-Hornung 2013], from a tree of dipoles [Barill et al. 2018], so that the
+ * triangles need not be closed, nor turned the same way, nor apart from one another.
+ *
+ * SFEM_FITTED  the lattice cut along the surface: isosurface stuffing [Labelle, Shewchuk 2007]. Dihedral angles stay
+ *              within 10.7 and 164.8 degrees. Nodes of the boundary lie on the surface; parts thinner than a cell may
+ *              get lost, edges and corners are cut off within one.
+ * SFEM_CAGE    every tet of the lattice that meets the body: the cage contains the whole surface, thin parts too. Its
+ *              tets are filled in part. mesh->region of each is its filled share in SFEM_CAGE_LEVELS parts, by as many
+ *              points in it, from 0 to SFEM_CAGE_LEVELS: the index into what sfem_cage_materials makes.
+ *
+ * Every edge of the mesh's surface is in two triangles: where parts meet in a node or edge only, the nodes are doubled,
+ * or tets that meet others there are left out (fitted) or the gap is filled (cage). */
+typedef enum sfem_mesher_mode { SFEM_FITTED, SFEM_CAGE } sfem_mesher_mode;
+
+typedef struct sfem_mesher_def {
+    sfem_mesher_mode mode; /* default fitted */
+    sfem_real size;        /* the longer edges of the lattice, m; 0: as many tets as stated next */
+    sfem_int tets;         /* wanted, where size is 0; default 5000. Found within 15 % where it is above 500 */
+    sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
+    sfem_allocator allocator;
+} sfem_mesher_def;
+SFEM_DEF sfem_mesher_def sfem_default_mesher_def(void);
+
+typedef struct sfem_mesher_info {
+    sfem_real size;   /* the one used, m */
+    sfem_real volume; /* of the tets, in a cage of what is filled of them, m^3 */
+    sfem_real min_dihedral, max_dihedral; /* of the mesh, degrees */
+    sfem_int degenerate, doubled, flipped; /* triangles without area, there twice, turned round: left out, left out, */
+    sfem_int open_edges;                   /* and turned back; edges of one triangle only, at holes */
+    sfem_int split;   /* nodes added where parts of the mesh met in a node or an edge only */
+    sfem_int mended;  /* tets left out (fitted) or added (cage) for the sake of edges */
+    sfem_int passes;  /* lattices laid until the number of tets was right */
+    sfem_int lattice; /* points of the last one */
+} sfem_mesher_info;
+
+/* Tets that fill a closed surface, or what nearly is one: x [nodes][3] and tri [triangles][3], as sfem_surface_read
+ * makes them; other fields are not looked at. Triangles that are there twice are taken once. Where triangles with a
+ * common edge are turned differently, the smaller area is turned. Holes are closed by the winding number.
+ *   info    or NULL
+ *   errors  SFEM_BAD_ARGUMENT   size, tets, mode; a surface without x
+ *           SFEM_BAD_MESH       a vertex number out of range (the text tells the triangle), no triangle with an area, a
+ *                               surface that encloses nothing at this size: an open sheet, or parts thinner than a cell
+ *           SFEM_NOT_FINITE     a coordinate, err->node
+ *           SFEM_TOO_LARGE      a lattice of more than 2^28 points
+ *           SFEM_OUT_OF_MEMORY
+ *   cost    O(triangles log triangles) and O(log triangles) a lattice point
+ *   memory  200 bytes a triangle, 14 a lattice point of the surface's box, 400 a tet; all but the mesh is given back */
+SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sfem_surface *surface, sfem_mesh *out,
+                                            sfem_mesher_info *info, sfem_error *err);
+
+/* Tets that fill what is inside of a function and of a box[2][3], its least and greatest coordinates: f(x) is below 0
+ * inside, such as a signed distance; only its sign and, where it is continuous, its zeros matter.
+ * It is called by the calling thread alone. Errors and cost as above, but for the triangles; SFEM_NOT_FINITE for a
+ * value of f that is none. A cage may miss parts that lie between the points at which f is asked: corners, centres and
+ * SFEM_CAGE_LEVELS points of each tet of the lattice next to the body. */
+typedef sfem_real (*sfem_sdf)(const sfem_real x[3], void *user);
+SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, void *user, const sfem_real box[2][3],
+                                        sfem_mesh *out, sfem_mesher_info *info, sfem_error *err);
+
+/* Materials of a cage: material k is the base with density and Young's modulus times k/SFEM_CAGE_LEVELS, or times
+ * least, in (0, 1], where that is more, so that no node is without mass and stiffness; 0.05 serves. They go into
+ * sfem_model_def's materials and material_count = SFEM_CAGE_LEVELS + 1, while tet_material stays NULL. */
+#define SFEM_CAGE_LEVELS 20
+struct sfem_material; /* >>api-model */
+SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least,
+                                         struct sfem_material *out /* [SFEM_CAGE_LEVELS + 1] */, sfem_error *err);
+#endif /* SFEM_NO_MESHER */
 
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
@@ -3316,6 +3418,7 @@ SFEM_DEF void sfem_surface_free(sfem_surface *surface)
     if (!surface) return;
     sfemi_delete(&surface->allocator, surface->tri);
     sfemi_delete(&surface->allocator, surface->tet);
+    sfemi_delete(&surface->allocator, surface->x);
     memset(surface, 0, sizeof *surface);
 }
 
@@ -3362,6 +3465,50 @@ SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocat
     sfem_int overlapping;
     SFEM_ASSERT(mesh && out);
     return sfemi_mesh_surface(mesh, allocator, out, &overlapping, err);
+}
+
+/* ---- vertices at one place ---- */
+
+/* Below or not, by x, then y, then z, then the number. */
+static SFEMI_UNUSED int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_int b)
+{
+    const sfem_real *p = x + 3 * (size_t)a, *q = x + 3 * (size_t)b;
+    int c;
+    for (c = 0; c < 3; ++c)
+        if (p[c] < q[c] || q[c] < p[c]) return p[c] < q[c];
+    return a < b;
+}
+
+/* first[i] = the lowest node at the place of node i. By merge sort, which no input makes slow. */
+static SFEMI_UNUSED sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real *x, const sfem_allocator *a,
+                                                sfem_int *first, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *memory = NULL, *from, *to, *swap;
+    size_t n = (size_t)nodes, width, i, j, k, at, middle, end;
+    SFEMI_NEW(sfem_int, memory, a, 2 * n + 1);
+    from = memory;
+    to = memory + n;
+    for (i = 0; i < n; ++i) from[i] = (sfem_int)i;
+    for (width = 1; width < n; width *= 2) {
+        for (at = 0; at < n; at = end) {
+            middle = at + width < n ? at + width : n;
+            end = at + 2 * width < n ? at + 2 * width : n;
+            for (i = at, j = middle, k = at; k < end; ++k)
+                to[k] = i < middle && (j == end || sfemi_mesh_before(x, from[i], from[j])) ? from[i++] : from[j++];
+        }
+        swap = from;
+        from = to;
+        to = swap;
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_real *p = x + 3 * (size_t)from[i], *q = i ? x + 3 * (size_t)from[i - 1] : p;
+        const int same = i && !(p[0] < q[0] || q[0] < p[0] || p[1] < q[1] || q[1] < p[1] || p[2] < q[2] || q[2] < p[2]);
+        first[from[i]] = same ? first[from[i - 1]] : from[i];
+    }
+done:
+    sfemi_delete(a, memory);
+    return status;
 }
 
 /* ---- components ---- */
@@ -4039,7 +4186,7 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file formats 2.2 and 4.1. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * manual, MSH file formats 2.2 and 4.1. Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
  * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
  * interactive mesh visualization software, INRIA RT-0253, 2001. */
 
@@ -6114,6 +6261,524 @@ static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
     return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
 }
 
+/* ---- surfaces: OBJ, STL, PLY, OFF ---- */
+
+typedef enum sfemi_soup_kind {
+    SFEMI_NO_SOUP, SFEMI_OBJ, SFEMI_STL, SFEMI_STL_BINARY, SFEMI_PLY, SFEMI_OFF
+} sfemi_soup_kind;
+
+typedef struct sfemi_soup {
+    sfemi_scan s;
+    sfem_surface out;
+    size_t node_room, tri_room;
+    sfem_int polygon[3]; /* first, last and next node of a polygon, which is cut into a fan */
+} sfemi_soup;
+
+static sfem_status sfemi_soup_node(sfemi_soup *r, const sfem_real x[3])
+{
+    sfem_real *grown;
+    if (r->out.nodes == INT32_MAX)
+        return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 vertices");
+    grown = (sfem_real *)sfemi_rows_grow(&r->out.allocator, r->out.x, (size_t)r->out.nodes, &r->node_room,
+                                         3 * sizeof *x);
+    if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: vertices");
+    r->out.x = grown;
+    memcpy(grown + 3 * (size_t)r->out.nodes++, x, 3 * sizeof *x);
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_soup_point(sfemi_soup *r)
+{
+    static const char *const what[3] = {"x of a vertex", "y of a vertex", "z of a vertex"};
+    sfem_real x[3];
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_status status = sfemi_scan_real(&r->s, what[c], x + c);
+        if (status != SFEM_OK) return status;
+    }
+    return sfemi_soup_node(r, x);
+}
+
+/* Corner k of a polygon; from the third on each makes a triangle. */
+static sfem_status sfemi_soup_corner(sfemi_soup *r, int64_t k, sfem_int node)
+{
+    sfem_int *grown;
+    if (k < 2) {
+        r->polygon[k] = node;
+        return SFEM_OK;
+    }
+    if (r->out.triangles == INT32_MAX / 3)
+        return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than (2^31 - 1)/3 triangles");
+    r->polygon[2] = node;
+    grown = (sfem_int *)sfemi_rows_grow(&r->out.allocator, r->out.tri, (size_t)r->out.triangles, &r->tri_room,
+                                        sizeof r->polygon);
+    if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: triangles");
+    r->out.tri = grown;
+    memcpy(grown + 3 * (size_t)r->out.triangles++, r->polygon, sizeof r->polygon);
+    r->polygon[1] = node;
+    return SFEM_OK;
+}
+
+/* f 1/2/3 4//5 -1: only the first number of each counts; negative ones count from the end. */
+static sfem_status sfemi_obj_face(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    int64_t k, v;
+    for (k = 0; status == SFEM_OK; ++k) {
+        const char *end = s->end;
+        w = sfemi_scan_peek(s);
+        if (!w.n) break;
+        for (v = 0; v < (int64_t)w.n && w.p[v] != '/'; ++v) {
+        }
+        s->end = w.p + v; /* the number ends at the slash */
+        status = sfemi_scan_integer(s, -(int64_t)r->out.nodes, r->out.nodes, "the vertex of a face", &v);
+        s->end = end;
+        if (status == SFEM_OK && v == 0)
+            status = sfemi_scan_fail(s, SFEM_FORMAT, "the vertex of a face is 0: they count from 1");
+        if (status == SFEM_OK) status = sfemi_soup_corner(r, k, (sfem_int)(v < 0 ? r->out.nodes + v : v - 1));
+        s->p = w.p + w.n;
+    }
+    if (status == SFEM_OK && k < 3) status = sfemi_scan_fail(s, SFEM_FORMAT, "a face of %d vertices", (int)k);
+    return status;
+}
+
+static sfem_status sfemi_obj_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    s->comment = '#';
+    for (sfemi_scan_space(s); s->p < s->end && status == SFEM_OK; sfemi_scan_space(s)) {
+        const sfemi_word w = sfemi_scan_word(s);
+        s->in_row = 1;
+        if (sfemi_word_is(w, "v"))
+            status = sfemi_soup_point(r);
+        else if (sfemi_word_is(w, "f"))
+            status = sfemi_obj_face(r);
+        s->in_row = 0;
+        if (status == SFEM_OK) sfemi_scan_skip_line(s); /* colours, and all that is no vertex and no face */
+    }
+    return status;
+}
+
+/* Vertices at one place become one: the first of them. */
+static sfem_status sfemi_soup_weld(sfemi_soup *r)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = r->s.err;
+    const sfem_allocator *a = &r->out.allocator;
+    sfem_int *first = NULL, n = 0, i;
+    size_t k;
+    SFEMI_NEW(sfem_int, first, a, r->out.nodes);
+    SFEMI_TRY(sfemi_mesh_weld(r->out.nodes, r->out.x, a, first, err));
+    for (i = 0; i < r->out.nodes; ++i) {
+        if (first[i] < i) {
+            first[i] = first[first[i]];
+            continue;
+        }
+        memmove(r->out.x + 3 * (size_t)n, r->out.x + 3 * (size_t)i, 3 * sizeof *r->out.x);
+        first[i] = n++;
+    }
+    for (k = 0; k < 3 * (size_t)r->out.triangles; ++k) r->out.tri[k] = first[r->out.tri[k]];
+    r->out.nodes = n;
+done:
+    sfemi_delete(a, first);
+    return status;
+}
+
+static sfem_status sfemi_stl_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    int64_t corners = 3;
+    for (sfemi_scan_space(s); s->p < s->end && status == SFEM_OK; sfemi_scan_space(s)) {
+        sfemi_word w = sfemi_scan_peek(s);
+        if (corners < 3 && !sfemi_word_is(w, "vertex")) return sfemi_scan_expected(s, "a vertex of a facet", w);
+        s->p += w.n;
+        if (sfemi_word_is(w, "solid") || sfemi_word_is(w, "endsolid") || sfemi_word_is(w, "facet"))
+            sfemi_scan_skip_line(s); /* a name, or a normal, which the vertices tell, too */
+        else if (sfemi_word_is(w, "loop"))
+            corners = 0;
+        else if (sfemi_word_is(w, "vertex") && corners < 3) {
+            status = sfemi_soup_point(r);
+            if (status == SFEM_OK) status = sfemi_soup_corner(r, corners++, r->out.nodes - 1);
+        } else if (!sfemi_word_is(w, "outer") && !sfemi_word_is(w, "endloop") && !sfemi_word_is(w, "endfacet")) {
+            s->p -= w.n;
+            return sfemi_scan_expected(s, "a facet with one loop of 3 vertices", w);
+        }
+    }
+    if (status == SFEM_OK && corners < 3) status = sfemi_scan_expected(s, "a vertex of a facet", sfemi_scan_peek(s));
+    return status == SFEM_OK ? sfemi_soup_weld(r) : status;
+}
+
+/* 80 bytes of title, a count, then for each triangle a normal and 3 vertices of floats, and 2 bytes. */
+static sfem_status sfemi_stl_read_binary(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    uint64_t count = 0, i;
+    int k;
+    s->start = s->p;
+    s->order = 1;
+    s->real = 4;
+    SFEMI_TRY(sfemi_scan_skip_bytes(s, 80, "80 bytes of title"));
+    SFEMI_TRY(sfemi_scan_bits(s, 4, "the count of triangles", &count));
+    if (count > (uint64_t)(s->end - s->p) / 50)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "there are %lld triangles, more than the rest of the data can hold",
+                               (long long)count);
+    for (i = 0; i < count; ++i) {
+        s->p += 12;
+        for (k = 0; k < 3; ++k) {
+            SFEMI_TRY(sfemi_soup_point(r));
+            SFEMI_TRY(sfemi_soup_corner(r, k, r->out.nodes - 1));
+        }
+        s->p += 2;
+    }
+    status = sfemi_soup_weld(r);
+done:
+    return status;
+}
+
+/* OFF, with colours, normals and the like, which stand behind what counts in each line. */
+static sfem_status sfemi_off_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfem_int nodes = 0, faces = 0, i;
+    int64_t corners, k, v;
+    sfemi_word w;
+    s->comment = '#';
+    w = sfemi_scan_word(s);
+    if (w.p[0] == '4')
+        return sfemi_scan_fail(s, SFEM_FORMAT, "OFF of other than 3 dimensions");
+    w = sfemi_scan_peek(s);
+    if (sfemi_word_is(w, "BINARY"))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "binary OFF is not read: write it as text, or as PLY");
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of vertices", &nodes));
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of faces", &faces));
+    sfemi_scan_skip_line(s); /* the count of edges */
+    for (i = 0; i < nodes; ++i) {
+        sfemi_scan_space(s);
+        s->in_row = 1;
+        SFEMI_TRY(sfemi_soup_point(r));
+        s->in_row = 0;
+        sfemi_scan_skip_line(s);
+    }
+    for (i = 0; i < faces; ++i) {
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the count of a face's vertices", &corners));
+        s->in_row = 1;
+        for (k = 0; k < corners; ++k) {
+            SFEMI_TRY(sfemi_scan_integer(s, 0, (int64_t)nodes - 1, "the vertex of a face", &v));
+            SFEMI_TRY(sfemi_soup_corner(r, k, (sfem_int)v));
+        }
+        s->in_row = 0;
+        sfemi_scan_skip_line(s);
+    }
+done:
+    return status;
+}
+
+enum { SFEMI_PLY_PROPERTIES = 64, SFEMI_PLY_ELEMENTS = 16 };
+
+typedef struct sfemi_ply {
+    struct {
+        char role; /* 'x' 'y' 'z' coordinates, 'f' the vertices of a face, 0 passed over */
+        unsigned char type, count; /* place in sfemi_ply_types; count: of a list's length, else 0 */
+    } property[SFEMI_PLY_PROPERTIES];
+    struct {
+        char kind; /* 'v' vertices, 'f' faces, 0 others */
+        int first, end;
+        int64_t rows;
+    } element[SFEMI_PLY_ELEMENTS];
+    int elements, properties, order;
+    sfem_int nodes;
+} sfemi_ply;
+
+/* Place 0 is none; odd places are old names, even ones new names of the same type. */
+static const struct {
+    const char *name;
+    unsigned char bytes;
+    char kind; /* i signed, u unsigned, f real */
+} sfemi_ply_types[17] = {{"", 0, 0},          {"char", 1, 'i'},    {"int8", 1, 'i'},    {"uchar", 1, 'u'},
+                         {"uint8", 1, 'u'},   {"short", 2, 'i'},   {"int16", 2, 'i'},   {"ushort", 2, 'u'},
+                         {"uint16", 2, 'u'},  {"int", 4, 'i'},     {"int32", 4, 'i'},   {"uint", 4, 'u'},
+                         {"uint32", 4, 'u'},  {"float", 4, 'f'},   {"float32", 4, 'f'}, {"double", 8, 'f'},
+                         {"float64", 8, 'f'}};
+
+static sfem_status sfemi_ply_type(sfemi_scan *s, unsigned char *type)
+{
+    const sfemi_word w = sfemi_scan_peek(s);
+    for (*type = 1; *type < 17; ++*type)
+        if (sfemi_word_is(w, sfemi_ply_types[*type].name)) break;
+    if (*type == 17) return sfemi_scan_expected(s, "a type of PLY", w);
+    s->p += w.n;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_ply_property(sfemi_scan *s, sfemi_ply *y)
+{
+    const int i = y->properties, e = y->elements - 1;
+    sfem_status status;
+    sfemi_word w;
+    if (e < 0) return sfemi_scan_fail(s, SFEM_FORMAT, "a property before any element");
+    if (i == SFEMI_PLY_PROPERTIES)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "more than %d properties", (int)SFEMI_PLY_PROPERTIES);
+    w = sfemi_scan_peek(s);
+    y->property[i].count = 0;
+    y->property[i].role = 0;
+    if (sfemi_word_is(w, "list")) {
+        s->p += w.n;
+        status = sfemi_ply_type(s, &y->property[i].count);
+        if (status != SFEM_OK) return status;
+        if (sfemi_ply_types[y->property[i].count].kind == 'f')
+            return sfemi_scan_fail(s, SFEM_FORMAT, "the length of a list is no whole number");
+    }
+    status = sfemi_ply_type(s, &y->property[i].type);
+    if (status != SFEM_OK) return status;
+    w = sfemi_scan_word(s);
+    if (y->element[e].kind == 'v' && !y->property[i].count && w.n == 1 && (w.p[0] >= 'x' && w.p[0] <= 'z'))
+        y->property[i].role = w.p[0];
+    if (y->element[e].kind == 'f' && y->property[i].count &&
+        (sfemi_word_is(w, "vertex_indices") || sfemi_word_is(w, "vertex_index")))
+        y->property[i].role = 'f';
+    if (y->property[i].role == 'f' && sfemi_ply_types[y->property[i].type].kind == 'f')
+        return sfemi_scan_fail(s, SFEM_FORMAT, "the vertices of a face are no whole numbers");
+    y->element[e].end = ++y->properties;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_ply_element(sfemi_scan *s, sfemi_ply *y)
+{
+    const int e = y->elements;
+    const sfemi_word w = sfemi_scan_word(s);
+    if (e == SFEMI_PLY_ELEMENTS)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "more than %d elements", (int)SFEMI_PLY_ELEMENTS);
+    y->element[e].kind = (char)(sfemi_word_is(w, "vertex") ? 'v' : sfemi_word_is(w, "face") ? 'f' : 0);
+    y->element[e].first = y->element[e].end = y->properties;
+    y->elements = e + 1;
+    return sfemi_scan_integer(s, 0, INT32_MAX, "the count of an element", &y->element[e].rows);
+}
+
+static sfem_status sfemi_ply_header(sfemi_scan *s, sfemi_ply *y)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    sfemi_scan_skip_line(s); /* ply */
+    y->order = -1;
+    for (;;) {
+        w = sfemi_scan_peek(s);
+        if (!w.n) return sfemi_scan_expected(s, "end_header", w);
+        s->p += w.n;
+        if (sfemi_word_is(w, "end_header")) break;
+        s->in_row = 1;
+        if (sfemi_word_is(w, "format")) {
+            w = sfemi_scan_peek(s);
+            y->order = sfemi_word_is(w, "ascii") ? 0 : sfemi_word_is(w, "binary_little_endian") ? 1
+                       : sfemi_word_is(w, "binary_big_endian") ? 2 : -1;
+            if (y->order < 0) return sfemi_scan_expected(s, "ascii or binary_little_endian or binary_big_endian", w);
+        } else if (sfemi_word_is(w, "element"))
+            SFEMI_TRY(sfemi_ply_element(s, y));
+        else if (sfemi_word_is(w, "property"))
+            SFEMI_TRY(sfemi_ply_property(s, y));
+        else if (!sfemi_word_is(w, "comment") && !sfemi_word_is(w, "obj_info")) {
+            s->p -= w.n;
+            return sfemi_scan_expected(s, "a line of PLY's header", w);
+        }
+        s->in_row = 0;
+        sfemi_scan_skip_line(s);
+    }
+    if (y->order < 0) return sfemi_scan_fail(s, SFEM_FORMAT, "the header does not name its format");
+    sfemi_scan_skip_line(s);
+done:
+    return status;
+}
+
+/* A whole number of the type, from text or binary. */
+static sfem_status sfemi_ply_integer(sfemi_scan *s, unsigned char type, int64_t high, const char *what, int64_t *out)
+{
+    const int bytes = sfemi_ply_types[type].bytes;
+    const char *before = s->p;
+    uint64_t bits = 0;
+    sfem_status status;
+    if (!s->order) return sfemi_scan_integer(s, 0, high, what, out);
+    status = sfemi_scan_bits(s, bytes, what, &bits);
+    if (status != SFEM_OK) return status;
+    *out = (int64_t)bits;
+    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) *out -= (int64_t)1 << 8 * bytes;
+    s->p = before;
+    status = sfemi_scan_range(s, *out, 0, high, what);
+    if (status == SFEM_OK) s->p += bytes;
+    return status;
+}
+
+/* A coordinate: a real, or a whole number in binary. */
+static sfem_status sfemi_ply_real(sfemi_scan *s, unsigned char type, sfem_real *x)
+{
+    int64_t v = 0;
+    uint64_t bits = 0;
+    const int bytes = sfemi_ply_types[type].bytes;
+    sfem_status status;
+    if (!s->order || sfemi_ply_types[type].kind == 'f') {
+        s->real = bytes;
+        return sfemi_scan_real(s, "a coordinate of a vertex", x);
+    }
+    status = sfemi_scan_bits(s, bytes, "a coordinate of a vertex", &bits);
+    v = (int64_t)bits;
+    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) v -= (int64_t)1 << 8 * bytes;
+    *x = (sfem_real)v;
+    return status;
+}
+
+static sfem_status sfemi_ply_pass(sfemi_scan *s, unsigned char type, int64_t count)
+{
+    if (!s->order) return sfemi_scan_skip_words(s, count, "a property");
+    return sfemi_scan_skip_bytes(s, (uint64_t)count * sfemi_ply_types[type].bytes, "a property");
+}
+
+static sfem_status sfemi_ply_row(sfemi_soup *r, const sfemi_ply *y, int e)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status = SFEM_OK;
+    sfem_real x[3] = {0, 0, 0};
+    int i;
+    for (i = y->element[e].first; i < y->element[e].end; ++i) {
+        const char role = y->property[i].role;
+        const unsigned char type = y->property[i].type;
+        int64_t k, v, n = 1;
+        if (y->property[i].count)
+            SFEMI_TRY(sfemi_ply_integer(s, y->property[i].count, INT32_MAX, "the length of a list", &n));
+        if (!role)
+            SFEMI_TRY(sfemi_ply_pass(s, type, n));
+        else if (role != 'f')
+            SFEMI_TRY(sfemi_ply_real(s, type, x + (role - 'x')));
+        else
+            for (k = 0; k < n; ++k) {
+                SFEMI_TRY(sfemi_ply_integer(s, type, (int64_t)y->nodes - 1, "the vertex of a face", &v));
+                SFEMI_TRY(sfemi_soup_corner(r, k, (sfem_int)v));
+            }
+    }
+    if (y->element[e].kind == 'v') status = sfemi_soup_node(r, x);
+done:
+    return status;
+}
+
+static sfem_status sfemi_ply_read(sfemi_soup *r)
+{
+    sfemi_scan *s = &r->s;
+    const char *start = s->p;
+    sfem_status status;
+    sfemi_ply y;
+    int64_t k;
+    int e, i, roles;
+    memset(&y, 0, sizeof y);
+    SFEMI_TRY(sfemi_ply_header(s, &y));
+    for (e = 0; e < y.elements; ++e) {
+        if (y.element[e].kind != 'v') continue;
+        for (roles = 0, i = y.element[e].first; i < y.element[e].end; ++i) roles += y.property[i].role != 0;
+        if (roles != 3 || y.nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "expected one element vertex with x, y and z");
+        y.nodes = (sfem_int)y.element[e].rows;
+    }
+    if (y.order) s->start = start;
+    s->order = y.order;
+    for (e = 0; e < y.elements; ++e) {
+        if (y.element[e].first == y.element[e].end) continue; /* rows of nothing */
+        for (k = 0; k < y.element[e].rows; ++k) SFEMI_TRY(sfemi_ply_row(r, &y, e));
+    }
+    if (r->out.nodes < y.nodes) status = sfemi_scan_fail(s, SFEM_FORMAT, "vertices are missing");
+done:
+    return status;
+}
+
+/* Which kind of surface the data is; path, which may be NULL, decides where the data does not. */
+static sfemi_soup_kind sfemi_soup_find(const void *data, size_t bytes, const char *path)
+{
+    const unsigned char *b = (const unsigned char *)data;
+    const size_t length = path ? strlen(path) : 0;
+    sfemi_scan s = sfemi_scan_of(data, bytes, NULL);
+    sfemi_word w, tail;
+    static const char *const obj[] = {"v", "vn", "vt", "f", "o", "g", "s", "mtllib", "usemtl"};
+    size_t i;
+    if (bytes >= 84) {
+        const uint64_t count = b[80] | (uint64_t)b[81] << 8 | (uint64_t)b[82] << 16 | (uint64_t)b[83] << 24;
+        if (bytes == 84 + 50 * count && count) return SFEMI_STL_BINARY; /* although it may begin with "solid" */
+    }
+    s.comment = '#';
+    w = sfemi_scan_peek(&s);
+    if (sfemi_word_is(w, "solid")) return SFEMI_STL;
+    if (sfemi_word_is(w, "ply")) return SFEMI_PLY;
+    tail.n = 3;
+    tail.p = w.p + w.n - (w.n < 3 ? w.n : 3);
+    if (w.n >= 3 && w.n <= 7 && sfemi_word_is(tail, "OFF")) return SFEMI_OFF;
+    for (i = 0; i < sizeof obj / sizeof *obj; ++i)
+        if (sfemi_word_is(w, obj[i])) return SFEMI_OBJ;
+    if (length < 4) return SFEMI_NO_SOUP;
+    tail.n = 4;
+    tail.p = path + length - 4;
+    if (sfemi_word_is(tail, ".obj")) return SFEMI_OBJ;
+    return sfemi_word_is(tail, ".stl") ? SFEMI_STL_BINARY : SFEMI_NO_SOUP;
+}
+
+static sfem_status sfemi_surface_parse(const void *data, size_t bytes, const char *path, const sfem_allocator *a,
+                                       sfem_surface *out, sfem_error *err)
+{
+    sfem_status status;
+    sfemi_soup r;
+    char begin[25];
+    memset(&r, 0, sizeof r);
+    r.s = sfemi_scan_of(data, bytes, err);
+    r.out.allocator = *a;
+    switch (sfemi_soup_find(data, bytes, path)) {
+    case SFEMI_OBJ: status = sfemi_obj_read(&r); break;
+    case SFEMI_STL: status = sfemi_stl_read(&r); break;
+    case SFEMI_STL_BINARY: status = sfemi_stl_read_binary(&r); break;
+    case SFEMI_PLY: status = sfemi_ply_read(&r); break;
+    case SFEMI_OFF: status = sfemi_off_read(&r); break;
+    default:
+        status = bytes ? sfemi_scan_fail(&r.s, SFEM_FORMAT,
+                                         "only the surfaces .obj, .stl, .ply and .off are read, this begins with '%s'",
+                                         sfemi_word_text(sfemi_scan_peek(&r.s), begin))
+                       : sfemi_scan_fail(&r.s, SFEM_FORMAT, "there is no data");
+    }
+    if (status == SFEM_OK && r.out.triangles < 1)
+        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld vertices, but no faces", (long)r.out.nodes);
+    if (status == SFEM_OK)
+        *out = r.out;
+    else
+        sfem_surface_free(&r.out);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
+                                        sfem_surface *out, sfem_error *err)
+{
+    sfem_allocator a;
+    SFEM_ASSERT(out && (data || !bytes));
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    return sfemi_surface_parse(data, bytes, NULL, &a, out, err);
+}
+
+#ifndef SFEM_NO_STDIO
+SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *allocator, sfem_surface *out,
+                                       sfem_error *err)
+{
+    sfem_allocator a;
+    sfem_status status;
+    char *data = NULL;
+    size_t bytes = 0;
+    SFEM_ASSERT(path && out);
+    memset(&a, 0, sizeof a);
+    if (allocator) a = *allocator;
+    status = sfemi_file_read(path, &a, &data, &bytes, err);
+    if (status != SFEM_OK) return status;
+    status = sfemi_surface_parse(data, bytes, path, &a, out, err);
+    sfemi_delete(&a, data);
+    if (status != SFEM_OK) sfemi_file_blame(path, err);
+    return status;
+}
+#endif
+
 /* Of the file at path, which is NULL if there is none. */
 static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *path,
                                     const sfem_allocator *a, sfem_mesh *out, sfem_error *err)
@@ -6137,6 +6802,10 @@ static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *
         status = sfemi_mesh_parse_medit(&s, a, &m);
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
+    else if (sfemi_soup_find(data, bytes, path))
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
+                                 "sfem_mesh_from_surface");
     else
         status = sfemi_scan_fail(&s, SFEM_FORMAT,
                                  "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII and Vega .veg "
@@ -6489,6 +7158,1707 @@ done:
 
 #endif /* SFEM_NO_STDIO */
 #endif /* SFEM_NO_MESHIO */
+
+#ifndef SFEM_NO_MESHER
+/* ============================================================================================
+ * >>mesher   tets from a surface or a function
+ * ============================================================================================ */
+
+/* The data's way: triangles are mended and put into a tree, which tells the winding number of a point and where a
+ * segment meets triangles. A lattice is laid over the box; its points get signs, its edges cuts where signs differ;
+ * tets are made of both, numbered, and parts that hang together by a node or an edge only are separated.
+ * Each point and each cut is found by itself, and all else is done by one thread: the bits do not depend on threads.
+ *
+ * LITERATURE. Jacobson, Kavan, Sorkine-Hornung, Robust inside-outside segmentation using generalized winding numbers,
+ * ACM Trans. Graph. 32(4), 2013. Barill, Dickson, Schmidt, Levin, Jacobson, Fast winding numbers for soups and clouds,
+ * ACM Trans. Graph. 37(4), 2018. Labelle, Shewchuk, Isosurface stuffing: fast tetrahedral meshes with good dihedral
+ * angles, ACM Trans. Graph. 26(3), 2007. Van Oosterom, Strackee, The solid angle of a plane triangle, IEEE Trans.
+ * Biomed. Eng. 30, 1983. Moeller, Trumbore, Fast, minimum storage ray/triangle intersection, J. Graphics Tools 2,
+ * 1997. */
+
+/* order = 0..count-1 sorted by the numbers key[count][width] in [0, range), the first of them first; stable. */
+static sfem_status sfemi_mesher_order(const sfem_int *key, int width, sfem_int count, sfem_int range,
+                                      const sfem_allocator *a, sfem_int **order, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *other = NULL, *bucket = NULL, *swap;
+    int k;
+    SFEMI_NEW(sfem_int, *order, a, (size_t)count + 1);
+    SFEMI_NEW(sfem_int, other, a, (size_t)count + 1);
+    SFEMI_NEW(sfem_int, bucket, a, (size_t)range + 1);
+    for (k = width - 1; k >= 0; --k) {
+        sfemi_mesh_sort(key + k, (size_t)width, count, range, k == width - 1 ? NULL : other, *order, bucket);
+        swap = *order;
+        *order = other;
+        other = swap;
+    }
+    swap = *order;
+    *order = other;
+    other = swap;
+done:
+    sfemi_delete(a, other);
+    sfemi_delete(a, bucket);
+    return status;
+}
+
+/* ---- mending the triangles ---- */
+
+typedef struct sfemi_mend {
+    const sfem_surface *s;
+    sfem_allocator a;
+    sfem_int n;              /* triangles left, of which */
+    sfem_int *tri;           /* [n][3] are the nodes */
+    sfem_int *parent;        /* [n] union-find of triangles that are connected by edges of two, */
+    unsigned char *odd;      /* [n] 1 where a triangle is turned otherwise than its parent */
+    sfem_mesher_info *info;
+    sfem_error *err;
+} sfemi_mend;
+
+/* Twice the area vector of a triangle of corners. */
+static void sfemi_mend_normal(const sfem_real *a, const sfem_real *b, const sfem_real *c, sfem_real n[3])
+{
+    sfem_real u[3], v[3];
+    sfemi_sub3(b, a, u);
+    sfemi_sub3(c, a, v);
+    sfemi_cross(u, v, n);
+}
+
+static sfem_real sfemi_mend_area(const sfemi_mend *m, sfem_int t)
+{
+    const sfem_int *v = m->tri + 3 * (size_t)t;
+    sfem_real n[3];
+    sfemi_mend_normal(m->s->x + 3 * (size_t)v[0], m->s->x + 3 * (size_t)v[1], m->s->x + 3 * (size_t)v[2], n);
+    return sqrt(sfemi_dot3(n, n));
+}
+
+static sfem_status sfemi_mend_check(const sfem_surface *s, sfem_error *err)
+{
+    size_t k;
+    sfem_int i;
+    int c;
+    if (s->nodes < 0 || s->triangles < 0)
+        return sfemi_fail(err, SFEM_BAD_MESH, "the surface has %ld vertices and %ld triangles: counts cannot be negative",
+                          (long)s->nodes, (long)s->triangles);
+    if (s->triangles < 1) return sfemi_fail(err, SFEM_BAD_MESH, "the surface has no triangles");
+    if (!s->x || !s->tri)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the surface has no vertices of its own: set x and nodes, in the surface of a mesh to the mesh's");
+    for (k = 0; k < 3 * (size_t)s->triangles; ++k) {
+        i = s->tri[k];
+        if (i < 0 || i >= s->nodes)
+            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names vertex %ld, not in 0 .. %ld", (long)(k / 3),
+                              (long)i, (long)s->nodes - 1);
+        for (c = 0; c < 3; ++c)
+            if (!sfemi_finite(s->x[3 * (size_t)i + (size_t)c]))
+                return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "vertex %ld of the surface is not finite", (long)i);
+    }
+    return SFEM_OK;
+}
+
+/* The triangles by welded nodes, without those that have no area. */
+static sfem_status sfemi_mend_collect(sfemi_mend *m)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = m->err;
+    const sfem_surface *s = m->s;
+    sfem_int *first = NULL, t;
+    int k;
+    SFEMI_NEW(sfem_int, first, &m->a, s->nodes);
+    SFEMI_NEW(sfem_int, m->tri, &m->a, 3 * (size_t)s->triangles);
+    SFEMI_TRY(sfemi_mesh_weld(s->nodes, s->x, &m->a, first, err));
+    for (t = 0; t < s->triangles; ++t) {
+        sfem_int *v = m->tri + 3 * (size_t)m->n;
+        sfem_real longest = 0, e[3];
+        for (k = 0; k < 3; ++k) v[k] = first[s->tri[3 * (size_t)t + (size_t)k]];
+        for (k = 0; k < 3; ++k) {
+            sfemi_sub3(s->x + 3 * (size_t)v[k], s->x + 3 * (size_t)v[(k + 1) % 3], e);
+            longest = fmax(longest, sfemi_dot3(e, e));
+        }
+        if (v[0] == v[1] || v[1] == v[2] || v[2] == v[0] || sfemi_mend_area(m, m->n) <= 1e-15 * longest)
+            ++m->info->degenerate;
+        else
+            ++m->n;
+    }
+    if (m->n < 1) status = sfemi_fail(err, SFEM_BAD_MESH, "none of the surface's triangles has an area");
+done:
+    sfemi_delete(&m->a, first);
+    return status;
+}
+
+/* Of equal triangles the first is kept, and the first that is turned the other way: what both enclose cancels. Where
+ * most triangles are of such pairs, the surface has two sides on purpose, and one is kept. */
+static sfem_status sfemi_mend_doubled(sfemi_mend *m)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = m->err;
+    sfem_int *key = NULL, *order = NULL, i, j, t, pairs = 0, kept = 0;
+    unsigned char *drop = NULL, *sense = NULL;
+    SFEMI_NEW(sfem_int, key, &m->a, 3 * (size_t)m->n);
+    SFEMI_NEW(unsigned char, drop, &m->a, m->n);
+    SFEMI_NEW(unsigned char, sense, &m->a, m->n);
+    for (t = 0; t < m->n; ++t) {
+        sfem_int tet[4];
+        tet[0] = 0;
+        memcpy(tet + 1, m->tri + 3 * (size_t)t, 3 * sizeof *tet);
+        sense[t] = sfemi_mesh_face_key(tet, 0, key + 3 * (size_t)t);
+    }
+    SFEMI_TRY(sfemi_mesher_order(key, 3, m->n, m->s->nodes, &m->a, &order, err));
+    for (i = 0; i < m->n; i = j) {
+        sfem_int seen[2] = {0, 0};
+        for (j = i; j < m->n; ++j) {
+            t = order[j];
+            if (memcmp(key + 3 * (size_t)t, key + 3 * (size_t)order[i], 3 * sizeof *key)) break;
+            drop[t] = (unsigned char)(seen[sense[t]] ? 1 : seen[!sense[t]] ? 2 : 0); /* 2: the other of a pair */
+            pairs += drop[t] == 2;
+            kept += drop[t] != 1;
+            seen[sense[t]] = 1;
+        }
+    }
+    for (i = 0, t = 0; t < m->n; ++t) {
+        if (drop[t] == 1 || (drop[t] == 2 && 4 * (int64_t)pairs > kept)) continue;
+        memmove(m->tri + 3 * (size_t)i++, m->tri + 3 * (size_t)t, 3 * sizeof *m->tri);
+    }
+    m->info->doubled = m->n - i;
+    m->n = i;
+done:
+    sfemi_delete(&m->a, key);
+    sfemi_delete(&m->a, order);
+    sfemi_delete(&m->a, drop);
+    sfemi_delete(&m->a, sense);
+    return status;
+}
+
+/* The root of a triangle, and whether it is turned otherwise; the path is shortened. */
+static sfem_int sfemi_mend_root(sfemi_mend *m, sfem_int t, unsigned char *odd)
+{
+    sfem_int root = t, next;
+    unsigned char sum = 0, before;
+    for (; m->parent[root] != root; root = m->parent[root]) sum ^= m->odd[root];
+    *odd = sum;
+    for (; m->parent[t] != root && t != root; t = next) {
+        next = m->parent[t];
+        before = m->odd[t];
+        m->parent[t] = root;
+        m->odd[t] = sum;
+        sum ^= before;
+    }
+    return root;
+}
+
+/* Joins triangles at edges that two of them share; counts edges of one. */
+static sfem_status sfemi_mend_join(sfemi_mend *m)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = m->err;
+    sfem_int *key = NULL, *order = NULL, edges = 3 * m->n, i, j;
+    SFEMI_NEW(sfem_int, key, &m->a, 2 * (size_t)edges);
+    for (i = 0; i < edges; ++i) {
+        const sfem_int p = m->tri[i], q = m->tri[i % 3 == 2 ? i - 2 : i + 1];
+        key[2 * (size_t)i] = p < q ? p : q;
+        key[2 * (size_t)i + 1] = p < q ? q : p;
+    }
+    SFEMI_TRY(sfemi_mesher_order(key, 2, edges, m->s->nodes, &m->a, &order, err));
+    for (i = 0; i < edges; i = j) {
+        for (j = i + 1; j < edges; ++j)
+            if (memcmp(key + 2 * (size_t)order[j], key + 2 * (size_t)order[i], 2 * sizeof *key)) break;
+        m->info->open_edges += j == i + 1;
+        if (j == i + 2) { /* both run the same way along it: one of them is turned otherwise */
+            const sfem_int e = order[i], f = order[i + 1];
+            unsigned char odd[2];
+            const sfem_int p = sfemi_mend_root(m, e / 3, odd), q = sfemi_mend_root(m, f / 3, odd + 1);
+            if (p == q) continue; /* a Moebius strip cannot be turned right: what came first counts */
+            m->parent[p > q ? p : q] = p > q ? q : p;
+            m->odd[p > q ? p : q] = (unsigned char)(odd[0] ^ odd[1] ^ (m->tri[e] == m->tri[f]));
+        }
+    }
+done:
+    sfemi_delete(&m->a, key);
+    sfemi_delete(&m->a, order);
+    return status;
+}
+
+/* Turns the smaller area of each connected part. */
+static sfem_status sfemi_mend_turn(sfemi_mend *m)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = m->err;
+    sfem_real *area = NULL;
+    sfem_int t;
+    SFEMI_NEW(sfem_int, m->parent, &m->a, m->n);
+    SFEMI_NEW(unsigned char, m->odd, &m->a, m->n);
+    SFEMI_NEW(sfem_real, area, &m->a, 2 * (size_t)m->n);
+    for (t = 0; t < m->n; ++t) m->parent[t] = t;
+    SFEMI_TRY(sfemi_mend_join(m));
+    for (t = 0; t < m->n; ++t) {
+        unsigned char odd;
+        const sfem_int root = sfemi_mend_root(m, t, &odd);
+        area[2 * (size_t)root + odd] += sfemi_mend_area(m, t);
+    }
+    for (t = 0; t < m->n; ++t) {
+        unsigned char odd;
+        const sfem_int root = sfemi_mend_root(m, t, &odd);
+        sfem_int *v = m->tri + 3 * (size_t)t, swap = v[1];
+        if (odd != (area[2 * (size_t)root + 1] > area[2 * (size_t)root] * (1 + 1e-12))) {
+            v[1] = v[2];
+            v[2] = swap;
+            ++m->info->flipped;
+        }
+    }
+done:
+    sfemi_delete(&m->a, area);
+    return status;
+}
+
+/* ---- the tree of triangles ---- */
+
+typedef struct sfemi_bvh_node {
+    sfem_real box[2][3];
+    sfem_real centre[3], dipole[3], reach; /* sum of area vectors, at their centre; valid beyond reach, squared */
+    sfem_int skip;         /* the node behind this one and its children, which stand directly after it */
+    sfem_int first, count; /* triangles of a leaf; count is 0 elsewhere */
+} sfemi_bvh_node;
+
+typedef struct sfemi_bvh {
+    sfem_real *corner;     /* [triangles][3][3] */
+    sfemi_bvh_node *node; /* [nodes] */
+    sfem_int nodes, triangles;
+} sfemi_bvh;
+
+enum { SFEMI_BVH_LEAF = 4, SFEMI_BVH_DEEP = 48 };
+
+/* A dipole stands for the triangles of a node from this many of its radii on: the error of a winding number stayed
+ * below 0.02 on closed surfaces of 1000 to 70 000 triangles, where 0.5 decides. */
+#define SFEMI_BVH_FAR 2.5
+
+static void sfemi_bvh_box(const sfem_real *corner, sfem_int count, sfem_real box[2][3])
+{
+    size_t i;
+    int c;
+    for (c = 0; c < 3; ++c) box[0][c] = HUGE_VAL, box[1][c] = -HUGE_VAL;
+    for (i = 0; i < 9 * (size_t)count; i += 3)
+        for (c = 0; c < 3; ++c) {
+            box[0][c] = fmin(box[0][c], corner[i + (size_t)c]);
+            box[1][c] = fmax(box[1][c], corner[i + (size_t)c]);
+        }
+}
+
+/* Box, dipole and reach of the triangles. */
+static void sfemi_bvh_sum(sfemi_bvh_node *v, const sfem_real *corner, sfem_int count)
+{
+    sfem_real weight = 0, far2 = 0;
+    sfem_int t;
+    int c, k;
+    sfemi_bvh_box(corner, count, v->box);
+    for (c = 0; c < 3; ++c) v->centre[c] = v->dipole[c] = 0;
+    for (t = 0; t < count; ++t) {
+        const sfem_real *p = corner + 9 * (size_t)t;
+        sfem_real n[3], area;
+        sfemi_mend_normal(p, p + 3, p + 6, n);
+        area = sqrt(sfemi_dot3(n, n));
+        weight += area;
+        for (c = 0; c < 3; ++c) {
+            v->dipole[c] += 0.5 * n[c];
+            v->centre[c] += area * (p[c] + p[3 + c] + p[6 + c]) / 3;
+        }
+    }
+    for (c = 0; c < 3; ++c) v->centre[c] /= weight;
+    for (t = 0; t < count; ++t)
+        for (k = 0; k < 9; k += 3) {
+            sfem_real d[3];
+            sfemi_sub3(corner + 9 * (size_t)t + k, v->centre, d);
+            far2 = fmax(far2, sfemi_dot3(d, d));
+        }
+    v->reach = SFEMI_BVH_FAR * SFEMI_BVH_FAR * far2;
+}
+
+/* Moves triangles whose centres are below the middle of all centres to the front; returns how many. */
+static sfem_int sfemi_bvh_split(sfem_real *corner, sfem_int count, int depth)
+{
+    sfem_real low[3], high[3], middle;
+    sfem_int i, t;
+    int c, k, axis = 0;
+    if (depth >= SFEMI_BVH_DEEP) return count / 2;
+    for (c = 0; c < 3; ++c) low[c] = HUGE_VAL, high[c] = -HUGE_VAL;
+    for (t = 0; t < count; ++t)
+        for (c = 0; c < 3; ++c) {
+            const sfem_real *p = corner + 9 * (size_t)t + c, x = p[0] + p[3] + p[6];
+            low[c] = fmin(low[c], x);
+            high[c] = fmax(high[c], x);
+        }
+    for (c = 1; c < 3; ++c)
+        if (high[c] - low[c] > high[axis] - low[axis]) axis = c;
+    middle = 0.5 * (low[axis] + high[axis]);
+    for (i = 0, t = 0; t < count; ++t) {
+        sfem_real *p = corner + 9 * (size_t)t, *q = corner + 9 * (size_t)i;
+        if (!(p[axis] + p[3 + axis] + p[6 + axis] < middle)) continue;
+        for (k = 0; k < 9; ++k) {
+            const sfem_real x = p[k];
+            p[k] = q[k];
+            q[k] = x;
+        }
+        ++i;
+    }
+    return i > 0 && i < count ? i : count / 2;
+}
+
+/* Calls itself at most 80 deep: from SFEMI_BVH_DEEP on every split halves. */
+static void sfemi_bvh_build(sfemi_bvh *tree, sfem_int first, sfem_int count, int depth)
+{
+    sfemi_bvh_node *v = tree->node + tree->nodes++;
+    sfem_real *corner = tree->corner + 9 * (size_t)first;
+    sfemi_bvh_sum(v, corner, count);
+    v->first = first;
+    v->count = count <= SFEMI_BVH_LEAF ? count : 0;
+    if (!v->count) {
+        const sfem_int half = sfemi_bvh_split(corner, count, depth);
+        sfemi_bvh_build(tree, first, half, depth + 1);
+        sfemi_bvh_build(tree, first + half, count - half, depth + 1);
+    }
+    v->skip = tree->nodes;
+}
+
+/* The solid angle of a triangle seen from p, positive from behind it.          [van Oosterom, Strackee 1983] */
+static sfem_real sfemi_bvh_angle(const sfem_real *corner, const sfem_real p[3])
+{
+    sfem_real a[3], b[3], c[3], n[3], la, lb, lc, below;
+    sfemi_sub3(corner, p, a);
+    sfemi_sub3(corner + 3, p, b);
+    sfemi_sub3(corner + 6, p, c);
+    la = sqrt(sfemi_dot3(a, a));
+    lb = sqrt(sfemi_dot3(b, b));
+    lc = sqrt(sfemi_dot3(c, c));
+    sfemi_cross(b, c, n);
+    below = la * lb * lc + sfemi_dot3(a, b) * lc + sfemi_dot3(b, c) * la + sfemi_dot3(c, a) * lb;
+    return 2 * atan2(sfemi_dot3(a, n), below);
+}
+
+/* The winding number of the triangles about p: w = sum of solid angles / 4 pi.  [Jacobson et al. 2013; Barill 2018] */
+static sfem_real sfemi_bvh_winding(const sfemi_bvh *tree, const sfem_real p[3])
+{
+    sfem_real sum = 0;
+    sfem_int i = 0, t;
+    while (i < tree->nodes) {
+        const sfemi_bvh_node *v = tree->node + i;
+        sfem_real d[3], r2;
+        sfemi_sub3(v->centre, p, d);
+        r2 = sfemi_dot3(d, d);
+        if (r2 > v->reach) {
+            sum += sfemi_dot3(v->dipole, d) / (r2 * sqrt(r2));
+            i = v->skip;
+        } else {
+            for (t = v->first; t < v->first + v->count; ++t) sum += sfemi_bvh_angle(tree->corner + 9 * (size_t)t, p);
+            ++i;
+        }
+    }
+    return sum / 12.566370614359172;
+}
+
+/* Where the segment a, a + d meets a triangle, from 0 to 1, or -1.                     [Moeller, Trumbore 1997] */
+static sfem_real sfemi_bvh_meet(const sfem_real *corner, const sfem_real a[3], const sfem_real d[3])
+{
+    const sfem_real slack = 1e-9; /* a segment through an edge meets one of the two triangles at least */
+    sfem_real e[3], f[3], p[3], q[3], s[3], det, u, v, t;
+    sfemi_sub3(corner + 3, corner, e);
+    sfemi_sub3(corner + 6, corner, f);
+    sfemi_cross(d, f, p);
+    det = sfemi_dot3(e, p);
+    if (!(fabs(det) > 0)) return -1;
+    sfemi_sub3(a, corner, s);
+    u = sfemi_dot3(s, p) / det;
+    if (!(u >= -slack && u <= 1 + slack)) return -1;
+    sfemi_cross(s, e, q);
+    v = sfemi_dot3(d, q) / det;
+    if (!(v >= -slack && u + v <= 1 + slack)) return -1;
+    t = sfemi_dot3(f, q) / det;
+    return t >= 0 && t <= 1 ? t : -1;
+}
+
+enum { SFEMI_HITS = 16 };
+
+/* The places at which a segment meets triangles, ascending; returns how many, SFEMI_HITS + 1 if too many. */
+static int sfemi_bvh_hits(const sfemi_bvh *tree, const sfem_real a[3], const sfem_real b[3],
+                           sfem_real hit[SFEMI_HITS])
+{
+    sfem_real low[3], high[3], d[3];
+    sfem_int i = 0, t;
+    int c, k, n = 0;
+    sfemi_sub3(b, a, d);
+    for (c = 0; c < 3; ++c) low[c] = fmin(a[c], b[c]), high[c] = fmax(a[c], b[c]);
+    while (i < tree->nodes) {
+        const sfemi_bvh_node *v = tree->node + i;
+        for (c = 0; c < 3; ++c)
+            if (v->box[0][c] > high[c] || v->box[1][c] < low[c]) break;
+        i = c < 3 ? v->skip : i + 1;
+        for (t = v->first; c == 3 && t < v->first + v->count; ++t) {
+            const sfem_real at = sfemi_bvh_meet(tree->corner + 9 * (size_t)t, a, d);
+            if (at < 0) continue;
+            if (n == SFEMI_HITS) return n + 1;
+            for (k = n++; k > 0 && hit[k - 1] > at; --k) hit[k] = hit[k - 1];
+            hit[k] = at;
+        }
+    }
+    return n;
+}
+
+/* ---- the solid: what is inside ---- */
+
+typedef struct sfemi_solid {
+    sfemi_bvh tree; /* or, */
+    sfem_sdf f;      /* where this is not NULL, a function */
+    void *user;
+    sfem_real box[2][3];
+    sfem_real volume, area; /* estimates, for the number of tets */
+} sfemi_solid;
+
+/* Above 0 inside; outside of the box it is below, by decree. */
+static sfem_real sfemi_solid_value(const sfemi_solid *s, const sfem_real x[3])
+{
+    sfem_real wall = HUGE_VAL, v;
+    int c;
+    for (c = 0; c < 3; ++c) wall = fmin(wall, fmin(x[c] - s->box[0][c], s->box[1][c] - x[c]));
+    if (wall < 0) return wall;
+    if (!s->f) return fabs(sfemi_bvh_winding(&s->tree, x)) - 0.5;
+    v = -s->f(x, s->user);
+    return v < wall || !sfemi_finite(v) ? v : wall;
+}
+
+static void sfemi_solid_between(const sfem_real a[3], const sfem_real b[3], sfem_real t, sfem_real x[3])
+{
+    int c;
+    for (c = 0; c < 3; ++c) x[c] = a[c] + t * (b[c] - a[c]);
+}
+
+/* Where between a and b the sign changes, for that of a is other than that of b: by halving, to 1/4096. */
+static sfem_real sfemi_solid_halve(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], int inside)
+{
+    sfem_real low = 0, high = 1, x[3];
+    int k;
+    for (k = 0; k < 12; ++k) {
+        const sfem_real t = 0.5 * (low + high);
+        sfemi_solid_between(a, b, t, x);
+        if ((sfemi_solid_value(s, x) > 0) == inside)
+            low = t;
+        else
+            high = t;
+    }
+    return 0.5 * (low + high);
+}
+
+/* The same where the value is continuous: false position, Illinois [Dowell, Jarratt 1971], halving after ten steps. */
+static sfem_real sfemi_solid_zero(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3])
+{
+    sfem_real low = 0, high = 1, x[3], fa = sfemi_solid_value(s, a), fb = sfemi_solid_value(s, b);
+    int k, side = 0;
+    for (k = 0; k < 24 && high - low > 1e-4; ++k) {
+        const sfem_real t = k < 10 ? low + (high - low) * fa / (fa - fb) : 0.5 * (low + high);
+        sfem_real f;
+        sfemi_solid_between(a, b, t, x);
+        f = sfemi_solid_value(s, x);
+        if (!(fabs(f) > 0)) return t;
+        if ((f > 0) == (fa > 0)) {
+            low = t, fa = f;
+            if (side == 1) fb *= 0.5;
+            side = 1;
+        } else {
+            high = t, fb = f;
+            if (side == -1) fa *= 0.5;
+            side = -1;
+        }
+    }
+    return 0.5 * (low + high);
+}
+
+/* The cut of an edge: a place at which it meets a triangle and passes from inside to outside. */
+static sfem_real sfemi_solid_cut(const sfemi_solid *s, const sfem_real a[3], const sfem_real b[3], int inside)
+{
+    sfem_real hit[SFEMI_HITS], x[3];
+    int n, k;
+    if (s->f) return sfemi_solid_zero(s, a, b);
+    n = sfemi_bvh_hits(&s->tree, a, b, hit);
+    if (n < 1 || n > SFEMI_HITS) return sfemi_solid_halve(s, a, b, inside); /* a hole */
+    for (k = 0; k < n - 1; ++k) {
+        if (hit[k + 1] - hit[k] < 1e-9) continue;
+        sfemi_solid_between(a, b, 0.5 * (hit[k] + hit[k + 1]), x);
+        if ((sfemi_solid_value(s, x) > 0) != inside) return hit[k];
+    }
+    return hit[n - 1];
+}
+
+/* ---- the lattice: signs, cuts, tets ---- */
+
+typedef struct sfemi_cut {
+    sfem_int a, b; /* from point a, which has it in its list, to b */
+    sfem_int node; /* of the mesh */
+    sfem_real t, x[3];
+} sfemi_cut;
+
+/* Points are numbered 2 ((i n1 + j) n2 + k) + s: corners s = 0 at i, j, k, the centres of cells s = 1 at i + 1/2.. */
+typedef struct sfemi_lattice {
+    const sfemi_solid *solid;
+    const sfem_exec *exec;
+    const sfem_allocator *a;
+    sfem_error *err;
+    int cage;
+    sfem_real h, origin[3];
+    sfem_int n[3], step[3], points; /* corners along each axis; difference of numbers along each; points in all */
+    signed char *sign;              /* [points] 1 inside, -1 outside, 0 moved onto the surface */
+    sfem_int *first, *snap;         /* [points] first own cut; cut to which it moved, or -1 */
+    sfemi_cut *cut;
+    sfem_int cuts;
+    unsigned char *mark; /* [points/2][3][4] of a cage's tets: 1 meets a triangle, 2 fills a gap */
+    sfem_int *code, tets; /* [tets][4] a point, or -1 - a cut; NULL while they are counted */
+    sfem_int *share;     /* [tets] of a cage */
+    sfem_int *at;        /* [nodes] the code of each node */
+    sfem_mesh mesh;
+    int not_finite;
+} sfemi_lattice;
+
+static void sfemi_lattice_free(sfemi_lattice *l)
+{
+    sfemi_delete(l->a, l->sign);
+    sfemi_delete(l->a, l->first);
+    sfemi_delete(l->a, l->snap);
+    sfemi_delete(l->a, l->cut);
+    sfemi_delete(l->a, l->mark);
+    sfemi_delete(l->a, l->code);
+    sfemi_delete(l->a, l->share);
+    sfemi_delete(l->a, l->at);
+    sfem_mesh_free(&l->mesh);
+}
+
+static void sfemi_lattice_indices(const sfemi_lattice *l, sfem_int p, sfem_int i[3])
+{
+    p /= 2;
+    i[2] = p % l->n[2];
+    i[1] = p / l->n[2] % l->n[1];
+    i[0] = p / l->n[2] / l->n[1];
+}
+
+static void sfemi_lattice_place(const sfemi_lattice *l, sfem_int p, sfem_real x[3])
+{
+    sfem_int i[3];
+    int c;
+    sfemi_lattice_indices(l, p, i);
+    for (c = 0; c < 3; ++c) x[c] = l->origin[c] + l->h * ((sfem_real)i[c] + 0.5 * (sfem_real)(p & 1));
+}
+
+/* The lattice for edges of length h: the box, and a cell and a half more on each side. */
+static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = l->err;
+    const sfemi_solid *s = l->solid;
+    sfem_real n[3], points = 2;
+    sfem_int i;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        n[c] = ceil((s->box[1][c] - s->box[0][c]) / h) + 4;
+        points *= n[c];
+    }
+    if (!(points <= 268435456.0))
+        return sfemi_fail(err, SFEM_TOO_LARGE,
+                          "edges of %.3g in a box of %.3g x %.3g x %.3g make a lattice of %.2g points, more than 2^28: take "
+                          "longer ones, or is there a stray vertex?",
+                          h, s->box[1][0] - s->box[0][0], s->box[1][1] - s->box[0][1], s->box[1][2] - s->box[0][2], points);
+    l->h = h;
+    l->points = (sfem_int)(points + 0.5);
+    for (c = 0; c < 3; ++c) {
+        l->n[c] = (sfem_int)(n[c] + 0.5);
+        l->origin[c] = 0.5 * (s->box[0][c] + s->box[1][c]) - 0.5 * h * (n[c] - 1);
+    }
+    l->step[2] = 2;
+    l->step[1] = 2 * l->n[2];
+    l->step[0] = l->step[1] * l->n[1];
+    SFEMI_NEW(signed char, l->sign, l->a, l->points);
+    SFEMI_NEW(sfem_int, l->first, l->a, (size_t)l->points + 1);
+    SFEMI_NEW(sfem_int, l->snap, l->a, l->points);
+    for (i = 0; i < l->points; ++i) l->snap[i] = -1;
+done:
+    return status;
+}
+
+enum { SFEMI_LATTICE_TASK = 512 }; /* points or cuts of a task */
+
+static void sfemi_lattice_sign_task(void *data, sfem_int task)
+{
+    sfemi_lattice *l = (sfemi_lattice *)data;
+    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int end = l->points - first < SFEMI_LATTICE_TASK ? l->points : first + SFEMI_LATTICE_TASK;
+    sfem_real x[3], v;
+    sfem_int p;
+    for (p = first; p < end; ++p) {
+        sfemi_lattice_place(l, p, x);
+        v = sfemi_solid_value(l->solid, x);
+        l->sign[p] = (signed char)(v > 0 ? 1 : -1);
+        if (l->solid->f && !sfemi_finite(v)) l->not_finite = 1; /* one thread only */
+    }
+}
+
+/* The points behind point p with which it has an edge of its own: 3 longer ones and, of a centre, 8 shorter ones. */
+static int sfemi_lattice_edges(const sfemi_lattice *l, sfem_int p, sfem_int to[11])
+{
+    int c, n = 0;
+    for (c = 0; c < 3; ++c) to[n++] = p + l->step[c];
+    if (p & 1)
+        for (c = 0; c < 8; ++c)
+            to[n++] = p - 1 + (c & 1 ? l->step[0] : 0) + (c & 2 ? l->step[1] : 0) + (c & 4 ? l->step[2] : 0);
+    return n;
+}
+
+static void sfemi_lattice_cut_task(void *data, sfem_int task)
+{
+    sfemi_lattice *l = (sfemi_lattice *)data;
+    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int end = l->cuts - first < SFEMI_LATTICE_TASK ? l->cuts : first + SFEMI_LATTICE_TASK;
+    sfem_real a[3], b[3];
+    sfem_int i;
+    for (i = first; i < end; ++i) {
+        sfemi_cut *cut = l->cut + i;
+        sfemi_lattice_place(l, cut->a, a);
+        sfemi_lattice_place(l, cut->b, b);
+        cut->t = sfemi_solid_cut(l->solid, a, b, l->sign[cut->a] > 0);
+        sfemi_solid_between(a, b, cut->t, cut->x);
+    }
+}
+
+/* Lists the edges whose ends have different signs, and finds where they are cut. */
+static sfem_status sfemi_lattice_cuts(sfemi_lattice *l)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = l->err;
+    sfem_int to[11], p;
+    int round, k, n;
+    for (round = 0; round < 2; ++round) {
+        if (round) SFEMI_NEW(sfemi_cut, l->cut, l->a, (size_t)l->cuts + 1);
+        for (l->cuts = 0, p = 0; p < l->points; ++p) {
+            l->first[p] = l->cuts;
+            n = sfemi_lattice_edges(l, p, to);
+            for (k = 0; k < n; ++k) {
+                if (to[k] >= l->points || l->sign[to[k]] == l->sign[p]) continue;
+                if (round) l->cut[l->cuts].a = p, l->cut[l->cuts].b = to[k];
+                ++l->cuts;
+            }
+        }
+        l->first[p] = l->cuts;
+    }
+    sfemi_run(l->exec, (l->cuts + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_cut_task, l);
+done:
+    return status;
+}
+
+static sfem_int sfemi_lattice_find(const sfemi_lattice *l, sfem_int p, sfem_int q)
+{
+    const sfem_int own = (p ^ q) & 1 ? (p & 1 ? p : q) : p < q ? p : q, other = own == p ? q : p;
+    sfem_int i = l->first[own];
+    while (l->cut[i].b != other) ++i;
+    return i;
+}
+
+/* Moves points onto cuts that are too near to them, in the order of their numbers [Labelle, Shewchuk 2007, section 3;
+ * the limits are those of its table 1 for the best angles]. Their other cuts are void: their ends no longer differ. */
+static void sfemi_lattice_warp(sfemi_lattice *l)
+{
+    static const sfem_real limit[2] = {0.24999, 0.41189}; /* of longer and shorter edges, in their lengths */
+    sfem_int to[28], i, p, nearest;
+    int k, n;
+    for (p = 0; p < l->points; ++p) {
+        sfem_real best = HUGE_VAL;
+        if (!l->sign[p]) continue;
+        n = sfemi_lattice_edges(l, p, to);
+        for (k = 0; k < 3; ++k) to[n++] = p - l->step[k];
+        for (k = 0; !(p & 1) && k < 8; ++k)
+            to[n++] = p + 1 - (k & 1 ? l->step[0] : 0) - (k & 2 ? l->step[1] : 0) - (k & 4 ? l->step[2] : 0);
+        for (k = 0, nearest = -1; k < n; ++k) {
+            const int shorter = (int)((p ^ to[k]) & 1);
+            sfem_real t;
+            if (to[k] < 0 || to[k] >= l->points || l->sign[to[k]] * l->sign[p] >= 0) continue;
+            i = sfemi_lattice_find(l, p, to[k]);
+            t = l->cut[i].a == p ? l->cut[i].t : 1 - l->cut[i].t;
+            if (t >= limit[shorter]) continue;
+            t *= shorter ? 0.8660254037844386 : 1;
+            if (t < best) best = t, nearest = i;
+        }
+        if (nearest < 0) continue;
+        l->snap[p] = nearest;
+        l->sign[p] = 0;
+    }
+}
+
+static const sfem_real *sfemi_lattice_at(const sfemi_lattice *l, sfem_int code, sfem_real x[3])
+{
+    if (code < 0) return l->cut[-1 - code].x;
+    if (l->snap[code] >= 0) return l->cut[l->snap[code]].x;
+    sfemi_lattice_place(l, code, x);
+    return x;
+}
+
+/* Puts a tet of codes down, right-handed; or counts it. */
+static void sfemi_lattice_put(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+{
+    sfem_real x[4][3];
+    sfem_int *v;
+    int left;
+    if (l->code) {
+        left = sfemi_volume6(sfemi_lattice_at(l, a, x[0]), sfemi_lattice_at(l, b, x[1]), sfemi_lattice_at(l, c, x[2]),
+                             sfemi_lattice_at(l, d, x[3])) < 0;
+        v = l->code + 4 * (size_t)l->tets;
+        v[0] = a;
+        v[1] = b;
+        v[2] = left ? d : c;
+        v[3] = left ? c : d;
+    }
+    ++l->tets;
+}
+
+/* The point of an edge from inside to p: p itself if it is on the surface, else the cut. */
+static sfem_int sfemi_lattice_end(const sfemi_lattice *l, sfem_int inside, sfem_int p)
+{
+    return l->sign[p] == 0 ? p : -1 - sfemi_lattice_find(l, inside, p);
+}
+
+/* Of the quadrilateral that the cuts of a-d and b-d leave of a face: does the diagonal start at a, rather than at b? It
+ * starts at the end of the longer cut edge; where both are of one length, at the point of even indices, so that tets on
+ * both sides agree [the parity rule of the paper]. */
+static int sfemi_lattice_diagonal(const sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int d)
+{
+    sfem_int i[3];
+    if ((a ^ b) & 1) return (int)((a ^ d) & 1);
+    sfemi_lattice_indices(l, a, i);
+    return !((i[0] + i[1] + i[2]) & 1);
+}
+
+/* A prism as three tets: its top is moved to the bottom corner by corner, in the order given. */
+static void sfemi_lattice_prism(sfemi_lattice *l, const sfem_int top[3], const sfem_int bottom[3], const int order[3])
+{
+    sfem_int v[3];
+    int k;
+    memcpy(v, top, sizeof v);
+    for (k = 0; k < 3; ++k) {
+        sfemi_lattice_put(l, v[0], v[1], v[2], bottom[order[k]]);
+        v[order[k]] = bottom[order[k]];
+    }
+}
+
+/* Two inside, c and d outside: a prism between the triangles a, ac, ad and b, bc, bd. */
+static void sfemi_lattice_wedge(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+{
+    sfem_int top[3], bottom[3];
+    sfem_real x[3], y[3], u[3], v[3];
+    const int from_b_c = sfemi_lattice_diagonal(l, b, a, c), from_b_d = sfemi_lattice_diagonal(l, b, a, d);
+    int order[3] = {0, 1, 2}; /* i before j: the diagonal from bottom i to top j */
+    top[0] = a, top[1] = sfemi_lattice_end(l, a, c), top[2] = sfemi_lattice_end(l, a, d);
+    bottom[0] = b, bottom[1] = sfemi_lattice_end(l, b, c), bottom[2] = sfemi_lattice_end(l, b, d);
+    if (from_b_c != from_b_d) {
+        order[0] = from_b_c ? 2 : 1, order[1] = 0, order[2] = from_b_c ? 1 : 2;
+    } else { /* the face on the surface is this prism's own: its shorter diagonal */
+        int swap;
+        sfemi_sub3(sfemi_lattice_at(l, bottom[1], x), sfemi_lattice_at(l, top[2], y), u);
+        sfemi_sub3(sfemi_lattice_at(l, bottom[2], x), sfemi_lattice_at(l, top[1], y), v);
+        swap = sfemi_dot3(v, v) < sfemi_dot3(u, u);
+        order[0] = from_b_c ? 0 : swap ? 2 : 1;
+        order[1] = from_b_c ? (swap ? 2 : 1) : swap ? 1 : 2;
+        order[2] = from_b_c ? (swap ? 1 : 2) : 0;
+    }
+    sfemi_lattice_prism(l, top, bottom, order);
+}
+
+/* Three inside, d outside: a prism between the cuts and a, b, c. */
+static void sfemi_lattice_stump(sfemi_lattice *l, const sfem_int in[3], sfem_int d)
+{
+    sfem_int top[3];
+    int order[3] = {0, 0, 0}, rank, i, j;
+    for (i = 0; i < 3; ++i) {
+        top[i] = sfemi_lattice_end(l, in[i], d);
+        for (rank = 0, j = 0; j < 3; ++j)
+            if (j != i) rank += sfemi_lattice_diagonal(l, in[j], in[i], d);
+        order[rank] = i;
+    }
+    sfemi_lattice_prism(l, top, in, order);
+}
+
+/* What of a lattice tet is inside: the stencils of the paper, by the number of points inside and outside. */
+static void sfemi_lattice_stencil(sfemi_lattice *l, const sfem_int p[4])
+{
+    sfem_int in[4], on[4], out[4], cut[4];
+    int ins = 0, ons = 0, outs = 0, k;
+    for (k = 0; k < 4; ++k) {
+        if (l->sign[p[k]] > 0) in[ins++] = p[k];
+        if (l->sign[p[k]] == 0) on[ons++] = p[k];
+        if (l->sign[p[k]] < 0) out[outs++] = p[k];
+    }
+    if (ins == 0) return;
+    if (outs == 0) {
+        sfemi_lattice_put(l, p[0], p[1], p[2], p[3]);
+    } else if (ins == 1) {
+        for (k = 0; k < ons; ++k) cut[k] = on[k];
+        for (k = 0; k < outs; ++k) cut[ons + k] = sfemi_lattice_end(l, in[0], out[k]);
+        sfemi_lattice_put(l, in[0], cut[0], cut[1], cut[2]);
+    } else if (ins == 3) {
+        sfemi_lattice_stump(l, in, out[0]);
+    } else if (outs == 2) {
+        sfemi_lattice_wedge(l, in[0], in[1], out[0], out[1]);
+    } else { /* a pyramid: two tets with the point on the surface */
+        const int from_a = sfemi_lattice_diagonal(l, in[0], in[1], out[0]);
+        cut[0] = sfemi_lattice_end(l, in[0], out[0]);
+        cut[1] = sfemi_lattice_end(l, in[1], out[0]);
+        sfemi_lattice_put(l, on[0], in[0], in[1], cut[from_a ? 1 : 0]);
+        sfemi_lattice_put(l, on[0], in[from_a ? 0 : 1], cut[1], cut[0]);
+    }
+}
+
+/* Tet m of the four round the face between centre p and the next one along an axis. */
+static void sfemi_lattice_tet(const sfemi_lattice *l, sfem_int p, int axis, int m, sfem_int v[4])
+{
+    const sfem_int u = l->step[(axis + 1) % 3], w = l->step[(axis + 2) % 3], base = p - 1 + l->step[axis];
+    const sfem_int q[5] = {base, base + u, base + u + w, base + w, base};
+    v[0] = p;
+    v[1] = p + l->step[axis];
+    v[2] = q[m];
+    v[3] = q[m + 1];
+}
+
+/* Calls one(l, v, at) for each tet of the lattice, at being its place in mark. */
+static void sfemi_lattice_each(sfemi_lattice *l, void (*one)(sfemi_lattice *l, const sfem_int v[4], size_t at))
+{
+    sfem_int i[3], v[4];
+    int axis, m;
+    for (i[0] = 0; i[0] < l->n[0] - 1; ++i[0])
+        for (i[1] = 0; i[1] < l->n[1] - 1; ++i[1])
+            for (i[2] = 0; i[2] < l->n[2] - 1; ++i[2]) {
+                const sfem_int p = 2 * ((i[0] * l->n[1] + i[1]) * l->n[2] + i[2]) + 1;
+                for (axis = 0; axis < 3; ++axis)
+                    for (m = 0; m < 4 && i[axis] < l->n[axis] - 2; ++m) {
+                        sfemi_lattice_tet(l, p, axis, m, v);
+                        one(l, v, ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + (size_t)m);
+                    }
+            }
+}
+
+static void sfemi_lattice_fit(sfemi_lattice *l, const sfem_int v[4], size_t at)
+{
+    (void)at;
+    sfemi_lattice_stencil(l, v);
+}
+
+/* Widens the range of the cosines of dihedral angles by those of a tet. */
+static void sfemi_lattice_angles(const sfem_real *const x[4], sfem_real cosine[2])
+{
+    sfem_real n[4][3];
+    int i, j;
+    for (i = 0; i < 4; ++i) {
+        const unsigned char *v = sfemi_mesh_face[i];
+        sfemi_mend_normal(x[v[0]], x[v[1]], x[v[2]], n[i]);
+    }
+    for (i = 0; i < 4; ++i)
+        for (j = i + 1; j < 4; ++j) { /* that of an angle between faces is minus that between their normals */
+            const sfem_real c = -sfemi_dot3(n[i], n[j]) / sqrt(sfemi_dot3(n[i], n[i]) * sfemi_dot3(n[j], n[j]));
+            cosine[0] = fmin(cosine[0], c);
+            cosine[1] = fmax(cosine[1], c);
+        }
+}
+
+/* Where a tet has an angle beyond the limits, its nodes on the surface move a tenth of the way back, moved points to
+ * their places and cuts to the middle of their edges, where all angles are good; until no tet has one. With random cuts
+ * (tests/test_mesher.c) angles of 9.3 degrees are left without it, which the bounds of the paper exclude: its order of
+ * moving points and its choice between diagonals are not known in all detail. Of smooth bodies few nodes move, if any. */
+static void sfemi_lattice_relax(sfemi_lattice *l)
+{
+    const sfem_real least = -0.9646, most = 0.9822; /* cosines of 164.7 and 10.83 degrees */
+    sfem_int t, i, moved = 1;
+    int k, c, round;
+    for (round = 0; round < 60 && moved; ++round) {
+        for (i = 0; i < l->cuts; ++i) l->cut[i].node = -1; /* or the point that was moved there, or the cut's own a */
+        for (moved = 0, t = 0; t < l->tets; ++t) {
+            const sfem_int *v = l->code + 4 * (size_t)t;
+            const sfem_real *x[4];
+            sfem_real place[4][3], cosine[2] = {1, -1};
+            for (k = 0; k < 4; ++k) x[k] = sfemi_lattice_at(l, v[k], place[k]);
+            for (k = 0; k < 4 && x[k] == place[k];) ++k;
+            if (k == 4) continue; /* a tet of the lattice */
+            sfemi_lattice_angles(x, cosine);
+            if (cosine[0] >= least && cosine[1] <= most) continue;
+            moved = 1;
+            for (k = 0; k < 4; ++k)
+                if (v[k] < 0)
+                    l->cut[-1 - v[k]].node = INT32_MAX;
+                else if (l->snap[v[k]] >= 0)
+                    l->cut[l->snap[v[k]]].node = v[k];
+        }
+        for (i = 0; i < l->cuts; ++i) {
+            sfemi_cut *cut = l->cut + i;
+            sfem_real a[3], b[3];
+            if (cut->node < 0) continue;
+            sfemi_lattice_place(l, cut->node == INT32_MAX ? cut->a : cut->node, a);
+            sfemi_lattice_place(l, cut->node == INT32_MAX ? cut->b : cut->node, b);
+            for (c = 0; c < 3; ++c) cut->x[c] += 0.1 * (0.5 * (a[c] + b[c]) - cut->x[c]);
+        }
+    }
+}
+
+/* ---- cages ---- */
+
+/* Are triangle and tet apart along the direction d? */
+static int sfemi_cage_apart(sfem_real tri[3][3], sfem_real tet[4][3], const sfem_real d[3])
+{
+    sfem_real low[2] = {HUGE_VAL, HUGE_VAL}, high[2] = {-HUGE_VAL, -HUGE_VAL};
+    const sfem_real slack = 1e-9 * (fabs(d[0]) + fabs(d[1]) + fabs(d[2]));
+    int k;
+    for (k = 0; k < 7; ++k) {
+        const sfem_real v = sfemi_dot3(k < 3 ? tri[k] : tet[k - 3], d);
+        low[k < 3] = fmin(low[k < 3], v);
+        high[k < 3] = fmax(high[k < 3], v);
+    }
+    return low[0] > high[1] + slack || low[1] > high[0] + slack;
+}
+
+/* Do they meet? By the separating axes: the normals of both, and the products of their edges. */
+static int sfemi_cage_meets(sfem_real tri[3][3], sfem_real tet[4][3])
+{
+    sfem_real e[3][3], f[3], d[3];
+    int i, j, k;
+    for (k = 0; k < 3; ++k) sfemi_sub3(tri[(k + 1) % 3], tri[k], e[k]);
+    sfemi_cross(e[0], e[1], d);
+    if (sfemi_cage_apart(tri, tet, d)) return 0;
+    for (k = 0; k < 4; ++k) {
+        const unsigned char *v = sfemi_mesh_face[k];
+        sfemi_mend_normal(tet[v[0]], tet[v[1]], tet[v[2]], d);
+        if (sfemi_cage_apart(tri, tet, d)) return 0;
+    }
+    for (i = 0; i < 4; ++i)
+        for (j = i + 1; j < 4; ++j)
+            for (k = 0; k < 3; ++k) {
+                sfemi_sub3(tet[j], tet[i], f);
+                sfemi_cross(e[k], f, d);
+                if (sfemi_cage_apart(tri, tet, d)) return 0;
+            }
+    return 1;
+}
+
+/* Marks the tets that a triangle meets, among those whose boxes it meets; all in cells, from the lattice's origin. */
+static void sfemi_cage_triangle(sfemi_lattice *l, const sfem_real *corner)
+{
+    sfem_real tri[3][3], tet[4][3], low[3], high[3];
+    sfem_int i[3], from[3], to[3], v[4];
+    int axis, c, k, m;
+    for (c = 0; c < 3; ++c) {
+        for (k = 0; k < 3; ++k) tri[k][c] = (corner[3 * k + c] - l->origin[c]) / l->h;
+        low[c] = fmin(tri[0][c], fmin(tri[1][c], tri[2][c])) - 1e-9;
+        high[c] = fmax(tri[0][c], fmax(tri[1][c], tri[2][c])) + 1e-9;
+    }
+    for (axis = 0; axis < 3; ++axis) {
+        for (c = 0; c < 3; ++c) { /* tets reach from i to i + 1, along the axis from i + 1/2 to i + 3/2 */
+            const sfem_real shift = c == axis ? 0.5 : 0;
+            from[c] = (sfem_int)floor(low[c] - shift);
+            to[c] = (sfem_int)floor(high[c] - shift);
+        }
+        for (i[0] = from[0]; i[0] <= to[0]; ++i[0])
+            for (i[1] = from[1]; i[1] <= to[1]; ++i[1])
+                for (i[2] = from[2]; i[2] <= to[2]; ++i[2]) {
+                    const sfem_int p = 2 * ((i[0] * l->n[1] + i[1]) * l->n[2] + i[2]) + 1;
+                    for (m = 0; m < 4; ++m) {
+                        unsigned char *mark = l->mark + ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + m;
+                        if (*mark) continue;
+                        sfemi_lattice_tet(l, p, axis, m, v);
+                        for (k = 0; k < 4; ++k) {
+                            sfem_int at[3];
+                            sfemi_lattice_indices(l, v[k], at);
+                            for (c = 0; c < 3; ++c) tet[k][c] = (sfem_real)at[c] + 0.5 * (sfem_real)(v[k] & 1);
+                        }
+                        if (sfemi_cage_meets(tri, tet)) *mark = 1;
+                    }
+                }
+    }
+}
+
+static int sfemi_cage_inside(const sfemi_lattice *l, const sfem_int v[4])
+{
+    int k, n = 0;
+    for (k = 0; k < 4; ++k) n += l->sign[v[k]] > 0;
+    return n;
+}
+
+/* Points of a tet that are inside, of SFEM_CAGE_LEVELS: barycentric coordinates (i + 1/4)/4, i + j + k + l = 3. Where no
+ * triangle lies between a point and the one before, and the winding number there was clear, it is not asked again: one
+ * of a hole is not. */
+static sfem_int sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3])
+{
+    sfem_real x[3], last[3] = {0, 0, 0}, hit[SFEMI_HITS], v = 0;
+    sfem_int n = 0;
+    int i, j, k, c;
+    for (i = 0; i < 4; ++i)
+        for (j = 0; j < 4 - i; ++j)
+            for (k = 0; k < 4 - i - j; ++k) {
+                const int m = 3 - i - j - k;
+                for (c = 0; c < 3; ++c)
+                    x[c] = 0.25 * ((i + 0.25) * p[0][c] + (j + 0.25) * p[1][c] + (k + 0.25) * p[2][c] + (m + 0.25) * p[3][c]);
+                if (s->f || fabs(v) < 0.25 || i + j + k == 0 || sfemi_bvh_hits(&s->tree, last, x, hit))
+                    v = sfemi_solid_value(s, x);
+                memcpy(last, x, sizeof x);
+                n += v > 0;
+            }
+    return n;
+}
+
+/* Of a function: do points of the tet lie inside, although its corners do not? Only asked next to the body. */
+static void sfemi_cage_probe(sfemi_lattice *l, const sfem_int v[4], size_t at)
+{
+    static const int side[6] = {1, -1, 1, -1, 1, -1};
+    sfem_real x[4][3];
+    int k, c, near = 0;
+    if (sfemi_cage_inside(l, v)) {
+        l->mark[at] = 1;
+        return;
+    }
+    for (k = 0; k < 4 && !near; ++k)
+        for (c = 0; c < 6; ++c) {
+            const sfem_int q = v[k] + side[c] * l->step[c / 2];
+            if (q >= 0 && q < l->points && l->sign[q] > 0) near = 1;
+        }
+    for (k = 0; k < 4; ++k) sfemi_lattice_place(l, v[k], x[k]);
+    if (near && sfemi_cage_share(l->solid, x) > 0) l->mark[at] = 1;
+}
+
+static void sfemi_lattice_enclose(sfemi_lattice *l, const sfem_int v[4], size_t at)
+{
+    const int n = sfemi_cage_inside(l, v);
+    if (!l->mark[at] && !n) return;
+    if (l->code) l->share[l->tets] = l->mark[at] || n < 4 ? -1 : SFEM_CAGE_LEVELS;
+    sfemi_lattice_put(l, v[0], v[1], v[2], v[3]);
+}
+
+/* Marks all tets round the edge of two points: what lies between them gets filled. Returns how many are new. */
+static sfem_int sfemi_cage_fill(sfemi_lattice *l, sfem_int a, sfem_int b)
+{
+    sfem_int i[3], j[3], v[4], added = 0;
+    int axis, m, c, k;
+    sfemi_lattice_indices(l, a, i);
+    for (j[0] = i[0] - 2; j[0] <= i[0] + 1; ++j[0])
+        for (j[1] = i[1] - 2; j[1] <= i[1] + 1; ++j[1])
+            for (j[2] = i[2] - 2; j[2] <= i[2] + 1; ++j[2])
+                for (axis = 0; axis < 3; ++axis)
+                    for (m = 0; m < 4; ++m) {
+                        const sfem_int p = 2 * ((j[0] * l->n[1] + j[1]) * l->n[2] + j[2]) + 1;
+                        size_t at;
+                        int found = 0;
+                        for (c = 0; c < 3; ++c)
+                            if (j[c] < 0 || j[c] > l->n[c] - (c == axis ? 3 : 2)) found = -9;
+                        if (found < 0) continue;
+                        sfemi_lattice_tet(l, p, axis, m, v);
+                        for (k = 0; k < 4; ++k) found += (v[k] == a) + (v[k] == b);
+                        at = ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + (size_t)m;
+                        if (found < 2 || l->mark[at] || sfemi_cage_inside(l, v)) continue;
+                        l->mark[at] = 2;
+                        ++added;
+                    }
+    return added;
+}
+
+/* ---- from tets of the lattice to a mesh ---- */
+
+/* The tets, by counting them first. */
+static sfem_status sfemi_lattice_emit(sfemi_lattice *l)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = l->err;
+    sfemi_delete(l->a, l->code);
+    sfemi_delete(l->a, l->share);
+    l->code = l->share = NULL;
+    l->tets = 0;
+    sfemi_lattice_each(l, l->cage ? sfemi_lattice_enclose : sfemi_lattice_fit);
+    if (l->tets > INT32_MAX / 8)
+        return sfemi_fail(err, SFEM_TOO_LARGE, "more than 2^28 tets, of edges of %.3g: take longer ones", l->h);
+    if (l->cage) SFEMI_NEW(sfem_int, l->share, l->a, (size_t)l->tets + 1);
+    SFEMI_NEW(sfem_int, l->code, l->a, 4 * (size_t)l->tets + 1);
+    l->tets = 0;
+    sfemi_lattice_each(l, l->cage ? sfemi_lattice_enclose : sfemi_lattice_fit);
+done:
+    return status;
+}
+
+/* Numbers the nodes: points of the lattice first, then cuts. */
+static sfem_status sfemi_lattice_number(sfemi_lattice *l)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = l->err;
+    sfem_int *number = NULL, nodes = 0, i;
+    size_t k;
+    sfem_real x[3];
+    SFEMI_NEW(sfem_int, number, l->a, l->points);
+    for (i = 0; i < l->cuts; ++i) l->cut[i].node = 0;
+    for (k = 0; k < 4 * (size_t)l->tets; ++k)
+        if (l->code[k] < 0)
+            l->cut[-1 - l->code[k]].node = 1;
+        else
+            number[l->code[k]] = 1;
+    for (i = 0; i < l->points; ++i) nodes += number[i];
+    for (i = 0; i < l->cuts; ++i) nodes += l->cut[i].node;
+    sfem_mesh_free(&l->mesh);
+    sfemi_delete(l->a, l->at);
+    l->at = NULL;
+    SFEMI_TRY(sfemi_mesh_new(nodes, l->tets, l->a, &l->mesh, err));
+    SFEMI_NEW(sfem_int, l->at, l->a, nodes);
+    for (nodes = 0, i = 0; i < l->points; ++i)
+        if (number[i]) number[i] = nodes, l->at[nodes++] = i;
+    for (i = 0; i < l->cuts; ++i)
+        if (l->cut[i].node) l->cut[i].node = nodes, l->at[nodes++] = -1 - i;
+    for (k = 0; k < 4 * (size_t)l->tets; ++k)
+        l->mesh.tet[k] = l->code[k] < 0 ? l->cut[-1 - l->code[k]].node : number[l->code[k]];
+    for (i = 0; i < nodes; ++i)
+        memcpy(l->mesh.x + 3 * (size_t)i, sfemi_lattice_at(l, l->at[i], x), sizeof x);
+    if (l->cage) {
+        SFEMI_NEW(sfem_int, l->mesh.region, l->a, l->tets);
+        memcpy(l->mesh.region, l->share, (size_t)l->tets * sizeof *l->share);
+    }
+done:
+    sfemi_delete(l->a, number);
+    return status;
+}
+
+/* What separates parts that hang together by a node or an edge only. */
+typedef struct sfemi_pinch {
+    sfem_mesh *m;
+    const sfem_allocator *a;
+    sfem_error *err;
+    sfem_int *mate;   /* [tets][4] the face on the other side, as 4 tet + face, or -1 */
+    sfem_int *root;   /* [tets][4] corners of one node that are connected by faces: their lowest, by union-find */
+    sfem_int *number; /* [tets][4] node of the corner, once these are separated */
+    sfem_int nodes;   /* so many then */
+    sfem_int *edge;   /* [edges] corners of faces, 3 (4 tet + face) + side, whose edges are in more than two triangles */
+    sfem_int edges;
+} sfemi_pinch;
+
+static void sfemi_pinch_free(sfemi_pinch *p)
+{
+    sfemi_delete(p->a, p->mate);
+    sfemi_delete(p->a, p->root);
+    sfemi_delete(p->a, p->number);
+    sfemi_delete(p->a, p->edge);
+}
+
+static sfem_status sfemi_pinch_mates(sfemi_pinch *p)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = p->err;
+    const sfem_int faces = 4 * p->m->tets;
+    sfem_int *key = NULL, *order = NULL, i;
+    SFEMI_NEW(sfem_int, p->mate, p->a, (size_t)faces + 1);
+    SFEMI_NEW(sfem_int, key, p->a, 3 * (size_t)faces);
+    for (i = 0; i < faces; ++i) {
+        sfemi_mesh_face_key(p->m->tet + (size_t)(i & ~3), i & 3, key + 3 * (size_t)i);
+        p->mate[i] = -1;
+    }
+    SFEMI_TRY(sfemi_mesher_order(key, 3, faces, p->m->nodes, p->a, &order, err));
+    for (i = 0; i + 1 < faces; ++i) {
+        if (memcmp(key + 3 * (size_t)order[i], key + 3 * (size_t)order[i + 1], 3 * sizeof *key)) continue;
+        p->mate[order[i]] = order[i + 1];
+        p->mate[order[i + 1]] = order[i];
+    }
+done:
+    sfemi_delete(p->a, key);
+    sfemi_delete(p->a, order);
+    return status;
+}
+
+static sfem_int sfemi_pinch_root(sfemi_pinch *p, sfem_int i)
+{
+    while (p->root[i] != i) {
+        p->root[i] = p->root[p->root[i]];
+        i = p->root[i];
+    }
+    return i;
+}
+
+/* One node for each set of tets that faces connect round it: the first set keeps the number. */
+static sfem_status sfemi_pinch_corners(sfemi_pinch *p)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = p->err;
+    const sfem_int corners = 4 * p->m->tets;
+    const sfem_int *tet = p->m->tet;
+    unsigned char *taken = NULL;
+    sfem_int i, j, k, f;
+    SFEMI_NEW(sfem_int, p->root, p->a, (size_t)corners + 1);
+    SFEMI_NEW(sfem_int, p->number, p->a, (size_t)corners + 1);
+    SFEMI_NEW(unsigned char, taken, p->a, p->m->nodes);
+    for (i = 0; i < corners; ++i) p->root[i] = i;
+    for (f = 0; f < corners; ++f) {
+        if (p->mate[f] < f) continue;
+        for (k = 0; k < 3; ++k) {
+            i = (f & ~3) + sfemi_mesh_face[f & 3][k];
+            for (j = p->mate[f] & ~3; tet[j] != tet[i];) ++j;
+            i = sfemi_pinch_root(p, i);
+            j = sfemi_pinch_root(p, j);
+            p->root[i > j ? i : j] = i > j ? j : i;
+        }
+    }
+    p->nodes = p->m->nodes;
+    for (i = 0; i < corners; ++i) {
+        j = sfemi_pinch_root(p, i);
+        if (j != i)
+            p->number[i] = p->number[j]; /* a root is lower than its corners */
+        else {
+            p->number[i] = taken[tet[i]] ? p->nodes++ : tet[i];
+            taken[tet[i]] = 1;
+        }
+    }
+done:
+    sfemi_delete(p->a, taken);
+    return status;
+}
+
+/* The edges that are in more than two triangles of the surface, by the new numbers: one entry for each triangle. */
+static sfem_status sfemi_pinch_edges(sfemi_pinch *p)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = p->err;
+    const sfem_int faces = 4 * p->m->tets;
+    sfem_int *key = NULL, *side = NULL, *order = NULL, n = 0, f, i, j, k;
+    for (f = 0; f < faces; ++f) n += p->mate[f] < 0;
+    n *= 3;
+    SFEMI_NEW(sfem_int, key, p->a, 2 * (size_t)n + 1);
+    SFEMI_NEW(sfem_int, side, p->a, (size_t)n + 1);
+    SFEMI_NEW(sfem_int, p->edge, p->a, (size_t)n + 1);
+    for (n = 0, f = 0; f < faces; ++f)
+        for (k = 0; k < 3 && p->mate[f] < 0; ++k) {
+            const unsigned char *v = sfemi_mesh_face[f & 3];
+            const sfem_int a = p->number[(f & ~3) + v[k]], b = p->number[(f & ~3) + v[(k + 1) % 3]];
+            key[2 * (size_t)n] = a < b ? a : b;
+            key[2 * (size_t)n + 1] = a < b ? b : a;
+            side[n++] = 3 * f + k;
+        }
+    SFEMI_TRY(sfemi_mesher_order(key, 2, n, p->nodes, p->a, &order, err));
+    for (i = 0; i < n; i = j) {
+        for (j = i + 1; j < n; ++j)
+            if (memcmp(key + 2 * (size_t)order[j], key + 2 * (size_t)order[i], 2 * sizeof *key)) break;
+        if (j == i + 2) continue;
+        for (k = i; k < j; ++k) p->edge[p->edges++] = side[order[k]];
+    }
+done:
+    sfemi_delete(p->a, key);
+    sfemi_delete(p->a, side);
+    sfemi_delete(p->a, order);
+    return status;
+}
+
+/* From a face on the surface through the tets round one of its edges to the surface again: how many; marks them. */
+static sfem_int sfemi_pinch_wedge(const sfemi_pinch *p, sfem_int side, unsigned char *dead)
+{
+    const sfem_int *tet = p->m->tet;
+    sfem_int f = side / 3, n = 0, a, b, k;
+    a = tet[(f & ~3) + sfemi_mesh_face[f & 3][side % 3]];
+    b = tet[(f & ~3) + sfemi_mesh_face[f & 3][(side + 1) % 3]];
+    while (f >= 0) {
+        ++n;
+        if (dead) dead[f / 4] = 1;
+        for (k = 0; k < 4; ++k) { /* the other face with both nodes: opposite one of the other nodes */
+            const sfem_int v = tet[(f & ~3) + k];
+            if (k != (f & 3) && v != a && v != b) break;
+        }
+        f = p->mate[(f & ~3) + k];
+    }
+    return n;
+}
+
+/* Takes the smallest wedge of tets out at each such edge. */
+static sfem_status sfemi_pinch_cut(sfemi_pinch *p, sfem_int *count)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = p->err;
+    unsigned char *dead = NULL;
+    const sfem_int *tet = p->m->tet;
+    sfem_int i, j, t, n = 0;
+    SFEMI_NEW(unsigned char, dead, p->a, p->m->tets);
+    for (i = 0; i < p->edges; i = j) {
+        sfem_int least = INT32_MAX, best = p->edge[i], low[2], high[2];
+        for (j = i; j < p->edges; ++j) {
+            const sfem_int f = p->edge[j] / 3, k = p->edge[j] % 3, at = j > i;
+            const sfem_int a = p->number[(f & ~3) + sfemi_mesh_face[f & 3][k]];
+            const sfem_int b = p->number[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]];
+            const sfem_int size = sfemi_pinch_wedge(p, p->edge[j], NULL);
+            low[at] = a < b ? a : b;
+            high[at] = a < b ? b : a;
+            if (at && (low[0] != low[1] || high[0] != high[1])) break;
+            if (size < least) least = size, best = p->edge[j];
+        }
+        sfemi_pinch_wedge(p, best, dead);
+    }
+    for (t = 0; t < p->m->tets; ++t) {
+        *count += dead[t];
+        if (!dead[t]) memmove(p->m->tet + 4 * (size_t)n++, tet + 4 * (size_t)t, 4 * sizeof *tet);
+    }
+    p->m->tets = n;
+done:
+    sfemi_delete(p->a, dead);
+    return status;
+}
+
+/* Gives the corners their new nodes. */
+static sfem_status sfemi_pinch_apply(sfemi_pinch *p, sfem_int *split)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = p->err;
+    sfem_mesh *m = p->m;
+    sfem_real *x = NULL;
+    size_t k;
+    *split = p->nodes - m->nodes;
+    if (!*split) return SFEM_OK;
+    SFEMI_NEW(sfem_real, x, p->a, 3 * (size_t)p->nodes);
+    for (k = 0; k < 4 * (size_t)m->tets; ++k) {
+        memcpy(x + 3 * (size_t)p->number[k], m->x + 3 * (size_t)m->tet[k], 3 * sizeof *x);
+        m->tet[k] = p->number[k];
+    }
+    sfemi_delete(&m->allocator, m->x);
+    m->x = x;
+    m->nodes = p->nodes;
+done:
+    return status;
+}
+
+/* The lattice's mesh, every edge of whose surface is in two triangles. Each round takes tets away or adds some. */
+static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
+{
+    sfem_status status;
+    sfemi_pinch p;
+    sfem_int edges, i;
+    memset(&p, 0, sizeof p);
+    SFEMI_TRY(sfemi_lattice_emit(l));
+    if (!l->cage) sfemi_lattice_relax(l);
+    SFEMI_TRY(sfemi_lattice_number(l));
+    for (;;) {
+        p.m = &l->mesh;
+        p.a = l->a;
+        p.err = l->err;
+        SFEMI_TRY(sfemi_pinch_mates(&p));
+        SFEMI_TRY(sfemi_pinch_corners(&p));
+        SFEMI_TRY(sfemi_pinch_edges(&p));
+        edges = p.edges;
+        if (!edges) break;
+        if (l->cage) {
+            for (i = 0; i < edges; ++i) {
+                const sfem_int f = p.edge[i] / 3, k = p.edge[i] % 3;
+                info->mended += sfemi_cage_fill(l, l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][k]]],
+                                                l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]]]);
+            }
+            SFEMI_TRY(sfemi_lattice_emit(l));
+            SFEMI_TRY(sfemi_lattice_number(l));
+        } else
+            SFEMI_TRY(sfemi_pinch_cut(&p, &info->mended));
+        sfemi_pinch_free(&p);
+        memset(&p, 0, sizeof p);
+    }
+    SFEMI_TRY(sfemi_pinch_apply(&p, &info->split));
+    if (l->mesh.tets) status = sfem_mesh_remove_unused(&l->mesh, NULL, l->err);
+done:
+    sfemi_pinch_free(&p);
+    return status;
+}
+
+/* Smallest and largest dihedral angle, and the volume. */
+static void sfemi_lattice_measure(const sfem_mesh *m, sfem_mesher_info *info)
+{
+    sfem_real cosine[2] = {1, -1};
+    sfem_int t;
+    int i;
+    info->volume = 0;
+    for (t = 0; t < m->tets; ++t) {
+        const sfem_real *x[4];
+        for (i = 0; i < 4; ++i) x[i] = m->x + 3 * (size_t)m->tet[4 * (size_t)t + (size_t)i];
+        sfemi_lattice_angles(x, cosine);
+        info->volume += sfemi_volume6(x[0], x[1], x[2], x[3]) / 6 *
+                        (m->region ? (sfem_real)m->region[t] / SFEM_CAGE_LEVELS : 1);
+    }
+    info->min_dihedral = acos(fmin(cosine[1], 1)) * 57.29577951308232;
+    info->max_dihedral = acos(fmax(cosine[0], -1)) * 57.29577951308232;
+}
+
+/* ---- the whole ---- */
+
+SFEM_DEF sfem_mesher_def sfem_default_mesher_def(void)
+{
+    sfem_mesher_def def;
+    memset(&def, 0, sizeof def);
+    def.tets = 5000;
+    return def;
+}
+
+static sfem_status sfemi_mesher_check(const sfem_mesher_def *def, sfem_error *err)
+{
+    if (def->mode != SFEM_FITTED && def->mode != SFEM_CAGE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode is %d, neither SFEM_FITTED nor SFEM_CAGE", (int)def->mode);
+    if (!sfemi_finite(def->size) || def->size < 0)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "size is %g, not 0 (by the number of tets) or above", def->size);
+    if (!(def->size > 0) && (def->tets < 1 || def->tets > INT32_MAX / 8))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "tets is %ld, not in 1 .. 2^28, while size is 0", (long)def->tets);
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_mesher_box(const sfemi_solid *s, sfem_error *err)
+{
+    sfem_real least = HUGE_VAL, most = 0;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        least = fmin(least, s->box[1][c] - s->box[0][c]);
+        most = fmax(most, s->box[1][c] - s->box[0][c]);
+        if (!sfemi_finite(s->box[0][c]) || !sfemi_finite(s->box[1][c]) || s->box[0][c] > s->box[1][c])
+            return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the box reaches from %g to %g along axis %d", s->box[0][c],
+                              s->box[1][c], c);
+    }
+    if (!(most >= 1e-60 && most <= 1e60)) /* products of lengths have to stay numbers */
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the body is %g across, not 1e-60 to 1e60: take another unit", most);
+    return SFEM_OK;
+}
+
+typedef struct sfemi_cage_shares {
+    const sfemi_solid *solid;
+    const sfem_mesh *mesh;
+} sfemi_cage_shares;
+
+static void sfemi_cage_share_task(void *data, sfem_int task)
+{
+    const sfemi_cage_shares *w = (const sfemi_cage_shares *)data;
+    const sfem_mesh *m = w->mesh;
+    const sfem_int first = task * 64, end = m->tets - first < 64 ? m->tets : first + 64;
+    sfem_real p[4][3];
+    sfem_int t;
+    int k;
+    for (t = first; t < end; ++t) {
+        if (m->region[t] >= 0) continue;
+        for (k = 0; k < 4; ++k) memcpy(p[k], m->x + 3 * (size_t)m->tet[4 * (size_t)t + (size_t)k], sizeof p[k]);
+        m->region[t] = sfemi_cage_share(w->solid, p);
+    }
+}
+
+/* One lattice and its mesh, for edges of length h. */
+static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, sfem_real h, sfem_mesh *out,
+                                     sfem_mesher_info *info, sfem_error *err)
+{
+    sfem_status status;
+    sfemi_lattice l;
+    sfem_int t;
+    memset(&l, 0, sizeof l);
+    l.solid = s;
+    l.exec = s->f ? NULL : &def->exec;
+    l.a = &def->allocator;
+    l.err = err;
+    l.cage = def->mode == SFEM_CAGE;
+    info->mended = info->split = 0;
+    info->size = h;
+    ++info->passes;
+    SFEMI_TRY(sfemi_lattice_lay(&l, h));
+    info->lattice = l.points;
+    sfemi_run(l.exec, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, &l);
+    if (l.not_finite) {
+        status = sfemi_fail(err, SFEM_NOT_FINITE, "a value of the function is not finite");
+        goto done;
+    }
+    if (l.cage) {
+        SFEMI_NEW(unsigned char, l.mark, l.a, 6 * (size_t)l.points);
+        for (t = 0; t < s->tree.triangles; ++t) sfemi_cage_triangle(&l, s->tree.corner + 9 * (size_t)t);
+        if (s->f) sfemi_lattice_each(&l, sfemi_cage_probe);
+    } else {
+        SFEMI_TRY(sfemi_lattice_cuts(&l));
+        sfemi_lattice_warp(&l);
+    }
+    SFEMI_TRY(sfemi_lattice_mesh(&l, info));
+    *out = l.mesh;
+    memset(&l.mesh, 0, sizeof l.mesh);
+done:
+    sfemi_lattice_free(&l);
+    return status;
+}
+
+/* The length of edges by which a volume V in an area A is likely to have n tets: 12 V/h^3 + k A/h^2 = n, where k was
+ * measured on the bodies of tests/test_mesher.c. */
+static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def *def)
+{
+    const sfem_real n = (sfem_real)def->tets, k = def->mode == SFEM_CAGE ? 9 : 6;
+    sfem_real low = 0, high = 0, h;
+    int i;
+    for (i = 0; i < 3; ++i) high = fmax(high, s->box[1][i] - s->box[0][i]);
+    for (i = 0; i < 60; ++i) {
+        h = 0.5 * (low + high);
+        if (12 * s->volume / (h * h * h) + k * s->area / (h * h) > n)
+            low = h;
+        else
+            high = h;
+    }
+    return high;
+}
+
+/* Lattices until the number of tets is right, each from what the ones before had; the best is kept. */
+static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
+                                       sfem_mesher_info *info, sfem_error *err)
+{
+    enum { PASSES = 12 };
+    const sfem_real wanted = log((sfem_real)def->tets);
+    sfem_real h = sfemi_mesher_guess(s, def), best = HUGE_VAL, low = -HUGE_VAL, high = HUGE_VAL; /* log h: too many, too few */
+    sfem_mesher_info one = *info;
+    sfem_status status = SFEM_OK;
+    sfem_mesh mesh;
+    int k;
+    memset(&mesh, 0, sizeof mesh);
+    for (k = 0; k < PASSES && best > 0.05; ++k) {
+        sfem_real off;
+        SFEMI_TRY(sfemi_mesher_pass(s, def, h, &mesh, &one, err));
+        off = mesh.tets ? log((sfem_real)mesh.tets) - wanted : -3;
+        if (off > 0)
+            low = fmax(low, log(h));
+        else
+            high = fmin(high, log(h));
+        h = log(h) + off / 2.7;
+        if (!(h > low && h < high) && high - low < 100) h = 0.5 * (low + high);
+        h = exp(h);
+        info->passes = one.passes;
+        if (fabs(off) < best && mesh.tets) {
+            best = fabs(off);
+            *info = one;
+            sfem_mesh_free(out);
+            *out = mesh;
+            memset(&mesh, 0, sizeof mesh);
+        }
+        sfem_mesh_free(&mesh);
+        if (high - low < 1e-4) break; /* the number jumps there */
+    }
+done:
+    sfem_mesh_free(&mesh);
+    return status;
+}
+
+static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
+                                     sfem_mesher_info *info, sfem_error *err)
+{
+    sfem_status status;
+    sfem_mesh mesh;
+    memset(&mesh, 0, sizeof mesh);
+    SFEMI_TRY(sfemi_mesher_box(s, err));
+    if (def->size > 0)
+        SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, &mesh, info, err));
+    else
+        SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
+    if (mesh.region) {
+        sfemi_cage_shares w;
+        w.solid = s;
+        w.mesh = &mesh;
+        sfemi_run(s->f ? NULL : &def->exec, (mesh.tets + 63) / 64, sfemi_cage_share_task, &w);
+    }
+    sfemi_lattice_measure(&mesh, info);
+    if (!mesh.tets || !(info->volume > 0))
+        status = sfemi_fail(err, SFEM_BAD_MESH,
+                            def->mode == SFEM_CAGE
+                                ? "no point of the lattice's tets is inside: an open sheet encloses nothing"
+                                : "nothing is inside at edges of %.3g: an open sheet encloses nothing; parts thinner than a "
+                                  "cell need a shorter size, or SFEM_CAGE",
+                            info->size);
+done:
+    if (status == SFEM_OK)
+        *out = mesh;
+    else
+        sfem_mesh_free(&mesh);
+    return status;
+}
+
+/* The tree of what is left of the surface; volume and area of it. */
+static sfem_status sfemi_mesher_tree(sfemi_solid *s, const sfemi_mend *m)
+{
+    sfem_status status = SFEM_OK;
+    sfem_error *err = m->err;
+    sfemi_bvh *tree = &s->tree;
+    sfem_real n[3], d[3], whole = 1;
+    size_t k;
+    int c;
+    SFEMI_NEW(sfem_real, tree->corner, &m->a, 9 * (size_t)m->n);
+    SFEMI_NEW(sfemi_bvh_node, tree->node, &m->a, 2 * (size_t)m->n);
+    for (k = 0; k < 3 * (size_t)m->n; ++k)
+        memcpy(tree->corner + 3 * k, m->s->x + 3 * (size_t)m->tri[k], 3 * sizeof *tree->corner);
+    tree->triangles = m->n;
+    sfemi_bvh_box(tree->corner, m->n, s->box);
+    SFEMI_TRY(sfemi_mesher_box(s, err)); /* before products of lengths */
+    sfemi_bvh_build(tree, 0, m->n, 0);
+    for (k = 0; k < (size_t)m->n; ++k) {
+        const sfem_real *p = tree->corner + 9 * k;
+        sfemi_mend_normal(p, p + 3, p + 6, n);
+        for (c = 0; c < 3; ++c) d[c] = p[c] - 0.5 * (s->box[0][c] + s->box[1][c]);
+        s->area += 0.5 * sqrt(sfemi_dot3(n, n));
+        s->volume += sfemi_dot3(n, d) / 6;
+    }
+    for (c = 0; c < 3; ++c) whole *= s->box[1][c] - s->box[0][c];
+    s->volume = fmin(fabs(s->volume), whole);
+done:
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sfem_surface *surface, sfem_mesh *out,
+                                            sfem_mesher_info *info, sfem_error *err)
+{
+    sfem_status status;
+    sfem_mesher_info own;
+    sfemi_solid s;
+    sfemi_mend m;
+    SFEM_ASSERT(def && surface && out);
+    memset(&s, 0, sizeof s);
+    memset(&m, 0, sizeof m);
+    memset(&own, 0, sizeof own);
+    m.s = surface;
+    m.a = def->allocator;
+    m.info = &own;
+    m.err = err;
+    SFEMI_TRY(sfemi_mesher_check(def, err));
+    SFEMI_TRY(sfemi_mend_check(surface, err));
+    SFEMI_TRY(sfemi_mend_collect(&m));
+    SFEMI_TRY(sfemi_mend_doubled(&m));
+    SFEMI_TRY(sfemi_mend_turn(&m));
+    SFEMI_TRY(sfemi_mesher_tree(&s, &m));
+    SFEMI_TRY(sfemi_mesher_make(&s, def, out, &own, err));
+    if (info) *info = own;
+done:
+    sfemi_delete(&m.a, m.tri);
+    sfemi_delete(&m.a, m.parent);
+    sfemi_delete(&m.a, m.odd);
+    sfemi_delete(&m.a, s.tree.corner);
+    sfemi_delete(&m.a, s.tree.node);
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, void *user, const sfem_real box[2][3],
+                                        sfem_mesh *out, sfem_mesher_info *info, sfem_error *err)
+{
+    sfem_status status;
+    sfem_mesher_info own;
+    sfemi_solid s;
+    int c;
+    SFEM_ASSERT(def && f && box && out);
+    memset(&s, 0, sizeof s);
+    memset(&own, 0, sizeof own);
+    s.f = f;
+    s.user = user;
+    memcpy(s.box, box, sizeof s.box);
+    SFEMI_TRY(sfemi_mesher_check(def, err));
+    SFEMI_TRY(sfemi_mesher_box(&s, err));
+    s.volume = 0.4;
+    for (c = 0; c < 3; ++c) s.volume *= s.box[1][c] - s.box[0][c];
+    s.area = 6 * pow(s.volume, 2.0 / 3);
+    SFEMI_TRY(sfemi_mesher_make(&s, def, out, &own, err));
+    if (info) *info = own;
+done:
+    return status;
+}
+
+SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least, struct sfem_material *out,
+                                         sfem_error *err)
+{
+    int k;
+    SFEM_ASSERT(base && out);
+    if (!(least > 0 && least <= 1))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the least share is %g, not above 0 and at most 1", least);
+    for (k = 0; k <= SFEM_CAGE_LEVELS; ++k) {
+        const sfem_real share = fmax(least, (sfem_real)k / SFEM_CAGE_LEVELS);
+        out[k] = *base;
+        out[k].young *= share;
+        out[k].density *= share;
+    }
+    return SFEM_OK;
+}
+#endif /* SFEM_NO_MESHER */
 
 /* ============================================================================================
  * >>matrix   symmetric matrices of 3x3 blocks: pattern, product, conversions

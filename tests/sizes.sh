@@ -25,6 +25,7 @@ $CC --version | head -n 1
 row 'everything'
 echo 'left out'
 row '  SFEM_NO_MESHIO' -DSFEM_NO_MESHIO
+row '  SFEM_NO_MESHER' -DSFEM_NO_MESHER
 row '  SFEM_NO_BODY' -DSFEM_NO_BODY
 row '  SFEM_NO_LINK' -DSFEM_NO_LINK
 row '  SFEM_NO_REDUCED (and LINK)' -DSFEM_NO_REDUCED -DSFEM_NO_LINK

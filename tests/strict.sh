@@ -11,9 +11,8 @@ BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
-PARTS='SFEM_NO_MESHIO SFEM_NO_BODY SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES SFEM_MINIMAL SFEM_ENABLE_MESHIO
-    SFEM_ENABLE_BODY SFEM_ENABLE_MODES
-    SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
+PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_BODY SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES SFEM_MINIMAL
+    SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_BODY SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -115,6 +114,24 @@ static int reads(sfem_mesh *mesh)
     return 1;
 }
 
+static int makes(sfem_mesh *mesh) /* tets of a surface */
+{
+#ifndef SFEM_NO_MESHER
+    static sfem_real x[] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
+    static sfem_int tri[] = {0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2};
+    sfem_mesher_def def = sfem_default_mesher_def();
+    sfem_surface surface = {0};
+    surface.x = x;
+    surface.nodes = surface.triangles = 4;
+    surface.tri = tri;
+    def.size = 0.2;
+    if (sfem_mesh_from_surface(&def, &surface, mesh, 0, 0) != SFEM_OK || mesh->tets < 4) return 0;
+    sfem_mesh_free(mesh);
+#endif
+    (void)mesh;
+    return 1;
+}
+
 static int steps(sfem_model *model) /* a body, and in its modes */
 {
     int good = sfem_model_total_mass(model) > 0;
@@ -156,7 +173,7 @@ int main(void)
     sfem_model_def def = sfem_default_model_def();
     sfem_mesh mesh;
     sfem_model *model;
-    int good = reads(&mesh);
+    int good = reads(&mesh) && makes(&mesh);
     if (sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, 0, &mesh, 0) != SFEM_OK) return 1;
     def.mesh = &mesh;
     def.material.law = SFEM_COROTATIONAL;
@@ -173,7 +190,8 @@ END
 for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
     for switches in SFEM_NO_MODES SFEM_NO_REDUCED 'SFEM_NO_MODES -DSFEM_NO_LINK' \
-        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_MINIMAL -DSFEM_ENABLE_REDUCED -DSFEM_NO_MODES' \
+        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
+        'SFEM_MINIMAL -DSFEM_ENABLE_REDUCED -DSFEM_NO_MODES' \
         'SFEM_STATIC -DSFEM_DEF='; do
         $command -I. -E -D$switches -o /dev/null "$BUILD/user.c" 2>&1 | grep -q 'error.*softfem[.]h: .* define ' ||
             { echo "FAILED: $compiler accepts $switches"; exit 1; }
