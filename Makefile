@@ -105,7 +105,11 @@ bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where instal
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
+	@if command -v python3 >/dev/null; then $(MAKE) -s structure; else echo 'left out: structure, which needs python3'; fi
 	@BUILD=$(BUILD)/strict sh tests/strict.sh
+
+structure: ## order of the sections, names, unused functions; long functions (names: STRUCTURE=--list)
+	@python3 tests/structure.py $(STRUCTURE) && python3 tests/structure.py --self-test
 
 sizes: ## bytes of the object and time to compile it: whole, without each part, for three uses
 	@BUILD=$(BUILD)/sizes CC='$(CC)' sh tests/sizes.sh

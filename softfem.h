@@ -31,13 +31,26 @@
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
  *            >>meshio       readers and writers
- *            >>sparse       3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
+ *            >>matrix       symmetric matrices of 3x3 blocks: pattern, product, conversions
+ *            >>order        orderings with little fill: minimum degree, nested dissection
+ *            >>tree         the elimination tree, counts of the columns of L
+ *            >>crew         shared counters, threads that work off a list of units
+ *            >>front        how a front lies in memory, tables of kernels
+ *            >>symbolic     supernodes, tasks, places
+ *            >>solve        solves with a factor
+ *            >>ldl          multifrontal L D L^T: whole, in part, in slices
+ *            >>dense        Cholesky and L D L^T of full matrices
+ *            >>eigen        eigenvalues of full and band matrices
+ *            >>cg           conjugate gradients
  *            >>element      linear, corotational, StVK, neo-Hookean tetrahedron; edge lengths
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>damage       edge form of the tet, damage laws, criterion, pieces
  *            >>factor       the shared factor of a body's system matrix
- *            >>state        what of a body changes, in one block of memory
+ *            >>data         what a body is made of: all its structs
+ *            >>state        the saved state: its arrays and their checks
+ *            >>workspace    a step's temporaries, which bodies may share
  *            >>handle       pins and handles set, moved and released while the body runs
+ *            >>balance      right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
  *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
  *                           nonlinear statics
@@ -50,6 +63,8 @@
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
  *            >>body         the pipeline that a user calls: create, prepare, step, read
+ *            >>fragments    the surface of a broken body: pieces, cracks
+ *            >>statics      static solutions
  *            >>modes        block Lanczos, proof by inertia
  *            >>reduced      modal bodies: oscillators, warping, handles
  *            >>link         packets of accelerations, key frames
@@ -76,8 +91,10 @@
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
  *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and their fracture, >>api-damage
  *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK (with both)
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK
+ *                        (with modes and reduced models)
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -97,6 +114,9 @@
 #if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
 #define SFEM_NO_MESHIO
 #endif
+#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY)
+#define SFEM_NO_BODY
+#endif
 #if !defined(SFEM_NO_LINK) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_LINK
 #endif
@@ -110,6 +130,9 @@
 #endif
 #if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
 #error "softfem.h: SFEM_ENABLE_MESHIO and SFEM_NO_MESHIO are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
+#error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
 #endif
 #if defined(SFEM_ENABLE_LINK) && defined(SFEM_NO_LINK)
 #error "softfem.h: SFEM_ENABLE_LINK and SFEM_NO_LINK are both defined: define only one of them"
@@ -760,6 +783,8 @@ SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
  * >>api-model   finite elements: K, M, D, loads, stress
  * ============================================================================================ */
 
+enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
+
 typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
 
 /* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
@@ -861,6 +886,7 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
 
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
@@ -1079,8 +1105,6 @@ typedef enum sfem_frame {
     SFEM_FRAME_MAJORANT
 } sfem_frame;
 
-enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
-
 typedef struct sfem_body sfem_body;
 
 /* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
@@ -1125,6 +1149,18 @@ typedef struct sfem_damping_force {
     void (*tangent)(void *user, const sfem_real *v, sfem_matrix *tangent);
     void *user;
 } sfem_damping_force;
+
+/* WORKSPACE: what bodies need during a step only, and during calls that compute. By default each body has its own, which
+ * is most of its memory: 0.6 kB a node, 1.5 kB where it rotates. Bodies that are stepped one after the other may share
+ * one (def.workspace), of any models: it becomes as large as the most demanding of them needs. Such bodies are to be
+ * created, stepped, asked and changed by one thread at a time. While one of them is between sfem_body_predict and
+ * _finish, calls to others that compute are errors (SFEM_BAD_ARGUMENT, or trip SFEM_ASSERT where they return no status).
+ *   allocator  NULL: malloc and free. sfem_body_create and _prepare make it larger, nothing else does
+ *   errors     SFEM_OUT_OF_MEMORY */
+typedef struct sfem_workspace sfem_workspace;
+SFEM_DEF sfem_status sfem_workspace_create(const sfem_allocator *allocator, sfem_workspace **out, sfem_error *err);
+SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *workspace);
+SFEM_DEF void sfem_workspace_free(sfem_workspace *workspace); /* after its bodies; NULL allowed */
 
 typedef struct sfem_body_def {
     sfem_integrator integrator;
@@ -1171,6 +1207,7 @@ typedef struct sfem_body_def {
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
     int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
+    sfem_workspace *workspace; /* shared with other bodies, which it has to outlive; NULL, the default: its own */
     sfem_allocator allocator;
     sfem_exec exec;
 } sfem_body_def;
@@ -1216,8 +1253,8 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
-SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N; good until finish */
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2; the same */
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const sfem_real j[3],
                                            sfem_error *err);
 
@@ -1305,7 +1342,7 @@ typedef struct sfem_body_info {
     sfem_real stable_step;    /* s; 0 means no limit */
     int diagonal;             /* the step needs no factor */
     size_t factor_nnz;        /* scalars in L */
-    size_t factor_bytes, body_bytes;
+    size_t factor_bytes, body_bytes; /* body: its state and its own workspace among it, a shared one not */
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
     int64_t steps, rejected;  /* since its state was set; rejected by the energy safeguard, replaced by another */
@@ -1450,6 +1487,8 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
 /* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
  * take them, turned with the intact edges there. Between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
+
+#endif /* SFEM_NO_BODY */
 
 #ifndef SFEM_NO_MODES
 /* ============================================================================================
@@ -2204,6 +2243,7 @@ static void sfemi_pool_free(sfemi_pool *pool)
         if (status != SFEM_OK) goto done;                                                            \
     } while (0)
 
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
 /* FNV-1a [Fowler, Noll, Vo 1991]; it starts from hash, SFEMI_HASH or that of what came before. */
 #define SFEMI_HASH ((uint64_t)0xcbf29ce484222325u)
 static uint64_t sfemi_hash(uint64_t hash, const void *data, size_t bytes)
@@ -2213,6 +2253,7 @@ static uint64_t sfemi_hash(uint64_t hash, const void *data, size_t bytes)
     for (i = 0; i < bytes; ++i) hash = (hash ^ p[i]) * 0x100000001b3u;
     return hash;
 }
+#endif
 
 static sfem_int sfemi_threads(const sfem_exec *e)
 {
@@ -2281,6 +2322,7 @@ SFEM_DEF int sfem_vector_width(void)
     return width[sfemi_path()];
 }
 
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
 /* ============================================================================================
  * >>saved   what is saved: a head and arrays in one block of memory
  *
@@ -2468,6 +2510,7 @@ static SFEMI_UNUSED int sfemi_saved_below(sfem_int limit, const char *at, size_t
     }
     return 1;
 }
+#endif
 
 /* ============================================================================================
  * >>math   3-vectors, 3x3 matrices (row-major), polar and singular value decomposition
@@ -2747,6 +2790,7 @@ SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9])
     memcpy(r, rotation, sizeof rotation);
 }
 
+#ifndef SFEM_NO_BODY
 /* r = exp([v]x), the rotation by |v| about v [Rodrigues 1840]. */
 static void sfemi_rotate_by(const sfem_real v[3], sfem_real r[9])
 {
@@ -2761,6 +2805,39 @@ static void sfemi_rotate_by(const sfem_real v[3], sfem_real r[9])
         r[3 * ((i + 1) % 3) + (i + 2) % 3] -= a * v[i];
     }
 }
+#endif
+
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
+/* In-place L D L^T of a small symmetric matrix, lower, row-major with the given stride. A row whose
+ * pivot is lost depends on those before it: its pivot becomes 0, which leaves it out. */
+static void sfemi_small_factor(sfem_real *a, sfem_int n, sfem_int stride)
+{
+    sfem_int i, j, k;
+    for (i = 0; i < n; ++i) {
+        const sfem_real whole = a[i * stride + i];
+        for (j = 0; j < i; ++j) {
+            sfem_real sum = a[i * stride + j];
+            for (k = 0; k < j; ++k) sum -= a[i * stride + k] * a[k * stride + k] * a[j * stride + k];
+            a[i * stride + j] = a[j * stride + j] > 0 ? sum / a[j * stride + j] : 0;
+        }
+        for (k = 0; k < i; ++k) a[i * stride + i] -= a[i * stride + k] * a[i * stride + k] * a[k * stride + k];
+        if (!(a[i * stride + i] > 1e-9 * whole)) a[i * stride + i] = 0;
+    }
+}
+
+/* Solves with it for x, x[0], x[step], x[2 step], ..; rows left out get 0. */
+static void sfemi_small_solve(const sfem_real *a, sfem_int n, sfem_int stride, sfem_real *x, sfem_int step)
+{
+    sfem_int i, k;
+    for (i = 0; i < n; ++i)
+        for (k = 0; k < i; ++k) x[i * step] -= a[i * stride + k] * x[k * step];
+    for (i = 0; i < n; ++i) x[i * step] = a[i * stride + i] > 0 ? x[i * step] / a[i * stride + i] : 0;
+    for (i = n - 1; i >= 0; --i)
+        for (k = i + 1; k < n; ++k) x[i * step] -= a[k * stride + i] * x[k * step];
+    for (i = 0; i < n; ++i)
+        if (!(a[i * stride + i] > 0)) x[i * step] = 0;
+}
+#endif
 
 /* ============================================================================================
  * >>mesh   tets, surface, generators, checks, renumbering
@@ -6463,10 +6540,12 @@ done:
 #endif /* SFEM_NO_MESHIO */
 
 /* ============================================================================================
- * >>sparse   3x3-block matrices, ordering, LDL^T, dense, conjugate gradients
+ * >>matrix   symmetric matrices of 3x3 blocks: pattern, product, conversions
+ *
+ * The lower half by rows, as sfem_matrix says. Columns ascend in a row and its last block is the diagonal one, which is
+ * always there; sfem_matrix_check tests this, and all that follows relies on it. A product by several threads gathers:
+ * each row is summed by one thread, blocks in the order of its columns, so that the number of threads changes no bit.
  * ============================================================================================ */
-
-/* --- matrices -------------------------------------------------------------------------------- */
 
 SFEM_DEF void sfem_matrix_free(sfem_matrix *a, const sfem_allocator *allocator)
 {
@@ -6777,8 +6856,14 @@ SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full)
                 }
 }
 
-/* --- ordering --------------------------------------------------------------------------------
- * Everything here works on the graph of the nodes; a node is three rows of the matrix. */
+/* ============================================================================================
+ * >>order   orderings with little fill: minimum degree, nested dissection
+ *
+ * Works on the graph of the nodes; a node is three rows of the matrix, or one of a scalar matrix. Minimum degree
+ * [Amestoy, Davis, Duff 1996] orders small sets, nested dissection from the coordinates [George 1973; Miller, Teng,
+ * Thurston, Vavasis 1997] cuts large ones. An ordering is a permutation, order[new] = old. It depends on the pattern
+ * and the coordinates alone: nothing is random.
+ * ============================================================================================ */
 
 typedef struct sfemi_graph { /* neighbours of i: adj[start[i]] ... adj[start[i+1] - 1], without i */
     sfem_int n;
@@ -7551,7 +7636,13 @@ done:
     return status;
 }
 
-/* --- elimination tree ------------------------------------------------------------------------ */
+/* ============================================================================================
+ * >>tree   the elimination tree, and how many entries each column of L has
+ *
+ * The parent of a column is the row of the first entry below its diagonal in L [Schreiber 1982; Liu 1990]; columns in
+ * different subtrees do not depend on each other. Counts are those of [Gilbert, Ng, Peyton 1994], without forming L.
+ * After sfemi_tree_create the order is a postorder: parent[j] > j, and every subtree is a run of columns.
+ * ============================================================================================ */
 
 typedef struct sfemi_tree {
     sfem_int n;
@@ -7688,7 +7779,13 @@ done:
     return status;
 }
 
-/* --- counters that threads share ------------------------------------------------------------- */
+/* ============================================================================================
+ * >>crew   shared counters, and threads that work off a list of units that wait for each other
+ *
+ * For factorisations and solves, whose units are too uneven for a loop in parallel. Units write to places of their own
+ * and are summed in an order that is fixed beforehand: the number of threads changes no bit. Without atomics one thread
+ * does everything.
+ * ============================================================================================ */
 
 #if defined(__GNUC__)
 #define SFEMI_ATOMICS 1
@@ -7799,7 +7896,13 @@ static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
         SFEMI_ATOMIC_SET(&p->longer, longer / 2);
 }
 
-/* --- fronts and kernels ---------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>front   how a front lies in memory, and the table of kernels of each vector path
+ *
+ * A front is the dense matrix in which one supernode is eliminated: its k columns of L and the update matrix of the
+ * f - k rows below, lower half, cut into tiles of t rows. L and the update matrix are separate arrays. The tile in
+ * which row k lies (boundary) may belong to both. >>kernels is included here.
+ * ============================================================================================ */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
 typedef struct sfemi_shape {
@@ -7955,7 +8058,12 @@ static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
     return table + path;
 }
 
-/* --- symbolic analysis ----------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>symbolic   what a factorisation needs to know of the pattern: supernodes, tasks, places
+ *
+ * Supernodes [Ashcraft, Grimes 1989] are columns of equal structure, with children merged where that pays. The result
+ * is never changed once made; factors of one pattern share it by a count of references.
+ * ============================================================================================ */
 
 /* What depends on the pattern alone. Supernode s has the columns (nodes) first[s] <= j < first[s+1]
  * in the new numbering and below them the rows rows[start[s]] ... rows[start[s+1] - 1], ascending.
@@ -8561,7 +8669,14 @@ done:
     return status;
 }
 
-/* --- the factor and its solves --------------------------------------------------------------- */
+/* ============================================================================================
+ * >>solve   solves with a factor: up the elimination tree and down again
+ *
+ * In double, or with a float copy of L in float. The sweep upwards gives each task a buffer of its own for what it adds
+ * to rows outside; tasks of one level run at the same time, and buffers are added in a fixed order. Up to
+ * SFEMI_SOLVE_BLOCK right sides pass through a front together. A solve writes to its work array only, never to the
+ * factor.
+ * ============================================================================================ */
 
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
@@ -8585,8 +8700,6 @@ struct sfem_ldl {
     double *probe; /* unless positive: for a solve that tells whether the factor is any good */
     double pivot_min, pivot_max, residual;
 };
-
-/* --- solve ----------------------------------------------------------------------------------- */
 
 #define SFEMI_SOLVE_BLOCK   8  /* right sides that are solved for together */
 #define SFEMI_SOLVE_ALONE   2  /* up to so many are solved for one by one */
@@ -8835,7 +8948,14 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
     }
 }
 
-/* --- numeric factor -------------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>ldl   the multifrontal factorisation A = L D L^T, whole, in part, in slices; its public functions
+ *
+ * Each front adds the update matrices of its children, eliminates its columns and leaves an update matrix to its parent
+ * [Duff, Reid 1983; Liu 1992]. There is no pivoting: a pivot below its floor ends the factorisation, and the factor is
+ * then not valid. Diagonal tiles are stored inverted, for the solves. Whole, by marked supernodes or in slices, by any
+ * number of threads: the bits are the same.
+ * ============================================================================================ */
 
 typedef struct sfemi_front {
     const sfem_ldl *ldl;
@@ -9394,6 +9514,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return status;
 }
 
+#ifndef SFEM_NO_BODY
 /* A factorisation in slices, with the bits of one at a stroke: where it stands, in fronts of the tasks by
  * levels, and in a large front in its units. */
 typedef struct sfemi_slice {
@@ -9455,6 +9576,7 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     }
     return cost / (double)units;
 }
+#endif
 
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
@@ -9637,7 +9759,11 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl);
 }
 
-/* --- dense ----------------------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>dense   Cholesky and L D L^T of full matrices
+ *
+ * The lower half, column-major, in place. Left-looking with the inner loops of >>kernels; no pivoting.
+ * ============================================================================================ */
 
 /* Left-looking by columns, eight at a time: a(j:n, j) -= sum of a(j:n, p) d_p a(j, p); d_p = 1 unless
  * unit, which makes L D L^T. Returns the row of a lost pivot, or -1. */
@@ -9758,7 +9884,12 @@ SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
     sfemi_dense_solve(n, a, rhs, x, 1);
 }
 
-/* --- dense eigenvalues ------------------------------------------------------------------------ */
+/* ============================================================================================
+ * >>eigen   all eigenvalues and vectors of full and of narrow band matrices
+ *
+ * Householder's reduction to a tridiagonal matrix, then implicit QL [Bowdler, Martin, Reinsch, Wilkinson 1968]. The
+ * band matrices of >>modes, by rotations [Schwarz 1968] and inverse iteration. Eigenvalues ascend.
+ * ============================================================================================ */
 
 /* Householder's reduction of the lower half of a to the tridiagonal matrix d, e: a = Q T Q^T, Q = H_0 H_1
  * ..., H_k = I - tau_k v v^T with v in column k below the diagonal, its first entry 1. The matrix is
@@ -10085,7 +10216,12 @@ SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sf
     return SFEM_OK;
 }
 
-/* --- conjugate gradients --------------------------------------------------------------------- */
+/* ============================================================================================
+ * >>cg   conjugate gradients [Hestenes and Stiefel 1952]
+ *
+ * Preconditioned by the inverse diagonal blocks or by a factor. The residual that is reported is computed anew at the
+ * end, not the one of the recurrence. Memory is the caller's.
+ * ============================================================================================ */
 
 SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
 {
@@ -11462,6 +11598,39 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
+#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
+                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
+                        sfemi_totals *totals)                                                      \
+{                                                                                                  \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
+                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+}
+
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+#if SFEMI_X86
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+#endif
+
+/* The widest path that this processor has. */
+static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
+{
+    const int mixed = precision == SFEM_MIXED;
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+    default: break;
+    }
+#endif
+    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
+#ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
 static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
                                             const sfem_real *over, sfem_real *rotation,
@@ -11508,14 +11677,6 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
     }
 }
 
-#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
-                        sfemi_totals *totals)                                                      \
-{                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
-                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
-}
 #define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
 TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
                         sfem_real *rotation, sfem_real *trace)                                     \
@@ -11523,31 +11684,11 @@ TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *o
     sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
 SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
 #if SFEMI_X86
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
 SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
 SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
 #endif
-
-/* The widest path that this processor has. */
-static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
-{
-    const int mixed = precision == SFEM_MIXED;
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
-    default: break;
-    }
-#endif
-    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
-}
 
 static sfemi_polars_kernel sfemi_polars_pick(void)
 {
@@ -11560,6 +11701,7 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
 #endif
     return sfemi_polars_portable;
 }
+#endif
 
 /* ============================================================================================
  * >>fem   assembly, mass, damping, forces, tangents, loads, stress
@@ -12550,6 +12692,7 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
     }
 }
 
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
@@ -15007,7 +15150,10 @@ static void sfemi_factor_solve(const sfem_factor *f, sfem_int nodes, sfem_int rh
 }
 
 /* ============================================================================================
- * >>state   what of a body changes, in one block of memory
+ * >>data   what a body is made of: all its structs, each field under the section that writes it
+ *
+ * Three kinds of data: what create fixes (sfemi_scheme, masks), what prepare makes (factors), and what a step changes:
+ * the saved state, one block of memory, and temporaries. Arrays are [nodes][3] unless stated.
  * ============================================================================================ */
 
 /* Something that holds points in place: the history that gives its velocity and acceleration. */
@@ -15092,6 +15238,269 @@ typedef struct sfemi_state_shape {
     sfem_int rotating, correcting, sleeping; /* nodes, or 0 where the body does no such thing */
     sfem_int breaking, damage; /* 1 or 0; 8 bytes of >>damage's own state each */
 } sfemi_state_shape;
+
+/* >>handle: the handles' columns and their dense block. */
+typedef struct sfemi_grip {
+    sfem_int count;   /* handles in use */
+    sfem_int *slot;   /* [max] their numbers */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body turns, so many
+                       * for each of the handle's nodes */
+    sfem_int *parts;  /* [max] for how many nodes there is room in y */
+    sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
+    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
+    sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
+    sfem_real *lambda; /* [3 max] */
+    sfem_real *place;  /* [3 max] where the handles are before a step */
+    int dirty;        /* the set of handles or the factor changed */
+} sfemi_grip;
+
+/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
+typedef struct sfemi_piece {
+    int held; /* by a pin or a handle: no projection */
+    int spans; /* >>correct: u' serves, and */
+    sfem_real rest; /* sum m |X - centre|^2 */
+    sfem_real mass, centre[3], inertia_inverse[9];
+    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
+    sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
+    sfem_real ahead[3], between[9]; /* >>correct: the centre at u', (N'^T M N)^-1 of rotations */
+    sfem_real sum[4][3];          /* scratch of the energies */
+} sfemi_piece;
+
+typedef struct sfemi_turn {
+    sfem_int pieces;
+    sfem_int *piece_of;  /* [nodes] -1: in no tet */
+    sfemi_piece *piece;  /* [pieces] */
+    sfem_real *work;     /* of sfem_model_forces, */
+    sfem_real *spin;     /* [copies][12] and of the sums that follow */
+    sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
+    sfem_real *over;     /* [nodes] 1 / sum V_e */
+    sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
+    sfem_real *trace;    /* [nodes] and this */
+    sfem_real *diagonal; /* [nodes] one over the mean of A's diagonal */
+    sfem_real *v;        /* [nodes][3] scratch */
+    sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
+    int still;           /* no law turns: rigid motions are those of the rest pose */
+    int twists;          /* of laws that turn and linear ones: internal forces have a torque */
+    int by_hand;         /* the caller may add to the right side of the step under way */
+} sfemi_turn;
+
+typedef struct sfemi_guard_energies {
+    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+    sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
+} sfemi_guard_energies;
+
+/* A matrix that changes, and its factor. */
+typedef struct sfemi_system {
+    sfem_factor *factor;
+    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
+    sfem_int *source;   /* [blocks] their places in K's pattern */
+} sfemi_system;
+
+/* >>guard: a step of a body that rotates, all [nodes][3] unless stated. */
+typedef struct sfemi_guard {
+    sfem_real *u, *w, *f;  /* the step's end */
+    sfem_real *external;   /* the loads, and what the caller added, in the equation; */
+    sfem_real *known;      /* forces of the past in it */
+    sfem_real *added;      /* what the caller added to the right side */
+    sfem_real *grad, *dir; /* r at the step's end, a direction; */
+    sfem_real *trial_u, *trial_w, *trial_f, *trial_grad, *other; /* the same elsewhere, scratch */
+    sfem_real *frame;      /* [nodes][3][3] of the trial */
+    sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
+    sfem_real curvature[SFEMI_MEMORY]; /* and their products */
+    int pairs;             /* so many so far in this step */
+    sfem_real end;         /* the equation's weight of f' in this step; 0: one solve */
+    int bounded;           /* directions come of an upper bound of the tangent */
+    int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
+    int converged;         /* the corrections went as far as they should */
+    sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
+    sfem_real isotropic_h;
+    sfemi_system system;   /* of Newton's iteration in a fallback, made when first needed, as is */
+    sfem_matrix tangent;   /* K(u') itself, on K's pattern */
+    sfem_real psi;         /* at u */
+    sfemi_guard_energies energies; /* of the step, if measured */
+    int measured;
+    int rejected;          /* u, w, f come from the fallback */
+    sfem_int corrections;  /* made in the last step */
+    sfem_real damped;      /* what damping took in it, of a body that may break */
+} sfemi_guard;
+
+/* What >>implicit works with. */
+typedef struct sfemi_stage {
+    sfem_real m1, m0, w1, w0, c1, c2; /* see there */
+    sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
+    sfem_real end; /* where in the step it ends, in h */
+} sfemi_stage;
+
+typedef struct sfemi_implicit {
+    sfem_newton_info info;
+    sfemi_stage stage;
+    sfemi_system system; /* its factor is the body's */
+    sfem_factor *second; /* linear bodies: that of the second of two systems */
+    sfem_matrix tangent; /* K(u): the model's K itself where that is constant */
+    sfem_matrix drag;    /* of the caller's damping, or no values */
+    int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
+    int still;           /* statics: no inertia, no damping */
+    sfem_real share;     /* statics: of the load */
+    sfem_real energy;    /* Psi at the last evaluation */
+    int ready;           /* there is room for what follows, [nodes][3] each in the workspace, and for tangent, drag */
+    sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
+    sfem_real *work;     /* of sfem_model_forces */
+} sfemi_implicit;
+
+enum { SFEMI_IMPLICIT_VECTORS = 15 };
+
+/* >>refactor: two factors beside that of the rest pose, one in use, one in the making. */
+typedef struct sfemi_refactor {
+    sfem_ldl *ldl[2];
+    sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
+    sfem_matrix k[2];     /* their K, turned back; on K's pattern */
+    sfem_matrix a;        /* what is factorised, free rows */
+    sfem_int *source;     /* [blocks of a] their places in K's pattern */
+    sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
+    int live;             /* 1 + the one in use, or 0 */
+    int stage;            /* SFEMI_REFACTOR_IDLE ... */
+    sfem_int next;        /* chunk of tets, or row of blocks */
+    sfemi_slice at;
+    double budget;        /* operations a step */
+    double price;         /* of all, from a tangent */
+    double credit, flops, done;
+    double spent, steps;  /* since the factor in use is: on corrections beyond those that a good one needs; steps */
+    double rest_rate;     /* what was spent a step with the factor of the rest pose */
+    double patience;      /* prices to be spent before another is made */
+    sfem_real broken;     /* edges that were broken when it was asked for */
+    sfem_int quiet;       /* steps since one has broken or softened */
+    int64_t made, failed;
+} sfemi_refactor;
+
+enum {
+    SFEMI_REFACTOR_IDLE,
+    SFEMI_REFACTOR_TANGENT,
+    SFEMI_REFACTOR_TURN,
+    SFEMI_REFACTOR_MATRIX,
+    SFEMI_REFACTOR_FACTOR
+};
+
+/* >>workspace */
+struct sfem_workspace {
+    sfem_allocator allocator;
+    sfem_real *memory;     /* [size] the arrays of a body: that of user; NULL: nobody's */
+    size_t size;
+    sfem_body *user;
+    sfem_real *work;       /* [work_size] for factors' solves. A block of its own: it may grow during a step */
+    size_t work_size;
+};
+
+/* How a body steps. One of three constant tables, chosen by sfemi_method_choose when the body is created: linear
+ * bodies (by one solve), Newton's, and those that rotate. */
+typedef struct sfemi_method {
+    void (*predict)(sfem_body *b);                        /* fills b->rhs */
+    sfem_status (*solve)(sfem_body *b, sfem_error *err);  /* leaves the acceleration in b->acc */
+    sfem_status (*accept)(sfem_body *b, sfem_error *err); /* tests the step's end, may put another one in its place */
+    void (*finish)(sfem_body *b);                         /* takes the step */
+    sfem_real (*elastic)(sfem_body *b);                   /* the elastic energy at u; may use b->zk */
+    void (*conserved)(sfem_body *b, sfem_energy *e);      /* sets e->conserved; may use b->zm and b->rhs */
+    void (*balance)(sfem_body *b, sfem_real *v);          /* b->rhs = what the supports do not exert, F - f - .. at u, v */
+} sfemi_method;
+
+/* What an integrator comes to, in numbers and properties. Constant from creation on. */
+typedef struct sfemi_scheme {
+    const sfemi_method *method;
+    int rotates;    /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
+    int newton;     /* >>implicit */
+    int resumes;    /* >>resume: a linear body by one solve a step, damaged or not */
+    int mean;       /* w is the mean velocity over a step, not the velocity */
+    int newmark;    /* Newmark(beta, gamma), by one solve or by Newton's iteration */
+    int pqr;        /* SFEM_PQR: p, q and r are the caller's */
+    int central;    /* central difference */
+    int lagging;    /* >>alpha: KR-alpha */
+    int guarded;    /* the energy safeguard may reject steps */
+    int refactors;  /* >>refactor */
+    sfem_real q, r; /* of A = r M + (q/2) h D + p h^2 K */
+    sfem_real beta, gamma, am, af; /* of generalized-alpha's equation: of a Newton method, or of Newmark */
+    int stages;     /* of a step of Newton's: 2 for Bathe, else 1; */
+    int euler;      /* backward Euler */
+} sfemi_scheme;
+
+/* The numbers of the step under way, filled in by predict and constant from then on. d .. lag are those of >>pqr and
+ * >>alpha; their equation there. Newton's methods use h alone. */
+typedef struct sfemi_step {
+    sfem_real h;       /* s */
+    sfem_real d;       /* s, between the centres of the mean velocities: w' = w + d a */
+    sfem_real ck, cd, ca;
+    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
+    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
+    sfem_real am, af;  /* these; zero at a start */
+    sfem_real cka;     /* K a- */
+    sfem_real lag;     /* s */
+    int bridges;       /* >>resume: the step is one of another method */
+    int falls;         /* >>resume: velocity is to be taken from the right side */
+    int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
+    int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
+} sfemi_step;
+
+/* Between which of predict, solve and finish a step is. */
+enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
+
+/* What a step is made of. The arrays from u to handle are the state; the rest is derived or temporary. */
+struct sfem_body {
+    /* create */
+    sfem_allocator allocator;
+    sfem_exec exec;
+    sfem_model *model;
+    sfem_body_def def;     /* without its pins and its damage */
+    sfemi_scheme scheme;   /* >>method */
+    sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
+    int sleeps;            /* it may */
+    sfemi_bonds *bonds;    /* these two only where the body may break */
+    sfemi_damage *damage;
+
+    /* create and set_pins */
+    sfem_int pin_count;
+    sfem_int *pin;         /* [pin_count] nodes, each once */
+    unsigned char *mask;   /* [nodes] axes held; all of a node that is in no tet */
+
+    /* the state, which is saved */
+    sfemi_state state;
+
+    /* prepare */
+    sfem_factor *factor;
+    sfem_real h, p;        /* what the factor is for */
+    sfem_real omega_max;   /* >>pqr: 0: not known */
+    sfem_int factors_made;
+    sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
+    sfemi_grip grip;       /* >>handle */
+
+    /* predict, solve, finish: the step under way */
+    int phase;             /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
+    int begun;             /* not finished, nor undone: before holds */
+    sfemi_state_head before; /* what was when it began */
+    sfemi_step step;
+    sfem_real *rhs;        /* [nodes][3] right side, N, and what the caller adds to it */
+    sfem_real *acc;        /* [nodes][3] the acceleration that solve leaves */
+    sfem_real *predicted;  /* [nodes][3] rhs as predict left it, where the caller may add to it; */
+    sfem_real *late;       /* [nodes][3] what he added since solve, if is_late */
+    int is_late;
+    sfem_real *kick;       /* [nodes][3] N s, the impulses among it, if kicked */
+    int kicked;
+    sfem_real *base;       /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to; else NULL */
+    sfem_real *velocity;   /* >>resume: [nodes][3] what a step starts from, if step.fresh; is to lose, if step.falls */
+    sfemi_turn turn;       /* >>turn */
+    sfemi_guard guard;     /* >>guard */
+    sfemi_implicit implicit; /* >>implicit */
+    sfemi_refactor refactor; /* >>refactor */
+
+    /* >>workspace. The arrays of the step under way and these lie in it; no call leaves anything in these. */
+    sfem_workspace *workspace, own; /* own: where the definition has none */
+    sfem_real *bound;      /* the workspace's memory where the arrays were laid out */
+    sfem_real *zk, *zm, *zd; /* [nodes][3] what K, M and the rest of D are applied to; zd NULL where there is none */
+    sfem_real *spare;      /* >>resume: [5][nodes][3] */
+    sfem_real *aside;      /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
+};
+
+/* ============================================================================================
+ * >>state   the saved state: its arrays and their checks
+ * ============================================================================================ */
 
 /* ---- checks, see >>saved. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever
  * they are, a step that they spoil fails or is rejected. ---- */
@@ -15201,56 +15610,165 @@ static const sfemi_saved_array sfemi_state_array[] = {
 static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
 
 /* ============================================================================================
+ * >>workspace   a step's temporaries, which bodies may share
+ * ============================================================================================ */
+
+SFEM_DEF sfem_status sfem_workspace_create(const sfem_allocator *allocator, sfem_workspace **out, sfem_error *err)
+{
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *al = allocator ? allocator : &standard;
+    sfem_workspace *w = NULL;
+    sfem_status status = SFEM_OK;
+    SFEM_ASSERT(out);
+    SFEMI_NEW(sfem_workspace, w, al, 1);
+    w->allocator = *al;
+    *out = w;
+done:
+    return status;
+}
+
+SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *w)
+{
+    SFEM_ASSERT(w);
+    return (w->size + w->work_size) * sizeof *w->memory;
+}
+
+SFEM_DEF void sfem_workspace_free(sfem_workspace *w)
+{
+    sfem_allocator al;
+    if (!w) return;
+    al = w->allocator;
+    sfemi_delete(&al, w->memory);
+    sfemi_delete(&al, w->work);
+    sfemi_delete(&al, w);
+}
+
+static void sfemi_workspace_take(sfem_real **array, size_t count, sfem_real *memory, size_t *used)
+{
+    if (memory) *array = memory + *used;
+    *used += count;
+}
+
+/* What a body that rotates has in it besides. */
+static void sfemi_workspace_take_rotating(sfem_body *b, sfem_real *memory, size_t *used)
+{
+    sfemi_turn *t = &b->turn;
+    sfemi_guard *g = &b->guard;
+    sfem_real **const vector[] = {&t->v,     &g->u,   &g->w,   &g->f,       &g->external, &g->known, &g->added,
+                                  &g->grad,  &g->dir, &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad, &g->other};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t k;
+    sfemi_workspace_take(&t->work, sfem_model_work_size(b->model), memory, used);
+    sfemi_workspace_take(&t->spin, 12 * (size_t)b->model->chunks.copies, memory, used);
+    sfemi_workspace_take(&t->sum, 3 * n, memory, used);
+    sfemi_workspace_take(&t->fresh, 3 * n, memory, used);
+    sfemi_workspace_take(&t->trace, n / 3, memory, used);
+    sfemi_workspace_take(&g->frame, 3 * n, memory, used);
+    sfemi_workspace_take(&g->pair, 2 * SFEMI_MEMORY * n, memory, used);
+    for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, used);
+}
+
+/* What Newton's iteration has. */
+static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t *used)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfem_real **const vector[SFEMI_IMPLICIT_VECTORS] = {&m->d, &m->best, &m->goal, &m->vmap, &m->amap,
+                                                        &m->a0, &m->load, &m->f, &m->q, &m->x, &m->v, &m->step,
+                                                        &m->mid_d, &m->mid_v, &m->mid_a};
+    size_t k;
+    for (k = 0; k < SFEMI_IMPLICIT_VECTORS; ++k)
+        sfemi_workspace_take(vector[k], 3 * (size_t)b->model->mesh.nodes, memory, used);
+    if (b->model->turns) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
+}
+
+/* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
+static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
+{
+    sfem_real **const vector[] = {&b->rhs, &b->acc, &b->zk, &b->zm, &b->predicted, &b->late, &b->kick};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t used = 0, k;
+    for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, &used);
+    if (b->model->damping) sfemi_workspace_take(&b->zd, n, memory, &used);
+    sfemi_workspace_take(&b->aside, 7 * n, memory, &used);
+    if (b->scheme.lagging) sfemi_workspace_take(&b->base, n, memory, &used);
+    if (b->scheme.resumes) {
+        sfemi_workspace_take(&b->spare, 5 * n, memory, &used);
+        sfemi_workspace_take(&b->velocity, n, memory, &used);
+    }
+    if (b->scheme.rotates) sfemi_workspace_take_rotating(b, memory, &used);
+    if (b->implicit.ready) sfemi_workspace_take_newton(b, memory, &used);
+    return used;
+}
+
+/* Is another body that shares the workspace between predict and finish? */
+static int sfemi_workspace_is_busy(const sfem_body *b)
+{
+    const sfem_body *user = b->workspace->user;
+    return user && user != b && user->phase != SFEMI_IDLE;
+}
+
+static sfem_status sfemi_workspace_check(const sfem_body *b, sfem_error *err)
+{
+    if (!sfemi_workspace_is_busy(b)) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                      "another body that shares the workspace is between sfem_body_predict and sfem_body_finish");
+}
+
+/* Before a body uses its arrays. */
+static void sfemi_workspace_bind(sfem_body *b)
+{
+    sfem_workspace *w = b->workspace;
+    SFEM_ASSERT(!sfemi_workspace_is_busy(b));
+    if (w->user == b && b->bound == w->memory) return;
+    sfemi_workspace_lay_out(b, w->memory);
+    b->bound = w->memory;
+    w->user = b;
+}
+
+/* Room for the body's arrays, which are lost. */
+static sfem_status sfemi_workspace_reserve(sfem_body *b, sfem_error *err)
+{
+    const size_t need = sfemi_workspace_lay_out(b, NULL);
+    sfem_workspace *w = b->workspace;
+    sfem_real *memory;
+    sfem_status status = SFEM_OK;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    if (need > w->size) {
+        SFEMI_NEW(sfem_real, memory, &w->allocator, need);
+        sfemi_delete(&w->allocator, w->memory);
+        w->memory = memory;
+        w->size = need;
+    }
+    w->user = NULL;
+    sfemi_workspace_bind(b);
+done:
+    return status;
+}
+
+/* Room for solves with a factor, `rhs` right sides at a time. */
+static sfem_status sfemi_workspace_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs, sfem_error *err)
+{
+    const size_t need = sfemi_factor_work_size(f, rhs);
+    sfem_workspace *w = b->workspace;
+    sfem_real *work;
+    sfem_status status = SFEM_OK;
+    if (need <= w->work_size) return SFEM_OK;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    SFEMI_NEW(sfem_real, work, &w->allocator, need);
+    sfemi_delete(&w->allocator, w->work);
+    w->work = work;
+    w->work_size = need;
+done:
+    return status;
+}
+
+/* ============================================================================================
  * >>handle   pins and handles set, moved and released while the body runs
  *
  * With A^-1 at hand, a constraint H a = c on a = A^-1 (b + H^T l) asks for  (H A^-1 H^T) l = c - H A^-1 b.
  * The columns Y = A^-1 H^T of a handle, three of them, are solved for when it is taken; a step costs one
  * small dense solve and one sum over the columns, whatever moves.
  * ============================================================================================ */
-
-typedef struct sfemi_grip {
-    sfem_int count;   /* handles in use */
-    sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body turns, so many
-                       * for each of the handle's nodes */
-    sfem_int *parts;  /* [max] for how many nodes there is room in y */
-    sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
-    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
-    sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
-    sfem_real *lambda; /* [3 max] */
-    sfem_real *place;  /* [3 max] where the handles are before a step */
-    int dirty;        /* the set of handles or the factor changed */
-} sfemi_grip;
-
-/* In-place L D L^T of a small symmetric matrix, lower, row-major with the given stride. A row whose
- * pivot is lost depends on those before it: its pivot becomes 0, which leaves it out. */
-static void sfemi_grip_factor(sfem_real *a, sfem_int n, sfem_int stride)
-{
-    sfem_int i, j, k;
-    for (i = 0; i < n; ++i) {
-        const sfem_real whole = a[i * stride + i];
-        for (j = 0; j < i; ++j) {
-            sfem_real sum = a[i * stride + j];
-            for (k = 0; k < j; ++k) sum -= a[i * stride + k] * a[k * stride + k] * a[j * stride + k];
-            a[i * stride + j] = a[j * stride + j] > 0 ? sum / a[j * stride + j] : 0;
-        }
-        for (k = 0; k < i; ++k) a[i * stride + i] -= a[i * stride + k] * a[i * stride + k] * a[k * stride + k];
-        if (!(a[i * stride + i] > 1e-9 * whole)) a[i * stride + i] = 0;
-    }
-}
-
-static void sfemi_grip_solve(const sfem_real *a, sfem_int n, sfem_int stride, sfem_real *x,
-                             sfem_int step)
-{
-    sfem_int i, k;
-    for (i = 0; i < n; ++i)
-        for (k = 0; k < i; ++k) x[i * step] -= a[i * stride + k] * x[k * step];
-    for (i = 0; i < n; ++i) x[i * step] = a[i * stride + i] > 0 ? x[i * step] / a[i * stride + i] : 0;
-    for (i = n - 1; i >= 0; --i)
-        for (k = i + 1; k < n; ++k) x[i * step] -= a[k * stride + i] * x[k * step];
-    for (i = 0; i < n; ++i)
-        if (!(a[i * stride + i] > 0)) x[i * step] = 0;
-}
 
 /* (H x) of one handle: the weighted mean over its nodes. */
 static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
@@ -15306,8 +15824,8 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             }
         }
     }
-    if (!turns) sfemi_grip_factor(g->s, 3 * k, 3 * k);
-    for (b = 0; b < 3; ++b) sfemi_grip_factor(g->wm + b * k * k, k, k);
+    if (!turns) sfemi_small_factor(g->s, 3 * k, 3 * k);
+    for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
 }
 
 /* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
@@ -15322,7 +15840,7 @@ static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int
         sfemi_grip_mean(handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     for (i = 0; i < g->count; ++i) {
         for (c = 0; c < 3; ++c) {
             const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
@@ -15344,7 +15862,7 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
         sfemi_grip_mean(handle + g->slot[i], x, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    for (c = 0; c < 3; ++c) sfemi_grip_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
+    for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
     for (i = 0; i < k; ++i) {
         const sfemi_handle *h = handle + g->slot[i];
         for (p = 0; p < 4; ++p)
@@ -15374,233 +15892,15 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
     if (hold->age < 2) ++hold->age;
 }
 
-/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
-typedef struct sfemi_piece {
-    int held; /* by a pin or a handle: no projection */
-    int spans; /* >>correct: u' serves, and */
-    sfem_real rest; /* sum m |X - centre|^2 */
-    sfem_real mass, centre[3], inertia_inverse[9];
-    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
-    sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
-    sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
-    sfem_real ahead[3], between[9]; /* >>correct: the centre at u', (N'^T M N)^-1 of rotations */
-    sfem_real sum[4][3];          /* scratch of the energies */
-} sfemi_piece;
-
-typedef struct sfemi_turn {
-    sfem_int pieces;
-    sfem_int *piece_of;  /* [nodes] -1: in no tet */
-    sfemi_piece *piece;  /* [pieces] */
-    sfem_real *work;     /* of sfem_model_forces, */
-    sfem_real *spin;     /* [copies][12] and of the sums that follow */
-    sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
-    sfem_real *over;     /* [nodes] 1 / sum V_e */
-    sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
-    sfem_real *trace;    /* [nodes] and this */
-    sfem_real *diagonal; /* [nodes] one over the mean of A's diagonal */
-    sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
-    int still;           /* no law turns: rigid motions are those of the rest pose */
-    int twists;          /* of laws that turn and linear ones: internal forces have a torque */
-    int by_hand;         /* the caller may add to the right side of the step under way */
-} sfemi_turn;
-
-typedef struct sfemi_guard_energies {
-    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
-    sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
-} sfemi_guard_energies;
-
-/* A matrix that changes, and its factor. */
-typedef struct sfemi_system {
-    sfem_factor *factor;
-    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
-    sfem_int *source;   /* [blocks] their places in K's pattern */
-} sfemi_system;
-
-/* >>guard: scratch of a step, all [nodes][3] unless stated. */
-typedef struct sfemi_guard {
-    sfem_real *u, *w, *f;  /* the step's end */
-    sfem_real *external;   /* the loads, and what the caller added, in the equation; */
-    sfem_real *known;      /* forces of the past in it */
-    sfem_real *added;      /* what the caller added to the right side */
-    sfem_real *grad, *dir; /* r at the step's end, a direction; */
-    sfem_real *trial_u, *trial_w, *trial_f, *trial_grad, *other; /* the same elsewhere, scratch */
-    sfem_real *frame;      /* [nodes][3][3] of the trial */
-    sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
-    sfem_real curvature[SFEMI_MEMORY]; /* and their products */
-    int pairs;             /* so many so far in this step */
-    sfem_real end;         /* the equation's weight of f' in this step; 0: one solve */
-    int bounded;           /* directions come of an upper bound of the tangent */
-    int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
-    int converged;         /* the corrections went as far as they should */
-    sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
-    sfem_real isotropic_h;
-    sfemi_system system;   /* of Newton's iteration in a fallback, made when first needed, as is */
-    sfem_matrix tangent;   /* K(u') itself, on K's pattern */
-    sfem_real psi;         /* at u */
-    sfemi_guard_energies energies; /* of the step, if measured */
-    int measured;
-    int rejected;          /* u, w, f come from the fallback */
-    sfem_int corrections;  /* made in the last step */
-    sfem_real damped;      /* what damping took in it, of a body that may break */
-} sfemi_guard;
-
-/* What >>implicit works with. */
-typedef struct sfemi_stage {
-    sfem_real m1, m0, w1, w0, c1, c2; /* see there */
-    sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
-    sfem_real end; /* where in the step it ends, in h */
-} sfemi_stage;
-
-typedef struct sfemi_implicit {
-    sfem_newton_info info;
-    sfemi_stage stage;
-    sfemi_system system; /* its factor is the body's */
-    sfem_factor *second; /* linear bodies: that of the second of two systems */
-    sfem_matrix tangent; /* K(u): the model's K itself where that is constant */
-    sfem_matrix drag;    /* of the caller's damping, or no values */
-    int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
-    int still;           /* statics: no inertia, no damping */
-    sfem_real share;     /* statics: of the load */
-    sfem_real energy;    /* Psi at the last evaluation */
-    sfem_real *memory;   /* what follows: [nodes][3] each */
-    sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
-    sfem_real *work;     /* of sfem_model_forces */
-} sfemi_implicit;
-
-enum { SFEMI_IMPLICIT_VECTORS = 15 };
-
-/* >>refactor: two factors beside that of the rest pose, one in use, one in the making. */
-typedef struct sfemi_refactor {
-    sfem_ldl *ldl[2];
-    sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
-    sfem_matrix k[2];     /* their K, turned back; on K's pattern */
-    sfem_matrix a;        /* what is factorised, free rows */
-    sfem_int *source;     /* [blocks of a] their places in K's pattern */
-    sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
-    int live;             /* 1 + the one in use, or 0 */
-    int stage;            /* SFEMI_REFACTOR_IDLE ... */
-    sfem_int next;        /* chunk of tets, or row of blocks */
-    sfemi_slice at;
-    double budget;        /* operations a step */
-    double price;         /* of all, from a tangent */
-    double credit, flops, done;
-    double spent, steps;  /* since the factor in use is: on corrections beyond those that a good one needs; steps */
-    double rest_rate;     /* what was spent a step with the factor of the rest pose */
-    double patience;      /* prices to be spent before another is made */
-    sfem_real broken;     /* edges that were broken when it was asked for */
-    sfem_int quiet;       /* steps since one has broken or softened */
-    int64_t made, failed;
-} sfemi_refactor;
-
-enum {
-    SFEMI_REFACTOR_IDLE,
-    SFEMI_REFACTOR_TANGENT,
-    SFEMI_REFACTOR_TURN,
-    SFEMI_REFACTOR_MATRIX,
-    SFEMI_REFACTOR_FACTOR
-};
-
-/* How a body steps. One of three constant tables, chosen by sfemi_method_choose when the body is created: linear
- * bodies (by one solve), Newton's, and those that rotate. */
-typedef struct sfemi_method {
-    void (*predict)(sfem_body *b);                        /* fills b->rhs */
-    sfem_status (*solve)(sfem_body *b, sfem_error *err);  /* leaves the acceleration in b->acc */
-    sfem_status (*accept)(sfem_body *b, sfem_error *err); /* tests the step's end, may put another one in its place */
-    void (*finish)(sfem_body *b);                         /* takes the step */
-    sfem_real (*elastic)(sfem_body *b);                   /* the elastic energy at u; may use b->zk */
-    void (*conserved)(sfem_body *b, sfem_energy *e);      /* sets e->conserved; may use b->zm and b->rhs */
-    void (*balance)(sfem_body *b, sfem_real *v);          /* b->rhs = what the supports do not exert, F - f - .. at u, v */
-} sfemi_method;
-
-/* What an integrator comes to, in numbers and properties. Constant from creation on. */
-typedef struct sfemi_scheme {
-    const sfemi_method *method;
-    int rotates;    /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
-    int newton;     /* >>implicit */
-    int resumes;    /* >>resume: a linear body by one solve a step, damaged or not */
-    int mean;       /* w is the mean velocity over a step, not the velocity */
-    int newmark;    /* Newmark(beta, gamma), by one solve or by Newton's iteration */
-    int pqr;        /* SFEM_PQR: p, q and r are the caller's */
-    int central;    /* central difference */
-    int lagging;    /* >>alpha: KR-alpha */
-    int guarded;    /* the energy safeguard may reject steps */
-    int refactors;  /* >>refactor */
-    sfem_real q, r; /* of A = r M + (q/2) h D + p h^2 K */
-    sfem_real beta, gamma, am, af; /* of generalized-alpha's equation: of a Newton method, or of Newmark */
-    int stages;     /* of a step of Newton's: 2 for Bathe, else 1; */
-    int euler;      /* backward Euler */
-} sfemi_scheme;
-
-/* The numbers of the step under way, filled in by predict and constant from then on. d .. lag are those of >>pqr and
- * >>alpha; their equation there. Newton's methods use h alone. */
-typedef struct sfemi_step {
-    sfem_real h;       /* s */
-    sfem_real d;       /* s, between the centres of the mean velocities: w' = w + d a */
-    sfem_real ck, cd, ca;
-    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
-    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
-    sfem_real am, af;  /* these; zero at a start */
-    sfem_real cka;     /* K a- */
-    sfem_real lag;     /* s */
-    int bridges;       /* >>resume: the step is one of another method */
-    int falls;         /* >>resume: velocity is to be taken from the right side */
-    int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
-    int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
-} sfemi_step;
-
-/* What a step is made of. The arrays from u to handle are the state; the rest is derived or temporary. */
-struct sfem_body {
-    sfem_allocator allocator;
-    sfem_exec exec;
-    sfem_model *model;
-    sfem_body_def def;   /* without its pins */
-    sfem_int pin_count;
-    sfem_int *pin;       /* [pin_count] nodes, each once */
-    unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
-    sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    sfemi_scheme scheme;
-    int sleeps;            /* it may */
-    sfemi_state state;
-    sfemi_grip grip;
-    sfemi_turn turn;
-    sfemi_guard guard;
-    sfemi_bonds *bonds;    /* these two only where the body may break */
-    sfemi_damage *damage;
-    /* prepared */
-    sfem_factor *factor;
-    sfem_real h, p;      /* what the factor is for */
-    sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
-    sfem_real omega_max; /* 0: not known */
-    sfem_int factors_made;
-    sfem_real *work;     /* for the factor's solves */
-    size_t work_size;
-    /* the step under way */
-    int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
-    int begun;           /* not finished, nor undone: before holds */
-    sfemi_state_head before; /* what was when it began */
-    sfemi_step step;
-    sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
-    sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
-    sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
-    int is_late;
-    sfem_real *kick;      /* [nodes][3] N s, the impulses among it, if kicked */
-    int kicked;
-    sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
-    sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
-    sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
-    sfem_real *velocity; /* >>resume: [nodes][3] what a step starts from, if step.fresh; or is to lose, if step.falls */
-    sfemi_implicit implicit;
-    sfemi_refactor refactor;
-};
+/* ============================================================================================
+ * >>balance   right sides, and the mass: what the integrators share
+ * ============================================================================================ */
 
 /* The factor that steps solve with. */
 static const sfem_factor *sfemi_body_active(const sfem_body *b)
 {
     return b->refactor.live ? &b->refactor.factor : b->factor;
 }
-
-enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 
 /* The velocity, or mean velocity, that the step under way starts from. */
 static const sfem_real *sfemi_body_way(const sfem_body *b) { return b->step.fresh ? b->velocity : b->state.w; }
@@ -15748,6 +16048,16 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_
         for (c = 0; c < 3; ++c)
             g->lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
     }
+}
+
+SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
+{
+    sfem_real u[3];
+    int c;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
+    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
+    for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
 /* ============================================================================================
@@ -15950,42 +16260,23 @@ static int sfemi_implicit_damped(const sfem_body *b)
 static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
 {
     const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
     sfemi_implicit *m = &b->implicit;
-    sfem_real *memory = NULL, *tangent = NULL, *drag = NULL, *work = NULL, *at;
+    sfem_real *tangent = NULL, *drag = NULL;
     sfem_status status = SFEM_OK;
-    if (m->memory) return SFEM_OK;
-    SFEMI_NEW(sfem_real, memory, &b->allocator, SFEMI_IMPLICIT_VECTORS * n);
-    if (!sfemi_implicit_linear(model)) {
-        SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
-        SFEMI_NEW(sfem_real, work, &b->allocator, sfem_model_work_size(model));
-    }
+    if (m->ready) return SFEM_OK;
+    if (!sfemi_implicit_linear(model)) SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
     if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
+    m->ready = 1;
+    SFEMI_TRY(sfemi_workspace_reserve(b, err));
     m->tangent = m->drag = model->stiffness;
     if (tangent) m->tangent.val = tangent;
     m->drag.val = drag;
-    at = m->memory = memory;
-    m->work = work;
-    m->d = at, at += n;
-    m->best = at, at += n;
-    m->goal = at, at += n;
-    m->vmap = at, at += n;
-    m->amap = at, at += n;
-    m->a0 = at, at += n;
-    m->load = at, at += n;
-    m->f = at, at += n;
-    m->q = at, at += n;
-    m->x = at, at += n;
-    m->v = at, at += n;
-    m->step = at, at += n;
-    m->mid_d = at, at += n;
-    m->mid_v = at, at += n;
-    m->mid_a = at;
     return SFEM_OK;
 done:
-    sfemi_delete(&b->allocator, work);
+    m->ready = 0;
     sfemi_delete(&b->allocator, tangent);
-    sfemi_delete(&b->allocator, memory);
+    sfemi_delete(&b->allocator, drag);
     return status;
 }
 
@@ -16001,11 +16292,9 @@ static void sfemi_implicit_destroy(sfem_body *b)
     sfemi_implicit *m = &b->implicit;
     sfemi_system_close(b, &m->system);
     sfemi_factor_release(b->model, m->second);
-    if (m->memory && m->tangent.val != b->model->stiffness.val)
+    if (m->ready && m->tangent.val != b->model->stiffness.val)
         sfemi_delete(&b->allocator, m->tangent.val);
     sfemi_delete(&b->allocator, m->drag.val);
-    sfemi_delete(&b->allocator, m->work);
-    sfemi_delete(&b->allocator, m->memory);
 }
 
 static size_t sfemi_implicit_bytes(const sfem_body *b)
@@ -16013,8 +16302,7 @@ static size_t sfemi_implicit_bytes(const sfem_body *b)
     const sfemi_implicit *m = &b->implicit;
     const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
     size_t reals = 0;
-    if (m->memory) {
-        reals = 3 * SFEMI_IMPLICIT_VECTORS * (size_t)b->model->mesh.nodes;
+    if (m->ready) {
         if (m->tangent.val != b->model->stiffness.val) reals += values;
         if (m->drag.val) reals += values;
     }
@@ -16504,7 +16792,7 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
         moved |= g[i] != 0;
     }
     if (moved) sfemi_newton_lift(b, g);
-    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->work, &b->exec);
+    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->workspace->work, &b->exec);
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
     ++m->info.iterations;
@@ -16512,7 +16800,7 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     if (y->matrix.val || m->second) {
         for (k = 0; k < b->grip.count; ++k)
             sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
-                               b->grip.y[b->grip.slot[k]], b->work, &b->exec);
+                               b->grip.y[b->grip.slot[k]], b->workspace->work, &b->exec);
         sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
     }
     sfemi_newton_gap(b);
@@ -16949,7 +17237,7 @@ static void sfemi_alpha_predict(sfem_body *b)
     sfem_model_multiply_stiffness(b->model, w, b->rhs, &b->exec);
     for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * b->step.h * b->step.h;
     memset(b->base, 0, n * sizeof *b->base);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->workspace->work, &b->exec);
     if (b->grip.count) {
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
         sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->base);
@@ -17515,7 +17803,7 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
 {
     /* in work, from a node to the next and from an axis to the next */
     const size_t node = f->scalar ? 1 : 3, axis = f->scalar ? (size_t)f->free_nodes : 1;
-    sfem_real *at = b->work;
+    sfem_real *at = b->workspace->work;
     const sfem_real *diagonal = f->inverse;
     sfem_int i, k;
     int c;
@@ -17528,8 +17816,8 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
         at[2 * axis] = q[2] * v0 + q[5] * v1 + q[8] * v2;
     }
     if (f->ldl)
-        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->work, b->work + 3 * (size_t)f->free_nodes, &b->exec);
-    for (i = 0, k = 0, at = b->work; i < b->model->mesh.nodes; ++i) {
+        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->workspace->work, b->workspace->work + 3 * (size_t)f->free_nodes, &b->exec);
+    for (i = 0, k = 0, at = b->workspace->work; i < b->model->mesh.nodes; ++i) {
         const sfem_real *q = frame + 9 * (size_t)i;
         sfem_real *to = x + 3 * (size_t)i;
         if (f->mask[i] == SFEM_AXIS_ALL) {
@@ -17737,22 +18025,6 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     for (i = 0; i < 3 * (size_t)nodes; ++i) y[i] += sum[i];
 }
 
-/* Room for the solves with f, `rhs` at a time. */
-static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
-                                           sfem_error *err)
-{
-    const size_t size = sfemi_factor_work_size(f, rhs);
-    sfem_real *work;
-    sfem_status status = SFEM_OK;
-    if (size <= b->work_size) return SFEM_OK;
-    SFEMI_NEW(sfem_real, work, &b->allocator, size);
-    sfemi_delete(&b->allocator, b->work);
-    b->work = work;
-    b->work_size = size;
-done:
-    return status;
-}
-
 /* Room for the columns of handle `slot`, where it is used or may not allocate later. */
 static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot, sfem_error *err)
 {
@@ -17893,7 +18165,7 @@ static void sfemi_resume_precondition(sfem_body *b, sfem_real *r, sfem_real *z)
     for (i = 0; i < n; ++i) r[i] = mass[i / 3] * z[i];
     if (!b->factor) return;
     memcpy(z, r, n * sizeof *z);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, z, z, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, z, z, b->workspace->work, &b->exec);
     sfemi_resume_still(b, z);
 }
 
@@ -18058,7 +18330,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
         if (b->state.handle[g->slot[k]].hold.age > 0) g->slot[g->count++] = g->slot[k];
     if (g->count < count) sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
     sfemi_pqr_predict(b);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_pqr_solve(b);
     for (i = 0; i < n; ++i) v[i] = (h * b->state.w[i] + before * (b->base[i] + b->step.d * b->acc[i])) / (before + h);
     if (g->count == count) return;
@@ -18090,7 +18362,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     const int newmark = b->scheme.newmark;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_inertia t;
-    sfem_real *v = b->velocity;
+    sfem_real *v;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
     b->phase = SFEMI_IDLE;
@@ -18099,6 +18371,8 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
         s->head->started = SFEMI_RESTARTED;
         return;
     }
+    sfemi_workspace_bind(b);
+    v = b->velocity;
     t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     sfemi_resume_gather(b);
     if (b->base && b->factor && b->h == s->head->h && !b->grip.dirty) {
@@ -18329,7 +18603,7 @@ static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
         for (i = 0; b->zd && i < n; ++i) y[i] = c * a[i];
         if (b->zd) sfemi_fem_add_damping_rest(model, y, x);
         memset(y, 0, n * sizeof *y);
-        sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->work, &b->exec);
+        sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->workspace->work, &b->exec);
         if (rows) memcpy(b->grip.place, b->grip.lambda, rows * sizeof *b->grip.lambda);
         sfemi_resume_bridge_hold(b, y);
         for (i = 0; i < rows; ++i) b->grip.lambda[i] = b->grip.place[i] - b->grip.lambda[i];
@@ -18349,7 +18623,7 @@ static void sfemi_resume_bridge_stage(sfem_body *b, sfem_real *du, sfem_real *dv
     sfem_model_multiply_stiffness(b->model, b->zk, b->rhs, &b->exec);
     sfemi_fem_add_mass(b->model, 1, dv, b->rhs);
     memset(dv, 0, n * sizeof *dv);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->workspace->work, &b->exec);
     sfemi_resume_bridge_settle(b, dv);
     for (i = 0; i < n; ++i) du[i] += gh * dv[i];
 }
@@ -18549,7 +18823,7 @@ static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *fra
                 }
         }
     }
-    sfemi_grip_factor(g->s, size, size);
+    sfemi_small_factor(g->s, size, size);
 }
 
 /* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
@@ -18567,7 +18841,7 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
         sfemi_grip_mean(b->state.handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     memset(y, 0, n * sizeof *y);
     for (i = 0; i < g->count; ++i) {
         const sfemi_handle *h = b->state.handle + g->slot[i];
@@ -19368,7 +19642,7 @@ static void sfemi_correct_find_handle_forces(sfem_body *b)
                                                b->model->node_mass[h->node[p]];
         }
     }
-    for (c = 0; c < 3; ++c) sfemi_grip_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
+    for (c = 0; c < 3; ++c) sfemi_small_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
 }
 
 /* Energy beyond what a fallback may have: the budget, or what there was, and the work done in it. */
@@ -19700,7 +19974,7 @@ static void sfemi_guard_find_columns(sfem_body *b, const sfem_factor *f)
     sfem_int i;
     for (i = 0; i < b->grip.count; ++i) {
         const sfem_int slot = b->grip.slot[i];
-        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->work, &b->exec);
+        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->workspace->work, &b->exec);
     }
 }
 
@@ -19723,7 +19997,7 @@ static sfem_status sfemi_guard_prepare_isotropic(sfem_body *b, sfem_error *err)
         g->isotropic = f;
         g->isotropic_h = b->h;
     }
-    return sfemi_body_reserve_work(b, g->isotropic, 3, err);
+    return sfemi_workspace_reserve_work(b, g->isotropic, 3, err);
 done:
     return status;
 }
@@ -19743,7 +20017,7 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
     sfemi_guard *g = &b->guard;
     sfemi_factor_key key = b->factor->key;
     sfem_status status = SFEM_OK;
-    if (g->system.factor) return sfemi_body_reserve_work(b, g->system.factor, 3, err);
+    if (g->system.factor) return sfemi_workspace_reserve_work(b, g->system.factor, 3, err);
     key.majorant = 0;
     key.ck = b->h * b->h;
     key.cm = b->scheme.r;
@@ -19755,7 +20029,7 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
         g->tangent.val = val;
     }
     SFEMI_TRY(sfemi_system_open(b, &key, &g->system, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, g->system.factor, 3, err));
+    SFEMI_TRY(sfemi_workspace_reserve_work(b, g->system.factor, 3, err));
 done:
     return status;
 }
@@ -20694,7 +20968,7 @@ static void sfemi_linear_predict(sfem_body *b)
 
 static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_linear_settle(b);
     if (b->step.bridges) sfemi_resume_bridge_settle(b, b->acc);
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
@@ -21142,29 +21416,14 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfemi_guard *g = &b->guard;
-    sfem_real **const vector[] = {&b->turn.v, &g->u,       &g->w,       &g->f,       &g->external,   &g->known, &g->added,
-                                  &g->grad,   &g->dir,     &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad,
-                                  &g->other};
     sfem_status status = SFEM_OK;
-    size_t i;
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
     b->turn.still = !b->model->turns;
     if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
-    SFEMI_NEW(sfem_real, b->turn.work, al,
-              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + n +
-                  (3 + 3 + 3 + 2 * SFEMI_MEMORY + sizeof vector / sizeof *vector) * n);
-    b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
-    b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
-    b->turn.fresh = b->turn.sum + 3 * n;
-    b->turn.over = b->turn.fresh + 3 * n;
-    b->turn.trace = b->turn.over + n / 3;
-    b->turn.diagonal = b->turn.trace + n / 3;
-    g->frame = b->turn.diagonal + n / 3;
-    g->pair = g->frame + 3 * n;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->pair + (2 * SFEMI_MEMORY + i) * n;
+    SFEMI_NEW(sfem_real, b->turn.over, al, n / 3);
+    SFEMI_NEW(sfem_real, b->turn.diagonal, al, n / 3);
 done:
     return status;
 }
@@ -21181,18 +21440,17 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->guard.tangent.val);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
-    sfemi_delete(&al, b->turn.work);
+    sfemi_delete(&al, b->turn.over);
+    sfemi_delete(&al, b->turn.diagonal);
     sfemi_delete(&al, b->turn.lever);
     sfemi_damage_free(b->damage);
     sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
-    sfemi_delete(&al, b->rhs);
-    sfemi_delete(&al, b->base);
-    sfemi_delete(&al, b->spare);
-    sfemi_delete(&al, b->aside);
-    sfemi_delete(&al, b->work);
+    if (b->workspace->user == b) b->workspace->user = NULL;
+    sfemi_delete(&al, b->own.memory);
+    sfemi_delete(&al, b->own.work);
     sfem_model_free(b->model);
     sfemi_delete(&al, b);
 }
@@ -21201,8 +21459,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
 {
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
-    const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
-    const size_t vectors = b->model->damping ? 8 : 7;
+    const size_t k = (size_t)def->max_handles;
     sfem_status status = SFEM_OK;
     SFEMI_NEW(unsigned char, b->mask, al, nodes);
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
@@ -21212,20 +21469,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_new_state(b, b->pin_count, &b->state, err));
     b->state.head->saved.key = sfemi_body_key(b);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
-    SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
-    SFEMI_NEW(sfem_real, b->aside, al, 7 * n);
-    b->acc = b->rhs + n;
-    b->zk = b->rhs + 2 * n;
-    b->zm = b->rhs + 3 * n;
-    b->predicted = b->rhs + 4 * n;
-    b->late = b->rhs + 5 * n;
-    b->kick = b->rhs + 6 * n;
-    b->zd = b->model->damping ? b->rhs + 7 * n : NULL;
-    if (b->scheme.lagging) SFEMI_NEW(sfem_real, b->base, al, n);
-    if (b->scheme.resumes) {
-        SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
-        b->velocity = b->spare + 5 * n;
-    }
+    SFEMI_TRY(sfemi_workspace_reserve(b, err));
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->scheme.rotates || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
     if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
@@ -21254,6 +21498,8 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->def = *def;
     b->def.pins = NULL;
     b->def.pin_axes = NULL;
+    b->own.allocator = def->allocator;
+    b->workspace = def->workspace ? def->workspace : &b->own;
     sfemi_alpha_translate(&b->def);
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
@@ -21314,13 +21560,13 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         SFEMI_TRY(sfemi_grip_reserve(b, g, i, err));
         count += b->state.handle[i].used;
     }
-    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_body_reserve_work(b, b->factor, 3, err));
+    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
             sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
-                               g->y[i], b->work, &b->exec);
+                               g->y[i], b->workspace->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
@@ -21391,7 +21637,7 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     if (status != SFEM_OK) return status;
     sfemi_body_adopt(b, f);
     b->h = 0; /* until all is there */
-    status = sfemi_body_reserve_work(b, f, 3, err);
+    status = sfemi_workspace_reserve_work(b, f, 3, err);
     if (status != SFEM_OK) return status;
     b->h = h;
     b->p = p;
@@ -21414,6 +21660,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     status = sfemi_body_check_step(h, err);
     if (status != SFEM_OK) return status;
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
+    status = sfemi_workspace_check(b, err);
+    if (status != SFEM_OK) return status;
+    sfemi_workspace_bind(b);
     b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
@@ -21428,7 +21677,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
         if (status != SFEM_OK) return status;
-        status = sfemi_body_reserve_work(b, f, 1, err);
+        status = sfemi_workspace_reserve_work(b, f, 1, err);
         if (status == SFEM_OK) status = sfemi_refactor_reserve(b, f, err);
         if (status != SFEM_OK) {
             sfemi_factor_release(b->model, f);
@@ -21480,7 +21729,9 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
 {
     sfem_status status;
     status = sfemi_body_check_step(h, err); /* what Newton has prepared would serve any */
+    if (status == SFEM_OK) status = sfemi_workspace_check(b, err);
     if (status != SFEM_OK) return status;
+    sfemi_workspace_bind(b);
     if (!sfemi_body_is_prepared(b, h)) {
         if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
@@ -21508,7 +21759,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     status = sfemi_body_predict(b, h, err);
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
-    if (b->is_late) memset(b->late, 0, bytes);
+    memset(b->late, 0, bytes);
     b->is_late = b->kicked = 0;
     return SFEM_OK;
 }
@@ -21843,6 +22094,8 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfem_int *list = NULL, listed;
     sfem_status status = SFEM_OK;
     uint64_t bytes;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    sfemi_workspace_bind(b);
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
@@ -21978,16 +22231,6 @@ SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_r
     memcpy(force, b->state.handle[handle].force, 3 * sizeof *force);
 }
 
-SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
-{
-    sfem_real u[3];
-    int c;
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
-    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
-    for (c = 0; c < 3; ++c) x[c] += u[c];
-}
-
 /* A step's temporaries. */
 typedef struct sfemi_scratch {
     sfem_real *rhs, *acc, *zk, *zm, *zd, *f, *q;
@@ -22009,6 +22252,7 @@ static sfemi_scratch sfemi_body_look_aside(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_scratch own, other;
+    sfemi_workspace_bind(b);
     own.rhs = b->rhs;
     own.acc = b->acc;
     own.zk = b->zk;
@@ -22041,6 +22285,81 @@ SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
     const sfemi_scratch own = sfemi_body_look_aside(b);
     sfemi_body_find_reactions(b, force);
     sfemi_body_use(b, &own);
+}
+
+/* ---- what a body tells ---- */
+
+static sfem_energy sfemi_body_find_energy(sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    const sfemi_state *s = &b->state;
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_real *force = s->force[0];
+    sfem_energy e;
+    size_t i;
+    sfem_body_velocities(b, b->acc);
+    sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
+    e.kinetic = sfemi_dot(n, b->acc, b->zm) / 2;
+    e.elastic = b->scheme.method->elastic(b);
+    e.load = 0;
+    for (i = 0; i < n; ++i)
+        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
+    e.total = e.conserved = e.kinetic + e.elastic + e.load;
+    b->scheme.method->conserved(b, &e);
+    return e;
+}
+
+SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
+{
+    const sfemi_scratch own = sfemi_body_look_aside(b);
+    const sfem_energy e = sfemi_body_find_energy(b);
+    sfemi_body_use(b, &own);
+    return e;
+}
+
+SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_body_info info;
+    sfem_int i;
+    memset(&info, 0, sizeof info);
+    info.nodes = b->model->mesh.nodes;
+    info.tets = b->model->mesh.tets;
+    for (i = 0; i < info.nodes; ++i) info.free_nodes += b->mask[i] != SFEM_AXIS_ALL;
+    info.p = b->factor ? b->p : 0;
+    info.omega_max = b->omega_max;
+    info.factors_made = b->factors_made;
+    info.steps = b->state.head->steps;
+    info.rejected = b->state.head->rejected;
+    info.solves = b->state.head->solves;
+    info.evaluations = b->state.head->evaluations;
+    info.corrections = b->guard.corrections;
+    info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
+                      (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
+    info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
+                                                     3 * sizeof(sfem_int) + sizeof(sfem_real *));
+    if (b->turn.piece_of) /* as sfemi_body_allocate_turn has it */
+        info.body_bytes += (size_t)info.nodes * sizeof *b->turn.piece_of +
+                           (size_t)(b->bonds ? info.nodes : b->turn.pieces) * sizeof *b->turn.piece;
+    if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
+    for (i = 0; i < b->def.max_handles; ++i)
+        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
+    if (!b->factor) return info;
+    if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
+    info.diagonal = b->factor->inverse != NULL;
+    if (b->factor->ldl) {
+        const sfem_ldl_info ldl = sfem_ldl_get_info(b->factor->ldl);
+        info.factor_nnz = ldl.nnz;
+        info.factor_bytes = ldl.bytes;
+    } else {
+        info.factor_nnz = 3 * (size_t)b->factor->free_nodes;
+        info.factor_bytes = info.factor_nnz * sizeof(sfem_real);
+    }
+    sfemi_lock(&b->model->lock);
+    info.factor_users = b->factor->references;
+    sfemi_unlock(&b->model->lock);
+    return info;
 }
 
 /* ---- fracture ---- */
@@ -22160,7 +22479,13 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
-/* ---- fragments ---- */
+/* ============================================================================================
+ * >>fragments   the surface of a broken body: its pieces and cracks
+ *
+ * Each node keeps its cell of the barycentric dual. The midpoint of an edge, face or tet has one vertex for each group
+ * of its nodes that its own intact edges join: every edge of the surface is in two triangles. Nothing here changes the
+ * body.
+ * ============================================================================================ */
 
 /* Slots of the copies: nodes, then two for each edge, three for each face, four for each tet; number is
  * the vertex made of a slot, or -1. */
@@ -22422,6 +22747,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     sfem_int v;
     int k, c, size, members;
     SFEM_ASSERT(b && b->damage && f && x);
+    sfemi_workspace_bind(b);
     sfemi_shards_turn(b);
     for (v = 0; v < f->vertices; ++v) {
         const sfem_int *node = f->simplex + 4 * (size_t)v;
@@ -22447,7 +22773,12 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     }
 }
 
-/* ---- statics ---- */
+/* ============================================================================================
+ * >>statics   f(u) = F with the body's pins and handles: a static solution
+ *
+ * Of linear laws one solve with a factor of K of its own, which is kept, with point handles by their dense block; else
+ * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
+ * ============================================================================================ */
 
 /* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
 static int sfemi_body_is_node_handle(const sfemi_handle *h)
@@ -22499,7 +22830,7 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
         SFEMI_TRY(sfemi_grip_reserve(b, g, k, err));
-        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
+        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
@@ -22551,7 +22882,7 @@ static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key
     memset(&system, 0, sizeof system);
     SFEMI_TRY(sfemi_implicit_reserve(b, err));
     SFEMI_TRY(sfemi_system_open(b, key, &system, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, system.factor, 3, err));
+    SFEMI_TRY(sfemi_workspace_reserve_work(b, system.factor, 3, err));
     SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
@@ -22581,6 +22912,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     if (b->damage && b->damage->tets)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    sfemi_workspace_bind(b);
     b->phase = SFEMI_IDLE;
     SFEMI_NEW(unsigned char, mask, &b->allocator, b->model->mesh.nodes);
     sfemi_body_static_mask(b, mask);
@@ -22591,13 +22924,13 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
         SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-        SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
+        SFEMI_TRY(sfemi_workspace_reserve_work(b, f, 3, err));
         SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
         sfemi_body_static_known(b, b->zk);
         memcpy(b->acc, b->zk, n * sizeof *b->acc);
         if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
         sfemi_body_residual(b, load, 0);
-        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
         SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
     }
     if (!sfemi_all_finite(b->acc, n)) {
@@ -22617,78 +22950,7 @@ done:
     return status;
 }
 
-/* ---- what a body tells ---- */
-
-static sfem_energy sfemi_body_find_energy(sfem_body *b)
-{
-    const sfem_model *model = b->model;
-    const sfemi_state *s = &b->state;
-    const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_real *force = s->force[0];
-    sfem_energy e;
-    size_t i;
-    sfem_body_velocities(b, b->acc);
-    sfem_model_multiply_mass(model, b->acc, b->zm, &b->exec);
-    e.kinetic = sfemi_dot(n, b->acc, b->zm) / 2;
-    e.elastic = b->scheme.method->elastic(b);
-    e.load = 0;
-    for (i = 0; i < n; ++i)
-        e.load -= s->u[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
-    e.total = e.conserved = e.kinetic + e.elastic + e.load;
-    b->scheme.method->conserved(b, &e);
-    return e;
-}
-
-SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
-{
-    const sfemi_scratch own = sfemi_body_look_aside(b);
-    const sfem_energy e = sfemi_body_find_energy(b);
-    sfemi_body_use(b, &own);
-    return e;
-}
-
-SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
-{
-    const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_body_info info;
-    sfem_int i;
-    memset(&info, 0, sizeof info);
-    info.nodes = b->model->mesh.nodes;
-    info.tets = b->model->mesh.tets;
-    for (i = 0; i < info.nodes; ++i) info.free_nodes += b->mask[i] != SFEM_AXIS_ALL;
-    info.p = b->factor ? b->p : 0;
-    info.omega_max = b->omega_max;
-    info.factors_made = b->factors_made;
-    info.steps = b->state.head->steps;
-    info.rejected = b->state.head->rejected;
-    info.solves = b->state.head->solves;
-    info.evaluations = b->state.head->evaluations;
-    info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->saved.size +
-                      ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
-                          sizeof(sfem_real);
-    for (i = 0; i < b->def.max_handles; ++i)
-        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-    if (b->scheme.rotates) /* as sfemi_body_allocate_turn lays it out */
-        info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
-                            (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
-    if (!b->factor) return info;
-    if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
-    info.diagonal = b->factor->inverse != NULL;
-    if (b->factor->ldl) {
-        const sfem_ldl_info ldl = sfem_ldl_get_info(b->factor->ldl);
-        info.factor_nnz = ldl.nnz;
-        info.factor_bytes = ldl.bytes;
-    } else {
-        info.factor_nnz = 3 * (size_t)b->factor->free_nodes;
-        info.factor_bytes = info.factor_nnz * sizeof(sfem_real);
-    }
-    sfemi_lock(&b->model->lock);
-    info.factor_users = b->factor->references;
-    sfemi_unlock(&b->model->lock);
-    return info;
-}
+#endif /* SFEM_NO_BODY */
 
 #ifndef SFEM_NO_MODES
 /* ============================================================================================
@@ -26063,7 +26325,7 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     size_t k;
     int c;
     sfemi_handle_matrix(b, b->light, b->rows, head->rigid.r, NULL);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
          hi = sfemi_handle_next(b, hi + 1), i += 3) {
@@ -26075,7 +26337,7 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
         sfemi_cross(w, b->arm + i, turn);
         for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
     }
-    sfemi_grip_solve(b->s, n, n, b->l, 1);
+    sfemi_small_solve(b->s, n, n, b->l, 1);
     memset(b->b, 0, b->stride * sizeof *b->b);
     sfemi_handle_subtract(b, b->l, b->b);
     for (k = 0; k < b->m; ++k) y[k] += b->light[k] * b->b[k];
@@ -26334,11 +26596,11 @@ static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
     memcpy(b->q, b->from, b->stride * sizeof *b->q);
     sfemi_handle_locate(b);
     sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r, step);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
     sfemi_handle_gaps(b, step, b->from);
-    sfemi_grip_solve(b->s, n, n, b->residual, 1);
+    sfemi_small_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
         step->to->rows_left += b->fixed[i];
@@ -26455,7 +26717,7 @@ static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_
         }
         for (c = 0; c < 3; ++c) b->l_trial[i + c] = b->residual[i + c] / wide + back[c];
     }
-    sfemi_grip_solve(b->s, n, n, b->l_trial, 1);
+    sfemi_small_solve(b->s, n, n, b->l_trial, 1);
     memset(b->trial, 0, b->stride * sizeof *b->trial);
     sfemi_handle_subtract(b, b->l_trial, b->trial);
     for (k = 0; k < b->m; ++k) b->trial[k] = -b->trial[k];
@@ -26477,7 +26739,7 @@ static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, pose, x, b->arm + i,
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
     sfemi_handle_matrix(b, b->inverse, b->rows, pose->r, step);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
         step->to->rows_left += b->fixed[i];
@@ -29323,7 +29585,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
- *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
+ *   0.4.0   bodies may share a workspace; the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
