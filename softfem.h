@@ -2258,7 +2258,7 @@ static SFEMI_UNUSED int sfemi_all_finite(const sfem_real *x, size_t count)
  * allocator's own pointer stands just before the block. */
 static void *sfemi_new(const sfem_allocator *a, size_t count, size_t size)
 {
-    const size_t extra = SFEMI_ALIGN + sizeof(void *);
+    const size_t extra = SFEMI_ALIGN + 2 * sizeof(void *);
     size_t bytes, start;
     char *raw;
     if (size && count > ((size_t)-1 - extra) / size) return NULL;
@@ -2280,6 +2280,41 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
     else free(raw);
 }
 
+/* Memory that is freed at once, of a function or of an object: each piece points to the one before it, from where
+ * sfemi_new leaves room for that. */
+typedef struct sfemi_pool {
+    sfem_allocator allocator;
+    void *last;
+} sfemi_pool;
+
+static sfemi_pool sfemi_pool_of(const sfem_allocator *a)
+{
+    sfemi_pool pool;
+    pool.allocator = *a;
+    pool.last = NULL;
+    return pool;
+}
+
+/* What sfemi_new gave, or NULL, goes with the pool from now on. Returns it. */
+static void *sfemi_pool_own(sfemi_pool *pool, void *memory)
+{
+    if (!memory) return NULL;
+    memcpy((char *)memory - 2 * sizeof(void *), &pool->last, sizeof(void *));
+    return pool->last = memory;
+}
+
+/* The pool may stand in its own oldest piece. Afterwards it is empty. */
+static void sfemi_pool_free(sfemi_pool *pool)
+{
+    const sfem_allocator al = pool->allocator;
+    void *memory = pool->last, *next;
+    pool->last = NULL;
+    for (; memory; memory = next) {
+        memcpy(&next, (char *)memory - 2 * sizeof(void *), sizeof(void *));
+        sfemi_delete(&al, memory);
+    }
+}
+
 /* p = new array of count elements of type T, or goto done with status set: the allocating functions
  * of this file have locals `status`, `err` and one exit. */
 #define SFEMI_NEW(T, p, allocator, count)                                                            \
@@ -2289,6 +2324,20 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
             status = sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: %s", #p);                   \
             goto done;                                                                               \
         }                                                                                            \
+    } while (0)
+#define SFEMI_TAKE(T, p, from, count) /* the same of a pool; */                                      \
+    do {                                                                                             \
+        (p) = (T *)sfemi_pool_own((from), sfemi_new(&(from)->allocator, (size_t)(count), sizeof(T))); \
+        if (!(p)) {                                                                                  \
+            status = sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: %s", #p);                   \
+            goto done;                                                                               \
+        }                                                                                            \
+    } while (0)
+#define SFEMI_NEW_OWNER(T, p, from) /* and an object with a field pool, which goes with that */      \
+    do {                                                                                             \
+        SFEMI_NEW(T, p, from, 1);                                                                    \
+        (p)->pool = sfemi_pool_of(from);                                                             \
+        sfemi_pool_own(&(p)->pool, (p));                                                             \
     } while (0)
 #define SFEMI_TRY(call)                                                                              \
     do {                                                                                             \
@@ -14059,6 +14108,7 @@ typedef struct sfem_factor sfem_factor;
 
 struct sfem_model {
     sfem_allocator allocator;
+    sfemi_pool pool;           /* all of this but upper */
     sfem_mesh mesh;
     sfem_mass mass;
     sfem_matrix stiffness;
@@ -14202,15 +14252,15 @@ static sfem_int sfemi_fem_pattern_row(const sfem_mesh *mesh, const sfem_int *sta
 static sfem_status sfemi_fem_pattern(sfem_model *model, sfem_error *err)
 {
     const sfem_mesh *mesh = &model->mesh;
-    const sfem_allocator *al = &model->allocator;
-    sfem_int *start = NULL, *list = NULL, *mark = NULL, i, a, e;
+    sfemi_pool pool = sfemi_pool_of(&model->allocator);
+    sfem_int *start, *list, *mark, i, a, e;
     sfem_status status = SFEM_OK;
     if (mesh->tets > INT32_MAX / 10)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%d tets overflow the index type", (int)mesh->tets);
-    SFEMI_NEW(sfem_int, start, al, (size_t)mesh->nodes + 2);
-    SFEMI_NEW(sfem_int, list, al, 4 * (size_t)mesh->tets);
-    SFEMI_NEW(sfem_int, mark, al, mesh->nodes);
-    SFEMI_NEW(sfem_int, model->row, al, (size_t)mesh->nodes + 1);
+    SFEMI_TAKE(sfem_int, start, &pool, (size_t)mesh->nodes + 2);
+    SFEMI_TAKE(sfem_int, list, &pool, 4 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, mark, &pool, mesh->nodes);
+    SFEMI_TAKE(sfem_int, model->row, &model->pool, (size_t)mesh->nodes + 1);
     for (i = 0; i < 4 * mesh->tets; ++i) ++start[mesh->tet[i] + 2];
     for (i = 0; i < mesh->nodes; ++i) start[i + 2] += start[i + 1];
     for (e = 0; e < mesh->tets; ++e)
@@ -14218,14 +14268,12 @@ static sfem_status sfemi_fem_pattern(sfem_model *model, sfem_error *err)
     for (i = 0; i < mesh->nodes; ++i) mark[i] = -1;
     for (i = 0; i < mesh->nodes; ++i)
         model->row[i + 1] = model->row[i] + sfemi_fem_pattern_row(mesh, start, list, i, mark, NULL);
-    SFEMI_NEW(sfem_int, model->col, al, model->row[mesh->nodes]);
+    SFEMI_TAKE(sfem_int, model->col, &model->pool, model->row[mesh->nodes]);
     for (i = 0; i < mesh->nodes; ++i) mark[i] = -1;
     for (i = 0; i < mesh->nodes; ++i)
         sfemi_fem_pattern_row(mesh, start, list, i, mark, model->col + model->row[i]);
 done:
-    sfemi_delete(al, mark);
-    sfemi_delete(al, list);
-    sfemi_delete(al, start);
+    sfemi_pool_free(&pool);
     return status;
 }
 
@@ -14239,19 +14287,6 @@ static sfem_int sfemi_fem_find(const sfem_int *row, const sfem_int *col, sfem_in
         else high = mid;
     }
     return col[low] == j ? low : -1;
-}
-
-static void sfemi_chunks_free(sfemi_chunks *c, const sfem_allocator *al)
-{
-    sfemi_delete(al, c->block);
-    sfemi_delete(al, c->block_start);
-    sfemi_delete(al, c->copy_start);
-    sfemi_delete(al, c->copy_node);
-    sfemi_delete(al, c->node_start);
-    sfemi_delete(al, c->node_copy);
-    sfemi_delete(al, c->color_start);
-    sfemi_delete(al, c->color_chunk);
-    sfemi_delete(al, c->place);
 }
 
 /* Counts blocks and copies by chunk. mark [nodes] is -1. */
@@ -14395,30 +14430,29 @@ static void sfemi_chunks_color(sfemi_chunks *c, sfem_int *color, sfem_int *mark)
 
 static sfem_status sfemi_chunks_build(sfem_model *model, sfem_error *err)
 {
-    const sfem_allocator *al = &model->allocator;
+    sfemi_pool pool = sfemi_pool_of(&model->allocator);
     const sfem_mesh *mesh = &model->mesh;
     sfemi_chunks *c = &model->chunks;
-    sfem_int *mark = NULL, *local = NULL;
+    sfem_int *mark, *local;
     sfem_status status = SFEM_OK;
     c->count = (mesh->tets + SFEMI_CHUNK_TETS - 1) / SFEMI_CHUNK_TETS;
-    SFEMI_NEW(sfem_int, mark, al, (size_t)mesh->nodes + (size_t)c->count);
-    SFEMI_NEW(sfem_int, local, al, (size_t)mesh->nodes + (size_t)c->count);
-    SFEMI_NEW(sfem_int, c->block_start, al, (size_t)c->count + 1);
-    SFEMI_NEW(sfem_int, c->copy_start, al, (size_t)c->count + 1);
-    SFEMI_NEW(sfem_int, c->color_start, al, (size_t)c->count + 1);
-    SFEMI_NEW(sfem_int, c->color_chunk, al, c->count);
-    SFEMI_NEW(sfem_int, c->node_start, al, (size_t)mesh->nodes + 1);
+    SFEMI_TAKE(sfem_int, mark, &pool, (size_t)mesh->nodes + (size_t)c->count);
+    SFEMI_TAKE(sfem_int, local, &pool, (size_t)mesh->nodes + (size_t)c->count);
+    SFEMI_TAKE(sfem_int, c->block_start, &model->pool, (size_t)c->count + 1);
+    SFEMI_TAKE(sfem_int, c->copy_start, &model->pool, (size_t)c->count + 1);
+    SFEMI_TAKE(sfem_int, c->color_start, &model->pool, (size_t)c->count + 1);
+    SFEMI_TAKE(sfem_int, c->color_chunk, &model->pool, c->count);
+    SFEMI_TAKE(sfem_int, c->node_start, &model->pool, (size_t)mesh->nodes + 1);
     memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
     sfemi_chunks_count(model, c, mark);
-    SFEMI_NEW(sfemi_block, c->block, al, c->block_start[c->count]);
-    SFEMI_NEW(sfem_int, c->copy_node, al, c->copies);
-    SFEMI_NEW(sfem_int, c->node_copy, al, c->copies);
+    SFEMI_TAKE(sfemi_block, c->block, &model->pool, c->block_start[c->count]);
+    SFEMI_TAKE(sfem_int, c->copy_node, &model->pool, c->copies);
+    SFEMI_TAKE(sfem_int, c->node_copy, &model->pool, c->copies);
     memset(mark, -1, (size_t)mesh->nodes * sizeof *mark);
     sfemi_chunks_number(model, c, mark, local);
     sfemi_chunks_color(c, local, mark);
 done:
-    sfemi_delete(al, mark);
-    sfemi_delete(al, local);
+    sfemi_pool_free(&pool);
     return status;
 }
 
@@ -14506,58 +14540,44 @@ static sfem_status sfemi_fem_add_damping(sfem_model *model, const sfem_matrix *d
 
 static void sfemi_fem_destroy(sfem_model *model)
 {
-    const sfem_allocator al = model->allocator;
-    sfem_mesh_free(&model->mesh);
     sfem_matrix_upper_free(&model->upper);
-    sfemi_delete(&al, model->row);
-    sfemi_delete(&al, model->col);
-    sfemi_delete(&al, model->stiffness.val);
-    sfemi_delete(&al, model->node_mass);
-    sfemi_delete(&al, model->block_mass);
-    sfemi_delete(&al, model->damping);
-    sfemi_delete(&al, model->lambda);
-    sfemi_delete(&al, model->mu);
-    sfemi_delete(&al, model->density);
-    sfemi_delete(&al, model->volume);
-    sfemi_delete(&al, model->law);
-    sfemi_chunks_free(&model->chunks, &al);
-    sfemi_delete(&al, model);
+    sfemi_pool_free(&model->pool);
 }
 
 static sfem_status sfemi_fem_allocate(sfem_model *model, const sfem_model_def *def, sfem_error *err)
 {
-    const sfem_allocator *al = &model->allocator;
+    sfemi_pool *pool = &model->pool;
     const sfem_mesh *mesh = def->mesh;
     sfem_status status = SFEM_OK;
     size_t blocks;
-    model->mesh.allocator = *al; /* a plain copy: sfemi_fem_check has seen it */
+    model->mesh.allocator = model->allocator; /* a plain copy: sfemi_fem_check has seen it */
     model->mesh.nodes = mesh->nodes;
     model->mesh.tets = mesh->tets;
-    SFEMI_NEW(sfem_real, model->mesh.x, al, 3 * (size_t)mesh->nodes);
-    SFEMI_NEW(sfem_int, model->mesh.tet, al, 4 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_real, model->mesh.x, pool, 3 * (size_t)mesh->nodes);
+    SFEMI_TAKE(sfem_int, model->mesh.tet, pool, 4 * (size_t)mesh->tets);
     memcpy(model->mesh.x, mesh->x, 3 * (size_t)mesh->nodes * sizeof *mesh->x);
     memcpy(model->mesh.tet, mesh->tet, 4 * (size_t)mesh->tets * sizeof *mesh->tet);
     if (mesh->region) {
-        SFEMI_NEW(sfem_int, model->mesh.region, al, mesh->tets);
+        SFEMI_TAKE(sfem_int, model->mesh.region, pool, mesh->tets);
         memcpy(model->mesh.region, mesh->region, (size_t)mesh->tets * sizeof *mesh->region);
     }
     SFEMI_TRY(sfemi_fem_pattern(model, err));
     blocks = (size_t)model->row[mesh->nodes];
-    SFEMI_NEW(sfem_real, model->stiffness.val, al, 9 * blocks);
-    SFEMI_NEW(sfem_real, model->node_mass, al, mesh->nodes);
-    SFEMI_NEW(sfem_real, model->lambda, al, mesh->tets);
-    SFEMI_NEW(sfem_real, model->mu, al, mesh->tets);
-    SFEMI_NEW(sfem_real, model->density, al, mesh->tets);
-    SFEMI_NEW(sfem_real, model->volume, al, mesh->tets);
-    SFEMI_NEW(unsigned char, model->law, al, mesh->tets);
-    SFEMI_NEW(sfem_int, model->chunks.place, al, 10 * (size_t)mesh->tets);
-    if (def->mass == SFEM_MASS_CONSISTENT) SFEMI_NEW(sfem_real, model->block_mass, al, blocks);
+    SFEMI_TAKE(sfem_real, model->stiffness.val, pool, 9 * blocks);
+    SFEMI_TAKE(sfem_real, model->node_mass, pool, mesh->nodes);
+    SFEMI_TAKE(sfem_real, model->lambda, pool, mesh->tets);
+    SFEMI_TAKE(sfem_real, model->mu, pool, mesh->tets);
+    SFEMI_TAKE(sfem_real, model->density, pool, mesh->tets);
+    SFEMI_TAKE(sfem_real, model->volume, pool, mesh->tets);
+    SFEMI_TAKE(unsigned char, model->law, pool, mesh->tets);
+    SFEMI_TAKE(sfem_int, model->chunks.place, pool, 10 * (size_t)mesh->tets);
+    if (def->mass == SFEM_MASS_CONSISTENT) SFEMI_TAKE(sfem_real, model->block_mass, pool, blocks);
     if (def->damping || sfemi_fem_damping_varies(def))
-        SFEMI_NEW(sfem_real, model->damping, al, 9 * blocks);
+        SFEMI_TAKE(sfem_real, model->damping, pool, 9 * blocks);
     model->stiffness.n = mesh->nodes;
     model->stiffness.row = model->row;
     model->stiffness.col = model->col;
-    SFEMI_TRY(sfem_matrix_upper_create(&model->stiffness, al, &model->upper, err));
+    SFEMI_TRY(sfem_matrix_upper_create(&model->stiffness, &model->allocator, &model->upper, err));
     model->stiffness.upper = &model->upper;
 done:
     return status;
@@ -14572,7 +14592,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     SFEM_ASSERT(def && out && def->mesh);
     materials = def->materials ? def->materials : &def->material;
     SFEMI_TRY(sfemi_fem_check(def, err));
-    SFEMI_NEW(sfem_model, model, &def->allocator, 1);
+    SFEMI_NEW_OWNER(sfem_model, model, &def->allocator);
     model->allocator = def->allocator;
     model->references = 1;
     model->mass = def->mass;
@@ -25343,6 +25363,7 @@ typedef struct sfemi_modes_system {
     const sfem_model *model;
     const sfem_modes_def *def;
     const sfem_allocator *al;
+    sfemi_pool pool;      /* all but K */
     sfem_int n, axes;     /* free nodes; their free axes */
     sfem_int *node;       /* [n] numbers in the mesh */
     unsigned char *mask;  /* [nodes] axes held */
@@ -25362,17 +25383,7 @@ typedef struct sfemi_modes_system {
 static void sfemi_modes_system_free(sfemi_modes_system *s)
 {
     sfem_matrix_free(&s->k, s->al);
-    sfemi_delete(s->al, s->node);
-    sfemi_delete(s->al, s->mask);
-    sfemi_delete(s->al, s->mass);
-    sfemi_delete(s->al, s->root);
-    sfemi_delete(s->al, s->scalar);
-    sfemi_delete(s->al, s->piece);
-    sfemi_delete(s->al, s->motions);
-    if (s->mz != s->z) sfemi_delete(s->al, s->mz);
-    sfemi_delete(s->al, s->z);
-    sfemi_delete(s->al, s->half);
-    sfemi_delete(s->al, s->dot);
+    sfemi_pool_free(&s->pool);
 }
 
 static sfem_status sfemi_modes_mask(sfemi_modes_system *s, sfem_error *err)
@@ -25384,7 +25395,7 @@ static sfem_status sfemi_modes_mask(sfemi_modes_system *s, sfem_error *err)
     int c;
     if (def->pin_count < 0 || (def->pin_count > 0 && !def->pins))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "pin_count is %d without pins", (int)def->pin_count);
-    SFEMI_NEW(unsigned char, s->mask, s->al, nodes);
+    SFEMI_TAKE(unsigned char, s->mask, &s->pool, nodes);
     for (i = 0; i < def->pin_count; ++i) {
         const sfem_int node = def->pins[i];
         const int held = def->pin_axes ? (int)def->pin_axes[i] : (int)SFEM_AXIS_ALL;
@@ -25400,7 +25411,7 @@ static sfem_status sfemi_modes_mask(sfemi_modes_system *s, sfem_error *err)
         if (s->model->node_mass[i] == 0) s->mask[i] = SFEM_AXIS_ALL;
         s->n += s->mask[i] != SFEM_AXIS_ALL;
     }
-    SFEMI_NEW(sfem_int, s->node, s->al, s->n);
+    SFEMI_TAKE(sfem_int, s->node, &s->pool, s->n);
     for (s->n = i = 0; i < nodes; ++i) {
         if (s->mask[i] == SFEM_AXIS_ALL) continue;
         s->node[s->n++] = i;
@@ -25414,23 +25425,24 @@ done:
 static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
 {
     const sfem_model *m = s->model;
-    sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
-    sfem_real *sum = NULL;
+    sfem_int *number, *row = NULL, *col = NULL, k, at, blocks = 0;
+    sfem_real *sum;
+    sfemi_pool pool = sfemi_pool_of(s->al);
     sfem_status status = SFEM_OK;
     size_t i;
     int r, c;
-    SFEMI_NEW(sfem_int, number, s->al, m->mesh.nodes); /* 1 + its row, 0: not free */
-    SFEMI_NEW(sfem_real, sum, s->al, 3 * (size_t)s->n);
+    SFEMI_TAKE(sfem_int, number, &pool, m->mesh.nodes); /* 1 + its row, 0: not free */
+    SFEMI_TAKE(sfem_real, sum, &pool, 3 * (size_t)s->n);
     for (k = 0; k < s->n; ++k) number[s->node[k]] = k + 1;
     for (k = 0; k < s->n; ++k)
         for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
             blocks += number[m->col[at]] > 0;
     SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, 9, s->al, &row, &col, &s->k, err));
-    SFEMI_NEW(sfem_real, s->mass, s->al, 3 * (size_t)s->n);
+    SFEMI_TAKE(sfem_real, s->mass, &s->pool, 3 * (size_t)s->n);
     if (m->block_mass)
-        SFEMI_NEW(sfem_real, s->scalar, s->al, blocks);
+        SFEMI_TAKE(sfem_real, s->scalar, &s->pool, blocks);
     else
-        SFEMI_NEW(sfem_real, s->root, s->al, 3 * (size_t)s->n);
+        SFEMI_TAKE(sfem_real, s->root, &s->pool, 3 * (size_t)s->n);
     for (blocks = k = 0; k < s->n; ++k) {
         const sfem_int node = s->node[k];
         for (at = m->row[node]; at < m->row[node + 1]; ++at) {
@@ -25458,8 +25470,7 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
     }
     for (i = 0; i < 3 * (size_t)s->n; ++i) s->norm_k = fmax(s->norm_k, sum[i]);
 done:
-    sfemi_delete(s->al, number);
-    sfemi_delete(s->al, sum);
+    sfemi_pool_free(&pool);
     return status;
 }
 
@@ -25509,7 +25520,7 @@ static sfem_status sfemi_modes_pieces(sfemi_modes_system *s, sfem_int *of, sfem_
             else of[a] = b;
         }
     SFEMI_NEW(sfem_int, number, s->al, mesh->nodes); /* 1 + piece of a representative */
-    SFEMI_NEW(sfem_int, s->piece, s->al, s->n);
+    SFEMI_TAKE(sfem_int, s->piece, &s->pool, s->n);
     for (i = 0; i < mesh->nodes; ++i) of[i] = of[of[i]]; /* roots come first: one step does */
     for (k = 0; k < s->n; ++k) {
         sfem_int *at = number + of[s->node[k]];
@@ -25604,21 +25615,22 @@ static sfem_status sfemi_modes_rigid(sfemi_modes_system *s, sfem_error *err)
 {
     const sfem_mesh *mesh = &s->model->mesh;
     const size_t rows = 3 * (size_t)s->n;
-    sfem_int *of = NULL, i, p;
-    sfem_real *centre = NULL, *gram = NULL, *motion = NULL, *x = NULL, *y = NULL, r[3], b[18];
+    sfem_int *of, i, p;
+    sfem_real *centre, *gram, *motion, *x, *y, r[3], b[18];
+    sfemi_pool pool = sfemi_pool_of(s->al);
     sfem_status status = SFEM_OK;
     int c, j, k;
-    SFEMI_NEW(sfem_int, of, s->al, mesh->nodes);
+    SFEMI_TAKE(sfem_int, of, &pool, mesh->nodes);
     SFEMI_TRY(sfemi_modes_pieces(s, of, err));
-    SFEMI_NEW(sfem_real, centre, s->al, 5 * (size_t)s->pieces); /* with mass and radius */
-    SFEMI_NEW(sfem_real, gram, s->al, 36 * (size_t)s->pieces);
-    SFEMI_NEW(sfem_real, motion, s->al, 36 * (size_t)s->pieces);
-    SFEMI_NEW(sfem_real, x, s->al, 4 * rows);
-    SFEMI_NEW(sfem_real, y, s->al, 4 * rows);
-    SFEMI_NEW(sfem_int, s->motions, s->al, s->pieces);
-    SFEMI_NEW(sfem_real, s->dot, s->al, 24 * (size_t)s->pieces);
-    SFEMI_NEW(sfem_real, s->z, s->al, 6 * rows);
-    SFEMI_NEW(sfem_real, s->mz, s->al, 6 * rows);
+    SFEMI_TAKE(sfem_real, centre, &pool, 5 * (size_t)s->pieces); /* with mass and radius */
+    SFEMI_TAKE(sfem_real, gram, &pool, 36 * (size_t)s->pieces);
+    SFEMI_TAKE(sfem_real, motion, &pool, 36 * (size_t)s->pieces);
+    SFEMI_TAKE(sfem_real, x, &pool, 4 * rows);
+    SFEMI_TAKE(sfem_real, y, &pool, 4 * rows);
+    SFEMI_TAKE(sfem_int, s->motions, &s->pool, s->pieces);
+    SFEMI_TAKE(sfem_real, s->dot, &s->pool, 24 * (size_t)s->pieces);
+    SFEMI_TAKE(sfem_real, s->z, &s->pool, 6 * rows);
+    SFEMI_TAKE(sfem_real, s->mz, &s->pool, 6 * rows);
     for (i = 0; i < mesh->nodes; ++i)
         for (c = 0; c < 3 && of[i] >= 0; ++c)
             centre[5 * of[i] + c] += s->model->node_mass[i] * mesh->x[3 * (size_t)i + (size_t)c];
@@ -25656,12 +25668,7 @@ static sfem_status sfemi_modes_rigid(sfemi_modes_system *s, sfem_error *err)
     }
     sfemi_modes_orthonormalise(s, x, y);
 done:
-    sfemi_delete(s->al, of);
-    sfemi_delete(s->al, centre);
-    sfemi_delete(s->al, gram);
-    sfemi_delete(s->al, motion);
-    sfemi_delete(s->al, x);
-    sfemi_delete(s->al, y);
+    sfemi_pool_free(&pool);
     return status;
 }
 
@@ -25673,6 +25680,7 @@ static sfem_status sfemi_modes_system_create(const sfem_model *model, const sfem
     s->model = model;
     s->def = def;
     s->al = &def->allocator;
+    s->pool = sfemi_pool_of(s->al);
     SFEMI_TRY(sfemi_modes_mask(s, err));
     SFEMI_TRY(sfemi_modes_matrices(s, err));
     SFEMI_TRY(sfemi_modes_rigid(s, err));
@@ -25855,15 +25863,16 @@ static sfem_status sfemi_modes_dense(const sfemi_modes_system *s, sfem_modes *ou
 {
     const size_t m = (size_t)s->axes, rows = 3 * (size_t)s->n, nodes3 = 3 * (size_t)s->model->mesh.nodes;
     const sfem_real bound = s->def->below_hz * 6.283185307179586;
-    sfem_real *a = NULL, *b = NULL, *lambda = NULL, *work = NULL;
-    sfem_int *axis = NULL, elastic = s->axes - s->rigid, take = 0, k;
+    sfem_real *a, *b = NULL, *lambda, *work;
+    sfem_int *axis, elastic = s->axes - s->rigid, take = 0, k;
+    sfemi_pool pool = sfemi_pool_of(s->al);
     sfem_status status = SFEM_OK;
     size_t r, q = 0;
-    SFEMI_NEW(sfem_int, axis, s->al, rows);
-    SFEMI_NEW(sfem_real, a, s->al, m * m);
-    if (s->scalar) SFEMI_NEW(sfem_real, b, s->al, m * m);
-    SFEMI_NEW(sfem_real, lambda, s->al, m);
-    SFEMI_NEW(sfem_real, work, s->al, 5 * m);
+    SFEMI_TAKE(sfem_int, axis, &pool, rows);
+    SFEMI_TAKE(sfem_real, a, &pool, m * m);
+    if (s->scalar) SFEMI_TAKE(sfem_real, b, &pool, m * m);
+    SFEMI_TAKE(sfem_real, lambda, &pool, m);
+    SFEMI_TAKE(sfem_real, work, &pool, 5 * m);
     for (r = 0; r < rows; ++r) axis[r] = s->mask[s->node[r / 3]] >> (r % 3) & 1 ? -1 : (sfem_int)q++;
     sfemi_modes_fill(s, axis, a, b);
     SFEMI_TRY(sfem_dense_eigen(s->axes, a, b, lambda, work, err));
@@ -25890,11 +25899,7 @@ static sfem_status sfemi_modes_dense(const sfemi_modes_system *s, sfem_modes *ou
                       : take > 0           ? lambda[take + out->info.cut - 1] * (1 + 1e-6)
                                            : 0;
 done:
-    sfemi_delete(s->al, axis);
-    sfemi_delete(s->al, a);
-    sfemi_delete(s->al, b);
-    sfemi_delete(s->al, lambda);
-    sfemi_delete(s->al, work);
+    sfemi_pool_free(&pool);
     return status;
 }
 
@@ -25909,6 +25914,7 @@ done:
 
 typedef struct sfemi_lanczos {
     sfemi_modes_system *s;
+    sfemi_pool pool;     /* all but ldl */
     const sfemi_modes_kernels *f;
     const sfem_exec *exec;
     sfem_modes_info *info;
@@ -25939,23 +25945,8 @@ typedef struct sfemi_lanczos {
 
 static void sfemi_lanczos_free(sfemi_lanczos *z)
 {
-    const sfem_allocator *al = z->s->al;
     sfem_ldl_free(z->ldl);
-    sfemi_delete(al, z->a.val);
-    sfemi_delete(al, z->v);
-    if (z->mw != z->w) sfemi_delete(al, z->mw);
-    if (z->mbefore != z->before) sfemi_delete(al, z->mbefore);
-    sfemi_delete(al, z->w);
-    sfemi_delete(al, z->before);
-    sfemi_delete(al, z->work);
-    sfemi_delete(al, z->c);
-    sfemi_delete(al, z->part);
-    sfemi_delete(al, z->t);
-    sfemi_delete(al, z->ritz);
-    sfemi_delete(al, z->theta);
-    sfemi_delete(al, z->rho);
-    sfemi_delete(al, z->small);
-    sfemi_delete(al, z->ax);
+    sfemi_pool_free(&z->pool);
 }
 
 typedef struct sfemi_lanczos_job {
@@ -26343,14 +26334,15 @@ static void sfemi_lanczos_compress_chunk(void *data, sfem_int chunk)
 /* A thick restart: the basis becomes the first `keep` Ritz vectors, T their values. */
 static sfem_status sfemi_lanczos_restart(sfemi_lanczos *z, sfem_int keep, sfem_error *err)
 {
+    sfemi_pool pool = sfemi_pool_of(z->s->al);
     sfem_status status = SFEM_OK;
     sfemi_lanczos_job job;
-    sfem_real *c = NULL, *to = NULL;
+    sfem_real *c, *to;
     sfem_int k;
     if (!sfemi_lanczos_vectors(z))
         return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
-    SFEMI_NEW(sfem_real, c, z->s->al, 96 * (size_t)z->panels * ((size_t)keep / 4 + 1));
-    SFEMI_NEW(sfem_real, to, z->s->al, 96 * 24 * (size_t)z->panels * (size_t)z->chunks);
+    SFEMI_TAKE(sfem_real, c, &pool, 96 * (size_t)z->panels * ((size_t)keep / 4 + 1));
+    SFEMI_TAKE(sfem_real, to, &pool, 96 * 24 * (size_t)z->panels * (size_t)z->chunks);
     for (k = 0; k < keep; k += 4)
         sfemi_lanczos_pick(z, k, keep, c + 96 * (size_t)z->panels * (size_t)(k / 4));
     job.z = z;
@@ -26370,8 +26362,7 @@ static sfem_status sfemi_lanczos_restart(sfemi_lanczos *z, sfem_int keep, sfem_e
     z->full = 1;
     ++z->info->restarts;
 done:
-    sfemi_delete(z->s->al, c);
-    sfemi_delete(z->s->al, to);
+    sfemi_pool_free(&pool);
     return status;
 }
 
@@ -26514,15 +26505,16 @@ done:
 static sfem_status sfemi_modes_estimate(const sfemi_modes_system *s, sfem_real *out, sfem_error *err)
 {
     const size_t rows = 3 * (size_t)s->n;
-    sfem_real *moment = NULL, *x = NULL, *y = NULL, *sums = NULL, value[3], work[15];
+    sfem_real *moment, *x, *y, *sums, value[3], work[15];
+    sfemi_pool pool = sfemi_pool_of(s->al);
     sfem_status status = SFEM_OK;
     sfem_int i, p;
     size_t r;
     int a, c, q;
-    SFEMI_NEW(sfem_real, moment, s->al, 13 * (size_t)s->pieces); /* mass, centre, second moments */
-    SFEMI_NEW(sfem_real, sums, s->al, 8 * (size_t)s->pieces);
-    SFEMI_NEW(sfem_real, x, s->al, 4 * rows);
-    SFEMI_NEW(sfem_real, y, s->al, 4 * rows);
+    SFEMI_TAKE(sfem_real, moment, &pool, 13 * (size_t)s->pieces); /* mass, centre, second moments */
+    SFEMI_TAKE(sfem_real, sums, &pool, 8 * (size_t)s->pieces);
+    SFEMI_TAKE(sfem_real, x, &pool, 4 * rows);
+    SFEMI_TAKE(sfem_real, y, &pool, 4 * rows);
     for (i = 0; i < s->n; ++i) {
         sfem_real *m = moment + 13 * s->piece[i];
         const sfem_real mass = s->model->node_mass[s->node[i]];
@@ -26566,10 +26558,7 @@ static sfem_status sfemi_modes_estimate(const sfemi_modes_system *s, sfem_real *
         for (q = 0; q < 4; ++q)
             if (sums[8 * p + 4 + q] > 0) *out = fmin(*out, sums[8 * p + q] / sums[8 * p + 4 + q]);
 done:
-    sfemi_delete(s->al, moment);
-    sfemi_delete(s->al, sums);
-    sfemi_delete(s->al, x);
-    sfemi_delete(s->al, y);
+    sfemi_pool_free(&pool);
     return status;
 }
 
@@ -26610,6 +26599,7 @@ static sfem_status sfemi_lanczos_create(sfemi_modes_system *s, sfem_modes_info *
     sfem_status status = SFEM_OK;
     memset(z, 0, sizeof *z);
     z->s = s;
+    z->pool = sfemi_pool_of(s->al);
     z->f = sfemi_modes_kernels_of(sfemi_path());
     z->exec = &s->def->exec;
     z->info = info;
@@ -26618,8 +26608,7 @@ static sfem_status sfemi_lanczos_create(sfemi_modes_system *s, sfem_modes_info *
     z->chunks = (sfem_int)((z->padded + SFEMI_MODES_CHUNK - 1) / SFEMI_MODES_CHUNK);
     z->random = 0x9e3779b97f4a7c15u ^ s->def->seed;
     z->a = s->k;
-    z->a.val = NULL;
-    SFEMI_NEW(sfem_real, z->a.val, s->al, 9 * (size_t)s->k.row[s->n]);
+    SFEMI_TAKE(sfem_real, z->a.val, &z->pool, 9 * (size_t)s->k.row[s->n]);
 done:
     return status;
 }
@@ -26634,33 +26623,33 @@ static sfem_int sfemi_lanczos_capacity(const sfem_modes_def *def, sfem_int wante
 
 static sfem_status sfemi_lanczos_reserve(sfemi_lanczos *z, sfem_int wanted, sfem_error *err)
 {
-    const sfem_allocator *al = z->s->al;
+    sfemi_pool *pool = &z->pool;
     const size_t h = (size_t)sfemi_lanczos_capacity(z->s->def, wanted);
     sfem_status status = SFEM_OK;
     size_t i;
     z->wanted = wanted;
     z->capacity = (sfem_int)h;
     z->panels = (sfem_int)((h + 23) / 24);
-    SFEMI_NEW(sfem_real, z->v, al, (size_t)z->panels * 24 * z->padded);
-    SFEMI_NEW(sfem_real, z->w, al, 4 * z->padded + 16);
+    SFEMI_TAKE(sfem_real, z->v, pool, (size_t)z->panels * 24 * z->padded);
+    SFEMI_TAKE(sfem_real, z->w, pool, 4 * z->padded + 16);
     z->mw = z->w;
-    SFEMI_NEW(sfem_real, z->before, al, 4 * z->padded);
+    SFEMI_TAKE(sfem_real, z->before, pool, 4 * z->padded);
     z->mbefore = z->before;
     if (z->s->scalar) {
-        SFEMI_NEW(sfem_real, z->mw, al, 4 * z->padded + 16);
-        SFEMI_NEW(sfem_real, z->mbefore, al, 4 * z->padded);
+        SFEMI_TAKE(sfem_real, z->mw, pool, 4 * z->padded + 16);
+        SFEMI_TAKE(sfem_real, z->mbefore, pool, 4 * z->padded);
     }
-    SFEMI_NEW(sfem_real, z->work, al, sfem_ldl_work_size(z->ldl, 8));
-    SFEMI_NEW(sfem_real, z->c, al, 192 * (size_t)z->panels);
-    SFEMI_NEW(sfem_real, z->part, al, 192 * (size_t)z->panels * (size_t)z->chunks);
-    SFEMI_NEW(sfem_real, z->t, al, h * h);
-    SFEMI_NEW(sfem_real, z->ritz, al, h * h);
-    SFEMI_NEW(sfem_real, z->theta, al, h);
-    SFEMI_NEW(sfem_real, z->rho, al, h);
-    SFEMI_NEW(sfem_real, z->small, al, 24 * h);
-    SFEMI_NEW(sfem_real, z->ax, al, 12 * z->padded);
+    SFEMI_TAKE(sfem_real, z->work, pool, sfem_ldl_work_size(z->ldl, 8));
+    SFEMI_TAKE(sfem_real, z->c, pool, 192 * (size_t)z->panels);
+    SFEMI_TAKE(sfem_real, z->part, pool, 192 * (size_t)z->panels * (size_t)z->chunks);
+    SFEMI_TAKE(sfem_real, z->t, pool, h * h);
+    SFEMI_TAKE(sfem_real, z->ritz, pool, h * h);
+    SFEMI_TAKE(sfem_real, z->theta, pool, h);
+    SFEMI_TAKE(sfem_real, z->rho, pool, h);
+    SFEMI_TAKE(sfem_real, z->small, pool, 24 * h);
+    SFEMI_TAKE(sfem_real, z->ax, pool, 12 * z->padded);
     if (z->s->root && z->s->rigid) {
-        SFEMI_NEW(sfem_real, z->s->half, al, 6 * z->rows);
+        SFEMI_TAKE(sfem_real, z->s->half, &z->s->pool, 6 * z->rows);
         for (i = 0; i < 6 * z->rows; ++i) z->s->half[i] = z->s->root[i % z->rows] * z->s->z[i];
     }
 done:
@@ -27035,6 +27024,7 @@ SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *
     memset(&s, 0, sizeof s);
     dense = def->dense;
     s.al = &def->allocator;
+    s.pool = sfemi_pool_of(s.al);
     result.allocator = def->allocator;
     SFEMI_TRY(sfemi_modes_check(def, err));
     SFEMI_TRY(sfemi_modes_system_create(model, def, &s, err));
@@ -27257,7 +27247,7 @@ typedef struct sfemi_reduced_head {
 } sfemi_reduced_head;
 
 struct sfem_reduced {
-    sfem_allocator allocator;
+    sfemi_pool pool;
     int lock;
     sfem_int references;
     /* in one block, see sfemi_reduced_array */
@@ -27347,16 +27337,12 @@ SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
 
 SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
 {
-    sfem_allocator al;
     sfem_int left;
     if (!r) return;
     sfemi_lock(&r->lock);
     left = --r->references;
     sfemi_unlock(&r->lock);
-    if (left > 0) return;
-    al = r->allocator;
-    sfemi_delete(&al, r->head);
-    sfemi_delete(&al, r);
+    if (left == 0) sfemi_pool_free(&r->pool);
 }
 
 static void sfemi_reduced_retain(sfem_reduced *r)
@@ -27373,10 +27359,10 @@ static sfem_status sfemi_reduced_new(const sfemi_reduced_head *head, const sfem_
     sfemi_saved_head saved;
     sfem_reduced *r = NULL;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_reduced, r, al, 1);
-    r->allocator = *al;
+    SFEMI_NEW_OWNER(sfem_reduced, r, al);
     r->references = 1;
     SFEMI_TRY(sfemi_saved_new(&sfemi_reduced_kind, head, 0, al, r, err));
+    sfemi_pool_own(&r->pool, r->head);
     saved = r->head->saved;
     *r->head = *head;
     r->head->saved = saved;
@@ -27596,9 +27582,10 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     const size_t n = (size_t)mesh->nodes;
     sfem_surface surface;
     sfemi_reduced_head head;
+    sfemi_pool pool = sfemi_pool_of(al);
     sfem_reduced *r = NULL;
-    sfem_real *work = NULL;
-    sfem_int *number = NULL, k, i, skipped;
+    sfem_real *work;
+    sfem_int *number, k, i, skipped;
     sfem_status status = sfemi_reduced_check(model, modes, def, err);
     size_t c;
     if (status != SFEM_OK) return status;
@@ -27610,8 +27597,8 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     head.modes = modes->count - skipped;
     head.stride = (head.modes + 7) / 8 * 8;
     head.groups = def->gravity_groups < mesh->nodes ? def->gravity_groups : mesh->nodes;
-    SFEMI_NEW(sfem_int, number, al, n);
-    SFEMI_NEW(sfem_real, work, al, 6 * n);
+    SFEMI_TAKE(sfem_int, number, &pool, n);
+    SFEMI_TAKE(sfem_real, work, &pool, 6 * n);
     SFEMI_TRY(sfem_mesh_surface(mesh, al, &surface, err));
     head.surface_nodes = sfemi_reduced_surface_nodes(&surface, mesh->nodes, number);
     head.surface_triangles = surface.triangles;
@@ -27637,8 +27624,7 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     r = NULL;
 done:
     sfem_surface_free(&surface);
-    sfemi_delete(al, number);
-    sfemi_delete(al, work);
+    sfemi_pool_free(&pool);
     sfem_reduced_free(r);
     return status;
 }
@@ -27707,8 +27693,8 @@ done:
 /* --- views ----------------------------------------------------------------------------------- */
 
 struct sfem_reduced_view {
+    sfemi_pool pool;
     sfem_reduced *reduced;
-    sfem_allocator allocator;
     sfem_int count, tiles;
     sfem_precision precision;
     sfem_int *node;          /* [count] */
@@ -27717,15 +27703,9 @@ struct sfem_reduced_view {
 
 SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *v)
 {
-    sfem_allocator al;
     if (!v) return;
-    al = v->allocator;
     sfem_reduced_free(v->reduced);
-    sfemi_delete(&al, v->node);
-    sfemi_delete(&al, v->phi);
-    sfemi_delete(&al, v->psi);
-    sfemi_delete(&al, v->rest);
-    sfemi_delete(&al, v);
+    sfemi_pool_free(&v->pool);
 }
 
 static void sfemi_view_put(const sfem_reduced_view *v, void *array, size_t at, sfem_real value)
@@ -27760,7 +27740,7 @@ SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *r, sfem_int count, c
                                               sfem_precision precision, sfem_reduced_view **out,
                                               sfem_error *err)
 {
-    const sfem_allocator al = r->allocator;
+    const sfem_allocator *al = &r->pool.allocator;
     const size_t m = (size_t)r->head->modes,
                  real = precision == SFEM_MIXED ? sizeof(float) : sizeof(double);
     sfem_reduced_view *v = NULL;
@@ -27778,15 +27758,14 @@ SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *r, sfem_int count, c
     if (m && tiles > ((size_t)-1 / 64 / SFEMI_TILE) / m)
         return sfemi_fail(err, SFEM_TOO_LARGE, "%d nodes in %d modes do not fit into memory",
                           (int)count, (int)r->head->modes);
-    SFEMI_NEW(sfem_reduced_view, v, &al, 1);
-    v->allocator = al;
+    SFEMI_NEW_OWNER(sfem_reduced_view, v, al);
     v->count = count;
     v->tiles = (sfem_int)tiles;
     v->precision = precision;
-    SFEMI_NEW(sfem_int, v->node, &al, (size_t)count + !count);
-    SFEMI_NEW(char, v->phi, &al, 3 * SFEMI_TILE * real * (tiles * m + 1));
-    SFEMI_NEW(char, v->psi, &al, 3 * SFEMI_TILE * real * (tiles * m + 1));
-    SFEMI_NEW(char, v->rest, &al, 3 * SFEMI_TILE * real * (tiles + 1));
+    SFEMI_TAKE(sfem_int, v->node, &v->pool, (size_t)count + !count);
+    SFEMI_TAKE(char, v->phi, &v->pool, 3 * SFEMI_TILE * real * (tiles * m + 1));
+    SFEMI_TAKE(char, v->psi, &v->pool, 3 * SFEMI_TILE * real * (tiles * m + 1));
+    SFEMI_TAKE(char, v->rest, &v->pool, 3 * SFEMI_TILE * real * (tiles + 1));
     for (i = 0; i < count; ++i) v->node[i] = node ? node[i] : i;
     sfemi_reduced_retain(r);
     v->reduced = r;
@@ -27929,6 +27908,7 @@ typedef struct sfemi_modal_handle {
 } sfemi_modal_handle;
 
 struct sfem_modal {
+    sfemi_pool pool;
     sfem_modal_def def;
     sfem_reduced *reduced;
     const sfemi_modal_kernels *kernels;
@@ -28206,20 +28186,9 @@ static void sfemi_modal_series(sfem_modal *b)
 
 SFEM_DEF void sfem_modal_free(sfem_modal *b)
 {
-    sfem_allocator al;
     if (!b) return;
-    al = b->def.allocator;
     sfem_reduced_free(b->reduced);
-    sfemi_delete(&al, b->head);
-    sfemi_delete(&al, b->backup);
-    sfemi_delete(&al, b->next);
-    sfemi_delete(&al, b->oscillator);
-    sfemi_delete(&al, b->s);
-    sfemi_delete(&al, b->column);
-    sfemi_delete(&al, b->place);
-    sfemi_delete(&al, b->drawn);
-    sfemi_delete(&al, b->drawn_q32);
-    sfemi_delete(&al, b);
+    sfemi_pool_free(&b->pool);
 }
 
 SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def,
@@ -28231,7 +28200,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     sfemi_modal_shape shape;
     sfem_status status = sfemi_modal_check(def, err);
     if (status != SFEM_OK) return status;
-    SFEMI_NEW(sfem_modal, b, al, 1);
+    SFEMI_NEW_OWNER(sfem_modal, b, al);
     b->def = *def;
     sfemi_reduced_retain(reduced);
     b->reduced = reduced;
@@ -28240,9 +28209,10 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->stride = (size_t)reduced->head->stride;
     shape = sfemi_modal_shape_of(b);
     SFEMI_TRY(sfemi_saved_new(&sfemi_modal_kind, &shape, sfemi_modal_key(b), al, b, err));
+    sfemi_pool_own(&b->pool, b->head);
     b->small_bytes = (size_t)((char *)b->weight - (char *)b->head);
-    SFEMI_NEW(char, b->backup, al, b->small_bytes);
-    SFEMI_NEW(sfem_real, b->next, al, 13 * b->stride + 1);
+    SFEMI_TAKE(char, b->backup, &b->pool, b->small_bytes);
+    SFEMI_TAKE(sfem_real, b->next, &b->pool, 13 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
@@ -28255,18 +28225,18 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->trial = b->pull + b->stride;
     b->way = b->trial + b->stride;
     b->drawn_q = b->way + b->stride;
-    SFEMI_NEW(sfemi_oscillator, b->oscillator, al, b->stride + 1);
-    SFEMI_NEW(sfem_real, b->s, al, rows * (rows + 4 + b->stride) + 1);
-    SFEMI_NEW(sfem_int, b->column, al, 2 * rows + 1);
+    SFEMI_TAKE(sfemi_oscillator, b->oscillator, &b->pool, b->stride + 1);
+    SFEMI_TAKE(sfem_real, b->s, &b->pool, rows * (rows + 4 + b->stride) + 1);
+    SFEMI_TAKE(sfem_int, b->column, &b->pool, 2 * rows + 1);
     b->fixed = b->column + rows;
     b->arm = b->s + rows * rows;
     b->l = b->arm + rows;
     b->residual = b->l + rows;
     b->l_trial = b->residual + rows;
     b->exact = b->l_trial + rows;
-    SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
-    SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
-    SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
+    SFEMI_TAKE(sfem_int, b->place, &b->pool, reduced->head->nodes);
+    SFEMI_TAKE(sfem_int, b->drawn, &b->pool, b->stride + 1);
+    SFEMI_TAKE(float, b->drawn_q32, &b->pool, b->stride + 1);
     b->bytes = sizeof *b + (size_t)b->head->saved.size + b->small_bytes +
                b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
@@ -30123,6 +30093,7 @@ enum { SFEMI_STEP_UNKNOWN, SFEMI_STEP_ARRIVED, SFEMI_STEP_KEY, SFEMI_STEP_MISSED
 /* Steps are counted without wrapping; the low 32 bits are the sequence number. The ring holds the
  * steps from step - window + 1 to step + window, those past with the accelerations used. */
 struct sfem_receiver {
+    sfemi_pool pool;
     sfem_link_def def;
     sfemi_link_crc crc;
     sfem_real *q, *v, *a; /* [m] in the present step */
@@ -30150,7 +30121,7 @@ static sfem_status sfemi_link_coefficients(sfem_receiver *r, const char *name,
                                 name, from[i]);
             goto done;
         }
-    SFEMI_NEW(sfem_real, *to, &r->def.allocator, r->def.modes);
+    SFEMI_TAKE(sfem_real, *to, &r->pool, r->def.modes);
     memcpy(*to, from, (size_t)r->def.modes * sizeof(sfem_real));
 done:
     return status;
@@ -30158,15 +30129,7 @@ done:
 
 SFEM_DEF void sfem_receiver_free(sfem_receiver *receiver)
 {
-    sfem_allocator a;
-    if (!receiver) return;
-    a = receiver->def.allocator;
-    sfemi_delete(&a, receiver->q);
-    sfemi_delete(&a, receiver->ring);
-    sfemi_delete(&a, receiver->known);
-    sfemi_delete(&a, receiver->k);
-    sfemi_delete(&a, receiver->c);
-    sfemi_delete(&a, receiver);
+    if (receiver) sfemi_pool_free(&receiver->pool);
 }
 
 SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receiver **out,
@@ -30178,16 +30141,16 @@ SFEM_DEF sfem_status sfem_receiver_create(const sfem_link_def *def, sfem_receive
     SFEM_ASSERT(def && out);
     SFEMI_TRY(sfemi_link_check(def, err));
     m = (size_t)def->modes;
-    SFEMI_NEW(sfem_receiver, r, &def->allocator, 1);
+    SFEMI_NEW_OWNER(sfem_receiver, r, &def->allocator);
     r->def = *def;
     r->def.stiffness = r->def.damping = NULL;
-    SFEMI_NEW(sfem_real, r->q, &def->allocator, 7 * m);
+    SFEMI_TAKE(sfem_real, r->q, &r->pool, 7 * m);
     r->v = r->q + m;
     r->a = r->v + m;
     r->last = r->a + m;
     r->incoming = r->last + m;
-    SFEMI_NEW(sfem_real, r->ring, &def->allocator, 2 * (size_t)def->window * 3 * m);
-    SFEMI_NEW(unsigned char, r->known, &def->allocator, 4 * (size_t)def->window);
+    SFEMI_TAKE(sfem_real, r->ring, &r->pool, 2 * (size_t)def->window * 3 * m);
+    SFEMI_TAKE(unsigned char, r->known, &r->pool, 4 * (size_t)def->window);
     r->held = r->known + 2 * def->window;
     SFEMI_TRY(sfemi_link_coefficients(r, "stiffness", def->stiffness, &r->k, err));
     SFEMI_TRY(sfemi_link_coefficients(r, "damping", def->damping, &r->c, err));
