@@ -969,10 +969,6 @@ SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, s
  */
 SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
                                   const sfem_real zeta[6], sfem_real s_d[36]);
-/* The same for one edge more: S_d of zeta[edge] = from becomes that of to < from, by a rank-1
- * update, SFEM_DAMAGE_CONDENSED only. Edges in any order give the same but for rounding. */
-SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
-                                sfem_real s_d[36]);
 /* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of
  * that, k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l -
  * L)/L in current lengths, which agrees for small strains, is blind to rotations, has forces along
@@ -12592,21 +12588,6 @@ SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law la
     if (law != SFEM_DAMAGE_ZSZ) return;
     for (k = 0; k < 6; ++k)
         for (l = 0; l < 6; ++l) s_d[6 * k + l] *= zeta[k] * zeta[l];
-}
-
-SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
-                                sfem_real s_d[36])
-{
-    sfem_real column[6], scale;
-    int k, l;
-    SFEM_ASSERT(tet && s_d && edge >= 0 && edge < 6 && from > to && to >= 0);
-    for (k = 0; k < 6; ++k) column[k] = s_d[6 * k + edge];
-    scale = from * to * sfemi_damage_entry(tet, edge, edge) + (from - to) * column[edge];
-    scale = (from - to) / scale;
-    for (k = 0; k < 6; ++k)
-        for (l = 0; l < 6; ++l)
-            s_d[6 * k + l] -= column[k] * column[l] * scale;
-    for (k = 0; k < 6 && to == 0; ++k) s_d[6 * k + edge] = s_d[6 * edge + k] = 0;
 }
 
 /* e, and where wanted the unit vectors m along which u_i and -u_j lengthen each edge, and l. */
