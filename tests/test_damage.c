@@ -357,7 +357,13 @@ static void make_one(int shape, int mask, int closure, test_random *r, one_tet *
 
 static double one_energy(const one_tet *o, sfem_law law, const double u[12], double f[12])
 {
-    return sfemi_damage_tet_energy(&o->damage, &o->tet, law, o->kind, o->zeta, o->s, u, f);
+    sfemi_damage_case at;
+    at.tet = &o->tet;
+    at.law = law;
+    at.kind = o->kind;
+    at.zeta = o->zeta;
+    at.s_d = o->s;
+    return sfemi_damage_tet_energy(&o->damage, &at, u, f);
 }
 
 static void check_gradient(const one_tet *o, sfem_law law, const double u[12])
@@ -630,18 +636,30 @@ static double *reals(sfem_int n)
     return p;
 }
 
+/* forces at u to f, nothing else */
+static sfemi_forces ask_forces(const double *u, double *f)
+{
+    sfemi_forces ask;
+    memset(&ask, 0, sizeof ask);
+    ask.u = u;
+    ask.precision = SFEM_DOUBLE;
+    ask.force = f;
+    return ask;
+}
+
 /* whole internal energy and force, whatever the body */
 static double total_forces(scene *s, const double *u, double *f)
 {
     double *work = reals((sfem_int)sfem_model_work_size(s->model)), energy;
+    sfemi_forces ask = ask_forces(u, f);
     sfem_int i;
+    ask.work = work;
     if (s->damage->block) {
-        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL,
-                                           work, NULL);
+        energy = sfemi_damage_total_forces(s->damage, &ask);
     } else {
         sfem_model_multiply_stiffness(s->model, u, f, NULL);
         for (i = 0, energy = 0; i < s->n; ++i) energy += u[i] * f[i] / 2;
-        energy += sfemi_damage_forces(s->damage, u, f, NULL, NULL, NULL);
+        energy += sfemi_damage_forces(s->damage, &ask);
     }
     free(work);
     return energy;
@@ -1648,11 +1666,16 @@ static void threads_do_not_change_a_bit_of_damage(void **state)
         violent(&s, &r, .05, u0, u1);
         hash[t] = 0;
         for (n = 0; n < 4; ++n) {
+            sfemi_forces ask;
             step_at(&step, u0, u1, NULL, NULL);
             step.exec = &exec;
             sfemi_damage_round(s.damage, &step, &change);
-            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL,
-                                            NULL, work, &exec);
+            ask = ask_forces(u1, f);
+            ask.rotation = rotation;
+            ask.inverted = &inverted;
+            ask.work = work;
+            ask.exec = &exec;
+            psi = sfemi_damage_total_forces(s.damage, &ask);
             hash[t] = 31 * hash[t] + hash_reals(f, (size_t)s.n) + hash_reals(&psi, 1) +
                       hash_reals(rotation, 9 * (size_t)mesh.tets);
         }
@@ -1707,8 +1730,10 @@ static void a_stray_fibre_is_broken_with_the_last_crack_round_it(void **state)
 static sfem_int count_inverted(scene *s, const double *u)
 {
     double *f = reals(s->n);
+    sfemi_forces ask = ask_forces(u, f);
     sfem_int inverted = 0;
-    sfemi_damage_forces(s->damage, u, f, NULL, &inverted, NULL);
+    ask.inverted = &inverted;
+    sfemi_damage_forces(s->damage, &ask);
     free(f);
     return inverted;
 }
