@@ -13670,7 +13670,8 @@ static void sfemi_damage_forces_task(void *data, sfem_int index)
  * alone, to go with sfemi_fem_forces on d->block. Linear body (block NULL): damaged less intact, to
  * go with K u. Rotations of damaged tets are those of sfem_model_forces, but 0 for loose tets, which then
  * weigh nothing in the frames; where sums of them are wanted, but not they themselves, they go to
- * d->rotation. *inverted += tets with J <= 0 that hang together. Neither spin nor sum nor work is used. Same bits for any number of threads: tets in ascending order. */
+ * d->rotation. *inverted += tets with J <= 0 that hang together. spin, sum and work are not written. Same
+ * bits for any number of threads: tets in ascending order. */
 static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask)
 {
     const sfem_model *model = d->bonds->model;
