@@ -27,6 +27,7 @@
  *            >>api-modes    eigenvalues and modes                 >>api-reduced modal bodies, warping
  *            >>api-link     modal motion over a lossy link
  *     IMPL   >>base         status, allocation, threads, vector paths
+ *            >>saved        what is saved: a head and arrays in one block of memory
  *            >>math         3-vectors, 3x3 matrices, polar and singular value decomposition
  *            >>mesh         tets, surface, generators, checks, renumbering
  *            >>meshio       readers and writers
@@ -45,8 +46,11 @@
  *            >>fem          assembly, mass, damping, forces, tangents, loads, stress
  *            >>damage       edge form of the tet, damage laws, criterion, pieces
  *            >>factor       the shared factor of a body's system matrix
- *            >>state        what of a body changes, in one block of memory
+ *            >>data         what a body is made of: all its structs
+ *            >>state        the saved state: its arrays and their checks
+ *            >>workspace    a step's temporaries, which bodies may share
  *            >>handle       pins and handles set, moved and released while the body runs
+ *            >>balance      right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
  *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
  *                           nonlinear statics
@@ -87,8 +91,10 @@
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
  *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and their fracture, >>api-damage
  *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK (with both)
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK
+ *                        (with modes and reduced models)
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -108,6 +114,9 @@
 #if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
 #define SFEM_NO_MESHIO
 #endif
+#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY)
+#define SFEM_NO_BODY
+#endif
 #if !defined(SFEM_NO_LINK) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_LINK
 #endif
@@ -121,6 +130,9 @@
 #endif
 #if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
 #error "softfem.h: SFEM_ENABLE_MESHIO and SFEM_NO_MESHIO are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
+#error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
 #endif
 #if defined(SFEM_ENABLE_LINK) && defined(SFEM_NO_LINK)
 #error "softfem.h: SFEM_ENABLE_LINK and SFEM_NO_LINK are both defined: define only one of them"
@@ -771,6 +783,8 @@ SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
  * >>api-model   finite elements: K, M, D, loads, stress
  * ============================================================================================ */
 
+enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
+
 typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
 
 /* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
@@ -872,6 +886,7 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
 
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
@@ -1086,8 +1101,6 @@ typedef enum sfem_frame {
     SFEM_FRAME_MAJORANT
 } sfem_frame;
 
-enum { SFEM_AXIS_X = 1, SFEM_AXIS_Y = 2, SFEM_AXIS_Z = 4, SFEM_AXIS_ALL = 7 };
-
 typedef struct sfem_body sfem_body;
 
 /* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
@@ -1132,6 +1145,18 @@ typedef struct sfem_damping_force {
     void (*tangent)(void *user, const sfem_real *v, sfem_matrix *tangent);
     void *user;
 } sfem_damping_force;
+
+/* WORKSPACE: what bodies need during a step only, and during calls that compute. By default each body has its own, which
+ * is most of its memory: 0.6 kB a node, 1.5 kB where it rotates. Bodies that are stepped one after the other may share
+ * one (def.workspace), of any models: it becomes as large as the most demanding of them needs. Such bodies are to be
+ * created, stepped, asked and changed by one thread at a time. While one of them is between sfem_body_predict and
+ * _finish, calls to others that compute are errors (SFEM_BAD_ARGUMENT, or trip SFEM_ASSERT where they return no status).
+ *   allocator  NULL: malloc and free. sfem_body_create and _prepare make it larger, nothing else does
+ *   errors     SFEM_OUT_OF_MEMORY */
+typedef struct sfem_workspace sfem_workspace;
+SFEM_DEF sfem_status sfem_workspace_create(const sfem_allocator *allocator, sfem_workspace **out, sfem_error *err);
+SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *workspace);
+SFEM_DEF void sfem_workspace_free(sfem_workspace *workspace); /* after its bodies; NULL allowed */
 
 typedef struct sfem_body_def {
     sfem_integrator integrator;
@@ -1178,6 +1203,7 @@ typedef struct sfem_body_def {
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
     int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
+    sfem_workspace *workspace; /* shared with other bodies, which it has to outlive; NULL, the default: its own */
     sfem_allocator allocator;
     sfem_exec exec;
 } sfem_body_def;
@@ -1223,8 +1249,8 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *er
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *body, sfem_error *err);
-SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N */
-SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2 */
+SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *body);          /* [nodes][3], N; good until finish */
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nodes][3], m/s^2; the same */
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const sfem_real j[3],
                                            sfem_error *err);
 
@@ -1312,7 +1338,7 @@ typedef struct sfem_body_info {
     sfem_real stable_step;    /* s; 0 means no limit */
     int diagonal;             /* the step needs no factor */
     size_t factor_nnz;        /* scalars in L */
-    size_t factor_bytes, body_bytes;
+    size_t factor_bytes, body_bytes; /* body: its state and its own workspace among it, a shared one not */
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
     int64_t steps, rejected;  /* since its state was set; rejected by the energy safeguard, replaced by another */
@@ -1457,6 +1483,8 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
 /* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
  * take them, turned with the intact edges there. Between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
+
+#endif /* SFEM_NO_BODY */
 
 #ifndef SFEM_NO_MODES
 /* ============================================================================================
@@ -2162,6 +2190,7 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
         if (status != SFEM_OK) goto done;                                                            \
     } while (0)
 
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
 /* FNV-1a [Fowler, Noll, Vo 1991]; it starts from hash, SFEMI_HASH or that of what came before. */
 #define SFEMI_HASH ((uint64_t)0xcbf29ce484222325u)
 static uint64_t sfemi_hash(uint64_t hash, const void *data, size_t bytes)
@@ -2171,6 +2200,7 @@ static uint64_t sfemi_hash(uint64_t hash, const void *data, size_t bytes)
     for (i = 0; i < bytes; ++i) hash = (hash ^ p[i]) * 0x100000001b3u;
     return hash;
 }
+#endif
 
 static sfem_int sfemi_threads(const sfem_exec *e)
 {
@@ -2238,6 +2268,196 @@ SFEM_DEF int sfem_vector_width(void)
     static const int width[3] = {1, 4, 8};
     return width[sfemi_path()];
 }
+
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
+/* ============================================================================================
+ * >>saved   what is saved: a head and arrays in one block of memory
+ *
+ * A body's state, a modal body's and a reduced model each stand in one block, and its bytes are what is saved. A
+ * constant table lists its arrays in their order, the head first. From it follow where each array stands, how long
+ * the block is, and what in a block from outside is out of its range. All heads begin with the same fields. Each
+ * array starts at a multiple of SFEMI_ALIGN, and the bytes between two are 0.
+ *
+ * A checksum is no signature. sfemi_saved_open tells whether a block is whole and belongs to an object,
+ * sfemi_saved_fault whether an object is safe with it: what is used as an index, a count or a flag has to be in its
+ * range, and what comes from the caller is finite, as when it was given. Both take blocks at any address.
+ * ============================================================================================ */
+
+typedef struct sfemi_saved_head {
+    char magic[8];
+    uint32_t version, order; /* order: SFEMI_SAVED_ORDER as this machine writes it */
+    uint64_t size, key;      /* bytes; what it belongs to */
+    uint64_t checksum;       /* of all bytes, with 0 here */
+} sfemi_saved_head;
+
+#define SFEMI_SAVED_ORDER 0x01020304u
+
+/* Counts that only grow: none reaches this in practice, and adding to it does not overflow. */
+#define SFEMI_SAVED_MOST ((int64_t)1 << 62)
+
+/* Are these elements in their ranges? They may stand at any address. shape: what the ranges depend on. */
+typedef int (*sfemi_saved_check)(const void *shape, const char *at, size_t count);
+
+/* each * rows * columns elements; rows and columns are fields of the shape, a struct that belongs to the kind. */
+typedef struct sfemi_saved_array {
+    size_t pointer, size;    /* where in the object its address goes; bytes of an element */
+    size_t each, rows, columns; /* the last two: offsets in the shape, or SFEMI_SAVED_ONE */
+    sfemi_saved_check check; /* NULL: whatever they are */
+    const char *name;        /* of an element that is out of its range, in messages */
+} sfemi_saved_array;
+
+#define SFEMI_SAVED_ONE ((size_t)-1)
+#define SFEMI_SAVED(object, field, each, rows, columns, check, name)                                  \
+    {offsetof(object, field), sizeof *((object *)0)->field, each, rows, columns, check, name}
+
+#define SFEMI_SAVED_KIND(magic, name, version, arrays)                                                \
+    {magic, name, version, (int)(sizeof(arrays) / sizeof *(arrays)), arrays}
+
+typedef struct sfemi_saved_kind {
+    const char *magic, *name; /* 8 characters; in messages */
+    uint32_t version;
+    int arrays;
+    const sfemi_saved_array *array; /* the first is the head, and has a check */
+} sfemi_saved_kind;
+
+static size_t sfemi_saved_count(const void *shape, size_t field)
+{
+    return field == SFEMI_SAVED_ONE ? 1 : (size_t)*(const sfem_int *)(const void *)((const char *)shape + field);
+}
+
+static size_t sfemi_saved_elements(const sfemi_saved_array *a, const void *shape)
+{
+    return a->each * sfemi_saved_count(shape, a->rows) * sfemi_saved_count(shape, a->columns);
+}
+
+/* The bytes up to the next array. */
+static size_t sfemi_saved_bytes(const sfemi_saved_array *a, const void *shape)
+{
+    return (sfemi_saved_elements(a, shape) * a->size + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+}
+
+/* Points the object's arrays into the block; with block = NULL only the size, 0 if there is no memory that large. */
+static size_t sfemi_saved_lay_out(const sfemi_saved_kind *kind, const void *shape, void *object, void *block)
+{
+    double total = 0;
+    size_t at = 0;
+    int k;
+    for (k = 0; k < kind->arrays; ++k) {
+        const sfemi_saved_array *a = kind->array + k;
+        total += (double)(a->each * a->size) * (double)sfemi_saved_count(shape, a->rows) *
+                     (double)sfemi_saved_count(shape, a->columns) + SFEMI_ALIGN;
+    }
+    if (total > (double)((size_t)-1 / 2) || total > 4e15) return 0;
+    for (k = 0; k < kind->arrays; ++k) {
+        const void *address = (char *)block + at;
+        if (block) memcpy((char *)object + kind->array[k].pointer, &address, sizeof address);
+        at += sfemi_saved_bytes(kind->array + k, shape);
+    }
+    return at;
+}
+
+/* A new block for the object, with its arrays 0. sfemi_delete its head. */
+static sfem_status sfemi_saved_new(const sfemi_saved_kind *kind, const void *shape, uint64_t key,
+                                   const sfem_allocator *al, void *object, sfem_error *err)
+{
+    const size_t bytes = sfemi_saved_lay_out(kind, shape, NULL, NULL);
+    sfemi_saved_head *head;
+    if (!bytes) return sfemi_fail(err, SFEM_TOO_LARGE, "a %s of this size does not fit into memory", kind->name);
+    head = (sfemi_saved_head *)sfemi_new(al, bytes, 1);
+    if (!head) return sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: a %s", kind->name);
+    sfemi_saved_lay_out(kind, shape, object, head);
+    memcpy(head->magic, kind->magic, sizeof head->magic);
+    head->version = kind->version;
+    head->order = SFEMI_SAVED_ORDER;
+    head->size = bytes;
+    head->key = key;
+    return SFEM_OK;
+}
+
+/* The checksum that belongs into a block of the size in its head. */
+static uint64_t sfemi_saved_checksum(const void *memory)
+{
+    sfemi_saved_head head;
+    memcpy(&head, memory, sizeof head);
+    head.checksum = 0;
+    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head), (const char *)memory + sizeof head,
+                      (size_t)head.size - sizeof head);
+}
+
+static void sfemi_saved_seal(void *memory)
+{
+    const uint64_t sum = sfemi_saved_checksum(memory);
+    memcpy((char *)memory + offsetof(sfemi_saved_head, checksum), &sum, sizeof sum);
+}
+
+/* Is this a whole block of this kind, of the size and key that own has? own = NULL: of any. */
+static sfem_status sfemi_saved_open(const sfemi_saved_kind *kind, const sfemi_saved_head *own, const void *memory,
+                                    size_t bytes, sfem_error *err)
+{
+    sfemi_saved_head head;
+    if (bytes < kind->array->size)
+        return sfemi_fail(err, SFEM_FORMAT, "a %s of %lu bytes is cut short", kind->name, (unsigned long)bytes);
+    memcpy(&head, memory, sizeof head);
+    if (memcmp(head.magic, kind->magic, sizeof head.magic) != 0)
+        return sfemi_fail(err, SFEM_FORMAT, "this is no %s", kind->name);
+    if (head.order != SFEMI_SAVED_ORDER)
+        return sfemi_fail(err, SFEM_FORMAT, "the %s was saved on a machine of another byte order", kind->name);
+    if (head.version != kind->version)
+        return sfemi_fail(err, SFEM_FORMAT, "the %s has version %lu, this library reads %lu", kind->name,
+                          (unsigned long)head.version, (unsigned long)kind->version);
+    if (head.size != bytes)
+        return sfemi_fail(err, SFEM_FORMAT, "the %s is damaged: %lu bytes of %lu", kind->name, (unsigned long)bytes,
+                          (unsigned long)head.size);
+    if (head.checksum != sfemi_saved_checksum(memory))
+        return sfemi_fail(err, SFEM_FORMAT, "the %s is damaged: its checksum does not fit", kind->name);
+    if (own && (head.size != own->size || head.key != own->key))
+        return sfemi_fail(err, SFEM_MISMATCH, "the %s is of a body with another mesh, pins or handles", kind->name);
+    return SFEM_OK;
+}
+
+/* Fails, naming the first array with an element out of its range. The shape may come from the block's own head: it is
+ * used once the head's check has passed. */
+static sfem_status sfemi_saved_fault(const sfemi_saved_kind *kind, const void *shape, const void *memory,
+                                     size_t bytes, sfem_error *err)
+{
+    const char *at = (const char *)memory, *fault = NULL;
+    int k;
+    if (!kind->array->check(shape, at, 1)) fault = kind->array->name;
+    else if (sfemi_saved_lay_out(kind, shape, NULL, NULL) != bytes) fault = "its sizes";
+    for (k = 0; k < kind->arrays && !fault; ++k) {
+        const sfemi_saved_array *a = kind->array + k;
+        if (a->check && !a->check(shape, at, sfemi_saved_elements(a, shape))) fault = a->name;
+        at += sfemi_saved_bytes(a, shape);
+    }
+    if (!fault) return SFEM_OK;
+    return sfemi_fail(err, SFEM_FORMAT, "the %s holds numbers out of their ranges: %s", kind->name, fault);
+}
+
+/* ---- checks that more than one kind has ---- */
+
+static int sfemi_saved_finite(const void *shape, const char *at, size_t count)
+{
+    size_t i;
+    (void)shape;
+    for (i = 0; i < count; ++i) {
+        sfem_real x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (!sfemi_finite(x)) return 0;
+    }
+    return 1;
+}
+
+static SFEMI_UNUSED int sfemi_saved_below(sfem_int limit, const char *at, size_t count)
+{
+    size_t i;
+    for (i = 0; i < count; ++i) {
+        sfem_int x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (x < 0 || x >= limit) return 0;
+    }
+    return 1;
+}
+#endif
 
 /* ============================================================================================
  * >>math   3-vectors, 3x3 matrices (row-major), polar and singular value decomposition
@@ -2517,6 +2737,7 @@ SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9])
     memcpy(r, rotation, sizeof rotation);
 }
 
+#ifndef SFEM_NO_BODY
 /* r = exp([v]x), the rotation by |v| about v [Rodrigues 1840]. */
 static void sfemi_rotate_by(const sfem_real v[3], sfem_real r[9])
 {
@@ -2531,6 +2752,39 @@ static void sfemi_rotate_by(const sfem_real v[3], sfem_real r[9])
         r[3 * ((i + 1) % 3) + (i + 2) % 3] -= a * v[i];
     }
 }
+#endif
+
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
+/* In-place L D L^T of a small symmetric matrix, lower, row-major with the given stride. A row whose
+ * pivot is lost depends on those before it: its pivot becomes 0, which leaves it out. */
+static void sfemi_small_factor(sfem_real *a, sfem_int n, sfem_int stride)
+{
+    sfem_int i, j, k;
+    for (i = 0; i < n; ++i) {
+        const sfem_real whole = a[i * stride + i];
+        for (j = 0; j < i; ++j) {
+            sfem_real sum = a[i * stride + j];
+            for (k = 0; k < j; ++k) sum -= a[i * stride + k] * a[k * stride + k] * a[j * stride + k];
+            a[i * stride + j] = a[j * stride + j] > 0 ? sum / a[j * stride + j] : 0;
+        }
+        for (k = 0; k < i; ++k) a[i * stride + i] -= a[i * stride + k] * a[i * stride + k] * a[k * stride + k];
+        if (!(a[i * stride + i] > 1e-9 * whole)) a[i * stride + i] = 0;
+    }
+}
+
+/* Solves with it for x, x[0], x[step], x[2 step], ..; rows left out get 0. */
+static void sfemi_small_solve(const sfem_real *a, sfem_int n, sfem_int stride, sfem_real *x, sfem_int step)
+{
+    sfem_int i, k;
+    for (i = 0; i < n; ++i)
+        for (k = 0; k < i; ++k) x[i * step] -= a[i * stride + k] * x[k * step];
+    for (i = 0; i < n; ++i) x[i * step] = a[i * stride + i] > 0 ? x[i * step] / a[i * stride + i] : 0;
+    for (i = n - 1; i >= 0; --i)
+        for (k = i + 1; k < n; ++k) x[i * step] -= a[k * stride + i] * x[k * step];
+    for (i = 0; i < n; ++i)
+        if (!(a[i * stride + i] > 0)) x[i * step] = 0;
+}
+#endif
 
 /* ============================================================================================
  * >>mesh   tets, surface, generators, checks, renumbering
@@ -9207,6 +9461,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     return status;
 }
 
+#ifndef SFEM_NO_BODY
 /* A factorisation in slices, with the bits of one at a stroke: where it stands, in fronts of the tasks by
  * levels, and in a large front in its units. */
 typedef struct sfemi_slice {
@@ -9268,6 +9523,7 @@ static double sfemi_slice_next(sfem_ldl *ldl, const sfem_matrix *a, sfemi_slice 
     }
     return cost / (double)units;
 }
+#endif
 
 #define SFEMI_PANEL_SLACK                                                                          \
     512 /* numbers after L that the block solve may read: half a tile square */
@@ -11289,6 +11545,39 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
+#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
+TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
+                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
+                        sfemi_totals *totals)                                                      \
+{                                                                                                  \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
+                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+}
+
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+#if SFEMI_X86
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+#endif
+
+/* The widest path that this processor has. */
+static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
+{
+    const int mixed = precision == SFEM_MIXED;
+#if SFEMI_X86
+    switch (sfemi_path()) {
+    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
+    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
+    default: break;
+    }
+#endif
+    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
+}
+
+#ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
 static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum,
                                             const sfem_real *over, sfem_real *rotation,
@@ -11335,14 +11624,6 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
     }
 }
 
-#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
-                        sfemi_totals *totals)                                                      \
-{                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
-                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
-}
 #define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
 TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
                         sfem_real *rotation, sfem_real *trace)                                     \
@@ -11350,31 +11631,11 @@ TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *o
     sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
 SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
 #if SFEMI_X86
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
 SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
 SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
 #endif
-
-/* The widest path that this processor has. */
-static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
-{
-    const int mixed = precision == SFEM_MIXED;
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
-    default: break;
-    }
-#endif
-    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
-}
 
 static sfemi_polars_kernel sfemi_polars_pick(void)
 {
@@ -11387,6 +11648,7 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
 #endif
     return sfemi_polars_portable;
 }
+#endif
 
 /* ============================================================================================
  * >>fem   assembly, mass, damping, forces, tangents, loads, stress
@@ -12420,6 +12682,7 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
     }
 }
 
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>damage   edge form of the tet, damage laws, criterion, pieces
  * ============================================================================================ */
@@ -14884,7 +15147,10 @@ static void sfemi_factor_solve(const sfem_factor *f, sfem_int nodes, sfem_int rh
 }
 
 /* ============================================================================================
- * >>state   what of a body changes, in one block of memory
+ * >>data   what a body is made of: all its structs, each field under the section that writes it
+ *
+ * Three kinds of data: what create fixes (sfemi_scheme, masks), what prepare makes (factors), and what a step changes:
+ * the saved state, one block of memory, and temporaries. Arrays are [nodes][3] unless stated.
  * ============================================================================================ */
 
 /* Something that holds points in place: the history that gives its velocity and acceleration. */
@@ -14901,12 +15167,8 @@ typedef struct sfemi_handle {
     sfem_real force[3]; /* N, on the body, over the last step */
 } sfemi_handle;
 
-enum { SFEMI_STATE_VERSION = 4 };
-
 typedef struct sfemi_state_head {
-    char magic[8];
-    uint32_t version, checksum;
-    uint64_t size, key; /* key: what it belongs to */
+    sfemi_saved_head saved;
     sfem_real time, h, p; /* h, p: of the last step */
     sfem_real gravity[3];
     sfem_int started;   /* 0: w holds v, the first step comes next; 1: sfem_body_start was called */
@@ -14943,8 +15205,8 @@ typedef struct sfemi_books {
     int64_t open;           /* start is known */
 } sfemi_books;
 
-/* The block: head, then these, in this order. w is the velocity for Newmark and before the first step,
- * the mean velocity over the last step for (p,q,r). */
+/* In one block, see sfemi_state_array. w is the velocity for Newmark and before the first step, the mean velocity over
+ * the last step for (p,q,r). */
 typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
@@ -14953,10 +15215,10 @@ typedef struct sfemi_state {
     sfem_real *frame;      /* [nodes][3][3] Q: these only where the body rotates */
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
-    sfemi_hold *pin;       /* [pin_count] */
     sfemi_handle *handle;  /* [max_handles] */
     sfemi_books *books;    /* these two only where the body may break */
-    void *damage;          /* [bytes] >>damage's own state */
+    uint64_t *damage;      /* [] >>damage's own state */
+    sfemi_hold *pin;       /* [pin_count] last: what stands before it stays where pins change */
 } sfemi_state;
 
 /* Does a body rotate, and if so, is it corrected? */
@@ -14965,64 +15227,16 @@ enum { SFEMI_STILL, SFEMI_ROTATES, SFEMI_CORRECTS };
 /* Pairs of steps and changes of the residual that L-BFGS remembers. */
 enum { SFEMI_MEMORY = 6 };
 
-/* reals a node: u, w, a and three loads; three forces and the frame besides; pairs, of floats; before */
-static size_t sfemi_state_reals(sfem_int nodes, int turns, int sleeps)
-{
-    return ((turns ? 36u : 18u) + (turns == SFEMI_CORRECTS ? 3u * SFEMI_MEMORY : 0u) + (sleeps ? 3u : 0u)) *
-           (size_t)nodes;
-}
+/* What the block's sizes and ranges depend on. */
+typedef struct sfemi_state_shape {
+    const sfem_model *model;
+    const sfemi_bonds *bonds; /* NULL: the body cannot break */
+    sfem_int nodes, handles, pins;
+    sfem_int rotating, correcting, sleeping; /* nodes, or 0 where the body does no such thing */
+    sfem_int breaking, damage; /* 1 or 0; 8 bytes of >>damage's own state each */
+} sfemi_state_shape;
 
-/* damage: how many bytes of it, 0 where the body cannot break */
-static size_t sfemi_state_bytes(sfem_int nodes, int turns, int sleeps, sfem_int pins, sfem_int handles,
-                                size_t damage)
-{
-    return sizeof(sfemi_state_head) + sfemi_state_reals(nodes, turns, sleeps) * sizeof(sfem_real) +
-           (size_t)pins * sizeof(sfemi_hold) + (size_t)handles * sizeof(sfemi_handle) +
-           (damage ? sizeof(sfemi_books) + damage : 0);
-}
-
-static void sfemi_state_lay_out(sfemi_state *s, void *block, sfem_int nodes, int turns, int sleeps,
-                                sfem_int pins, sfem_int handles, size_t damage)
-{
-    const size_t n = 3 * (size_t)nodes;
-    sfem_real *at = (sfem_real *)(void *)((char *)block + sizeof(sfemi_state_head));
-    int k;
-    s->head = (sfemi_state_head *)block;
-    s->u = at;
-    s->w = at + n;
-    s->a = at + 2 * n;
-    for (k = 0; k < 3; ++k) s->force[k] = at + (3 + (size_t)k) * n;
-    s->f = turns ? at + 6 * n : NULL;
-    s->f_past = turns ? at + 7 * n : NULL;
-    s->f_past2 = turns ? at + 8 * n : NULL;
-    s->frame = turns ? at + 9 * n : NULL;
-    s->pair = turns == SFEMI_CORRECTS ? (float *)(void *)(at + 12 * n) : NULL;
-    s->before = sleeps ? at + sfemi_state_reals(nodes, turns, 0) : NULL;
-    s->pin = (sfemi_hold *)(void *)(at + sfemi_state_reals(nodes, turns, sleeps));
-    s->handle = (sfemi_handle *)(void *)(s->pin + pins);
-    s->books = damage ? (sfemi_books *)(void *)(s->handle + handles) : NULL;
-    s->damage = damage ? (void *)(s->books + 1) : NULL;
-}
-
-static uint32_t sfemi_state_checksum(const void *block, size_t bytes)
-{
-    sfemi_state_head head;
-    uint64_t hash;
-    memcpy(&head, block, sizeof head);
-    head.checksum = 0;
-    hash = sfemi_hash(SFEMI_HASH, &head, sizeof head);
-    hash = sfemi_hash(hash, (const char *)block + sizeof head, bytes - sizeof head);
-    return (uint32_t)(hash ^ hash >> 32);
-}
-
-/* ============================================================================================
- * >>handle   pins and handles set, moved and released while the body runs
- *
- * With A^-1 at hand, a constraint H a = c on a = A^-1 (b + H^T l) asks for  (H A^-1 H^T) l = c - H A^-1 b.
- * The columns Y = A^-1 H^T of a handle, three of them, are solved for when it is taken; a step costs one
- * small dense solve and one sum over the columns, whatever moves.
- * ============================================================================================ */
-
+/* >>handle: the handles' columns and their dense block. */
 typedef struct sfemi_grip {
     sfem_int count;   /* handles in use */
     sfem_int *slot;   /* [max] their numbers */
@@ -15037,35 +15251,521 @@ typedef struct sfemi_grip {
     int dirty;        /* the set of handles or the factor changed */
 } sfemi_grip;
 
-/* In-place L D L^T of a small symmetric matrix, lower, row-major with the given stride. A row whose
- * pivot is lost depends on those before it: its pivot becomes 0, which leaves it out. */
-static void sfemi_grip_factor(sfem_real *a, sfem_int n, sfem_int stride)
+/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
+typedef struct sfemi_piece {
+    int held; /* by a pin or a handle: no projection */
+    int spans; /* >>correct: u' serves, and */
+    sfem_real rest; /* sum m |X - centre|^2 */
+    sfem_real mass, centre[3], inertia_inverse[9];
+    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
+    sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
+    sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
+    sfem_real ahead[3], between[9]; /* >>correct: the centre at u', (N'^T M N)^-1 of rotations */
+    sfem_real sum[4][3];          /* scratch of the energies */
+} sfemi_piece;
+
+typedef struct sfemi_turn {
+    sfem_int pieces;
+    sfem_int *piece_of;  /* [nodes] -1: in no tet */
+    sfemi_piece *piece;  /* [pieces] */
+    sfem_real *work;     /* of sfem_model_forces, */
+    sfem_real *spin;     /* [copies][12] and of the sums that follow */
+    sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
+    sfem_real *over;     /* [nodes] 1 / sum V_e */
+    sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
+    sfem_real *trace;    /* [nodes] and this */
+    sfem_real *diagonal; /* [nodes] one over the mean of A's diagonal */
+    sfem_real *v;        /* [nodes][3] scratch */
+    sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
+    int still;           /* no law turns: rigid motions are those of the rest pose */
+    int twists;          /* of laws that turn and linear ones: internal forces have a torque */
+    int by_hand;         /* the caller may add to the right side of the step under way */
+} sfemi_turn;
+
+typedef struct sfemi_guard_energies {
+    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
+    sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
+} sfemi_guard_energies;
+
+/* A matrix that changes, and its factor. */
+typedef struct sfemi_system {
+    sfem_factor *factor;
+    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
+    sfem_int *source;   /* [blocks] their places in K's pattern */
+} sfemi_system;
+
+/* >>guard: a step of a body that rotates, all [nodes][3] unless stated. */
+typedef struct sfemi_guard {
+    sfem_real *u, *w, *f;  /* the step's end */
+    sfem_real *external;   /* the loads, and what the caller added, in the equation; */
+    sfem_real *known;      /* forces of the past in it */
+    sfem_real *added;      /* what the caller added to the right side */
+    sfem_real *grad, *dir; /* r at the step's end, a direction; */
+    sfem_real *trial_u, *trial_w, *trial_f, *trial_grad, *other; /* the same elsewhere, scratch */
+    sfem_real *frame;      /* [nodes][3][3] of the trial */
+    sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
+    sfem_real curvature[SFEMI_MEMORY]; /* and their products */
+    int pairs;             /* so many so far in this step */
+    sfem_real end;         /* the equation's weight of f' in this step; 0: one solve */
+    int bounded;           /* directions come of an upper bound of the tangent */
+    int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
+    int converged;         /* the corrections went as far as they should */
+    sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
+    sfem_real isotropic_h;
+    sfemi_system system;   /* of Newton's iteration in a fallback, made when first needed, as is */
+    sfem_matrix tangent;   /* K(u') itself, on K's pattern */
+    sfem_real psi;         /* at u */
+    sfemi_guard_energies energies; /* of the step, if measured */
+    int measured;
+    int rejected;          /* u, w, f come from the fallback */
+    sfem_int corrections;  /* made in the last step */
+    sfem_real damped;      /* what damping took in it, of a body that may break */
+} sfemi_guard;
+
+/* What >>implicit works with. */
+typedef struct sfemi_stage {
+    sfem_real m1, m0, w1, w0, c1, c2; /* see there */
+    sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
+    sfem_real end; /* where in the step it ends, in h */
+} sfemi_stage;
+
+typedef struct sfemi_implicit {
+    sfem_newton_info info;
+    sfemi_stage stage;
+    sfemi_system system; /* its factor is the body's */
+    sfem_factor *second; /* linear bodies: that of the second of two systems */
+    sfem_matrix tangent; /* K(u): the model's K itself where that is constant */
+    sfem_matrix drag;    /* of the caller's damping, or no values */
+    int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
+    int still;           /* statics: no inertia, no damping */
+    sfem_real share;     /* statics: of the load */
+    sfem_real energy;    /* Psi at the last evaluation */
+    int ready;           /* there is room for what follows, [nodes][3] each in the workspace, and for tangent, drag */
+    sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
+    sfem_real *work;     /* of sfem_model_forces */
+} sfemi_implicit;
+
+enum { SFEMI_IMPLICIT_VECTORS = 15 };
+
+/* >>refactor: two factors beside that of the rest pose, one in use, one in the making. */
+typedef struct sfemi_refactor {
+    sfem_ldl *ldl[2];
+    sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
+    sfem_matrix k[2];     /* their K, turned back; on K's pattern */
+    sfem_matrix a;        /* what is factorised, free rows */
+    sfem_int *source;     /* [blocks of a] their places in K's pattern */
+    sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
+    int live;             /* 1 + the one in use, or 0 */
+    int stage;            /* SFEMI_REFACTOR_IDLE ... */
+    sfem_int next;        /* chunk of tets, or row of blocks */
+    sfemi_slice at;
+    double budget;        /* operations a step */
+    double price;         /* of all, from a tangent */
+    double credit, flops, done;
+    double spent, steps;  /* since the factor in use is: on corrections beyond those that a good one needs; steps */
+    double rest_rate;     /* what was spent a step with the factor of the rest pose */
+    double patience;      /* prices to be spent before another is made */
+    sfem_real broken;     /* edges that were broken when it was asked for */
+    sfem_int quiet;       /* steps since one has broken or softened */
+    int64_t made, failed;
+} sfemi_refactor;
+
+enum {
+    SFEMI_REFACTOR_IDLE,
+    SFEMI_REFACTOR_TANGENT,
+    SFEMI_REFACTOR_TURN,
+    SFEMI_REFACTOR_MATRIX,
+    SFEMI_REFACTOR_FACTOR
+};
+
+/* >>workspace */
+struct sfem_workspace {
+    sfem_allocator allocator;
+    sfem_real *memory;     /* [size] the arrays of a body: that of user; NULL: nobody's */
+    size_t size;
+    sfem_body *user;
+    sfem_real *work;       /* [work_size] for factors' solves. A block of its own: it may grow during a step */
+    size_t work_size;
+};
+
+/* How a body steps. One of three constant tables, chosen by sfemi_method_choose when the body is created: linear
+ * bodies (by one solve), Newton's, and those that rotate. */
+typedef struct sfemi_method {
+    void (*predict)(sfem_body *b);                        /* fills b->rhs */
+    sfem_status (*solve)(sfem_body *b, sfem_error *err);  /* leaves the acceleration in b->acc */
+    sfem_status (*accept)(sfem_body *b, sfem_error *err); /* tests the step's end, may put another one in its place */
+    void (*finish)(sfem_body *b);                         /* takes the step */
+    sfem_real (*elastic)(sfem_body *b);                   /* the elastic energy at u; may use b->zk */
+    void (*conserved)(sfem_body *b, sfem_energy *e);      /* sets e->conserved; may use b->zm and b->rhs */
+    void (*balance)(sfem_body *b, sfem_real *v);          /* b->rhs = what the supports do not exert, F - f - .. at u, v */
+} sfemi_method;
+
+/* What an integrator comes to, in numbers and properties. Constant from creation on. */
+typedef struct sfemi_scheme {
+    const sfemi_method *method;
+    int rotates;    /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
+    int newton;     /* >>implicit */
+    int resumes;    /* >>resume: a linear body by one solve a step, damaged or not */
+    int mean;       /* w is the mean velocity over a step, not the velocity */
+    int newmark;    /* Newmark(beta, gamma), by one solve or by Newton's iteration */
+    int pqr;        /* SFEM_PQR: p, q and r are the caller's */
+    int central;    /* central difference */
+    int lagging;    /* >>alpha: KR-alpha */
+    int guarded;    /* the energy safeguard may reject steps */
+    int refactors;  /* >>refactor */
+    sfem_real q, r; /* of A = r M + (q/2) h D + p h^2 K */
+    sfem_real beta, gamma, am, af; /* of generalized-alpha's equation: of a Newton method, or of Newmark */
+    int stages;     /* of a step of Newton's: 2 for Bathe, else 1; */
+    int euler;      /* backward Euler */
+} sfemi_scheme;
+
+/* The numbers of the step under way, filled in by predict and constant from then on. d .. lag are those of >>pqr and
+ * >>alpha; their equation there. Newton's methods use h alone. */
+typedef struct sfemi_step {
+    sfem_real h;       /* s */
+    sfem_real d;       /* s, between the centres of the mean velocities: w' = w + d a */
+    sfem_real ck, cd, ca;
+    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
+    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
+    sfem_real am, af;  /* these; zero at a start */
+    sfem_real cka;     /* K a- */
+    sfem_real lag;     /* s */
+    int bridges;       /* >>resume: the step is one of another method */
+    int falls;         /* >>resume: velocity is to be taken from the right side */
+    int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
+    int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
+} sfemi_step;
+
+/* Between which of predict, solve and finish a step is. */
+enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
+
+/* What a step is made of. The arrays from u to handle are the state; the rest is derived or temporary. */
+struct sfem_body {
+    /* create */
+    sfem_allocator allocator;
+    sfem_exec exec;
+    sfem_model *model;
+    sfem_body_def def;     /* without its pins and its damage */
+    sfemi_scheme scheme;   /* >>method */
+    sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
+    int sleeps;            /* it may */
+    sfemi_bonds *bonds;    /* these two only where the body may break */
+    sfemi_damage *damage;
+
+    /* create and set_pins */
+    sfem_int pin_count;
+    sfem_int *pin;         /* [pin_count] nodes, each once */
+    unsigned char *mask;   /* [nodes] axes held; all of a node that is in no tet */
+
+    /* the state, which is saved */
+    sfemi_state state;
+
+    /* prepare */
+    sfem_factor *factor;
+    sfem_real h, p;        /* what the factor is for */
+    sfem_real omega_max;   /* >>pqr: 0: not known */
+    sfem_int factors_made;
+    sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
+    sfemi_grip grip;       /* >>handle */
+
+    /* predict, solve, finish: the step under way */
+    int phase;             /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
+    int begun;             /* not finished, nor undone: before holds */
+    sfemi_state_head before; /* what was when it began */
+    sfemi_step step;
+    sfem_real *rhs;        /* [nodes][3] right side, N, and what the caller adds to it */
+    sfem_real *acc;        /* [nodes][3] the acceleration that solve leaves */
+    sfem_real *predicted;  /* [nodes][3] rhs as predict left it, where the caller may add to it; */
+    sfem_real *late;       /* [nodes][3] what he added since solve, if is_late */
+    int is_late;
+    sfem_real *kick;       /* [nodes][3] N s, the impulses among it, if kicked */
+    int kicked;
+    sfem_real *base;       /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to; else NULL */
+    sfem_real *velocity;   /* >>resume: [nodes][3] what a step starts from, if step.fresh; is to lose, if step.falls */
+    sfemi_turn turn;       /* >>turn */
+    sfemi_guard guard;     /* >>guard */
+    sfemi_implicit implicit; /* >>implicit */
+    sfemi_refactor refactor; /* >>refactor */
+
+    /* >>workspace. The arrays of the step under way and these lie in it; no call leaves anything in these. */
+    sfem_workspace *workspace, own; /* own: where the definition has none */
+    sfem_real *bound;      /* the workspace's memory where the arrays were laid out */
+    sfem_real *zk, *zm, *zd; /* [nodes][3] what K, M and the rest of D are applied to; zd NULL where there is none */
+    sfem_real *spare;      /* >>resume: [5][nodes][3] */
+    sfem_real *aside;      /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
+};
+
+/* ============================================================================================
+ * >>state   the saved state: its arrays and their checks
+ * ============================================================================================ */
+
+/* ---- checks, see >>saved. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever
+ * they are, a step that they spoil fails or is rejected. ---- */
+
+static int sfemi_state_check_counts(const sfemi_state_head *head)
 {
-    sfem_int i, j, k;
-    for (i = 0; i < n; ++i) {
-        const sfem_real whole = a[i * stride + i];
-        for (j = 0; j < i; ++j) {
-            sfem_real sum = a[i * stride + j];
-            for (k = 0; k < j; ++k) sum -= a[i * stride + k] * a[k * stride + k] * a[j * stride + k];
-            a[i * stride + j] = a[j * stride + j] > 0 ? sum / a[j * stride + j] : 0;
-        }
-        for (k = 0; k < i; ++k) a[i * stride + i] -= a[i * stride + k] * a[i * stride + k] * a[k * stride + k];
-        if (!(a[i * stride + i] > 1e-9 * whole)) a[i * stride + i] = 0;
-    }
+    const int64_t count[4] = {head->steps, head->rejected, head->solves, head->evaluations};
+    int k;
+    for (k = 0; k < 4; ++k)
+        if (count[k] < 0 || count[k] > SFEMI_SAVED_MOST) return 0;
+    return head->pairs >= 0 && head->pairs <= 1 << 20 && head->skipped >= 0 && head->load_age >= 0 &&
+           head->load_age <= 2;
 }
 
-static void sfemi_grip_solve(const sfem_real *a, sfem_int n, sfem_int stride, sfem_real *x,
-                             sfem_int step)
+static int sfemi_state_check_head(const void *shape, const char *at, size_t count)
 {
-    sfem_int i, k;
-    for (i = 0; i < n; ++i)
-        for (k = 0; k < i; ++k) x[i * step] -= a[i * stride + k] * x[k * step];
-    for (i = 0; i < n; ++i) x[i * step] = a[i * stride + i] > 0 ? x[i * step] / a[i * stride + i] : 0;
-    for (i = n - 1; i >= 0; --i)
-        for (k = i + 1; k < n; ++k) x[i * step] -= a[k * stride + i] * x[k * step];
-    for (i = 0; i < n; ++i)
-        if (!(a[i * stride + i] > 0)) x[i * step] = 0;
+    const int sleeps = ((const sfemi_state_shape *)shape)->sleeping > 0;
+    sfemi_state_head h;
+    (void)count;
+    memcpy(&h, at, sizeof h);
+    return sfemi_all_finite(&h.time, 3) && h.h >= 0 && h.p >= 0 && sfemi_all_finite(h.gravity, 3) &&
+           h.started >= SFEMI_NOT_STARTED && h.started <= SFEMI_RUNNING && (h.started < SFEMI_RESTARTED || h.h > 0) &&
+           h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
+           h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
+           h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
+           h.calm >= 0 && sfemi_state_check_counts(&h);
 }
+
+static int sfemi_state_check_holds(const void *shape, const char *at, size_t count)
+{
+    size_t i;
+    (void)shape;
+    for (i = 0; i < count; ++i) {
+        sfemi_hold hold;
+        memcpy(&hold, at + i * sizeof hold, sizeof hold);
+        if (!sfemi_all_finite(hold.target, 3) || !sfemi_all_finite(hold.past, 3) || hold.age < 0 || hold.age > 2)
+            return 0;
+    }
+    return 1;
+}
+
+/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
+static int sfemi_state_check_handles(const void *shape, const char *at, size_t count)
+{
+    const sfem_model *model = ((const sfemi_state_shape *)shape)->model;
+    size_t i;
+    int c;
+    for (i = 0; i < count; ++i) {
+        sfemi_handle h;
+        memcpy(&h, at + i * sizeof h, sizeof h);
+        if (h.used == 0) continue;
+        if (h.used != 1 || !sfemi_state_check_holds(shape, (const char *)&h.hold, 1) || !sfemi_all_finite(h.weight, 4) ||
+            !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
+            return 0;
+        for (c = 0; c < 4; ++c)
+            if (h.node[c] < 0 || h.node[c] >= model->mesh.nodes || model->node_mass[h.node[c]] == 0) return 0;
+    }
+    return 1;
+}
+
+static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
+{
+    const sfemi_bonds *g = ((const sfemi_state_shape *)shape)->bonds;
+    const size_t edges = g ? (size_t)g->edges : 0;
+    sfem_real account[SFEMI_ACCOUNTS], zeta;
+    size_t k;
+    if (!count) return 1;
+    memcpy(account, at, sizeof account);
+    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
+    at += sizeof account;
+    for (k = 0; k < edges; ++k) {
+        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
+    for (k = 0; k < edges; ++k)
+        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
+    return 1;
+}
+
+#define SFEMI_ROW(field, each, rows, check, name)                                                     \
+    SFEMI_SAVED(sfemi_state, field, each, offsetof(sfemi_state_shape, rows), SFEMI_SAVED_ONE, check, name)
+#define SFEMI_LOAD(k)                                                                                 \
+    {offsetof(sfemi_state, force) + (k) * sizeof(sfem_real *), sizeof(sfem_real), 3,                  \
+     offsetof(sfemi_state_shape, nodes), SFEMI_SAVED_ONE, sfemi_saved_finite, "a load"}
+static const sfemi_saved_array sfemi_state_array[] = {
+    SFEMI_SAVED(sfemi_state, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_state_check_head, "its head"),
+    SFEMI_ROW(u, 3, nodes, sfemi_saved_finite, "a displacement"),
+    SFEMI_ROW(w, 3, nodes, sfemi_saved_finite, "a velocity"),
+    SFEMI_ROW(a, 3, nodes, sfemi_saved_finite, "an acceleration"),
+    SFEMI_LOAD(0),
+    SFEMI_LOAD(1),
+    SFEMI_LOAD(2),
+    SFEMI_ROW(f, 3, rotating, NULL, NULL),
+    SFEMI_ROW(f_past, 3, rotating, NULL, NULL),
+    SFEMI_ROW(f_past2, 3, rotating, NULL, NULL),
+    SFEMI_ROW(frame, 9, rotating, NULL, NULL),
+    SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
+    SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
+    SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
+    SFEMI_ROW(books, 1, breaking, NULL, NULL),
+    SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
+    SFEMI_ROW(pin, 1, pins, sfemi_state_check_holds, "a pin")};
+#undef SFEMI_ROW
+#undef SFEMI_LOAD
+
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
+
+/* ============================================================================================
+ * >>workspace   a step's temporaries, which bodies may share
+ * ============================================================================================ */
+
+SFEM_DEF sfem_status sfem_workspace_create(const sfem_allocator *allocator, sfem_workspace **out, sfem_error *err)
+{
+    static const sfem_allocator standard = {0, 0, 0};
+    const sfem_allocator *al = allocator ? allocator : &standard;
+    sfem_workspace *w = NULL;
+    sfem_status status = SFEM_OK;
+    SFEM_ASSERT(out);
+    SFEMI_NEW(sfem_workspace, w, al, 1);
+    w->allocator = *al;
+    *out = w;
+done:
+    return status;
+}
+
+SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *w)
+{
+    SFEM_ASSERT(w);
+    return (w->size + w->work_size) * sizeof *w->memory;
+}
+
+SFEM_DEF void sfem_workspace_free(sfem_workspace *w)
+{
+    sfem_allocator al;
+    if (!w) return;
+    al = w->allocator;
+    sfemi_delete(&al, w->memory);
+    sfemi_delete(&al, w->work);
+    sfemi_delete(&al, w);
+}
+
+static void sfemi_workspace_take(sfem_real **array, size_t count, sfem_real *memory, size_t *used)
+{
+    if (memory) *array = memory + *used;
+    *used += count;
+}
+
+/* What a body that rotates has in it besides. */
+static void sfemi_workspace_take_rotating(sfem_body *b, sfem_real *memory, size_t *used)
+{
+    sfemi_turn *t = &b->turn;
+    sfemi_guard *g = &b->guard;
+    sfem_real **const vector[] = {&t->v,     &g->u,   &g->w,   &g->f,       &g->external, &g->known, &g->added,
+                                  &g->grad,  &g->dir, &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad, &g->other};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t k;
+    sfemi_workspace_take(&t->work, sfem_model_work_size(b->model), memory, used);
+    sfemi_workspace_take(&t->spin, 12 * (size_t)b->model->chunks.copies, memory, used);
+    sfemi_workspace_take(&t->sum, 3 * n, memory, used);
+    sfemi_workspace_take(&t->fresh, 3 * n, memory, used);
+    sfemi_workspace_take(&t->trace, n / 3, memory, used);
+    sfemi_workspace_take(&g->frame, 3 * n, memory, used);
+    sfemi_workspace_take(&g->pair, 2 * SFEMI_MEMORY * n, memory, used);
+    for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, used);
+}
+
+/* What Newton's iteration has. */
+static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t *used)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfem_real **const vector[SFEMI_IMPLICIT_VECTORS] = {&m->d, &m->best, &m->goal, &m->vmap, &m->amap,
+                                                        &m->a0, &m->load, &m->f, &m->q, &m->x, &m->v, &m->step,
+                                                        &m->mid_d, &m->mid_v, &m->mid_a};
+    size_t k;
+    for (k = 0; k < SFEMI_IMPLICIT_VECTORS; ++k)
+        sfemi_workspace_take(vector[k], 3 * (size_t)b->model->mesh.nodes, memory, used);
+    if (b->model->turns) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
+}
+
+/* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
+static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
+{
+    sfem_real **const vector[] = {&b->rhs, &b->acc, &b->zk, &b->zm, &b->predicted, &b->late, &b->kick};
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t used = 0, k;
+    for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, &used);
+    if (b->model->damping) sfemi_workspace_take(&b->zd, n, memory, &used);
+    sfemi_workspace_take(&b->aside, 7 * n, memory, &used);
+    if (b->scheme.lagging) sfemi_workspace_take(&b->base, n, memory, &used);
+    if (b->scheme.resumes) {
+        sfemi_workspace_take(&b->spare, 5 * n, memory, &used);
+        sfemi_workspace_take(&b->velocity, n, memory, &used);
+    }
+    if (b->scheme.rotates) sfemi_workspace_take_rotating(b, memory, &used);
+    if (b->implicit.ready) sfemi_workspace_take_newton(b, memory, &used);
+    return used;
+}
+
+/* Is another body that shares the workspace between predict and finish? */
+static int sfemi_workspace_is_busy(const sfem_body *b)
+{
+    const sfem_body *user = b->workspace->user;
+    return user && user != b && user->phase != SFEMI_IDLE;
+}
+
+static sfem_status sfemi_workspace_check(const sfem_body *b, sfem_error *err)
+{
+    if (!sfemi_workspace_is_busy(b)) return SFEM_OK;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                      "another body that shares the workspace is between sfem_body_predict and sfem_body_finish");
+}
+
+/* Before a body uses its arrays. */
+static void sfemi_workspace_bind(sfem_body *b)
+{
+    sfem_workspace *w = b->workspace;
+    SFEM_ASSERT(!sfemi_workspace_is_busy(b));
+    if (w->user == b && b->bound == w->memory) return;
+    sfemi_workspace_lay_out(b, w->memory);
+    b->bound = w->memory;
+    w->user = b;
+}
+
+/* Room for the body's arrays, which are lost. */
+static sfem_status sfemi_workspace_reserve(sfem_body *b, sfem_error *err)
+{
+    const size_t need = sfemi_workspace_lay_out(b, NULL);
+    sfem_workspace *w = b->workspace;
+    sfem_real *memory;
+    sfem_status status = SFEM_OK;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    if (need > w->size) {
+        SFEMI_NEW(sfem_real, memory, &w->allocator, need);
+        sfemi_delete(&w->allocator, w->memory);
+        w->memory = memory;
+        w->size = need;
+    }
+    w->user = NULL;
+    sfemi_workspace_bind(b);
+done:
+    return status;
+}
+
+/* Room for solves with a factor, `rhs` right sides at a time. */
+static sfem_status sfemi_workspace_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs, sfem_error *err)
+{
+    const size_t need = sfemi_factor_work_size(f, rhs);
+    sfem_workspace *w = b->workspace;
+    sfem_real *work;
+    sfem_status status = SFEM_OK;
+    if (need <= w->work_size) return SFEM_OK;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    SFEMI_NEW(sfem_real, work, &w->allocator, need);
+    sfemi_delete(&w->allocator, w->work);
+    w->work = work;
+    w->work_size = need;
+done:
+    return status;
+}
+
+/* ============================================================================================
+ * >>handle   pins and handles set, moved and released while the body runs
+ *
+ * With A^-1 at hand, a constraint H a = c on a = A^-1 (b + H^T l) asks for  (H A^-1 H^T) l = c - H A^-1 b.
+ * The columns Y = A^-1 H^T of a handle, three of them, are solved for when it is taken; a step costs one
+ * small dense solve and one sum over the columns, whatever moves.
+ * ============================================================================================ */
 
 /* (H x) of one handle: the weighted mean over its nodes. */
 static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
@@ -15121,8 +15821,8 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             }
         }
     }
-    if (!turns) sfemi_grip_factor(g->s, 3 * k, 3 * k);
-    for (b = 0; b < 3; ++b) sfemi_grip_factor(g->wm + b * k * k, k, k);
+    if (!turns) sfemi_small_factor(g->s, 3 * k, 3 * k);
+    for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
 }
 
 /* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
@@ -15137,7 +15837,7 @@ static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int
         sfemi_grip_mean(handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     for (i = 0; i < g->count; ++i) {
         for (c = 0; c < 3; ++c) {
             const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
@@ -15159,7 +15859,7 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
         sfemi_grip_mean(handle + g->slot[i], x, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    for (c = 0; c < 3; ++c) sfemi_grip_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
+    for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
     for (i = 0; i < k; ++i) {
         const sfemi_handle *h = handle + g->slot[i];
         for (p = 0; p < 4; ++p)
@@ -15189,233 +15889,15 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
     if (hold->age < 2) ++hold->age;
 }
 
-/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
-typedef struct sfemi_piece {
-    int held; /* by a pin or a handle: no projection */
-    int spans; /* >>correct: u' serves, and */
-    sfem_real rest; /* sum m |X - centre|^2 */
-    sfem_real mass, centre[3], inertia_inverse[9];
-    sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
-    sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
-    sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
-    sfem_real ahead[3], between[9]; /* >>correct: the centre at u', (N'^T M N)^-1 of rotations */
-    sfem_real sum[4][3];          /* scratch of the energies */
-} sfemi_piece;
-
-typedef struct sfemi_turn {
-    sfem_int pieces;
-    sfem_int *piece_of;  /* [nodes] -1: in no tet */
-    sfemi_piece *piece;  /* [pieces] */
-    sfem_real *work;     /* of sfem_model_forces, */
-    sfem_real *spin;     /* [copies][12] and of the sums that follow */
-    sfem_real *sum;      /* [nodes][3][3] sum V_e R_e where forces were last computed */
-    sfem_real *over;     /* [nodes] 1 / sum V_e */
-    sfem_real *fresh;    /* [nodes][3][3] scratch of the frames, */
-    sfem_real *trace;    /* [nodes] and this */
-    sfem_real *diagonal; /* [nodes] one over the mean of A's diagonal */
-    sfem_real *v;        /* [nodes][3] scratch */
-    sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
-    int still;           /* no law turns: rigid motions are those of the rest pose */
-    int twists;          /* of laws that turn and linear ones: internal forces have a torque */
-    int by_hand;         /* the caller may add to the right side of the step under way */
-} sfemi_turn;
-
-typedef struct sfemi_guard_energies {
-    sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
-    sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
-} sfemi_guard_energies;
-
-/* A matrix that changes, and its factor. */
-typedef struct sfemi_system {
-    sfem_factor *factor;
-    sfem_matrix matrix; /* its free rows; without values where the matrix never changes */
-    sfem_int *source;   /* [blocks] their places in K's pattern */
-} sfemi_system;
-
-/* >>guard: scratch of a step, all [nodes][3] unless stated. */
-typedef struct sfemi_guard {
-    sfem_real *u, *w, *f;  /* the step's end */
-    sfem_real *external;   /* the loads, and what the caller added, in the equation; */
-    sfem_real *known;      /* forces of the past in it */
-    sfem_real *added;      /* what the caller added to the right side */
-    sfem_real *grad, *dir; /* r at the step's end, a direction; */
-    sfem_real *trial_u, *trial_w, *trial_f, *trial_grad, *other; /* the same elsewhere, scratch */
-    sfem_real *frame;      /* [nodes][3][3] of the trial */
-    sfem_real *pair;       /* [SFEMI_MEMORY][2] steps and changes of r, */
-    sfem_real curvature[SFEMI_MEMORY]; /* and their products */
-    int pairs;             /* so many so far in this step */
-    sfem_real end;         /* the equation's weight of f' in this step; 0: one solve */
-    int bounded;           /* directions come of an upper bound of the tangent */
-    int made, dropped;     /* pairs of this step to be kept; those of earlier ones are of no use */
-    int converged;         /* the corrections went as far as they should */
-    sfem_factor *isotropic; /* for fallbacks of isotropic_h, */
-    sfem_real isotropic_h;
-    sfemi_system system;   /* of Newton's iteration in a fallback, made when first needed, as is */
-    sfem_matrix tangent;   /* K(u') itself, on K's pattern */
-    sfem_real psi;         /* at u */
-    sfemi_guard_energies energies; /* of the step, if measured */
-    int measured;
-    int rejected;          /* u, w, f come from the fallback */
-    sfem_int corrections;  /* made in the last step */
-    sfem_real damped;      /* what damping took in it, of a body that may break */
-} sfemi_guard;
-
-/* What >>implicit works with. */
-typedef struct sfemi_stage {
-    sfem_real m1, m0, w1, w0, c1, c2; /* see there */
-    sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
-    sfem_real end; /* where in the step it ends, in h */
-} sfemi_stage;
-
-typedef struct sfemi_implicit {
-    sfem_newton_info info;
-    sfemi_stage stage;
-    sfemi_system system; /* its factor is the body's */
-    sfem_factor *second; /* linear bodies: that of the second of two systems */
-    sfem_matrix tangent; /* K(u): the model's K itself where that is constant */
-    sfem_matrix drag;    /* of the caller's damping, or no values */
-    int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
-    int still;           /* statics: no inertia, no damping */
-    sfem_real share;     /* statics: of the load */
-    sfem_real energy;    /* Psi at the last evaluation */
-    sfem_real *memory;   /* what follows: [nodes][3] each */
-    sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
-    sfem_real *work;     /* of sfem_model_forces */
-} sfemi_implicit;
-
-enum { SFEMI_IMPLICIT_VECTORS = 15 };
-
-/* >>refactor: two factors beside that of the rest pose, one in use, one in the making. */
-typedef struct sfemi_refactor {
-    sfem_ldl *ldl[2];
-    sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
-    sfem_matrix k[2];     /* their K, turned back; on K's pattern */
-    sfem_matrix a;        /* what is factorised, free rows */
-    sfem_int *source;     /* [blocks of a] their places in K's pattern */
-    sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
-    int live;             /* 1 + the one in use, or 0 */
-    int stage;            /* SFEMI_REFACTOR_IDLE ... */
-    sfem_int next;        /* chunk of tets, or row of blocks */
-    sfemi_slice at;
-    double budget;        /* operations a step */
-    double price;         /* of all, from a tangent */
-    double credit, flops, done;
-    double spent, steps;  /* since the factor in use is: on corrections beyond those that a good one needs; steps */
-    double rest_rate;     /* what was spent a step with the factor of the rest pose */
-    double patience;      /* prices to be spent before another is made */
-    sfem_real broken;     /* edges that were broken when it was asked for */
-    sfem_int quiet;       /* steps since one has broken or softened */
-    int64_t made, failed;
-} sfemi_refactor;
-
-enum {
-    SFEMI_REFACTOR_IDLE,
-    SFEMI_REFACTOR_TANGENT,
-    SFEMI_REFACTOR_TURN,
-    SFEMI_REFACTOR_MATRIX,
-    SFEMI_REFACTOR_FACTOR
-};
-
-/* How a body steps. One of three constant tables, chosen by sfemi_method_choose when the body is created: linear
- * bodies (by one solve), Newton's, and those that rotate. */
-typedef struct sfemi_method {
-    void (*predict)(sfem_body *b);                        /* fills b->rhs */
-    sfem_status (*solve)(sfem_body *b, sfem_error *err);  /* leaves the acceleration in b->acc */
-    sfem_status (*accept)(sfem_body *b, sfem_error *err); /* tests the step's end, may put another one in its place */
-    void (*finish)(sfem_body *b);                         /* takes the step */
-    sfem_real (*elastic)(sfem_body *b);                   /* the elastic energy at u; may use b->zk */
-    void (*conserved)(sfem_body *b, sfem_energy *e);      /* sets e->conserved; may use b->zm and b->rhs */
-    void (*balance)(sfem_body *b, sfem_real *v);          /* b->rhs = what the supports do not exert, F - f - .. at u, v */
-} sfemi_method;
-
-/* What an integrator comes to, in numbers and properties. Constant from creation on. */
-typedef struct sfemi_scheme {
-    const sfemi_method *method;
-    int rotates;    /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
-    int newton;     /* >>implicit */
-    int resumes;    /* >>resume: a linear body by one solve a step, damaged or not */
-    int mean;       /* w is the mean velocity over a step, not the velocity */
-    int newmark;    /* Newmark(beta, gamma), by one solve or by Newton's iteration */
-    int pqr;        /* SFEM_PQR: p, q and r are the caller's */
-    int central;    /* central difference */
-    int lagging;    /* >>alpha: KR-alpha */
-    int guarded;    /* the energy safeguard may reject steps */
-    int refactors;  /* >>refactor */
-    sfem_real q, r; /* of A = r M + (q/2) h D + p h^2 K */
-    sfem_real beta, gamma, am, af; /* of generalized-alpha's equation: of a Newton method, or of Newmark */
-    int stages;     /* of a step of Newton's: 2 for Bathe, else 1; */
-    int euler;      /* backward Euler */
-} sfemi_scheme;
-
-/* The numbers of the step under way, filled in by predict and constant from then on. d .. lag are those of >>pqr and
- * >>alpha; their equation there. Newton's methods use h alone. */
-typedef struct sfemi_step {
-    sfem_real h;       /* s */
-    sfem_real d;       /* s, between the centres of the mean velocities: w' = w + d a */
-    sfem_real ck, cd, ca;
-    sfem_real load[3]; /* of F+, F, F-; their sum is 1 */
-    sfem_real back;    /* >>alpha: w' = w - back a- + d a, and */
-    sfem_real am, af;  /* these; zero at a start */
-    sfem_real cka;     /* K a- */
-    sfem_real lag;     /* s */
-    int bridges;       /* >>resume: the step is one of another method */
-    int falls;         /* >>resume: velocity is to be taken from the right side */
-    int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
-    int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
-} sfemi_step;
-
-/* What a step is made of. The arrays from u to handle are the state; the rest is derived or temporary. */
-struct sfem_body {
-    sfem_allocator allocator;
-    sfem_exec exec;
-    sfem_model *model;
-    sfem_body_def def;   /* without its pins */
-    sfem_int pin_count;
-    sfem_int *pin;       /* [pin_count] nodes, each once */
-    unsigned char *mask; /* [nodes] axes held; all of a node that is in no tet */
-    sfem_real alpha, beta; /* Rayleigh damping, the model's and the body's own */
-    sfemi_scheme scheme;
-    int sleeps;            /* it may */
-    sfemi_state state;
-    sfemi_grip grip;
-    sfemi_turn turn;
-    sfemi_guard guard;
-    sfemi_bonds *bonds;    /* these two only where the body may break */
-    sfemi_damage *damage;
-    /* prepared */
-    sfem_factor *factor;
-    sfem_real h, p;      /* what the factor is for */
-    sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
-    sfem_real omega_max; /* 0: not known */
-    sfem_int factors_made;
-    sfem_real *work;     /* for the factor's solves */
-    size_t work_size;
-    /* the step under way */
-    int phase;           /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
-    int begun;           /* not finished, nor undone: before holds */
-    sfemi_state_head before; /* what was when it began */
-    sfemi_step step;
-    sfem_real *rhs, *acc, *zk, *zm, *zd; /* [nodes][3]; zd only where the model has damping of its own */
-    sfem_real *predicted; /* [nodes][3] rhs as predict left it, where the caller may add to it; */
-    sfem_real *late;      /* [nodes][3] what he added since solve, if is_late */
-    int is_late;
-    sfem_real *kick;      /* [nodes][3] N s, the impulses among it, if kicked */
-    int kicked;
-    sfem_real *base;     /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to */
-    sfem_real *aside;    /* [7][nodes][3] what stands in for the step's temporaries where somebody looks */
-    sfem_real *spare;    /* >>resume: [5][nodes][3] temporaries, and velocity; no call leaves anything there */
-    sfem_real *velocity; /* >>resume: [nodes][3] what a step starts from, if step.fresh; or is to lose, if step.falls */
-    sfemi_implicit implicit;
-    sfemi_refactor refactor;
-};
+/* ============================================================================================
+ * >>balance   right sides, and the mass: what the integrators share
+ * ============================================================================================ */
 
 /* The factor that steps solve with. */
 static const sfem_factor *sfemi_body_active(const sfem_body *b)
 {
     return b->refactor.live ? &b->refactor.factor : b->factor;
 }
-
-enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 
 /* The velocity, or mean velocity, that the step under way starts from. */
 static const sfem_real *sfemi_body_way(const sfem_body *b) { return b->step.fresh ? b->velocity : b->state.w; }
@@ -15775,42 +16257,23 @@ static int sfemi_implicit_damped(const sfem_body *b)
 static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
 {
     const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes, values = 9 * (size_t)model->row[model->mesh.nodes];
+    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
     sfemi_implicit *m = &b->implicit;
-    sfem_real *memory = NULL, *tangent = NULL, *drag = NULL, *work = NULL, *at;
+    sfem_real *tangent = NULL, *drag = NULL;
     sfem_status status = SFEM_OK;
-    if (m->memory) return SFEM_OK;
-    SFEMI_NEW(sfem_real, memory, &b->allocator, SFEMI_IMPLICIT_VECTORS * n);
-    if (!sfemi_implicit_linear(model)) {
-        SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
-        SFEMI_NEW(sfem_real, work, &b->allocator, sfem_model_work_size(model));
-    }
+    if (m->ready) return SFEM_OK;
+    if (!sfemi_implicit_linear(model)) SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
     if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
+    m->ready = 1;
+    SFEMI_TRY(sfemi_workspace_reserve(b, err));
     m->tangent = m->drag = model->stiffness;
     if (tangent) m->tangent.val = tangent;
     m->drag.val = drag;
-    at = m->memory = memory;
-    m->work = work;
-    m->d = at, at += n;
-    m->best = at, at += n;
-    m->goal = at, at += n;
-    m->vmap = at, at += n;
-    m->amap = at, at += n;
-    m->a0 = at, at += n;
-    m->load = at, at += n;
-    m->f = at, at += n;
-    m->q = at, at += n;
-    m->x = at, at += n;
-    m->v = at, at += n;
-    m->step = at, at += n;
-    m->mid_d = at, at += n;
-    m->mid_v = at, at += n;
-    m->mid_a = at;
     return SFEM_OK;
 done:
-    sfemi_delete(&b->allocator, work);
+    m->ready = 0;
     sfemi_delete(&b->allocator, tangent);
-    sfemi_delete(&b->allocator, memory);
+    sfemi_delete(&b->allocator, drag);
     return status;
 }
 
@@ -15826,11 +16289,9 @@ static void sfemi_implicit_destroy(sfem_body *b)
     sfemi_implicit *m = &b->implicit;
     sfemi_system_close(b, &m->system);
     sfemi_factor_release(b->model, m->second);
-    if (m->memory && m->tangent.val != b->model->stiffness.val)
+    if (m->ready && m->tangent.val != b->model->stiffness.val)
         sfemi_delete(&b->allocator, m->tangent.val);
     sfemi_delete(&b->allocator, m->drag.val);
-    sfemi_delete(&b->allocator, m->work);
-    sfemi_delete(&b->allocator, m->memory);
 }
 
 static size_t sfemi_implicit_bytes(const sfem_body *b)
@@ -15838,8 +16299,7 @@ static size_t sfemi_implicit_bytes(const sfem_body *b)
     const sfemi_implicit *m = &b->implicit;
     const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
     size_t reals = 0;
-    if (m->memory) {
-        reals = 3 * SFEMI_IMPLICIT_VECTORS * (size_t)b->model->mesh.nodes;
+    if (m->ready) {
         if (m->tangent.val != b->model->stiffness.val) reals += values;
         if (m->drag.val) reals += values;
     }
@@ -16329,7 +16789,7 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
         moved |= g[i] != 0;
     }
     if (moved) sfemi_newton_lift(b, g);
-    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->work, &b->exec);
+    sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->workspace->work, &b->exec);
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
     ++m->info.iterations;
@@ -16337,7 +16797,7 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     if (y->matrix.val || m->second) {
         for (k = 0; k < b->grip.count; ++k)
             sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
-                               b->grip.y[b->grip.slot[k]], b->work, &b->exec);
+                               b->grip.y[b->grip.slot[k]], b->workspace->work, &b->exec);
         sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
     }
     sfemi_newton_gap(b);
@@ -16774,7 +17234,7 @@ static void sfemi_alpha_predict(sfem_body *b)
     sfem_model_multiply_stiffness(b->model, w, b->rhs, &b->exec);
     for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * b->step.h * b->step.h;
     memset(b->base, 0, n * sizeof *b->base);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->workspace->work, &b->exec);
     if (b->grip.count) {
         memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
         sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->base);
@@ -17340,7 +17800,7 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
 {
     /* in work, from a node to the next and from an axis to the next */
     const size_t node = f->scalar ? 1 : 3, axis = f->scalar ? (size_t)f->free_nodes : 1;
-    sfem_real *at = b->work;
+    sfem_real *at = b->workspace->work;
     const sfem_real *diagonal = f->inverse;
     sfem_int i, k;
     int c;
@@ -17353,8 +17813,8 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
         at[2 * axis] = q[2] * v0 + q[5] * v1 + q[8] * v2;
     }
     if (f->ldl)
-        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->work, b->work + 3 * (size_t)f->free_nodes, &b->exec);
-    for (i = 0, k = 0, at = b->work; i < b->model->mesh.nodes; ++i) {
+        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->workspace->work, b->workspace->work + 3 * (size_t)f->free_nodes, &b->exec);
+    for (i = 0, k = 0, at = b->workspace->work; i < b->model->mesh.nodes; ++i) {
         const sfem_real *q = frame + 9 * (size_t)i;
         sfem_real *to = x + 3 * (size_t)i;
         if (f->mask[i] == SFEM_AXIS_ALL) {
@@ -17562,22 +18022,6 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     for (i = 0; i < 3 * (size_t)nodes; ++i) y[i] += sum[i];
 }
 
-/* Room for the solves with f, `rhs` at a time. */
-static sfem_status sfemi_body_reserve_work(sfem_body *b, const sfem_factor *f, sfem_int rhs,
-                                           sfem_error *err)
-{
-    const size_t size = sfemi_factor_work_size(f, rhs);
-    sfem_real *work;
-    sfem_status status = SFEM_OK;
-    if (size <= b->work_size) return SFEM_OK;
-    SFEMI_NEW(sfem_real, work, &b->allocator, size);
-    sfemi_delete(&b->allocator, b->work);
-    b->work = work;
-    b->work_size = size;
-done:
-    return status;
-}
-
 /* Room for the columns of handle `slot`, where it is used or may not allocate later. */
 static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot, sfem_error *err)
 {
@@ -17718,7 +18162,7 @@ static void sfemi_resume_precondition(sfem_body *b, sfem_real *r, sfem_real *z)
     for (i = 0; i < n; ++i) r[i] = mass[i / 3] * z[i];
     if (!b->factor) return;
     memcpy(z, r, n * sizeof *z);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, z, z, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, z, z, b->workspace->work, &b->exec);
     sfemi_resume_still(b, z);
 }
 
@@ -17883,7 +18327,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
         if (b->state.handle[g->slot[k]].hold.age > 0) g->slot[g->count++] = g->slot[k];
     if (g->count < count) sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
     sfemi_pqr_predict(b);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_pqr_solve(b);
     for (i = 0; i < n; ++i) v[i] = (h * b->state.w[i] + before * (b->base[i] + b->step.d * b->acc[i])) / (before + h);
     if (g->count == count) return;
@@ -17915,7 +18359,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     const int newmark = b->scheme.newmark;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_inertia t;
-    sfem_real *v = b->velocity;
+    sfem_real *v;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
     b->phase = SFEMI_IDLE;
@@ -17924,6 +18368,8 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
         s->head->started = SFEMI_RESTARTED;
         return;
     }
+    sfemi_workspace_bind(b);
+    v = b->velocity;
     t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     sfemi_resume_gather(b);
     if (b->base && b->factor && b->h == s->head->h && !b->grip.dirty) {
@@ -18154,7 +18600,7 @@ static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
         for (i = 0; b->zd && i < n; ++i) y[i] = c * a[i];
         if (b->zd) sfemi_fem_add_damping_rest(model, y, x);
         memset(y, 0, n * sizeof *y);
-        sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->work, &b->exec);
+        sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->workspace->work, &b->exec);
         if (rows) memcpy(b->grip.place, b->grip.lambda, rows * sizeof *b->grip.lambda);
         sfemi_resume_bridge_hold(b, y);
         for (i = 0; i < rows; ++i) b->grip.lambda[i] = b->grip.place[i] - b->grip.lambda[i];
@@ -18174,7 +18620,7 @@ static void sfemi_resume_bridge_stage(sfem_body *b, sfem_real *du, sfem_real *dv
     sfem_model_multiply_stiffness(b->model, b->zk, b->rhs, &b->exec);
     sfemi_fem_add_mass(b->model, 1, dv, b->rhs);
     memset(dv, 0, n * sizeof *dv);
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->workspace->work, &b->exec);
     sfemi_resume_bridge_settle(b, dv);
     for (i = 0; i < n; ++i) du[i] += gh * dv[i];
 }
@@ -18379,7 +18825,7 @@ static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *fra
                 }
         }
     }
-    sfemi_grip_factor(g->s, size, size);
+    sfemi_small_factor(g->s, size, size);
 }
 
 /* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
@@ -18397,7 +18843,7 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
         sfemi_grip_mean(b->state.handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
-    sfemi_grip_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     memset(y, 0, n * sizeof *y);
     for (i = 0; i < g->count; ++i) {
         const sfemi_handle *h = b->state.handle + g->slot[i];
@@ -19198,7 +19644,7 @@ static void sfemi_correct_find_handle_forces(sfem_body *b)
                                                b->model->node_mass[h->node[p]];
         }
     }
-    for (c = 0; c < 3; ++c) sfemi_grip_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
+    for (c = 0; c < 3; ++c) sfemi_small_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
 }
 
 /* Energy beyond what a fallback may have: the budget, or what there was, and the work done in it. */
@@ -19530,7 +19976,7 @@ static void sfemi_guard_find_columns(sfem_body *b, const sfem_factor *f)
     sfem_int i;
     for (i = 0; i < b->grip.count; ++i) {
         const sfem_int slot = b->grip.slot[i];
-        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->work, &b->exec);
+        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->workspace->work, &b->exec);
     }
 }
 
@@ -19553,7 +19999,7 @@ static sfem_status sfemi_guard_prepare_isotropic(sfem_body *b, sfem_error *err)
         g->isotropic = f;
         g->isotropic_h = b->h;
     }
-    return sfemi_body_reserve_work(b, g->isotropic, 3, err);
+    return sfemi_workspace_reserve_work(b, g->isotropic, 3, err);
 done:
     return status;
 }
@@ -19573,7 +20019,7 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
     sfemi_guard *g = &b->guard;
     sfemi_factor_key key = b->factor->key;
     sfem_status status = SFEM_OK;
-    if (g->system.factor) return sfemi_body_reserve_work(b, g->system.factor, 3, err);
+    if (g->system.factor) return sfemi_workspace_reserve_work(b, g->system.factor, 3, err);
     key.majorant = 0;
     key.ck = b->h * b->h;
     key.cm = b->scheme.r;
@@ -19585,7 +20031,7 @@ static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
         g->tangent.val = val;
     }
     SFEMI_TRY(sfemi_system_open(b, &key, &g->system, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, g->system.factor, 3, err));
+    SFEMI_TRY(sfemi_workspace_reserve_work(b, g->system.factor, 3, err));
 done:
     return status;
 }
@@ -20524,7 +20970,7 @@ static void sfemi_linear_predict(sfem_body *b)
 
 static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
-    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+    sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_linear_settle(b);
     if (b->step.bridges) sfemi_resume_bridge_settle(b, b->acc);
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
@@ -20828,13 +21274,30 @@ static uint64_t sfemi_body_key(const sfem_body *b)
     return sfemi_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
 
-static void sfemi_body_reset_head(sfem_body *b, size_t bytes)
+/* Of the body's state with so many pins. */
+static sfemi_state_shape sfemi_body_state_shape(const sfem_body *b, sfem_int pins)
 {
-    sfemi_state_head *head = b->state.head;
-    memcpy(head->magic, "sfemstat", 8);
-    head->version = SFEMI_STATE_VERSION;
-    head->size = bytes;
-    head->key = sfemi_body_key(b);
+    const sfem_int nodes = b->model->mesh.nodes;
+    sfemi_state_shape s;
+    s.model = b->model;
+    s.bonds = b->bonds;
+    s.nodes = nodes;
+    s.handles = b->def.max_handles;
+    s.pins = pins;
+    s.rotating = b->scheme.rotates ? nodes : 0;
+    s.correcting = b->scheme.rotates == SFEMI_CORRECTS ? nodes : 0;
+    s.sleeping = b->sleeps ? nodes : 0;
+    s.breaking = b->bonds ? 1 : 0;
+    s.damage = b->bonds ? (sfem_int)(sfemi_damage_state_bytes(b->bonds) / sizeof *b->state.damage) : 0;
+    return s;
+}
+
+static sfem_status sfemi_body_new_state(const sfem_body *b, sfem_int pins, sfemi_state *out, sfem_error *err)
+{
+    const sfemi_state_shape shape = sfemi_body_state_shape(b, pins);
+    const sfem_status status = sfemi_saved_new(&sfemi_state_kind, &shape, 0, &b->allocator, out, err);
+    if (!b->bonds) out->books = NULL, out->damage = NULL;
+    return status;
 }
 
 /* Pins as a mask and a list without repetition. Nodes in no tet are masked and not listed. */
@@ -20955,29 +21418,14 @@ static sfem_status sfemi_body_allocate_turn(sfem_body *b, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfemi_guard *g = &b->guard;
-    sfem_real **const vector[] = {&b->turn.v, &g->u,       &g->w,       &g->f,       &g->external,   &g->known, &g->added,
-                                  &g->grad,   &g->dir,     &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad,
-                                  &g->other};
     sfem_status status = SFEM_OK;
-    size_t i;
     SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
     SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
     b->turn.still = !b->model->turns;
     if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
-    SFEMI_NEW(sfem_real, b->turn.work, al,
-              sfem_model_work_size(b->model) + 12 * (size_t)b->model->chunks.copies + n +
-                  (3 + 3 + 3 + 2 * SFEMI_MEMORY + sizeof vector / sizeof *vector) * n);
-    b->turn.spin = b->turn.work + sfem_model_work_size(b->model);
-    b->turn.sum = b->turn.spin + 12 * (size_t)b->model->chunks.copies;
-    b->turn.fresh = b->turn.sum + 3 * n;
-    b->turn.over = b->turn.fresh + 3 * n;
-    b->turn.trace = b->turn.over + n / 3;
-    b->turn.diagonal = b->turn.trace + n / 3;
-    g->frame = b->turn.diagonal + n / 3;
-    g->pair = g->frame + 3 * n;
-    for (i = 0; i < sizeof vector / sizeof *vector; ++i) *vector[i] = g->pair + (2 * SFEMI_MEMORY + i) * n;
+    SFEMI_NEW(sfem_real, b->turn.over, al, n / 3);
+    SFEMI_NEW(sfem_real, b->turn.diagonal, al, n / 3);
 done:
     return status;
 }
@@ -20994,18 +21442,17 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->guard.tangent.val);
     sfemi_delete(&al, b->turn.piece_of);
     sfemi_delete(&al, b->turn.piece);
-    sfemi_delete(&al, b->turn.work);
+    sfemi_delete(&al, b->turn.over);
+    sfemi_delete(&al, b->turn.diagonal);
     sfemi_delete(&al, b->turn.lever);
     sfemi_damage_free(b->damage);
     sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
-    sfemi_delete(&al, b->rhs);
-    sfemi_delete(&al, b->base);
-    sfemi_delete(&al, b->spare);
-    sfemi_delete(&al, b->aside);
-    sfemi_delete(&al, b->work);
+    if (b->workspace->user == b) b->workspace->user = NULL;
+    sfemi_delete(&al, b->own.memory);
+    sfemi_delete(&al, b->own.work);
     sfem_model_free(b->model);
     sfemi_delete(&al, b);
 }
@@ -21014,36 +21461,17 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
 {
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
-    const size_t n = 3 * (size_t)nodes, k = (size_t)def->max_handles;
-    const size_t vectors = b->model->damping ? 8 : 7;
+    const size_t k = (size_t)def->max_handles;
     sfem_status status = SFEM_OK;
-    size_t bytes, damage;
-    void *block = NULL;
     SFEMI_NEW(unsigned char, b->mask, al, nodes);
     SFEMI_NEW(sfem_int, b->pin, al, def->pin_count > 0 ? def->pin_count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, def->pin_count, def->pins, def->pin_axes, b->mask, b->pin,
                                       &b->pin_count, err));
     if (def->damage) SFEMI_TRY(sfemi_bonds_create(b->model, def->damage, al, &b->bonds, err));
-    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
-    bytes = sfemi_state_bytes(nodes, b->scheme.rotates, b->sleeps, b->pin_count, def->max_handles, damage);
-    SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&b->state, block, nodes, b->scheme.rotates, b->sleeps, b->pin_count, def->max_handles, damage);
-    sfemi_body_reset_head(b, bytes);
+    SFEMI_TRY(sfemi_body_new_state(b, b->pin_count, &b->state, err));
+    b->state.head->saved.key = sfemi_body_key(b);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
-    SFEMI_NEW(sfem_real, b->rhs, al, vectors * n);
-    SFEMI_NEW(sfem_real, b->aside, al, 7 * n);
-    b->acc = b->rhs + n;
-    b->zk = b->rhs + 2 * n;
-    b->zm = b->rhs + 3 * n;
-    b->predicted = b->rhs + 4 * n;
-    b->late = b->rhs + 5 * n;
-    b->kick = b->rhs + 6 * n;
-    b->zd = b->model->damping ? b->rhs + 7 * n : NULL;
-    if (b->scheme.lagging) SFEMI_NEW(sfem_real, b->base, al, n);
-    if (b->scheme.resumes) {
-        SFEMI_NEW(sfem_real, b->spare, al, 6 * n);
-        b->velocity = b->spare + 5 * n;
-    }
+    SFEMI_TRY(sfemi_workspace_reserve(b, err));
     SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
     if (b->scheme.rotates || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
     if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
@@ -21072,6 +21500,8 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->def = *def;
     b->def.pins = NULL;
     b->def.pin_axes = NULL;
+    b->own.allocator = def->allocator;
+    b->workspace = def->workspace ? def->workspace : &b->own;
     sfemi_alpha_translate(&b->def);
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
@@ -21132,13 +21562,13 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         SFEMI_TRY(sfemi_grip_reserve(b, g, i, err));
         count += b->state.handle[i].used;
     }
-    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_body_reserve_work(b, b->factor, 3, err));
+    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
             sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
-                               g->y[i], b->work, &b->exec);
+                               g->y[i], b->workspace->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
@@ -21209,7 +21639,7 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     if (status != SFEM_OK) return status;
     sfemi_body_adopt(b, f);
     b->h = 0; /* until all is there */
-    status = sfemi_body_reserve_work(b, f, 3, err);
+    status = sfemi_workspace_reserve_work(b, f, 3, err);
     if (status != SFEM_OK) return status;
     b->h = h;
     b->p = p;
@@ -21232,6 +21662,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     status = sfemi_body_check_step(h, err);
     if (status != SFEM_OK) return status;
     if (sfemi_body_is_prepared(b, h)) return SFEM_OK;
+    status = sfemi_workspace_check(b, err);
+    if (status != SFEM_OK) return status;
+    sfemi_workspace_bind(b);
     b->phase = SFEMI_IDLE; /* a step under way would be solved with another matrix */
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
@@ -21246,7 +21679,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
         if (status != SFEM_OK) return status;
-        status = sfemi_body_reserve_work(b, f, 1, err);
+        status = sfemi_workspace_reserve_work(b, f, 1, err);
         if (status == SFEM_OK) status = sfemi_refactor_reserve(b, f, err);
         if (status != SFEM_OK) {
             sfemi_factor_release(b->model, f);
@@ -21298,7 +21731,9 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
 {
     sfem_status status;
     status = sfemi_body_check_step(h, err); /* what Newton has prepared would serve any */
+    if (status == SFEM_OK) status = sfemi_workspace_check(b, err);
     if (status != SFEM_OK) return status;
+    sfemi_workspace_bind(b);
     if (!sfemi_body_is_prepared(b, h)) {
         if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
@@ -21326,7 +21761,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     status = sfemi_body_predict(b, h, err);
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
-    if (b->is_late) memset(b->late, 0, bytes);
+    memset(b->late, 0, bytes);
     b->is_late = b->kicked = 0;
     return SFEM_OK;
 }
@@ -21614,150 +22049,29 @@ SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const
     return SFEM_OK;
 }
 
-SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->state.head->size; }
+SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->state.head->saved.size; }
 
 SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
 {
     const size_t bytes = sfem_body_state_size(b);
     sfemi_state_head head = *b->state.head;
-    uint32_t sum;
     sfemi_body_take_back(b, &head);
     memcpy(memory, b->state.head, bytes);
     memcpy(memory, &head, sizeof head);
     if (sfemi_body_lends(b))
         memset((char *)memory + ((const char *)b->state.a - (const char *)b->state.head), 0,
                3 * (size_t)b->model->mesh.nodes * sizeof *b->state.a);
-    sum = sfemi_state_checksum(memory, bytes);
-    memcpy((char *)memory + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
-}
-
-/* ---- would a body be safe with a block of its own size? A checksum is no signature ----
- *
- * What is used as an index, a count or a flag has to be in its range, and what comes from the caller is finite, as
- * when it was given. Forces, energies and pairs of L-BFGS may overflow in a body that is torn apart: whatever they
- * are, a step that they spoil fails or is rejected. */
-
-/* Counts that only grow: none reaches this in practice, and adding to it does not overflow. */
-#define SFEMI_STATE_COUNT ((int64_t)1 << 62)
-
-static int sfemi_state_counts_sound(const sfemi_state_head *head)
-{
-    const int64_t count[4] = {head->steps, head->rejected, head->solves, head->evaluations};
-    int k;
-    for (k = 0; k < 4; ++k)
-        if (count[k] < 0 || count[k] > SFEMI_STATE_COUNT) return 0;
-    return head->pairs >= 0 && head->pairs <= 1 << 20 && head->skipped >= 0 && head->load_age >= 0 &&
-           head->load_age <= 2;
-}
-
-static int sfemi_state_head_sound(const sfemi_state_head *head, int sleeps)
-{
-    return sfemi_all_finite(&head->time, 3) && head->h >= 0 && head->p >= 0 && sfemi_all_finite(head->gravity, 3) &&
-           head->started >= SFEMI_NOT_STARTED && head->started <= SFEMI_RUNNING &&
-           (head->started < SFEMI_RESTARTED || head->h > 0) && head->rebase >= SFEMI_LEDGER &&
-           head->rebase <= SFEMI_NEW_LEDGER && head->sleep >= SFEMI_AWAKE &&
-           head->sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(head->lag) &&
-           sfemi_finite(head->gamma) && head->estimate >= 0 && head->rate >= 0 && head->rate <= 1 &&
-           sfemi_finite(head->pair_h) && sfemi_finite(head->calm) && head->calm >= 0 && sfemi_state_counts_sound(head);
-}
-
-/* Are so many reals finite that may stand at any address? */
-static int sfemi_state_all_finite(const char *at, size_t count)
-{
-    size_t i;
-    for (i = 0; i < count; ++i) {
-        sfem_real x;
-        memcpy(&x, at + i * sizeof x, sizeof x);
-        if (!sfemi_finite(x)) return 0;
-    }
-    return 1;
-}
-
-static int sfemi_state_hold_sound(const sfemi_hold *hold)
-{
-    return sfemi_all_finite(hold->target, 3) && sfemi_all_finite(hold->past, 3) && hold->age >= 0 && hold->age <= 2;
-}
-
-/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
-static int sfemi_state_handle_sound(const sfem_model *model, const sfemi_handle *h)
-{
-    int c;
-    if (h->used != 1) return h->used == 0;
-    if (!sfemi_state_hold_sound(&h->hold) || !sfemi_all_finite(h->weight, 4) ||
-        !(fabs(h->weight[0] + h->weight[1] + h->weight[2] + h->weight[3] - 1) <= 1e-6))
-        return 0;
-    for (c = 0; c < 4; ++c)
-        if (h->node[c] < 0 || h->node[c] >= model->mesh.nodes || model->node_mass[h->node[c]] == 0) return 0;
-    return 1;
-}
-
-/* at: >>damage's own state */
-static int sfemi_state_damage_sound(const sfemi_bonds *g, const char *at)
-{
-    const size_t edges = (size_t)g->edges;
-    const int ductile = g->def.criterion == SFEM_BREAK_DUCTILE;
-    sfem_real account[SFEMI_ACCOUNTS], zeta;
-    size_t k;
-    memcpy(account, at, sizeof account);
-    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
-    at += sizeof account;
-    for (k = 0; k < edges; ++k) {
-        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
-        if (!(zeta >= 0 && zeta <= 1)) return 0;
-    }
-    at += (ductile ? 2 : 1) * edges * sizeof zeta;
-    for (k = 0; k < edges; ++k)
-        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
-    return 1;
-}
-
-/* What of the block is not safe, or NULL. The block may stand at any address. */
-static const char *sfemi_body_state_fault(const sfem_body *b, const sfemi_state_head *head, const char *memory)
-{
-    const size_t nodes = (size_t)b->model->mesh.nodes, reals = sfemi_state_reals((sfem_int)nodes, b->scheme.rotates, b->sleeps);
-    const char *at = memory + sizeof *head;
-    sfem_int k;
-    if (!sfemi_state_head_sound(head, b->sleeps)) return "its head";
-    if (!sfemi_state_all_finite(at, 9 * nodes)) return "a displacement, velocity or acceleration";
-    if (!sfemi_state_all_finite(at + 9 * nodes * sizeof(sfem_real), 9 * nodes)) return "a load";
-    if (b->sleeps && !sfemi_state_all_finite(at + (reals - 3 * nodes) * sizeof(sfem_real), 3 * nodes))
-        return "a velocity where the calm began";
-    at += reals * sizeof(sfem_real);
-    for (k = 0; k < b->pin_count; ++k, at += sizeof(sfemi_hold)) {
-        sfemi_hold hold;
-        memcpy(&hold, at, sizeof hold);
-        if (!sfemi_state_hold_sound(&hold)) return "a pin";
-    }
-    for (k = 0; k < b->def.max_handles; ++k, at += sizeof(sfemi_handle)) {
-        sfemi_handle handle;
-        memcpy(&handle, at, sizeof handle);
-        if (!sfemi_state_handle_sound(b->model, &handle)) return "a handle";
-    }
-    if (b->bonds && !sfemi_state_damage_sound(b->bonds, at + sizeof(sfemi_books))) return "the damage of an edge";
-    return NULL;
+    sfemi_saved_seal(memory);
 }
 
 SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size_t bytes,
                                           sfem_error *err)
 {
-    sfemi_state_head head;
-    const char *fault;
-    if (bytes < sizeof head)
-        return sfemi_fail(err, SFEM_FORMAT, "a state of %lu bytes is cut short", (unsigned long)bytes);
-    memcpy(&head, memory, sizeof head);
-    if (memcmp(head.magic, "sfemstat", 8) != 0)
-        return sfemi_fail(err, SFEM_FORMAT, "this is no saved state");
-    if (head.version != SFEMI_STATE_VERSION)
-        return sfemi_fail(err, SFEM_FORMAT, "the state has version %u, this library reads %d",
-                          (unsigned)head.version, (int)SFEMI_STATE_VERSION);
-    if (head.size != bytes || head.checksum != sfemi_state_checksum(memory, bytes))
-        return sfemi_fail(err, SFEM_FORMAT, "the saved state is damaged");
-    if (head.size != b->state.head->size || head.key != b->state.head->key)
-        return sfemi_fail(err, SFEM_MISMATCH, "the state is of a body with another mesh, pins or handles");
-    fault = sfemi_body_state_fault(b, &head, (const char *)memory);
-    if (fault) return sfemi_fail(err, SFEM_FORMAT, "the saved state holds numbers out of their ranges: %s", fault);
+    const sfemi_state_shape shape = sfemi_body_state_shape(b, b->pin_count);
+    sfem_status status = sfemi_saved_open(&sfemi_state_kind, &b->state.head->saved, memory, bytes, err);
+    if (status == SFEM_OK) status = sfemi_saved_fault(&sfemi_state_kind, &shape, memory, bytes, err);
+    if (status != SFEM_OK) return status;
     memcpy(b->state.head, memory, bytes);
-    b->state.head->checksum = 0;
     if (b->damage) {
         sfemi_damage_refresh(b->damage);
         sfemi_fracture_regroup(b);
@@ -21780,22 +22094,19 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfemi_state fresh, old = b->state;
     unsigned char *mask = NULL;
     sfem_int *list = NULL, listed;
-    void *block = NULL;
-    size_t bytes, damage;
     sfem_status status = SFEM_OK;
+    uint64_t bytes;
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    sfemi_workspace_bind(b);
     SFEMI_NEW(unsigned char, mask, al, nodes);
     SFEMI_NEW(sfem_int, list, al, count > 0 ? count : 1);
     SFEMI_TRY(sfemi_body_collect_pins(b, count, pins, axes, mask, list, &listed, err));
-    damage = b->bonds ? sfemi_damage_state_bytes(b->bonds) : 0;
-    bytes = sfemi_state_bytes(nodes, b->scheme.rotates, b->sleeps, listed, b->def.max_handles, damage);
-    SFEMI_NEW(char, block, al, bytes);
-    sfemi_state_lay_out(&fresh, block, nodes, b->scheme.rotates, b->sleeps, listed, b->def.max_handles, damage);
+    SFEMI_TRY(sfemi_body_new_state(b, listed, &fresh, err));
     sfemi_resume_stop(b, 1);
-    memcpy(fresh.head, old.head,
-           sizeof *old.head + sfemi_state_reals(nodes, b->scheme.rotates, b->sleeps) * sizeof(sfem_real));
-    memcpy(fresh.handle, old.handle, (size_t)b->def.max_handles * sizeof *old.handle);
-    if (damage) {
-        memcpy(fresh.books, old.books, sizeof *old.books + damage);
+    bytes = fresh.head->saved.size;
+    memcpy(fresh.head, old.head, (size_t)((char *)fresh.pin - (char *)fresh.head));
+    fresh.head->saved.size = bytes;
+    if (b->damage) {
         sfemi_damage_attach(b->damage, fresh.damage);
         sfemi_damage_refresh(b->damage);
     }
@@ -21807,7 +22118,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     b->pin = list;
     b->pin_count = listed;
     b->omega_max = 0;
-    sfemi_body_reset_head(b, bytes);
+    b->state.head->saved.key = sfemi_body_key(b);
     b->phase = SFEMI_IDLE;
     sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
@@ -21943,6 +22254,7 @@ static sfemi_scratch sfemi_body_look_aside(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_scratch own, other;
+    sfemi_workspace_bind(b);
     own.rhs = b->rhs;
     own.acc = b->acc;
     own.zk = b->zk;
@@ -22024,14 +22336,16 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.solves = b->state.head->solves;
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->guard.corrections;
-    info.body_bytes = (size_t)b->state.head->size +
-                      ((b->zd ? 14u : 13u) * n + (b->base ? n : 0) + (b->spare ? 6 * n : 0) + b->work_size) *
-                          sizeof(sfem_real);
+    info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
+                      (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
+    info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
+                                                     3 * sizeof(sfem_int) + sizeof(sfem_real *));
+    if (b->turn.piece_of) /* as sfemi_body_allocate_turn has it */
+        info.body_bytes += (size_t)info.nodes * sizeof *b->turn.piece_of +
+                           (size_t)(b->bonds ? info.nodes : b->turn.pieces) * sizeof *b->turn.piece;
+    if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
         info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-    if (b->scheme.rotates) /* as sfemi_body_allocate_turn lays it out */
-        info.body_bytes += (12 * (size_t)b->model->chunks.copies + sfem_model_work_size(b->model) +
-                            (24 + 2 * SFEMI_MEMORY) * n) * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
@@ -22435,6 +22749,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     sfem_int v;
     int k, c, size, members;
     SFEM_ASSERT(b && b->damage && f && x);
+    sfemi_workspace_bind(b);
     sfemi_shards_turn(b);
     for (v = 0; v < f->vertices; ++v) {
         const sfem_int *node = f->simplex + 4 * (size_t)v;
@@ -22517,7 +22832,7 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
         SFEMI_TRY(sfemi_grip_reserve(b, g, k, err));
-        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->work, &b->exec);
+        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
@@ -22569,7 +22884,7 @@ static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key
     memset(&system, 0, sizeof system);
     SFEMI_TRY(sfemi_implicit_reserve(b, err));
     SFEMI_TRY(sfemi_system_open(b, key, &system, err));
-    SFEMI_TRY(sfemi_body_reserve_work(b, system.factor, 3, err));
+    SFEMI_TRY(sfemi_workspace_reserve_work(b, system.factor, 3, err));
     SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
@@ -22599,6 +22914,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     if (b->damage && b->damage->tets)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
+    SFEMI_TRY(sfemi_workspace_check(b, err));
+    sfemi_workspace_bind(b);
     b->phase = SFEMI_IDLE;
     SFEMI_NEW(unsigned char, mask, &b->allocator, b->model->mesh.nodes);
     sfemi_body_static_mask(b, mask);
@@ -22609,13 +22926,13 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
         SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
-        SFEMI_TRY(sfemi_body_reserve_work(b, f, 3, err));
+        SFEMI_TRY(sfemi_workspace_reserve_work(b, f, 3, err));
         SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
         sfemi_body_static_known(b, b->zk);
         memcpy(b->acc, b->zk, n * sizeof *b->acc);
         if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
         sfemi_body_residual(b, load, 0);
-        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->work, &b->exec);
+        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
         SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
     }
     if (!sfemi_all_finite(b->acc, n)) {
@@ -22634,6 +22951,8 @@ done:
     sfemi_delete(&b->allocator, mask);
     return status;
 }
+
+#endif /* SFEM_NO_BODY */
 
 #ifndef SFEM_NO_MODES
 /* ============================================================================================
@@ -24583,9 +24902,7 @@ static void sfemi_turn_derivative(int kind, const sfem_real w[3], const sfem_rea
 /* --- the reduced model ----------------------------------------------------------------------- */
 
 typedef struct sfemi_reduced_head {
-    char magic[8];
-    uint32_t version, order; /* order: 0x01020304 as this machine writes it */
-    uint64_t size, checksum;
+    sfemi_saved_head saved;
     sfem_int nodes, modes, stride, free; /* stride: modes, padded */
     sfem_int surface_nodes, surface_triangles, groups, unused;
     sfem_real mass, centre[3], inertia[9], inverse[9];
@@ -24595,7 +24912,7 @@ struct sfem_reduced {
     sfem_allocator allocator;
     int lock;
     sfem_int references;
-    void *block;
+    /* in one block, see sfemi_reduced_array */
     sfemi_reduced_head *head;
     sfem_real *x, *mass;             /* [nodes][3], [nodes] */
     sfem_real *lambda, *damping;     /* [stride] */
@@ -24607,59 +24924,69 @@ struct sfem_reduced {
     sfem_int *surface_node, *surface_tri;
 };
 
-enum { SFEMI_REDUCED_ARRAYS = 13, SFEMI_REDUCED_VERSION = 1 };
+/* ---- what is saved, see >>saved. The shape is the block's own head, aligned. ---- */
 
-/* Where the arrays stand in the block: at[k] bytes from its start, at[last] its size; 0 on
- * overflow. */
-static int sfemi_reduced_layout(const sfemi_reduced_head *h, size_t at[SFEMI_REDUCED_ARRAYS + 1])
+static int sfemi_reduced_check_head(const void *head, const char *at, size_t count)
 {
-    const double n = h->nodes, m = h->stride, g = h->groups, real = sizeof(sfem_real);
-    const double bytes[SFEMI_REDUCED_ARRAYS] = {3 * n * real,
-                                                n * real,
-                                                m * real,
-                                                m * real,
-                                                m * real,
-                                                m * real,
-                                                3 * m * real,
-                                                3 * n * m * real,
-                                                3 * n * m * real,
-                                                3 * g * m * real,
-                                                3 * g * m * real,
-                                                h->surface_nodes * (double)sizeof(sfem_int),
-                                                3.0 * h->surface_triangles *
-                                                    (double)sizeof(sfem_int)};
-    double total = sizeof *h;
-    int k;
-    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k) total += bytes[k] + SFEMI_ALIGN;
-    if (total > (double)((size_t)-1 / 2) || total > 4e15) return 0;
-    at[0] = (sizeof *h + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
-    for (k = 0; k < SFEMI_REDUCED_ARRAYS; ++k)
-        at[k + 1] = (at[k] + (size_t)bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
+    const sfemi_reduced_head *h = (const sfemi_reduced_head *)head;
+    (void)at;
+    (void)count;
+    return h->nodes >= 1 && h->modes >= 0 && h->stride >= h->modes && h->stride % 8 == 0 && h->groups >= 0 &&
+           h->surface_nodes >= 0 && h->surface_triangles >= 0 && h->surface_triangles <= INT32_MAX / 3 &&
+           (h->free == 0 || h->free == 1) && h->mass > 0 && sfemi_all_finite(&h->mass, 22);
+}
+
+static int sfemi_reduced_check_node(const void *head, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_reduced_head *)head)->nodes, at, count);
+}
+
+static int sfemi_reduced_check_surface_node(const void *head, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_reduced_head *)head)->surface_nodes, at, count);
+}
+
+static int sfemi_reduced_check_gain(const void *head, const char *at, size_t count)
+{
+    size_t i;
+    (void)head;
+    for (i = 0; i < count; ++i) {
+        sfem_real x;
+        memcpy(&x, at + i * sizeof x, sizeof x);
+        if (!(x >= 0)) return 0; /* it may be infinite */
+    }
     return 1;
 }
 
-static void sfemi_reduced_lay_out(sfem_reduced *r, const size_t at[SFEMI_REDUCED_ARRAYS + 1])
+static int sfemi_reduced_check_positive(const void *head, const char *at, size_t count)
 {
-    char *b = (char *)r->block;
-    sfem_real **real[11];
-    int k;
-    real[0] = &r->x, real[1] = &r->mass, real[2] = &r->lambda, real[3] = &r->damping;
-    real[4] = &r->amplitude, real[5] = &r->gain, real[6] = &r->gravity, real[7] = &r->phi;
-    real[8] = &r->psi, real[9] = &r->group_phi, real[10] = &r->group_psi;
-    r->head = (sfemi_reduced_head *)r->block;
-    for (k = 0; k < 11; ++k) *real[k] = (sfem_real *)(void *)(b + at[k]);
-    r->surface_node = (sfem_int *)(void *)(b + at[11]);
-    r->surface_tri = (sfem_int *)(void *)(b + at[12]);
+    return sfemi_saved_finite(head, at, count) && sfemi_reduced_check_gain(head, at, count);
 }
 
-static uint64_t sfemi_reduced_checksum(const void *block, size_t bytes)
-{
-    sfemi_reduced_head head;
-    memcpy(&head, block, sizeof head);
-    head.checksum = 0;
-    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head),
-                            (const char *)block + sizeof head, bytes - sizeof head);
-}
+#define SFEMI_ROW(field, each, rows, check, name)                                                     \
+    SFEMI_SAVED(sfem_reduced, field, each, offsetof(sfemi_reduced_head, rows), SFEMI_SAVED_ONE, check, name)
+#define SFEMI_ROWS(field, rows, name)                                                                 \
+    SFEMI_SAVED(sfem_reduced, field, 3, offsetof(sfemi_reduced_head, rows), offsetof(sfemi_reduced_head, stride), \
+                sfemi_saved_finite, name)
+static const sfemi_saved_array sfemi_reduced_array[] = {
+    SFEMI_SAVED(sfem_reduced, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_reduced_check_head, "its head"),
+    SFEMI_ROW(x, 3, nodes, sfemi_saved_finite, "a position"),
+    SFEMI_ROW(mass, 1, nodes, sfemi_saved_finite, "the mass of a node"),
+    SFEMI_ROW(lambda, 1, stride, sfemi_reduced_check_positive, "an eigenvalue"),
+    SFEMI_ROW(damping, 1, stride, sfemi_reduced_check_positive, "the damping of a mode"),
+    SFEMI_ROW(amplitude, 1, stride, sfemi_reduced_check_positive, "the amplitude of a mode"),
+    SFEMI_ROW(gain, 1, stride, sfemi_reduced_check_gain, "the gain of a mode"),
+    SFEMI_ROW(gravity, 3, stride, sfemi_saved_finite, "the weight of a mode"),
+    SFEMI_ROWS(phi, nodes, "a mode"),
+    SFEMI_ROWS(psi, nodes, "the rotation of a mode"),
+    SFEMI_ROWS(group_phi, groups, "a group of nodes"),
+    SFEMI_ROWS(group_psi, groups, "a group of nodes"),
+    SFEMI_ROW(surface_node, 1, surface_nodes, sfemi_reduced_check_node, "a node of the surface"),
+    SFEMI_ROW(surface_tri, 3, surface_triangles, sfemi_reduced_check_surface_node, "a triangle of the surface")};
+#undef SFEMI_ROW
+#undef SFEMI_ROWS
+
+static const sfemi_saved_kind sfemi_reduced_kind = SFEMI_SAVED_KIND("sfemred", "reduced model", 2, sfemi_reduced_array);
 
 SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
 {
@@ -24680,7 +25007,7 @@ SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
     sfemi_unlock(&r->lock);
     if (left > 0) return;
     al = r->allocator;
-    sfemi_delete(&al, r->block);
+    sfemi_delete(&al, r->head);
     sfemi_delete(&al, r);
 }
 
@@ -24695,25 +25022,18 @@ static void sfemi_reduced_retain(sfem_reduced *r)
 static sfem_status sfemi_reduced_new(const sfemi_reduced_head *head, const sfem_allocator *al,
                                      sfem_reduced **out, sfem_error *err)
 {
-    size_t at[SFEMI_REDUCED_ARRAYS + 1];
+    sfemi_saved_head saved;
     sfem_reduced *r = NULL;
     sfem_status status = SFEM_OK;
-    if (!sfemi_reduced_layout(head, at))
-        return sfemi_fail(err, SFEM_TOO_LARGE, "%d modes of %d nodes do not fit into memory",
-                          (int)head->modes, (int)head->nodes);
     SFEMI_NEW(sfem_reduced, r, al, 1);
     r->allocator = *al;
     r->references = 1;
-    r->block = sfemi_new(al, at[SFEMI_REDUCED_ARRAYS], 1);
-    if (!r->block) {
-        status = sfemi_fail(err, SFEM_OUT_OF_MEMORY, "out of memory: a reduced model");
-        goto done;
-    }
-    sfemi_reduced_lay_out(r, at);
+    SFEMI_TRY(sfemi_saved_new(&sfemi_reduced_kind, head, 0, al, r, err));
+    saved = r->head->saved;
     *r->head = *head;
-    r->head->size = at[SFEMI_REDUCED_ARRAYS];
+    r->head->saved = saved;
     *out = r;
-    return SFEM_OK;
+    r = NULL;
 done:
     sfem_reduced_free(r);
     return status;
@@ -24936,9 +25256,6 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     if (status != SFEM_OK) return status;
     memset(&surface, 0, sizeof surface);
     memset(&head, 0, sizeof head);
-    memcpy(head.magic, "sfemred", 8);
-    head.version = SFEMI_REDUCED_VERSION;
-    head.order = 0x01020304u;
     head.nodes = mesh->nodes;
     head.free = def->free >= 0 ? def->free : modes->rigid == 6;
     skipped = head.free ? modes->rigid : 0;
@@ -24967,7 +25284,7 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     sfemi_reduced_curl(r, model, work);
     sfemi_reduced_groups(r, work, number);
     sfemi_reduced_constants(r, def, skipped);
-    r->head->checksum = sfemi_reduced_checksum(r->block, (size_t)r->head->size);
+    sfemi_saved_seal(r->head);
     *out = r;
     r = NULL;
 done:
@@ -24996,7 +25313,7 @@ SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
     info.mass = r->head->mass;
     memcpy(info.centre, r->head->centre, sizeof info.centre);
     memcpy(info.inertia, r->head->inertia, sizeof info.inertia);
-    info.bytes = (size_t)r->head->size;
+    info.bytes = (size_t)r->head->saved.size;
     return info;
 }
 
@@ -25013,31 +25330,11 @@ SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *r, sfem_int node, sfem
     }
 }
 
-SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r) { return (size_t)r->head->size; }
+SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r) { return (size_t)r->head->saved.size; }
 
 SFEM_DEF void sfem_reduced_save(const sfem_reduced *r, void *memory)
 {
-    memcpy(memory, r->block, (size_t)r->head->size);
-}
-
-/* Sizes that belong together, numbers in their ranges: a checksum is no signature. */
-static int sfemi_reduced_sound(const sfem_reduced *r)
-{
-    const sfemi_reduced_head *h = r->head;
-    const size_t m = (size_t)h->stride, nodes = (size_t)h->nodes, groups = (size_t)h->groups;
-    sfem_int i;
-    for (i = 0; i < h->surface_nodes; ++i)
-        if (r->surface_node[i] < 0 || r->surface_node[i] >= h->nodes) return 0;
-    for (i = 0; i < 3 * h->surface_triangles; ++i)
-        if (r->surface_tri[i] < 0 || r->surface_tri[i] >= h->surface_nodes) return 0;
-    for (i = 0; i < h->stride; ++i) /* the gain may be infinite */
-        if (!(r->lambda[i] >= 0 && r->damping[i] >= 0 && r->amplitude[i] >= 0 && r->gain[i] >= 0)) return 0;
-    return (h->free == 0 || h->free == 1) && h->mass > 0 && sfemi_all_finite(&h->mass, 22) &&
-           sfemi_all_finite(r->lambda, 2 * m) && sfemi_all_finite(r->amplitude, m) &&
-           sfemi_all_finite(r->gravity, 3 * m) && sfemi_all_finite(r->group_phi, 3 * m * groups) &&
-           sfemi_all_finite(r->group_psi, 3 * m * groups) && sfemi_all_finite(r->mass, nodes) &&
-           sfemi_all_finite(r->x, 3 * nodes) && sfemi_all_finite(r->phi, 3 * m * nodes) &&
-           sfemi_all_finite(r->psi, 3 * m * nodes);
+    memcpy(memory, r->head, (size_t)r->head->saved.size);
 }
 
 SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
@@ -25046,42 +25343,16 @@ SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
 {
     const sfem_allocator plain = {NULL, NULL, NULL};
     const sfem_allocator *al = allocator ? allocator : &plain;
-    size_t at[SFEMI_REDUCED_ARRAYS + 1];
     sfemi_reduced_head h;
     sfem_reduced *r = NULL;
     sfem_status status;
-    if (bytes < sizeof h)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a reduced model",
-                          (unsigned long)bytes);
+    SFEMI_TRY(sfemi_saved_open(&sfemi_reduced_kind, NULL, memory, bytes, err));
     memcpy(&h, memory, sizeof h);
-    if (memcmp(h.magic, "sfemred", 8) != 0)
-        return sfemi_fail(err, SFEM_FORMAT, "this is no reduced model");
-    if (h.order != 0x01020304u)
-        return sfemi_fail(err, SFEM_FORMAT,
-                          "the reduced model was saved on a machine of another byte order");
-    if (h.version != SFEMI_REDUCED_VERSION)
-        return sfemi_fail(err, SFEM_FORMAT, "the reduced model is of version %u, this reads %d",
-                          (unsigned)h.version, SFEMI_REDUCED_VERSION);
-    if (h.size != bytes)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes of a reduced model of %lu",
-                          (unsigned long)bytes, (unsigned long)h.size);
-    if (h.nodes < 1 || h.modes < 0 || h.stride < h.modes || h.stride % 8 || h.groups < 0 ||
-        h.surface_nodes < 0 || h.surface_triangles < 0 || h.surface_triangles > INT32_MAX / 3 ||
-        !sfemi_reduced_layout(&h, at) || at[SFEMI_REDUCED_ARRAYS] != bytes ||
-        sfemi_reduced_checksum(memory, bytes) != h.checksum)
-        return sfemi_fail(err, SFEM_FORMAT,
-                          "the reduced model is damaged: its checksum does not fit");
+    SFEMI_TRY(sfemi_saved_fault(&sfemi_reduced_kind, &h, memory, bytes, err));
     SFEMI_TRY(sfemi_reduced_new(&h, al, &r, err));
-    memcpy(r->block, memory, bytes);
-    if (!sfemi_reduced_sound(r)) {
-        status =
-            sfemi_fail(err, SFEM_FORMAT, "the reduced model holds numbers out of their ranges");
-        goto done;
-    }
+    memcpy(r->head, memory, bytes);
     *out = r;
-    return SFEM_OK;
 done:
-    sfem_reduced_free(r);
     return status;
 }
 
@@ -25291,9 +25562,7 @@ static void sfemi_oscillator_fit(sfem_real omega2, sfem_real c, sfem_real h, sfe
 /* --- modal bodies: the state ----------------------------------------------------------------- */
 
 typedef struct sfemi_modal_head {
-    char magic[8];
-    uint32_t version, unused;
-    uint64_t size, key, checksum;
+    sfemi_saved_head saved;
     sfem_real time, beta, gamma; /* of the last step */
     sfem_real h;                 /* the step that a is fitted to; 0: to none; -1: a was given */
     sfem_real gravity[3];
@@ -25315,8 +25584,8 @@ struct sfem_modal {
     sfem_modal_def def;
     sfem_reduced *reduced;
     const sfemi_modal_kernels *kernels;
-    size_t m, stride, state_bytes, small_bytes, bytes; /* small: what a failed step restores */
-    /* the state, one block */
+    size_t m, stride, small_bytes, bytes; /* small: what a failed step restores */
+    /* the state, in one block, see sfemi_modal_array */
     sfemi_modal_head *head;
     sfem_real *q, *v, *a, *f;      /* [stride] */
     sfem_real *rest;               /* [stride] the load with which a mode fell asleep */
@@ -25351,8 +25620,6 @@ struct sfem_modal {
     double turn[2 * SFEMI_TURN_TERMS + 1];
     float turn32[2 * SFEMI_TURN_TERMS32 + 1];
 };
-
-enum { SFEMI_MODAL_ARRAYS = 14, SFEMI_MODAL_VERSION = 2 };
 
 static int sfemi_modal_path_kind(const sfem_modal *b)
 {
@@ -25444,54 +25711,119 @@ static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
     return SFEM_OK;
 }
 
-/* The state's arrays in one block; with block = NULL only the sizes. */
-static void sfemi_modal_lay_out(sfem_modal *b, void *block)
+/* ---- what is saved, see >>saved. Of handles' forces, rows and residual nothing is made but output: a step that failed may
+ * leave any there. ---- */
+
+typedef struct sfemi_modal_shape {
+    const sfem_modal *body;
+    sfemi_modal_head head; /* of the block that is checked */
+    sfem_int nodes, stride, handles, handle_nodes;
+} sfemi_modal_shape;
+
+static sfemi_modal_shape sfemi_modal_shape_of(const sfem_modal *b)
 {
-    const size_t real = b->stride * sizeof(sfem_real), handles = (size_t)b->def.max_handles;
-    const size_t held = (size_t)b->def.max_handle_nodes, n = (size_t)b->reduced->head->nodes;
-    const size_t bytes[SFEMI_MODAL_ARRAYS] = {sizeof(sfemi_modal_head),
-                                              real,
-                                              real,
-                                              real,
-                                              real,
-                                              real,
-                                              real,
-                                              b->stride * sizeof(sfem_int),
-                                              handles * sizeof(sfemi_modal_handle),
-                                              held * sizeof(sfem_real),
-                                              held * sizeof(sfem_int),
-                                              3 * handles * real,
-                                              3 * n * sizeof(sfem_real),
-                                              n * sizeof(sfem_int)};
-    size_t at[SFEMI_MODAL_ARRAYS + 1];
-    char *p = (char *)block;
-    int k;
-    at[0] = 0;
-    for (k = 0; k < SFEMI_MODAL_ARRAYS; ++k)
-        at[k + 1] = (at[k] + bytes[k] + SFEMI_ALIGN - 1) / SFEMI_ALIGN * SFEMI_ALIGN;
-    b->state_bytes = at[SFEMI_MODAL_ARRAYS];
-    b->small_bytes = at[9];
-    if (!p) return;
-    b->head = (sfemi_modal_head *)(void *)p;
-    b->q = (sfem_real *)(void *)(p + at[1]);
-    b->v = (sfem_real *)(void *)(p + at[2]);
-    b->a = (sfem_real *)(void *)(p + at[3]);
-    b->f = (sfem_real *)(void *)(p + at[4]);
-    b->rest = (sfem_real *)(void *)(p + at[5]);
-    b->mean = (sfem_real *)(void *)(p + at[6]);
-    b->asleep = (sfem_int *)(void *)(p + at[7]);
-    b->handle = (sfemi_modal_handle *)(void *)(p + at[8]);
-    b->weight = (sfem_real *)(void *)(p + at[9]);
-    b->handle_node = (sfem_int *)(void *)(p + at[10]);
-    b->rows = (sfem_real *)(void *)(p + at[11]);
-    b->force = (sfem_real *)(void *)(p + at[12]);
-    b->force_node = (sfem_int *)(void *)(p + at[13]);
+    sfemi_modal_shape s;
+    memset(&s, 0, sizeof s);
+    s.body = b;
+    s.nodes = b->reduced->head->nodes;
+    s.stride = b->reduced->head->stride;
+    s.handles = b->def.max_handles;
+    s.handle_nodes = b->def.max_handle_nodes;
+    return s;
 }
+
+static int sfemi_modal_check_head(const void *shape, const char *at, size_t count)
+{
+    const sfem_modal *b = ((const sfemi_modal_shape *)shape)->body;
+    const sfemi_modal_head *h = &((const sfemi_modal_shape *)shape)->head;
+    (void)at;
+    (void)count;
+    return sfemi_all_finite(&h->time, 3) && (h->h >= 0 || h->h == -1) && sfemi_finite(h->h) && h->beta >= 0 &&
+           h->gamma >= 0 && sfemi_all_finite(h->gravity, 3) &&
+           sfemi_all_finite(h->rigid.x, sizeof h->rigid / sizeof(sfem_real)) && sfemi_all_finite(h->momentum, 9) &&
+           h->forces >= 0 && h->forces <= b->reduced->head->nodes && h->handles >= 0 && h->handle_nodes >= 0 &&
+           h->handle_nodes <= b->def.max_handle_nodes && h->steps >= 0 && h->steps <= SFEMI_SAVED_MOST;
+}
+
+static sfemi_modal_handle sfemi_modal_handle_at(const char *at, size_t k)
+{
+    sfemi_modal_handle h;
+    memcpy(&h, at + k * sizeof h, sizeof h);
+    return h;
+}
+
+/* Handles in use share out all handle_nodes places: their ranges do not overlap, and add up to that. */
+static int sfemi_modal_check_handles(const void *shape, const char *at, size_t count)
+{
+    const sfemi_modal_head *head = &((const sfemi_modal_shape *)shape)->head;
+    sfem_int used = 0, places = 0;
+    size_t i, j;
+    for (i = 0; i < count; ++i) {
+        const sfemi_modal_handle h = sfemi_modal_handle_at(at, i);
+        if (h.used == 0) continue;
+        if (h.used != 1 || h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
+            h.count > head->handle_nodes - places || !sfemi_all_finite(h.target, 3))
+            return 0;
+        for (j = 0; j < i; ++j) {
+            const sfemi_modal_handle o = sfemi_modal_handle_at(at, j);
+            if (o.used && h.first < o.first + o.count && o.first < h.first + h.count) return 0;
+        }
+        ++used;
+        places += h.count;
+    }
+    return used == head->handles && places == head->handle_nodes;
+}
+
+static int sfemi_modal_check_nodes(const void *shape, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_modal_shape *)shape)->nodes, at, count);
+}
+
+/* Does each node with a force stand in the list once? A node that was met is marked in its place, by a negative
+ * number, which the second pass takes back. */
+static int sfemi_modal_check_force_nodes(const void *shape, const char *at, size_t count)
+{
+    const sfem_modal *b = ((const sfemi_modal_shape *)shape)->body;
+    const sfem_int forces = ((const sfemi_modal_shape *)shape)->head.forces;
+    sfem_int met, i, node;
+    if (!sfemi_modal_check_nodes(shape, at, count)) return 0;
+    for (met = 0; met < forces; ++met) {
+        memcpy(&node, at + (size_t)met * sizeof node, sizeof node);
+        if (b->place[node] < 0) break;
+        b->place[node] = -1 - b->place[node];
+    }
+    for (i = 0; i < met; ++i) {
+        memcpy(&node, at + (size_t)i * sizeof node, sizeof node);
+        b->place[node] = -1 - b->place[node];
+    }
+    return met == forces;
+}
+
+#define SFEMI_ROW(field, each, rows, check, name)                                                     \
+    SFEMI_SAVED(sfem_modal, field, each, offsetof(sfemi_modal_shape, rows), SFEMI_SAVED_ONE, check, name)
+static const sfemi_saved_array sfemi_modal_array[] = {
+    SFEMI_SAVED(sfem_modal, head, 1, SFEMI_SAVED_ONE, SFEMI_SAVED_ONE, sfemi_modal_check_head, "its head"),
+    SFEMI_ROW(q, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(v, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(a, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(f, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(rest, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(mean, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(asleep, 1, stride, NULL, NULL),
+    SFEMI_ROW(handle, 1, handles, sfemi_modal_check_handles, "a handle"),
+    SFEMI_ROW(weight, 1, handle_nodes, sfemi_saved_finite, "a handle"),
+    SFEMI_ROW(handle_node, 1, handle_nodes, sfemi_modal_check_nodes, "a handle"),
+    SFEMI_SAVED(sfem_modal, rows, 3, offsetof(sfemi_modal_shape, handles), offsetof(sfemi_modal_shape, stride), NULL, NULL),
+    SFEMI_ROW(force, 3, nodes, sfemi_saved_finite, "a force"),
+    SFEMI_ROW(force_node, 1, nodes, sfemi_modal_check_force_nodes, "a force")};
+#undef SFEMI_ROW
+
+static const sfemi_saved_kind sfemi_modal_kind = SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 3, sfemi_modal_array);
 
 static uint64_t sfemi_modal_key(const sfem_modal *b)
 {
     const sfem_int sizes[3] = {b->def.max_handles, b->def.max_handle_nodes, (sfem_int)b->def.warp};
-    return sfemi_hash(b->reduced->head->checksum, sizes, sizeof sizes);
+    return sfemi_hash(b->reduced->head->saved.checksum, sizes, sizeof sizes);
 }
 
 /* The oscillators for steps of h; 0: as they are. */
@@ -25548,8 +25880,8 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     const sfem_allocator *al = &def->allocator;
     const size_t rows = 3 * (size_t)(def->max_handles > 0 ? def->max_handles : 0);
     sfem_modal *b = NULL;
+    sfemi_modal_shape shape;
     sfem_status status = sfemi_modal_check(def, err);
-    char *block = NULL;
     if (status != SFEM_OK) return status;
     SFEMI_NEW(sfem_modal, b, al, 1);
     b->def = *def;
@@ -25558,9 +25890,9 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->kernels = sfemi_modal_kernels_of(sfemi_path());
     b->m = (size_t)reduced->head->modes;
     b->stride = (size_t)reduced->head->stride;
-    sfemi_modal_lay_out(b, NULL);
-    SFEMI_NEW(char, block, al, b->state_bytes);
-    sfemi_modal_lay_out(b, block);
+    shape = sfemi_modal_shape_of(b);
+    SFEMI_TRY(sfemi_saved_new(&sfemi_modal_kind, &shape, sfemi_modal_key(b), al, b, err));
+    b->small_bytes = (size_t)((char *)b->weight - (char *)b->head);
     SFEMI_NEW(char, b->backup, al, b->small_bytes);
     SFEMI_NEW(sfem_real, b->next, al, 13 * b->stride + 1);
     b->b = b->next + b->stride;
@@ -25587,7 +25919,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_NEW(sfem_int, b->place, al, reduced->head->nodes);
     SFEMI_NEW(sfem_int, b->drawn, al, b->stride + 1);
     SFEMI_NEW(float, b->drawn_q32, al, b->stride + 1);
-    b->bytes = sizeof *b + b->state_bytes + b->small_bytes +
+    b->bytes = sizeof *b + (size_t)b->head->saved.size + b->small_bytes +
                b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
                rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
@@ -25595,10 +25927,6 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     sfemi_modal_series(b);
     b->fit_h = -1;
     sfemi_modal_fit(b, def->h);
-    memcpy(b->head->magic, "sfemmod", 8);
-    b->head->version = SFEMI_MODAL_VERSION;
-    b->head->size = b->state_bytes;
-    b->head->key = sfemi_modal_key(b);
     b->head->beta = def->beta;
     b->head->gamma = def->gamma;
     memcpy(b->head->gravity, def->gravity, sizeof def->gravity);
@@ -26049,7 +26377,7 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     size_t k;
     int c;
     sfemi_handle_matrix(b, b->light, b->rows, head->rigid.r, NULL);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
          hi = sfemi_handle_next(b, hi + 1), i += 3) {
@@ -26061,7 +26389,7 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
         sfemi_cross(w, b->arm + i, turn);
         for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
     }
-    sfemi_grip_solve(b->s, n, n, b->l, 1);
+    sfemi_small_solve(b->s, n, n, b->l, 1);
     memset(b->b, 0, b->stride * sizeof *b->b);
     sfemi_handle_subtract(b, b->l, b->b);
     for (k = 0; k < b->m; ++k) y[k] += b->light[k] * b->b[k];
@@ -26320,11 +26648,11 @@ static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
     memcpy(b->q, b->from, b->stride * sizeof *b->q);
     sfemi_handle_locate(b);
     sfemi_handle_matrix(b, b->inverse, b->rows, b->head->rigid.r, step);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     for (i = 0; i < n; ++i) b->l[i] = 0;
     sfemi_handle_respond(b, step);
     sfemi_handle_gaps(b, step, b->from);
-    sfemi_grip_solve(b->s, n, n, b->residual, 1);
+    sfemi_small_solve(b->s, n, n, b->residual, 1);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
         step->to->rows_left += b->fixed[i];
@@ -26441,7 +26769,7 @@ static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_
         }
         for (c = 0; c < 3; ++c) b->l_trial[i + c] = b->residual[i + c] / wide + back[c];
     }
-    sfemi_grip_solve(b->s, n, n, b->l_trial, 1);
+    sfemi_small_solve(b->s, n, n, b->l_trial, 1);
     memset(b->trial, 0, b->stride * sizeof *b->trial);
     sfemi_handle_subtract(b, b->l_trial, b->trial);
     for (k = 0; k < b->m; ++k) b->trial[k] = -b->trial[k];
@@ -26463,7 +26791,7 @@ static void sfemi_handle_linearise(sfem_modal *b, sfemi_handle_step *step, const
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, pose, x, b->arm + i,
                           b->rows + 3 * (size_t)hi * b->stride, NULL);
     sfemi_handle_matrix(b, b->inverse, b->rows, pose->r, step);
-    sfemi_grip_factor(b->s, n, n);
+    sfemi_small_factor(b->s, n, n);
     for (step->to->rows_left = 0, i = 0; i < n; ++i) {
         b->fixed[i] = !(b->s[i * n + i] > 0);
         step->to->rows_left += b->fixed[i];
@@ -27124,135 +27452,24 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *b, sfem_real linear[3], sfem
 
 /* --- state and figures ----------------------------------------------------------------------- */
 
-SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b) { return b->state_bytes; }
-
-static uint64_t sfemi_modal_checksum(const void *block, size_t bytes)
-{
-    sfemi_modal_head head;
-    memcpy(&head, block, sizeof head);
-    head.checksum = 0;
-    return sfemi_hash(sfemi_hash(SFEMI_HASH, &head, sizeof head),
-                            (const char *)block + sizeof head, bytes - sizeof head);
-}
+SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b) { return (size_t)b->head->saved.size; }
 
 SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
 {
-    sfemi_modal_head head = *b->head;
-    memcpy(memory, b->head, b->state_bytes);
-    head.checksum = 0;
-    memcpy(memory, &head, sizeof head);
-    head.checksum = sfemi_modal_checksum(memory, b->state_bytes);
-    memcpy(memory, &head, sizeof head);
-}
-
-/* ---- would a body be safe with a block of its own size? A checksum is no signature ----
- *
- * Of handles' forces, rows and residual nothing is made but output: a step that failed may leave any there. */
-
-static int sfemi_modal_head_sound(const sfem_modal *b, const sfemi_modal_head *head)
-{
-    return sfemi_all_finite(&head->time, 3) && (head->h >= 0 || head->h == -1) && sfemi_finite(head->h) &&
-           head->beta >= 0 && head->gamma >= 0 && sfemi_all_finite(head->gravity, 3) &&
-           sfemi_all_finite(head->rigid.x, sizeof head->rigid / sizeof(sfem_real)) &&
-           sfemi_all_finite(head->momentum, 9) && head->forces >= 0 &&
-           head->forces <= b->reduced->head->nodes && head->handles >= 0 && head->handle_nodes >= 0 &&
-           head->handle_nodes <= b->def.max_handle_nodes && head->steps >= 0 && head->steps <= SFEMI_STATE_COUNT;
-}
-
-static sfemi_modal_handle sfemi_modal_handle_at(const char *at, sfem_int k)
-{
-    sfemi_modal_handle h;
-    memcpy(&h, at + (size_t)k * sizeof h, sizeof h);
-    return h;
-}
-
-/* Handles in use share out all handle_nodes places: their ranges do not overlap, and add up to that. */
-static int sfemi_modal_handles_sound(const sfem_modal *b, const sfemi_modal_head *head, const char *at)
-{
-    sfem_int i, j, used = 0, places = 0;
-    for (i = 0; i < b->def.max_handles; ++i) {
-        const sfemi_modal_handle h = sfemi_modal_handle_at(at, i);
-        if (h.used == 0) continue;
-        if (h.used != 1 || h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
-            h.count > head->handle_nodes - places || !sfemi_all_finite(h.target, 3))
-            return 0;
-        for (j = 0; j < i; ++j) {
-            const sfemi_modal_handle o = sfemi_modal_handle_at(at, j);
-            if (o.used && h.first < o.first + o.count && o.first < h.first + h.count) return 0;
-        }
-        ++used;
-        places += h.count;
-    }
-    return used == head->handles && places == head->handle_nodes;
-}
-
-/* Are all of these nodes there? */
-static int sfemi_modal_nodes_sound(const sfem_modal *b, const char *at, sfem_int count)
-{
-    sfem_int i, node;
-    for (i = 0; i < count; ++i) {
-        memcpy(&node, at + (size_t)i * sizeof node, sizeof node);
-        if (node < 0 || node >= b->reduced->head->nodes) return 0;
-    }
-    return 1;
-}
-
-/* Does each node with a force stand in the list once? A node that was met is marked in its place, by a negative
- * number, which the second pass takes back. */
-static int sfemi_modal_forces_sound(const sfem_modal *b, const char *at, sfem_int count)
-{
-    sfem_int met, i, node;
-    if (!sfemi_modal_nodes_sound(b, at, count)) return 0;
-    for (met = 0; met < count; ++met) {
-        memcpy(&node, at + (size_t)met * sizeof node, sizeof node);
-        if (b->place[node] < 0) break;
-        b->place[node] = -1 - b->place[node];
-    }
-    for (i = 0; i < met; ++i) {
-        memcpy(&node, at + (size_t)i * sizeof node, sizeof node);
-        b->place[node] = -1 - b->place[node];
-    }
-    return met == count;
-}
-
-/* What of the block is not safe, or NULL. It may stand at any address. */
-static const char *sfemi_modal_state_fault(const sfem_modal *b, const sfemi_modal_head *head, const char *memory)
-{
-    const char *base = (const char *)b->head;
-    const size_t array = (size_t)((const char *)b->v - (const char *)b->q); /* q, v, a, f, rest, mean: so far apart */
-    const size_t held = (size_t)(head->handle_nodes > 0 ? head->handle_nodes : 0);
-    size_t k;
-    if (!sfemi_modal_head_sound(b, head)) return "its head";
-    for (k = 0; k < 6; ++k)
-        if (!sfemi_state_all_finite(memory + ((const char *)b->q - base) + k * array, b->stride)) return "a mode";
-    if (!sfemi_modal_handles_sound(b, head, memory + ((const char *)b->handle - base)) ||
-        !sfemi_modal_nodes_sound(b, memory + ((const char *)b->handle_node - base), head->handle_nodes) ||
-        !sfemi_state_all_finite(memory + ((const char *)b->weight - base), held))
-        return "a handle";
-    if (!sfemi_modal_forces_sound(b, memory + ((const char *)b->force_node - base), head->forces) ||
-        !sfemi_state_all_finite(memory + ((const char *)b->force - base), 3 * (size_t)head->forces))
-        return "a force";
-    return NULL;
+    memcpy(memory, b->head, sfem_modal_state_size(b));
+    sfemi_saved_seal(memory);
 }
 
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes,
                                            sfem_error *err)
 {
-    sfemi_modal_head head;
-    const char *fault;
+    sfemi_modal_shape shape = sfemi_modal_shape_of(b);
     sfem_int i;
-    if (bytes < sizeof head)
-        return sfemi_fail(err, SFEM_FORMAT, "%lu bytes are too few for a state",
-                          (unsigned long)bytes);
-    memcpy(&head, memory, sizeof head);
-    if (memcmp(head.magic, "sfemmod", 8) != 0 || head.version != SFEMI_MODAL_VERSION)
-        return sfemi_fail(err, SFEM_FORMAT, "this is no state of a modal body of this version");
-    if (head.size != bytes || sfemi_modal_checksum(memory, bytes) != head.checksum)
-        return sfemi_fail(err, SFEM_FORMAT, "the state is damaged: its checksum does not fit");
-    if (head.key != b->head->key || head.size != b->state_bytes)
-        return sfemi_fail(err, SFEM_MISMATCH, "the state is of another body");
-    fault = sfemi_modal_state_fault(b, &head, (const char *)memory);
-    if (fault) return sfemi_fail(err, SFEM_FORMAT, "the state holds numbers out of their ranges: %s", fault);
+    sfem_status status = sfemi_saved_open(&sfemi_modal_kind, &b->head->saved, memory, bytes, err);
+    if (status != SFEM_OK) return status;
+    memcpy(&shape.head, memory, sizeof shape.head);
+    status = sfemi_saved_fault(&sfemi_modal_kind, &shape, memory, bytes, err);
+    if (status != SFEM_OK) return status;
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = 0;
     memcpy(b->head, memory, bytes);
     for (i = 0; i < b->head->forces; ++i) b->place[b->force_node[i]] = i + 1;
@@ -27289,7 +27506,7 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
     info.beta = h->beta;
     info.gamma = h->gamma;
     info.steps = h->steps;
-    info.state_bytes = b->state_bytes;
+    info.state_bytes = sfem_modal_state_size(b);
     info.body_bytes = b->bytes;
     return info;
 }
@@ -29427,7 +29644,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
- *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
+ *   0.4.0   bodies may share a workspace; the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted

@@ -493,14 +493,12 @@ static void fuzz_run_body(const unsigned char *data, size_t size)
     unsigned char *block = (unsigned char *)malloc(2 * s->bytes), *saved = block + s->bytes;
     sfem_body *b = NULL;
     sfem_error err;
-    uint32_t sum;
     int i, calls;
     in.at = data + (size > 0), in.end = data + size;
     memcpy(block, s->block[stage], s->bytes);
     fuzz_change(&in, block, s->bytes);
-    memcpy(block, s->block[stage], offsetof(sfemi_state_head, time));
-    sum = sfemi_state_checksum(block, s->bytes);
-    memcpy(block + offsetof(sfemi_state_head, checksum), &sum, sizeof sum);
+    memcpy(block, s->block[stage], sizeof(sfemi_saved_head));
+    sfemi_saved_seal(block);
     fuzz_require_ok(sfem_body_create(s->model, &s->def, &b, &err), &err);
     sfem_body_save_state(b, saved);
     if (sfem_body_load_state(b, block, s->bytes, &err) == SFEM_OK) {
@@ -700,13 +698,11 @@ static void fuzz_run_modal(const unsigned char *data, size_t size)
     sfem_modal *b = fuzz_modal(fuzz_reduced(scene > 1), scene);
     fuzz_input in;
     sfem_error err;
-    uint64_t sum;
     in.at = data + (size > 0), in.end = data + size;
     memcpy(block, good, bytes);
     fuzz_change(&in, block, bytes);
-    memcpy(block, good, offsetof(sfemi_modal_head, time));
-    sum = sfemi_modal_checksum(block, bytes);
-    memcpy(block + offsetof(sfemi_modal_head, checksum), &sum, sizeof sum);
+    memcpy(block, good, sizeof(sfemi_saved_head));
+    sfemi_saved_seal(block);
     sfem_modal_save_state(b, saved);
     if (sfem_modal_load_state(b, block, bytes, &err) == SFEM_OK)
         fuzz_use_modal(b, &in);
@@ -733,13 +729,11 @@ static void fuzz_run_reduced(const unsigned char *data, size_t size)
     unsigned char *block = (unsigned char *)malloc(bytes);
     fuzz_input in;
     sfem_error err;
-    uint64_t sum;
     in.at = data + (size > 0), in.end = data + size;
-    memcpy(block, good->block, bytes);
+    memcpy(block, good->head, bytes);
     fuzz_change(&in, block, bytes);
-    memcpy(block, good->block, offsetof(sfemi_reduced_head, nodes));
-    sum = sfemi_reduced_checksum(block, bytes);
-    memcpy(block + offsetof(sfemi_reduced_head, checksum), &sum, sizeof sum);
+    memcpy(block, good->head, sizeof(sfemi_saved_head));
+    sfemi_saved_seal(block);
     if (sfem_reduced_load(block, bytes, NULL, &r, &err) == SFEM_OK) {
         sfem_modal *b = fuzz_modal(r, scene);
         sfem_real *row = (sfem_real *)malloc((3 * b->m + 1) * sizeof *row);
