@@ -1086,10 +1086,6 @@ SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, s
  */
 SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
                                   const sfem_real zeta[6], sfem_real s_d[36]);
-/* The same for one edge more: S_d of zeta[edge] = from becomes that of to < from, by a rank-1
- * update, SFEM_DAMAGE_CONDENSED only. Edges in any order give the same but for rounding. */
-SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
-                                sfem_real s_d[36]);
 /* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of
  * that, k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l -
  * L)/L in current lengths, which agrees for small strains, is blind to rotations, has forces along
@@ -14761,20 +14757,33 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
 
 /* ---- forces and tangents ---- */
 
+/* What is asked for where forces are computed, of the elements or of the damaged tets; NULL where it is not wanted. */
 typedef struct sfemi_forces {
+    const sfem_real *u;       /* [nodes][3] displacements, m */
+    sfem_precision precision; /* of the kernels */
+    sfem_real *force;         /* [nodes][3] N, never NULL */
+    sfem_real *rotation;      /* [tets][9] */
+    sfem_real *sum;           /* [nodes][9] the tets' rotations times their weights, added up by nodes; with */
+    sfem_real *spin;          /* [copies][12] temporaries for it */
+    sfem_int *inverted;       /* how many tets have det F <= 0 */
+    sfem_real *work;          /* [sfem_model_work_size] */
+    const sfem_exec *exec;
+} sfemi_forces;
+
+typedef struct sfemi_forces_job {
+    const sfemi_forces *ask;
     const sfem_model *model;
     const sfemi_block *block;
-    const sfem_real *u;
-    sfem_real *force, *rotation, *copies, *energy, *inverted; /* the last two by chunk */
-    sfem_real *spin, *sum; /* [copies][12], [nodes][9]; or NULL */
-    sfem_real *moved;      /* displacements of a chunk's nodes, four reals each; for each task [4 most], */
-    size_t apart;          /* from one to the next; 0: one thread needs but one, which stays in its cache */
+    sfem_real *copies, *energy, *inverted; /* the last two by chunk */
+    sfem_real *moved; /* displacements of a chunk's nodes, four reals each; for each task [4 most], */
+    size_t apart;     /* from one to the next; 0: one thread needs but one, which stays in its cache */
     sfemi_blocks_kernel kernel;
-} sfemi_forces;
+} sfemi_forces_job;
 
 static void sfemi_forces_chunks(void *data, sfem_int index)
 {
-    const sfemi_forces *job = (const sfemi_forces *)data;
+    const sfemi_forces_job *job = (const sfemi_forces_job *)data;
+    const sfemi_forces *ask = job->ask;
     const sfemi_chunks *c = &job->model->chunks;
     sfem_int k, i, end = (index + 1) * SFEMI_CHUNK_TASK;
     sfem_real *u = job->moved + job->apart * (size_t)index;
@@ -14782,16 +14791,16 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
     for (k = index * SFEMI_CHUNK_TASK; k < end; ++k) {
         const sfem_int first = c->copy_start[k], count = c->copy_start[k + 1] - first;
         sfem_real *out = job->copies + 4 * (size_t)first;
-        sfem_real *spin = job->spin ? job->spin + 12 * (size_t)first : NULL;
+        sfem_real *spin = ask->spin ? ask->spin + 12 * (size_t)first : NULL;
         sfemi_totals totals;
         for (i = 0; i < count; ++i) {
-            const sfem_real *from = job->u + 3 * (size_t)c->copy_node[first + i];
+            const sfem_real *from = ask->u + 3 * (size_t)c->copy_node[first + i];
             u[4 * i] = from[0], u[4 * i + 1] = from[1], u[4 * i + 2] = from[2], u[4 * i + 3] = 0;
         }
         memset(out, 0, 4 * (size_t)count * sizeof *out);
         if (spin) memset(spin, 0, 12 * (size_t)count * sizeof *spin);
         job->kernel(job->block + c->block_start[k], c->block_start[k + 1] - c->block_start[k], u, out,
-                    job->rotation, spin, &totals);
+                    ask->rotation, spin, &totals);
         job->energy[k] = job->inverted[k] = 0;
         for (i = 0; i < SFEMI_LANES; ++i) {
             job->energy[k] += totals.energy[i];
@@ -14802,8 +14811,9 @@ static void sfemi_forces_chunks(void *data, sfem_int index)
 
 static void sfemi_forces_nodes(void *data, sfem_int index)
 {
-    const sfemi_forces *job = (const sfemi_forces *)data;
+    const sfemi_forces_job *job = (const sfemi_forces_job *)data;
     const sfemi_chunks *c = &job->model->chunks;
+    sfem_real *force = job->ask->force;
     sfem_int i, j, end = job->model->mesh.nodes;
     if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
     for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
@@ -14812,15 +14822,15 @@ static void sfemi_forces_nodes(void *data, sfem_int index)
             const sfem_real *f = job->copies + 4 * (size_t)c->node_copy[j];
             x += f[0], y += f[1], z += f[2];
         }
-        job->force[3 * (size_t)i] = x;
-        job->force[3 * (size_t)i + 1] = y;
-        job->force[3 * (size_t)i + 2] = z;
+        force[3 * (size_t)i] = x;
+        force[3 * (size_t)i + 1] = y;
+        force[3 * (size_t)i + 2] = z;
     }
-    for (i = index * SFEMI_NODE_TASK; job->sum && i < end; ++i) {
-        sfem_real *sum = job->sum + 9 * (size_t)i;
+    for (i = index * SFEMI_NODE_TASK; job->ask->sum && i < end; ++i) {
+        sfem_real *sum = job->ask->sum + 9 * (size_t)i;
         sfem_real s0 = 0, s1 = 0, s2 = 0, s3 = 0, s4 = 0, s5 = 0, s6 = 0, s7 = 0, s8 = 0;
         for (j = c->node_start[i]; j < c->node_start[i + 1]; ++j) {
-            const sfem_real *from = job->spin + 12 * (size_t)c->node_copy[j];
+            const sfem_real *from = job->ask->spin + 12 * (size_t)c->node_copy[j];
             s0 += from[0], s1 += from[1], s2 += from[2];
             s3 += from[3], s4 += from[4], s5 += from[5];
             s6 += from[6], s7 += from[7], s8 += from[8];
@@ -14840,38 +14850,30 @@ SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
     return 4 * (size_t)c->copies + 2 * (size_t)c->count + 4 * (size_t)c->most * (size_t)sfemi_forces_tasks(c);
 }
 
-/* sfem_model_forces; also sum [nodes][9], the tets' rotations times their weights added up by
- * nodes, with spin [copies][12] as scratch, both NULL where that is not wanted. block: the
- * model's, or a body's own copy in which tets that it treats otherwise are masked. */
-static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *block,
-                                  const sfem_real *u, sfem_precision precision, sfem_real *force,
-                                  sfem_real *rotation, sfem_int *inverted, sfem_real *spin,
-                                  sfem_real *sum, sfem_real *work, const sfem_exec *exec)
+/* Energy and internal force of the elements of `block`: the model's, or a body's own copy in which tets that it treats
+ * otherwise are masked. */
+static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *block, const sfemi_forces *ask)
 {
     const sfem_int chunks = model->chunks.count, nodes = model->mesh.nodes;
     sfem_real energy = 0, turned = 0;
-    sfemi_forces job;
+    sfemi_forces_job job;
     sfem_int k;
+    job.ask = ask;
     job.model = model;
     job.block = block;
-    job.u = u;
-    job.force = force;
-    job.rotation = rotation;
-    job.spin = spin;
-    job.sum = sum;
-    job.copies = work;
-    job.energy = work + 4 * (size_t)model->chunks.copies;
+    job.copies = ask->work;
+    job.energy = ask->work + 4 * (size_t)model->chunks.copies;
     job.inverted = job.energy + chunks;
     job.moved = job.inverted + chunks;
-    job.apart = sfemi_threads(exec) > 1 ? 4 * (size_t)model->chunks.most : 0;
-    job.kernel = sfemi_blocks_pick(precision);
-    sfemi_run(exec, sfemi_forces_tasks(&model->chunks), sfemi_forces_chunks, &job);
-    sfemi_run(exec, (nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_forces_nodes, &job);
+    job.apart = sfemi_threads(ask->exec) > 1 ? 4 * (size_t)model->chunks.most : 0;
+    job.kernel = sfemi_blocks_pick(ask->precision);
+    sfemi_run(ask->exec, sfemi_forces_tasks(&model->chunks), sfemi_forces_chunks, &job);
+    sfemi_run(ask->exec, (nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_forces_nodes, &job);
     for (k = 0; k < chunks; ++k) {
         energy += job.energy[k];
         turned += job.inverted[k];
     }
-    if (inverted) *inverted = (sfem_int)turned;
+    if (ask->inverted) *ask->inverted = (sfem_int)turned;
     return energy;
 }
 
@@ -14880,9 +14882,17 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
                                      sfem_real *rotation, sfem_int *inverted, sfem_real *work,
                                      const sfem_exec *exec)
 {
+    sfemi_forces ask;
     SFEM_ASSERT(u && force && work);
-    return sfemi_fem_forces(model, model->chunks.block, u, precision, force, rotation, inverted, NULL,
-                            NULL, work, exec);
+    memset(&ask, 0, sizeof ask);
+    ask.u = u;
+    ask.precision = precision;
+    ask.force = force;
+    ask.rotation = rotation;
+    ask.inverted = inverted;
+    ask.work = work;
+    ask.exec = exec;
+    return sfemi_fem_forces(model, model->chunks.block, &ask);
 }
 
 typedef struct sfemi_tangents {
@@ -15247,21 +15257,6 @@ SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law la
         for (l = 0; l < 6; ++l) s_d[6 * k + l] *= zeta[k] * zeta[l];
 }
 
-SFEM_DEF void sfem_damage_lower(const sfem_damage_tet *tet, int edge, sfem_real from, sfem_real to,
-                                sfem_real s_d[36])
-{
-    sfem_real column[6], scale;
-    int k, l;
-    SFEM_ASSERT(tet && s_d && edge >= 0 && edge < 6 && from > to && to >= 0);
-    for (k = 0; k < 6; ++k) column[k] = s_d[6 * k + edge];
-    scale = from * to * sfemi_damage_entry(tet, edge, edge) + (from - to) * column[edge];
-    scale = (from - to) / scale;
-    for (k = 0; k < 6; ++k)
-        for (l = 0; l < 6; ++l)
-            s_d[6 * k + l] -= column[k] * column[l] * scale;
-    for (k = 0; k < 6 && to == 0; ++k) s_d[6 * k + edge] = s_d[6 * edge + k] = 0;
-}
-
 /* e, and where wanted the unit vectors m along which u_i and -u_j lengthen each edge, and l. */
 static void sfemi_damage_strains(const sfem_damage_tet *tet, int small, const sfem_real u[12],
                                  sfem_real e[6], sfem_real m[6][3], sfem_real length[6])
@@ -15299,10 +15294,9 @@ static void sfemi_damage_add_pair(int p, int q, const sfem_real block[9], sfem_r
                 k[12 * (3 * row[a] + i / 3) + 3 * col[b] + i % 3] += a == b ? block[i] : -block[i];
 }
 
-/* k += V b^T S_d b + the geometric part, b_k = m_k/L_k on the edge's nodes. */
-static void sfemi_damage_add_tangent(const sfem_damage_tet *tet, const sfem_real s_d[36], int small,
-                                     sfem_tangent kind, const sfem_real s[6], sfem_real m[6][3],
-                                     const sfem_real length[6], sfem_real k[144])
+/* k += V b^T S_d b, b_k = m_k/L_k on the edge's nodes. */
+static void sfemi_damage_add_material(const sfem_damage_tet *tet, const sfem_real s_d[36], sfem_real m[6][3],
+                                      sfem_real k[144])
 {
     sfem_real block[9], c;
     int p, q, i;
@@ -15313,7 +15307,15 @@ static void sfemi_damage_add_tangent(const sfem_damage_tet *tet, const sfem_real
             for (i = 0; i < 9; ++i) block[i] = c * m[p][i / 3] * m[q][i % 3];
             sfemi_damage_add_pair(p, q, block, k);
         }
-    for (p = 0; !small && p < 6; ++p) {
+}
+
+/* k += the geometric part, of strains in current lengths: edge p pulls with s_p and turns with its nodes. */
+static void sfemi_damage_add_geometric(const sfem_damage_tet *tet, sfem_tangent kind, const sfem_real s[6],
+                                       sfem_real m[6][3], const sfem_real length[6], sfem_real k[144])
+{
+    sfem_real block[9], c;
+    int p, i;
+    for (p = 0; p < 6; ++p) {
         c = tet->volume * s[p] / tet->length[p];
         if ((kind != SFEM_TANGENT_EXACT && c < 0) || !(length[p] > 0)) continue;
         for (i = 0; i < 9; ++i)
@@ -15343,7 +15345,8 @@ SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_rea
     }
     if (!k) return energy;
     memset(k, 0, 144 * sizeof *k);
-    sfemi_damage_add_tangent(tet, s_d, small, kind, s, m, length, k);
+    sfemi_damage_add_material(tet, s_d, m, k);
+    if (!small) sfemi_damage_add_geometric(tet, kind, s, m, length, k);
     return energy;
 }
 
@@ -16020,15 +16023,26 @@ static sfem_real sfemi_damage_blend(const sfem_real upright[2], sfem_real j, sfe
     return t <= 0 ? 0 : t < 1 ? t * t * (3 - 2 * t) : 1;
 }
 
-/* Energy and force of a tet of the given kind. Below upright[1] the edge form, which does not see
+/* A tet and its damage: as it is, or as it would be. */
+typedef struct sfemi_damage_case {
+    const sfem_damage_tet *tet;
+    sfem_law law;
+    int kind;              /* SFEMI_INTACT .. SFEMI_LOOSE */
+    const sfem_real *zeta; /* [6] */
+    const sfem_real *s_d;  /* [6][6] of zeta */
+} sfemi_damage_case;
+
+/* Energy and force of a tet. Below upright[1] the edge form, which does not see
  * inversion, gives way to the undamaged corotational law, in the energy, so that the force remains
  * a gradient and no energy jumps; a loose tet does not resist, for its nodes may be anywhere. */
-static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfem_damage_tet *tet,
-                                         sfem_law law, int kind, const sfem_real zeta[6],
-                                         const sfem_real s_d[36], const sfem_real u[12],
+static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfemi_damage_case *at, const sfem_real u[12],
                                          sfem_real force[12])
 {
     const sfem_damage_def *def = &d->bonds->def;
+    const sfem_damage_tet *tet = at->tet;
+    const sfem_law law = at->law;
+    const sfem_real *s_d = at->s_d;
+    const int kind = at->kind;
     sfem_real closed[36], e[6], m[6][3], length[6], whole[12], slope[12];
     sfem_real psi, psi_whole, j, phi, dphi;
     int i;
@@ -16037,7 +16051,7 @@ static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfem_damag
     if (kind == SFEMI_LOOSE && !def->closure) return 0;
     if (def->closure) {
         sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
-        sfemi_damage_close(tet, zeta, e, closed);
+        sfemi_damage_close(tet, at->zeta, e, closed);
         s_d = closed;
     }
     psi = sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, SFEM_TANGENT_PSD, force, NULL);
@@ -16196,8 +16210,8 @@ enum { SFEMI_DAMAGE_TASK = 64 }; /* tets a task */
 
 typedef struct sfemi_damage_job {
     sfemi_damage *d;
-    const sfem_real *u;
-    sfem_real *rotation;
+    const sfemi_forces *ask;
+    sfem_real *rotation; /* ask's, or the body's own */
 } sfemi_damage_job;
 
 /* sfemi_damage_tet_energy of most tets, at a fraction of the time: hurt, in lengths, upright.
@@ -16242,24 +16256,35 @@ static int sfemi_damage_upright(const sfemi_damage *d, sfem_int e, const sfem_re
     return 1;
 }
 
+/* The case of tet e as it is; tet and zeta [6] are filled. Returns the links that are left. */
+static unsigned sfemi_damage_case_of(const sfemi_damage *d, sfem_int e, sfem_damage_tet *tet, sfem_real *zeta,
+                                     sfemi_damage_case *at)
+{
+    sfemi_damage_tet(d->bonds, e, tet);
+    at->tet = tet;
+    at->law = (sfem_law)d->bonds->model->law[e];
+    at->kind = d->kind[e];
+    at->zeta = zeta;
+    at->s_d = d->s + 36 * (size_t)e;
+    return sfemi_damage_zetas(d, e, zeta);
+}
+
 /* Any other tet; without masked blocks the force that it had while intact is taken off. */
 static sfem_real sfemi_damage_other(const sfemi_damage *d, sfem_int e, const sfem_real u[12],
                                     sfem_real force[12])
 {
-    const sfem_law law = (sfem_law)d->bonds->model->law[e];
     sfem_real zeta[6], whole[12], energy;
     sfem_damage_tet tet;
+    sfemi_damage_case at;
     int k;
     if (d->kind[e] == SFEMI_LOOSE && !d->bonds->def.closure && d->block) {
         memset(force, 0, 12 * sizeof *force);
         return 0;
     }
-    sfemi_damage_tet(d->bonds, e, &tet);
-    sfemi_damage_zetas(d, e, zeta);
-    energy = sfemi_damage_tet_energy(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u,
-                                     force);
+    sfemi_damage_case_of(d, e, &tet, zeta, &at);
+    energy = sfemi_damage_tet_energy(d, &at, u, force);
     if (d->block) return energy;
-    energy -= sfemi_damage_undamaged(&tet, law, u, whole);
+    energy -= sfemi_damage_undamaged(&tet, at.law, u, whole);
     for (k = 0; k < 12; ++k) force[k] -= whole[k];
     return energy;
 }
@@ -16287,20 +16312,20 @@ static void sfemi_damage_forces_task(void *data, sfem_int index)
     for (; i < end; ++i) {
         const sfem_int e = d->tet[i];
         sfem_real *force = d->force + 12 * (size_t)i, u[12];
-        sfemi_damage_gather(job->u, d->bonds->model->mesh.tet + 4 * (size_t)e, u);
+        sfemi_damage_gather(job->ask->u, d->bonds->model->mesh.tet + 4 * (size_t)e, u);
         if (!sfemi_damage_upright(d, e, u, d->energy + i, force))
             d->energy[i] = sfemi_damage_other(d, e, u, force);
         if (job->rotation) sfemi_damage_rotation(d, e, u, job->rotation + 9 * (size_t)e);
     }
 }
 
-/* Adds energy and internal force of the damaged tets at u. Body that turns (d->block): theirs
+/* Adds energy and internal force of the damaged tets. Body that turns (d->block): theirs
  * alone, to go with sfemi_fem_forces on d->block. Linear body (block NULL): damaged less intact, to
- * go with K u. rotation [tets][9] (NULL: none): of damaged tets, as sfem_model_forces gives them,
- * but 0 for loose tets, which then weigh nothing in the frames. inverted (NULL: none) += tets with
- * J <= 0 that hang together. Same bits for any number of threads: tets in ascending order. */
-static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_real *force,
-                                     sfem_real *rotation, sfem_int *inverted, const sfem_exec *exec)
+ * go with K u. Rotations of damaged tets are those of sfem_model_forces, but 0 for loose tets, which then
+ * weigh nothing in the frames; where sums of them are wanted, but not they themselves, they go to
+ * d->rotation. *inverted += tets with J <= 0 that hang together. spin, sum and work are not written. Same
+ * bits for any number of threads: tets in ascending order. */
+static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask)
 {
     const sfem_model *model = d->bonds->model;
     sfem_real energy = 0;
@@ -16308,68 +16333,65 @@ static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfem_real *u, sfem_r
     sfem_int i;
     int k;
     job.d = d;
-    job.u = u;
-    job.rotation = rotation;
-    sfemi_run(exec, (d->tets + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task,
+    job.ask = ask;
+    job.rotation = ask->sum && !ask->rotation ? d->rotation : ask->rotation;
+    sfemi_run(ask->exec, (d->tets + SFEMI_DAMAGE_TASK - 1) / SFEMI_DAMAGE_TASK, sfemi_damage_forces_task,
               &job);
     for (i = 0; i < d->tets; ++i) {
         const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
         const sfem_real *f = d->force + 12 * (size_t)i;
-        for (k = 0; k < 12; ++k) force[3 * (size_t)t[k / 3] + (size_t)(k % 3)] += f[k];
+        for (k = 0; k < 12; ++k) ask->force[3 * (size_t)t[k / 3] + (size_t)(k % 3)] += f[k];
         energy += d->energy[i];
     }
-    for (i = 0; inverted && i < d->tets; ++i) {
+    for (i = 0; ask->inverted && i < d->tets; ++i) {
         sfem_real now[12], rest[12], x[12];
         const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
         if (d->kind[d->tet[i]] == SFEMI_LOOSE) continue;
-        sfemi_damage_gather(u, t, now);
+        sfemi_damage_gather(ask->u, t, now);
         sfemi_damage_gather(model->mesh.x, t, rest);
         for (k = 0; k < 12; ++k) x[k] = rest[k] + now[k];
-        *inverted += sfemi_volume6(x, x + 3, x + 6, x + 9) <= 0;
+        *ask->inverted += sfemi_volume6(x, x + 3, x + 6, x + 9) <= 0;
     }
     return energy;
 }
 
 /* As sfemi_fem_forces, for a damaged body that turns. */
-static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfem_real *u,
-                                           sfem_precision precision, sfem_real *force,
-                                           sfem_real *rotation, sfem_int *inverted,
-                                           sfem_real *spin, sfem_real *sum,
-                                           sfem_real *work, const sfem_exec *exec)
+static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfemi_forces *ask)
 {
     const sfem_model *model = d->bonds->model;
-    sfem_real *r = sum && !rotation ? d->rotation : rotation;
+    const sfem_real *r = ask->rotation ? ask->rotation : d->rotation;
     sfem_real energy;
     sfem_int i;
     size_t a, k;
     SFEM_ASSERT(d->block);
-    energy = sfemi_fem_forces(model, d->block, u, precision, force, rotation, inverted, spin, sum,
-                              work, exec);
-    energy += sfemi_damage_forces(d, u, force, r, inverted, exec);
-    for (i = 0; sum && i < d->tets; ++i) {
+    energy = sfemi_fem_forces(model, d->block, ask);
+    energy += sfemi_damage_forces(d, ask);
+    for (i = 0; ask->sum && i < d->tets; ++i) {
         const size_t e = (size_t)d->tet[i];
         const sfem_real weight = sfemi_fem_weight(model, d->tet[i]);
         for (a = 0; a < 4; ++a)
             for (k = 0; k < 9; ++k)
-                sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += weight * r[9 * e + k];
+                ask->sum[9 * (size_t)model->mesh.tet[4 * e + a] + k] += weight * r[9 * e + k];
     }
     return energy;
 }
 
 /* The tangent of sfemi_damage_tet_energy; where it blends, what is positive semidefinite of it. */
-static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfem_damage_tet *tet,
-                                     sfem_law law, int kind, const sfem_real zeta[6],
-                                     const sfem_real s_d[36], const sfem_real u[12],
+static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfemi_damage_case *at, const sfem_real u[12],
                                      sfem_tangent tangent, sfem_real k[144])
 {
     const sfem_damage_def *def = &d->bonds->def;
+    const sfem_damage_tet *tet = at->tet;
+    const sfem_law law = at->law;
+    const sfem_real *s_d = at->s_d;
+    const int kind = at->kind;
     sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
     int i;
     memset(k, 0, 144 * sizeof *k);
     if (kind == SFEMI_LOOSE && !def->closure) return;
     if (def->closure) {
         sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
-        sfemi_damage_close(tet, zeta, e, closed);
+        sfemi_damage_close(tet, at->zeta, e, closed);
         s_d = closed;
     }
     sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, tangent, NULL, k);
@@ -16409,11 +16431,10 @@ static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u
         const sfem_int e = d->tet[i];
         sfem_real local[12], zeta[6], k[144];
         sfem_damage_tet tet;
-        sfemi_damage_tet(d->bonds, e, &tet);
+        sfemi_damage_case at;
         sfemi_damage_gather(u, model->mesh.tet + 4 * (size_t)e, local);
-        sfemi_damage_zetas(d, e, zeta);
-        sfemi_damage_tet_tangent(d, &tet, (sfem_law)model->law[e], d->kind[e], zeta,
-                                 d->s + 36 * (size_t)e, local, kind, k);
+        sfemi_damage_case_of(d, e, &tet, zeta, &at);
+        sfemi_damage_tet_tangent(d, &at, local, kind, k);
         sfemi_damage_scatter(model, e, 1, k, tangent->val);
     }
 }
@@ -16700,22 +16721,20 @@ static void sfemi_damage_turns(const sfem_damage_tet *tet, sfem_law law, const s
  * (u1-u0).(f1-f0), and the last in the tet's own turning frame, (R1^T x1 - R0^T x0).(R1^T f1 - R0^T
  * f0): a tet under stress that turns by theta in a step has theta^2/strain times its energy in the
  * first. */
-static void sfemi_damage_local(const sfemi_damage *d, const sfem_damage_tet *tet, sfem_law law,
-                               int kind, const sfem_real zeta[6], const sfem_real s_d[36],
-                               const sfem_real u0[12], const sfem_real u1[12],
-                               sfem_real r[2][9], sfem_real f[24], sfem_real out[4])
+static void sfemi_damage_local(const sfemi_damage *d, const sfemi_damage_case *at, const sfem_real u0[12],
+                               const sfem_real u1[12], sfem_real r[2][9], sfem_real f[24], sfem_real out[4])
 {
     int a, i, c;
-    out[0] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u0, f);
-    out[1] = sfemi_damage_tet_energy(d, tet, law, kind, zeta, s_d, u1, f + 12);
+    out[0] = sfemi_damage_tet_energy(d, at, u0, f);
+    out[1] = sfemi_damage_tet_energy(d, at, u1, f + 12);
     for (i = 0, out[2] = 0; i < 12; ++i) out[2] += (u1[i] - u0[i]) * (f[12 + i] - f[i]);
     out[3] = out[2];
-    if (law == SFEM_LINEAR) return;
+    if (at->law == SFEM_LINEAR) return;
     for (a = 3, out[3] = 0; a < 12; a += 3) /* from node 0: the forces sum to zero */
         for (i = 0; i < 3; ++i) {
             sfem_real dx = 0, df = 0;
             for (c = 0; c < 3; ++c) {
-                const sfem_real rest = tet->x[a + c] - tet->x[c];
+                const sfem_real rest = at->tet->x[a + c] - at->tet->x[c];
                 dx += r[1][3 * c + i] * (rest + u1[a + c] - u1[c]) -
                       r[0][3 * c + i] * (rest + u0[a + c] - u0[c]);
                 df += r[1][3 * c + i] * f[12 + a + c] - r[0][3 * c + i] * f[a + c];
@@ -16737,21 +16756,19 @@ static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to,
     sum[0] = sum[1] = sum[2] = sum[3] = 0;
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at, local += 60) {
         const sfem_int e = g->edge_tet[at] / 6, *t = model->mesh.tet + 4 * (size_t)e;
-        const sfem_law law = (sfem_law)model->law[e];
         sfem_real zeta[6], u0[12], u1[12], f[24], before[4], after[4], r[2][9];
         sfem_damage_tet tet;
-        unsigned mask = sfemi_damage_zetas(d, e, zeta);
-        int kind;
-        sfemi_damage_tet(d->bonds, e, &tet);
+        sfemi_damage_case now;
+        unsigned mask = sfemi_damage_case_of(d, e, &tet, zeta, &now);
         sfemi_damage_gather(step->u0, t, u0);
         sfemi_damage_gather(step->u1, t, u1);
-        sfemi_damage_turns(&tet, law, u0, u1, r);
-        sfemi_damage_local(d, &tet, law, d->kind[e], zeta, d->s + 36 * (size_t)e, u0, u1, r,
-                           f, before);
+        sfemi_damage_turns(&tet, now.law, u0, u1, r);
+        sfemi_damage_local(d, &now, u0, u1, r, f, before);
         zeta[g->edge_tet[at] % 6] = to;
         if (!(to > 0)) mask &= ~(1u << g->edge_tet[at] % 6);
-        kind = sfemi_damage_assess(d, &tet, zeta, mask, local);
-        sfemi_damage_local(d, &tet, law, kind, zeta, local, u0, u1, r, local + 36, after);
+        now.kind = sfemi_damage_assess(d, &tet, zeta, mask, local);
+        now.s_d = local;
+        sfemi_damage_local(d, &now, u0, u1, r, local + 36, after);
         for (i = 0; i < 24; ++i) local[36 + i] -= f[i];
         for (i = 0; i < 4; ++i) sum[i] += after[i] - before[i];
     }
@@ -21119,16 +21136,21 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
 static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
     const int turns = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
-    sfem_real *spin = turns ? b->turn.spin : NULL, *sum = turns ? b->turn.sum : NULL;
-    sfem_real psi;
-    if (b->damage && b->model->turns)
-        return sfemi_damage_total_forces(b->damage, u, b->def.precision, f, NULL, NULL, spin, sum, b->turn.work,
-                                         &b->exec);
-    if (!b->damage || !b->damage->tets)
-        return sfemi_fem_forces(b->model, b->model->chunks.block, u, b->def.precision, f, NULL, NULL, spin, sum,
-                                b->turn.work, &b->exec);
-    psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->turn.work, &b->exec);
-    return psi + sfemi_damage_forces(b->damage, u, f, NULL, NULL, &b->exec);
+    sfemi_forces ask;
+    memset(&ask, 0, sizeof ask);
+    ask.u = u;
+    ask.precision = b->def.precision;
+    ask.force = f;
+    ask.work = b->turn.work;
+    ask.exec = &b->exec;
+    if (b->damage && b->damage->tets && !b->model->turns) { /* linear: damaged less intact, from the intact force */
+        const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->turn.work, &b->exec);
+        return psi + sfemi_damage_forces(b->damage, &ask);
+    }
+    ask.spin = turns ? b->turn.spin : NULL;
+    ask.sum = turns ? b->turn.sum : NULL;
+    if (b->damage && b->model->turns) return sfemi_damage_total_forces(b->damage, &ask);
+    return sfemi_fem_forces(b->model, b->model->chunks.block, &ask);
 }
 
 /* Forces and frames where the state was set from outside; the pieces' places. */

@@ -256,6 +256,19 @@ static void zsz_stiffens_as_its_worst_pattern_says(void **state)
         }
 }
 
+/* S_d of zeta[edge] = from becomes that of to < from: the compliance of one edge grows, which is an update of
+ * rank 1 [Sherman, Morrison 1950]. By (1/to - 1/from)/S_kk, see SFEM_DAMAGE_CONDENSED */
+static void lower(const sfem_damage_tet *tet, int edge, double from, double to, double s[36])
+{
+    double column[6], scale;
+    int k, l;
+    for (k = 0; k < 6; ++k) column[k] = s[6 * k + edge];
+    scale = (from - to) / (from * to * tet->s[7 * edge] + (from - to) * column[edge]);
+    for (k = 0; k < 6; ++k)
+        for (l = 0; l < 6; ++l) s[6 * k + l] -= column[k] * column[l] * scale;
+    for (k = 0; k < 6 && to == 0; ++k) s[6 * k + edge] = s[6 * edge + k] = 0;
+}
+
 static void breaking_edges_one_by_one_is_the_same_in_any_order(void **state)
 {
     test_random r = {5};
@@ -276,7 +289,7 @@ static void breaking_edges_one_by_one_is_the_same_in_any_order(void **state)
         for (step = 0; step < 12; ++step) { /* half of the way, then the rest */
             const int e = order[step % 6];
             const double to = step < 6 ? (1 + target[e]) / 2 : target[e];
-            sfem_damage_lower(&tet, e, zeta[e], to, s);
+            lower(&tet, e, zeta[e], to, s);
             zeta[e] = to;
             sfem_damage_modulus(&tet, SFEM_DAMAGE_CONDENSED, zeta, direct);
             for (i = 0; i < 36; ++i) assert_near(s[i], direct[i], 0, 1e-9 * tet.s[0] + 1e-9);
@@ -344,7 +357,13 @@ static void make_one(int shape, int mask, int closure, test_random *r, one_tet *
 
 static double one_energy(const one_tet *o, sfem_law law, const double u[12], double f[12])
 {
-    return sfemi_damage_tet_energy(&o->damage, &o->tet, law, o->kind, o->zeta, o->s, u, f);
+    sfemi_damage_case at;
+    at.tet = &o->tet;
+    at.law = law;
+    at.kind = o->kind;
+    at.zeta = o->zeta;
+    at.s_d = o->s;
+    return sfemi_damage_tet_energy(&o->damage, &at, u, f);
 }
 
 static void check_gradient(const one_tet *o, sfem_law law, const double u[12])
@@ -617,18 +636,30 @@ static double *reals(sfem_int n)
     return p;
 }
 
+/* forces at u to f, nothing else */
+static sfemi_forces ask_forces(const double *u, double *f)
+{
+    sfemi_forces ask;
+    memset(&ask, 0, sizeof ask);
+    ask.u = u;
+    ask.precision = SFEM_DOUBLE;
+    ask.force = f;
+    return ask;
+}
+
 /* whole internal energy and force, whatever the body */
 static double total_forces(scene *s, const double *u, double *f)
 {
     double *work = reals((sfem_int)sfem_model_work_size(s->model)), energy;
+    sfemi_forces ask = ask_forces(u, f);
     sfem_int i;
+    ask.work = work;
     if (s->damage->block) {
-        energy = sfemi_damage_total_forces(s->damage, u, SFEM_DOUBLE, f, NULL, NULL, NULL, NULL,
-                                           work, NULL);
+        energy = sfemi_damage_total_forces(s->damage, &ask);
     } else {
         sfem_model_multiply_stiffness(s->model, u, f, NULL);
         for (i = 0, energy = 0; i < s->n; ++i) energy += u[i] * f[i] / 2;
-        energy += sfemi_damage_forces(s->damage, u, f, NULL, NULL, NULL);
+        energy += sfemi_damage_forces(s->damage, &ask);
     }
     free(work);
     return energy;
@@ -1635,11 +1666,16 @@ static void threads_do_not_change_a_bit_of_damage(void **state)
         violent(&s, &r, .05, u0, u1);
         hash[t] = 0;
         for (n = 0; n < 4; ++n) {
+            sfemi_forces ask;
             step_at(&step, u0, u1, NULL, NULL);
             step.exec = &exec;
             sfemi_damage_round(s.damage, &step, &change);
-            psi = sfemi_damage_total_forces(s.damage, u1, SFEM_DOUBLE, f, rotation, &inverted, NULL,
-                                            NULL, work, &exec);
+            ask = ask_forces(u1, f);
+            ask.rotation = rotation;
+            ask.inverted = &inverted;
+            ask.work = work;
+            ask.exec = &exec;
+            psi = sfemi_damage_total_forces(s.damage, &ask);
             hash[t] = 31 * hash[t] + hash_reals(f, (size_t)s.n) + hash_reals(&psi, 1) +
                       hash_reals(rotation, 9 * (size_t)mesh.tets);
         }
@@ -1694,8 +1730,10 @@ static void a_stray_fibre_is_broken_with_the_last_crack_round_it(void **state)
 static sfem_int count_inverted(scene *s, const double *u)
 {
     double *f = reals(s->n);
+    sfemi_forces ask = ask_forces(u, f);
     sfem_int inverted = 0;
-    sfemi_damage_forces(s->damage, u, f, NULL, &inverted, NULL);
+    ask.inverted = &inverted;
+    sfemi_damage_forces(s->damage, &ask);
     free(f);
     return inverted;
 }

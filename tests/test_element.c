@@ -865,26 +865,23 @@ static void model_forces_are_the_sum_over_tets(void **state)
                 double *spins = (double *)calloc(18 * (size_t)b.mesh->nodes, sizeof *spins);
                 double stiffest = 0;
                 double energy = 0, got, r[9], f[9], x[12], u[12], force[12];
+                sfemi_forces ask;
                 sfem_int t, inverted = 0, counted = -1;
                 int a, i;
+                memset(&ask, 0, sizeof ask);
+                ask.u = b.u;
+                ask.precision = SFEM_DOUBLE;
+                ask.force = b.force;
+                ask.rotation = b.rotation;
+                ask.inverted = &counted;
+                ask.spin = spin;
+                ask.sum = spins;
+                ask.work = b.work;
                 if (path == 0) {
-                    got =
-                        sfemi_fem_forces(b.model, b.model->chunks.block, b.u, SFEM_DOUBLE, b.force,
-                                         b.rotation, &counted, spin, spins, b.work, NULL);
+                    got = sfemi_fem_forces(b.model, b.model->chunks.block, &ask);
                 } else { /* the path of processors without vectors */
-                    sfemi_forces job = {b.model,
-                                        b.model->chunks.block,
-                                        b.u,
-                                        b.force,
-                                        b.rotation,
-                                        b.work,
-                                        NULL,
-                                        NULL,
-                                        spin,
-                                        spins,
-                                        NULL,
-                                        0,
-                                        sfemi_blocks_portable_d};
+                    sfemi_forces_job job = {&ask, b.model, b.model->chunks.block, b.work, NULL, NULL, NULL, 0,
+                                            sfemi_blocks_portable_d};
                     const sfemi_chunks *c = &b.model->chunks;
                     job.energy = b.work + 4 * c->copies;
                     job.inverted = job.energy + c->count;
