@@ -135,9 +135,9 @@ endif
 
 # Each target by itself, from the good inputs that it makes, in FUZZ_SECONDS; what is found stays in build/fuzz.
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS ?= gmsh vtk medit vega tetgen body modal reduced link
+FUZZ_TARGETS ?= gmsh vtk medit vega tetgen surface body modal reduced link
 
-fuzz: $(BUILD)/fuzz/fuzz ## mesh readers, state blocks and packets under libFuzzer, FUZZ_SECONDS=60 each (clang)
+fuzz: $(BUILD)/fuzz/fuzz ## mesh and surface readers, state blocks and packets under libFuzzer, FUZZ_SECONDS=60 each (clang)
 	@for x in $(FUZZ_TARGETS); do \
 	    mkdir -p $(BUILD)/fuzz/$$x; echo "== $$x"; \
 	    SFEM_FUZZ=$$x SFEM_FUZZ_SEEDS=$(BUILD)/fuzz/$$x $(BUILD)/fuzz/fuzz -verbosity=0 -timeout=20 \

@@ -1,4 +1,4 @@
-/* fuzz.h - what the library reads from elsewhere, each as a target of a fuzzer: mesh files, state blocks, packets.
+/* fuzz.h - what the library reads from elsewhere, each as a target of a fuzzer: mesh and surface files, state blocks, packets.
  * tests/fuzz.c drives them by libFuzzer, tests/test_fuzz.c by a fixed sequence of mutations.
  *
  *     fuzz_targets[FUZZ_TARGETS]   name, seed(k, out), run(data, size)
@@ -81,6 +81,31 @@ static void fuzz_run_tetgen(const unsigned char *data, size_t size)
     sfem_mesh mesh;
     if (sfem_mesh_parse_tetgen(data, node, zero ? zero + 1 : data, ele, NULL, &mesh, &err) == SFEM_OK)
         fuzz_use_mesh(&mesh);
+}
+
+/* What was accepted is meshed: the result has to be sound, or the refusal a sentence. */
+static void fuzz_run_surface(const unsigned char *data, size_t size)
+{
+    sfem_mesher_def def = sfem_default_mesher_def();
+    sfem_surface s;
+    sfem_mesh mesh;
+    sfem_error err;
+    sfem_int i;
+    if (sfem_surface_parse(data, size, NULL, &s, &err) != SFEM_OK) {
+        fuzz_require(err.text[0]);
+        return;
+    }
+    fuzz_require(s.nodes > 0 && s.triangles > 0);
+    for (i = 0; i < 3 * s.triangles; ++i) fuzz_require(s.tri[i] >= 0 && s.tri[i] < s.nodes);
+    for (i = 0; i < 3 * s.nodes; ++i) fuzz_require(isfinite(s.x[i]));
+    def.tets = 60;
+    def.mode = size % 2 ? SFEM_CAGE : SFEM_FITTED;
+    if (sfem_mesh_from_surface(&def, &s, &mesh, NULL, &err) == SFEM_OK) {
+        fuzz_require_ok(sfem_mesh_check(&mesh, NULL, &err), &err);
+        fuzz_use_mesh(&mesh);
+    } else
+        fuzz_require(err.text[0]);
+    sfem_surface_free(&s);
 }
 
 static size_t fuzz_text(int k, int count, const char *const *text, unsigned char *out)
@@ -279,6 +304,57 @@ static size_t fuzz_seed_calls(int k, int scenes, int calls, unsigned char *out)
     out[1] = 0;
     for (i = 0; i < calls; ++i) out[2 + i] = (unsigned char)((i + 5 * k) % calls);
     return (size_t)(2 + calls);
+}
+
+/* A tetrahedron in every format of surfaces. */
+static size_t fuzz_seed_surface(int k, unsigned char *out)
+{
+    static const char *const text[] = {
+        "# a comment\nv 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nf 1//1 3//1 2//1\nf 1 2 4\nf -3 -2 -1\n"
+        "f 1/1/1 4/2/2 3/3/3\n",
+        "solid a\nfacet normal 0 0 -1\nouter loop\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 0 0\nendloop\nendfacet\n"
+        "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet\n"
+        "facet normal 0 0 0\nouter loop\nvertex 1 0 0\nvertex 0 1 0\nvertex 0 0 1\nendloop\nendfacet\n"
+        "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 0 0 1\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n",
+        "OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1 255 0 0\n3 0 1 3\n3 1 2 3\n3 0 3 2\n",
+        "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nelement face 4\nproperty list uchar int vertex_indices\nend_header\n0 0 0 1\n1 0 0 2\n0 1 0 3\n"
+        "0 0 1 4\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"};
+    static const unsigned char face[4][3] = {{0, 2, 1}, {0, 1, 3}, {1, 2, 3}, {0, 3, 2}};
+    const int texts = (int)(sizeof text / sizeof *text);
+    unsigned char count[4] = {4, 0, 0, 0}, zero[80] = {0};
+    size_t at = 0;
+    int t, i, c;
+    if (k < texts) return fuzz_text(k, texts, text, out);
+    if (k > texts + 2) return 0;
+    if (k == texts) { /* STL, little-endian floats: 0 and 1 */
+        static const unsigned char one[2][4] = {{0, 0, 0, 0}, {0, 0, 0x80, 0x3f}};
+        fuzz_put(out, &at, zero, 80), fuzz_put(out, &at, count, 4);
+        for (t = 0; t < 4; ++t) {
+            fuzz_put(out, &at, zero, 12);
+            for (i = 0; i < 3; ++i)
+                for (c = 0; c < 3; ++c) fuzz_put(out, &at, one[face[t][i] == c + 1], 4);
+            fuzz_put(out, &at, zero, 2);
+        }
+        return at;
+    }
+    fuzz_put_text(out, &at, "ply\nformat ");
+    fuzz_put_text(out, &at, k == texts + 1 ? "binary_little_endian 1.0\n" : "binary_big_endian 1.0\n");
+    fuzz_put_text(out, &at, "element vertex 4\nproperty float x\nproperty short y\nproperty int8 z\nelement face 4\n"
+                            "property list uchar ushort vertex_index\nend_header\n");
+    for (i = 0; i < 4; ++i) {
+        static const unsigned char x[2][2][4] = {{{0, 0, 0, 0}, {0, 0, 0x80, 0x3f}}, {{0, 0, 0, 0}, {0x3f, 0x80, 0, 0}}};
+        const int big = k == texts + 2;
+        unsigned char y[2] = {0, 0}, z = (unsigned char)(i == 3);
+        y[big] = (unsigned char)(i == 2);
+        fuzz_put(out, &at, x[big][i == 1], 4), fuzz_put(out, &at, y, 2), fuzz_put(out, &at, &z, 1);
+    }
+    for (t = 0; t < 4; ++t) {
+        unsigned char row[7] = {3, 0, 0, 0, 0, 0, 0};
+        for (i = 0; i < 3; ++i) row[1 + 2 * i + (k == texts + 2)] = face[t][i];
+        fuzz_put(out, &at, row, 7);
+    }
+    return at;
 }
 
 /* --------------------------------------------------------------------------------------------
@@ -825,13 +901,13 @@ static size_t fuzz_seed_link(int k, unsigned char *out)
 
 /* -------------------------------------------------------------------------------------------- */
 
-enum { FUZZ_TARGETS = 9 };
+enum { FUZZ_TARGETS = 10 };
 
 static const fuzz_target fuzz_targets[FUZZ_TARGETS] = {
     {"gmsh", fuzz_seed_gmsh, fuzz_run_mesh},          {"vtk", fuzz_seed_vtk, fuzz_run_mesh},
     {"medit", fuzz_seed_medit, fuzz_run_mesh},        {"vega", fuzz_seed_vega, fuzz_run_mesh},
     {"tetgen", fuzz_seed_tetgen, fuzz_run_tetgen},    {"body", fuzz_seed_body, fuzz_run_body},
     {"modal", fuzz_seed_modal, fuzz_run_modal},       {"reduced", fuzz_seed_reduced, fuzz_run_reduced},
-    {"link", fuzz_seed_link, fuzz_run_link}};
+    {"link", fuzz_seed_link, fuzz_run_link},          {"surface", fuzz_seed_surface, fuzz_run_surface}};
 
 #endif

@@ -264,7 +264,8 @@ static void mutate_target(const fuzz_target *target)
         k = random_below(&random, seeds);
         other = random_below(&random, seeds);
         memcpy(data, seed[k], size[k]);
-        if (target->run == fuzz_run_mesh || target->run == fuzz_run_tetgen || target->run == fuzz_run_link) {
+        if (target->run == fuzz_run_mesh || target->run == fuzz_run_tetgen || target->run == fuzz_run_link ||
+            target->run == fuzz_run_surface) {
             target->run(data, mutate(&random, data, size[k], seed[other], size[other]));
         } else { /* a block, some changes and some calls, all at random */
             const size_t bytes = 2 + (size_t)random_below(&random, 60);
@@ -291,6 +292,7 @@ MUTATIONS(body_states, 5)
 MUTATIONS(modal_states, 6)
 MUTATIONS(reduced_models, 7)
 MUTATIONS(packets, 8)
+MUTATIONS(surfaces, 9)
 
 int main(void)
 {
@@ -308,6 +310,7 @@ int main(void)
         cmocka_unit_test(mutated_modal_states_are_refused_or_safe),
         cmocka_unit_test(mutated_reduced_models_are_refused_or_safe),
         cmocka_unit_test(mutated_packets_are_refused_or_safe),
+        cmocka_unit_test(mutated_surfaces_are_refused_or_safe),
     };
     return run_all_tests(tests);
 }
