@@ -8228,8 +8228,8 @@ static sfem_int sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_t
     int k, c;
     for (k = 0; k < SFEM_CAGE_LEVELS; ++k) {
         const sfem_real i = (sfem_real)((from + (size_t)k) % 1000000) + 0.5;
-        sfem_real u = fmod(i * 0.8191725133961645, 1), v = fmod(i * 0.6710436067037893, 1);
-        sfem_real w = fmod(i * 0.5497004779019703, 1), old = w;
+        sfem_real u = fmod(i * 0.8191725133961645, 1.0), v = fmod(i * 0.6710436067037893, 1.0);
+        sfem_real w = fmod(i * 0.5497004779019703, 1.0), old = w;
         if (u + v > 1) u = 1 - u, v = 1 - v;
         if (v + w > 1)
             w = 1 - u - v, v = 1 - old;
@@ -8611,8 +8611,8 @@ static void sfemi_lattice_measure(const sfem_mesh *m, sfem_mesher_info *info)
         info->volume += sfemi_volume6(x[0], x[1], x[2], x[3]) / 6 *
                         (m->region ? (sfem_real)m->region[t] / SFEM_CAGE_LEVELS : 1);
     }
-    info->min_dihedral = acos(fmin(cosine[1], 1)) * 57.29577951308232;
-    info->max_dihedral = acos(fmax(cosine[0], -1)) * 57.29577951308232;
+    info->min_dihedral = acos(fmin(cosine[1], 1.0)) * 57.29577951308232;
+    info->max_dihedral = acos(fmax(cosine[0], -1.0)) * 57.29577951308232;
 }
 
 /* ---- the whole ---- */
