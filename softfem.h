@@ -36,7 +36,7 @@
  *            >>matrix       symmetric matrices of 3x3 blocks: pattern, product, conversions
  *            >>order        orderings with little fill: minimum degree, nested dissection
  *            >>tree         the elimination tree, counts of the columns of L
- *            >>crew         shared counters, threads that work off a list of units
+ *            >>queue        shared counters, threads that work off a list of units
  *            >>front        how a front lies in memory, tables of kernels
  *            >>symbolic     supernodes, tasks, places
  *            >>solve        solves with a factor
@@ -52,7 +52,7 @@
  *            >>state        the saved state: its arrays and their checks
  *            >>workspace    a step's temporaries, which bodies may share
  *            >>handle       pins and handles set, moved and released while the body runs
- *            >>balance      right sides, and the mass: what the integrators share
+ *            >>residual     right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
  *            >>implicit     Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe;
  *                           nonlinear statics
@@ -450,7 +450,7 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
  *                      (or vertex_index) of element face, other properties passed over
  *   OFF (.off)         ASCII, 3-dimensional; also COFF, NOFF and the like, whose extras are passed over
  * Polygons are cut into fans from their first vertex. Holes, doubled or flipped triangles and the like are left for
- * sfem_mesh_from_surface to mend. Fills x, nodes, tri, triangles.
+ * sfem_mesh_from_surface to repair. Fills x, nodes, tri, triangles.
  *   errors  as sfem_mesh_parse; SFEM_BAD_MESH: no faces
  *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it claims. */
 SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
@@ -507,24 +507,24 @@ SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
 /* The body is laid into a body-centred cubic lattice, whose tets are all alike: four edges of sqrt(3)/2 size, two of
  * size, a volume of size^3/12, dihedral angles of 60 and 90 degrees. What is inside is told by the generalised winding
  * number, |w| > 1/2 [Jacobson, Kavan, Sorkine-Hornung 2013], from a tree of dipoles [Barill et al. 2018], so that the
- * triangles need not be closed, nor turned the same way, nor apart from one another.
+ * triangles need not be closed, nor oriented alike, nor free of intersections.
  *
- * SFEM_FITTED  the lattice cut along the surface: isosurface stuffing [Labelle, Shewchuk 2007]. Dihedral angles stay
- *              within 10.7 and 164.8 degrees. Nodes of the boundary lie on the surface; parts thinner than a cell may
- *              get lost, edges and corners are cut off within one.
+ * SFEM_FITTED  the lattice cut along the surface: isosurface stuffing [Labelle, Shewchuk 2007]. Dihedral angles are 10.7
+ *              to 164.8 degrees. Nodes of the boundary lie on the surface, but for a few that had to move for the sake
+ *              of the angles. Parts thinner than a cell may get lost; edges and corners are cut off within one cell.
  * SFEM_CAGE    every tet of the lattice that meets the body: the cage contains the whole surface, thin parts too. Its
  *              tets are filled in part. mesh->region of each is its filled share in SFEM_CAGE_LEVELS parts, by as many
  *              points in it, from 0 to SFEM_CAGE_LEVELS: the index into what sfem_cage_materials makes.
  *
- * Every edge of the mesh's surface is in two triangles: where parts meet in a node or edge only, the nodes are doubled,
- * or tets that meet others there are left out (fitted) or the gap is filled (cage). */
+ * Every edge of the mesh's surface is in two triangles. Where parts would meet in a node only, it is duplicated. Where they
+ * would meet in an edge only, tets at it are left out (fitted) or added (cage). */
 typedef enum sfem_mesher_mode { SFEM_FITTED, SFEM_CAGE } sfem_mesher_mode;
 
 typedef struct sfem_mesher_def {
     sfem_mesher_mode mode; /* default fitted */
     sfem_real size;        /* the longer edges of the lattice, m; 0: as many tets as stated next */
-    sfem_int tets;         /* wanted, where size is 0; default 5000. Found within 15 % from about 1000 on; below,
-                            * and in plates of one layer, the number may jump over it, and the nearest is taken */
+    sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The number
+                            * of small bodies, and of plates of one layer, may jump past it: the nearest is taken */
     sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
     sfem_allocator allocator;
 } sfem_mesher_def;
@@ -534,17 +534,19 @@ typedef struct sfem_mesher_info {
     sfem_real size;   /* the one used, m */
     sfem_real volume; /* of the tets, in a cage of what is filled of them, m^3 */
     sfem_real min_dihedral, max_dihedral; /* of the mesh, degrees */
-    sfem_int degenerate, doubled, flipped; /* triangles without area, there twice, turned round: left out, left out, */
-    sfem_int open_edges;                   /* and turned back; edges of one triangle only, at holes */
+    sfem_int degenerate; /* triangles without area, left out */
+    sfem_int doubled;    /* copies of others, left out */
+    sfem_int flipped;    /* oriented against their neighbours, reversed */
+    sfem_int open_edges; /* edges of one triangle only, at holes */
     sfem_int split;   /* nodes added where parts of the mesh met in a node or an edge only */
-    sfem_int mended;  /* tets left out (fitted) or added (cage) for the sake of edges */
+    sfem_int repaired;  /* tets left out (fitted) or added (cage) where parts met in an edge only */
     sfem_int passes;  /* lattices laid until the number of tets was right */
     sfem_int lattice; /* points of the last one */
 } sfem_mesher_info;
 
 /* Tets that fill a closed surface, or what nearly is one: x [nodes][3] and tri [triangles][3], as sfem_surface_read
- * makes them; other fields are not looked at. Triangles that are there twice are taken once. Where triangles with a
- * common edge are turned differently, the smaller area is turned. Holes are closed by the winding number.
+ * makes them; other fields are not looked at. Copies of a triangle count once. Where neighbours are oriented
+ * differently, those of the smaller area are reversed. Holes are closed by the winding number.
  *   info    or NULL
  *   errors  SFEM_BAD_ARGUMENT   size, tets, mode; a surface without x
  *           SFEM_BAD_MESH       a vertex number out of range (the text tells the triangle), no triangle with an area, a
@@ -559,8 +561,12 @@ SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sf
 
 /* Tets that fill what is inside of a function and of a box[2][3], its least and greatest coordinates: f(x) is below 0
  * inside, such as a signed distance; only its sign and, where it is continuous, its zeros matter.
- * It is called by the calling thread alone. Errors and cost as above, but for the triangles; SFEM_NOT_FINITE for a
- * value of f that is none. A cage may miss parts that lie between the points at which f is asked: corners, centres and
+ * It is called by the calling thread alone.
+ *   box     m
+ *   errors  SFEM_BAD_ARGUMENT (size, tets, mode, box), SFEM_NOT_FINITE (a value of f), SFEM_BAD_MESH (nothing inside at
+ *           this size), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *   cost    a value of f for each lattice point, 24 at most for each cut
+ * A cage may miss parts that lie between the points at which f is asked: corners, centres and
  * SFEM_CAGE_LEVELS points of each tet of the lattice next to the body. */
 typedef sfem_real (*sfem_sdf)(const sfem_real x[3], void *user);
 SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, void *user, const sfem_real box[2][3],
@@ -568,7 +574,8 @@ SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, 
 
 /* Materials of a cage: material k is the base with density and Young's modulus times k/SFEM_CAGE_LEVELS, or times
  * least, in (0, 1], where that is more, so that no node is without mass and stiffness; 0.05 serves. They go into
- * sfem_model_def's materials and material_count = SFEM_CAGE_LEVELS + 1, while tet_material stays NULL. */
+ * sfem_model_def's materials and material_count = SFEM_CAGE_LEVELS + 1, while tet_material stays NULL.
+ *   errors  SFEM_BAD_ARGUMENT (least); O(1), allocates nothing */
 #define SFEM_CAGE_LEVELS 20
 struct sfem_material; /* >>api-model */
 SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least,
@@ -1250,7 +1257,7 @@ typedef struct sfem_damping_force {
 } sfem_damping_force;
 
 /* WORKSPACE: what bodies need during a step only, and during calls that compute. By default each body has its own, which
- * is most of its memory: 0.6 kB a node, 1.5 kB where it rotates. Bodies that are stepped one after the other may share
+ * is most of its memory: about 2 kB a node of a body that rotates (tests/test_workspace.c prints it). Bodies that are stepped one after the other may share
  * one (def.workspace), of any models: it becomes as large as the most demanding of them needs. Such bodies are to be
  * created, stepped, asked and changed by one thread at a time. While one of them is between sfem_body_predict and
  * _finish, calls to others that compute are errors (SFEM_BAD_ARGUMENT, or trip SFEM_ASSERT where they return no status).
@@ -1258,7 +1265,7 @@ typedef struct sfem_damping_force {
  *   errors     SFEM_OUT_OF_MEMORY */
 typedef struct sfem_workspace sfem_workspace;
 SFEM_DEF sfem_status sfem_workspace_create(const sfem_allocator *allocator, sfem_workspace **out, sfem_error *err);
-SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *workspace);
+SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *workspace); /* that it takes now */
 SFEM_DEF void sfem_workspace_free(sfem_workspace *workspace); /* after its bodies; NULL allowed */
 
 typedef struct sfem_body_def {
@@ -7210,9 +7217,9 @@ done:
  * >>mesher   tets from a surface or a function
  * ============================================================================================ */
 
-/* The data's way: triangles are mended and put into a tree, which tells the winding number of a point and where a
+/* The data's way: triangles are repaired and put into a tree, which tells the winding number of a point and where a
  * segment meets triangles. A lattice is laid over the box; its points get signs, its edges cuts where signs differ;
- * tets are made of both, numbered, and parts that hang together by a node or an edge only are separated.
+ * tets are made of both and numbered; where the mesh would not be a manifold, nodes are duplicated or tets changed.
  * Each point and each cut is found by itself, and all else is done by one thread: the bits do not depend on threads.
  *
  * LITERATURE. Jacobson, Kavan, Sorkine-Hornung, Robust inside-outside segmentation using generalized winding numbers,
@@ -7247,21 +7254,21 @@ done:
     return status;
 }
 
-/* ---- mending the triangles ---- */
+/* ---- repair of the triangles ---- */
 
-typedef struct sfemi_mend {
+typedef struct sfemi_repair {
     const sfem_surface *s;
     sfem_allocator a;
     sfem_int n;              /* triangles left, of which */
     sfem_int *tri;           /* [n][3] are the nodes */
     sfem_int *parent;        /* [n] union-find of triangles that are connected by edges of two, */
-    unsigned char *odd;      /* [n] 1 where a triangle is turned otherwise than its parent */
+    unsigned char *odd;      /* [n] 1 where a triangle is oriented otherwise than its parent */
     sfem_mesher_info *info;
     sfem_error *err;
-} sfemi_mend;
+} sfemi_repair;
 
 /* Twice the area vector of a triangle of corners. */
-static void sfemi_mend_normal(const sfem_real *a, const sfem_real *b, const sfem_real *c, sfem_real n[3])
+static void sfemi_repair_normal(const sfem_real *a, const sfem_real *b, const sfem_real *c, sfem_real n[3])
 {
     sfem_real u[3], v[3];
     sfemi_sub3(b, a, u);
@@ -7269,15 +7276,15 @@ static void sfemi_mend_normal(const sfem_real *a, const sfem_real *b, const sfem
     sfemi_cross(u, v, n);
 }
 
-static sfem_real sfemi_mend_area(const sfemi_mend *m, sfem_int t)
+static sfem_real sfemi_repair_area(const sfemi_repair *m, sfem_int t)
 {
     const sfem_int *v = m->tri + 3 * (size_t)t;
     sfem_real n[3];
-    sfemi_mend_normal(m->s->x + 3 * (size_t)v[0], m->s->x + 3 * (size_t)v[1], m->s->x + 3 * (size_t)v[2], n);
+    sfemi_repair_normal(m->s->x + 3 * (size_t)v[0], m->s->x + 3 * (size_t)v[1], m->s->x + 3 * (size_t)v[2], n);
     return sqrt(sfemi_dot3(n, n));
 }
 
-static sfem_status sfemi_mend_check(const sfem_surface *s, sfem_error *err)
+static sfem_status sfemi_repair_check(const sfem_surface *s, sfem_error *err)
 {
     size_t k;
     sfem_int i;
@@ -7302,7 +7309,7 @@ static sfem_status sfemi_mend_check(const sfem_surface *s, sfem_error *err)
 }
 
 /* The triangles by welded nodes, without those that have no area. */
-static sfem_status sfemi_mend_collect(sfemi_mend *m)
+static sfem_status sfemi_repair_collect(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
@@ -7315,7 +7322,7 @@ static sfem_status sfemi_mend_collect(sfemi_mend *m)
     for (t = 0; t < s->triangles; ++t) {
         sfem_int *v = m->tri + 3 * (size_t)m->n;
         for (k = 0; k < 3; ++k) v[k] = first[s->tri[3 * (size_t)t + (size_t)k]];
-        if (v[0] == v[1] || v[1] == v[2] || v[2] == v[0] || !(sfemi_mend_area(m, m->n) > 0))
+        if (v[0] == v[1] || v[1] == v[2] || v[2] == v[0] || !(sfemi_repair_area(m, m->n) > 0))
             ++m->info->degenerate;
         else
             ++m->n;
@@ -7326,9 +7333,9 @@ done:
     return status;
 }
 
-/* Of equal triangles the first is kept, and the first that is turned the other way: what both enclose cancels. Where
- * most triangles are of such pairs, the surface has two sides on purpose, and one is kept. */
-static sfem_status sfemi_mend_doubled(sfemi_mend *m)
+/* Of equal triangles the first of each orientation is kept: what a pair of opposite ones encloses cancels. Where most
+ * triangles are of such pairs, the surface was made two-sided on purpose, and one side is kept. */
+static sfem_status sfemi_repair_doubled(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
@@ -7369,8 +7376,8 @@ done:
     return status;
 }
 
-/* The root of a triangle, and whether it is turned otherwise; the path is shortened. */
-static sfem_int sfemi_mend_root(sfemi_mend *m, sfem_int t, unsigned char *odd)
+/* The root of a triangle, and whether it is oriented otherwise than that; the path is shortened. */
+static sfem_int sfemi_repair_root(sfemi_repair *m, sfem_int t, unsigned char *odd)
 {
     sfem_int root = t, next;
     unsigned char sum = 0, before;
@@ -7387,7 +7394,7 @@ static sfem_int sfemi_mend_root(sfemi_mend *m, sfem_int t, unsigned char *odd)
 }
 
 /* Joins triangles at edges that two of them share; counts edges of one. */
-static sfem_status sfemi_mend_join(sfemi_mend *m)
+static sfem_status sfemi_repair_join(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
@@ -7403,11 +7410,11 @@ static sfem_status sfemi_mend_join(sfemi_mend *m)
         for (j = i + 1; j < edges; ++j)
             if (memcmp(key + 2 * (size_t)order[j], key + 2 * (size_t)order[i], 2 * sizeof *key)) break;
         m->info->open_edges += j == i + 1;
-        if (j == i + 2) { /* both run the same way along it: one of them is turned otherwise */
+        if (j == i + 2) { /* neighbours run along it in opposite directions, or one is reversed */
             const sfem_int e = order[i], f = order[i + 1];
             unsigned char odd[2];
-            const sfem_int p = sfemi_mend_root(m, e / 3, odd), q = sfemi_mend_root(m, f / 3, odd + 1);
-            if (p == q) continue; /* a Moebius strip cannot be turned right: what came first counts */
+            const sfem_int p = sfemi_repair_root(m, e / 3, odd), q = sfemi_repair_root(m, f / 3, odd + 1);
+            if (p == q) continue; /* a Moebius strip has no orientation: what came first counts */
             m->parent[p > q ? p : q] = p > q ? q : p;
             m->odd[p > q ? p : q] = (unsigned char)(odd[0] ^ odd[1] ^ (m->tri[e] == m->tri[f]));
         }
@@ -7418,8 +7425,8 @@ done:
     return status;
 }
 
-/* Turns the smaller area of each connected part. */
-static sfem_status sfemi_mend_turn(sfemi_mend *m)
+/* Reverses the smaller area of each connected part. */
+static sfem_status sfemi_repair_turn(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
@@ -7429,15 +7436,15 @@ static sfem_status sfemi_mend_turn(sfemi_mend *m)
     SFEMI_NEW(unsigned char, m->odd, &m->a, m->n);
     SFEMI_NEW(sfem_real, area, &m->a, 2 * (size_t)m->n);
     for (t = 0; t < m->n; ++t) m->parent[t] = t;
-    SFEMI_TRY(sfemi_mend_join(m));
+    SFEMI_TRY(sfemi_repair_join(m));
     for (t = 0; t < m->n; ++t) {
         unsigned char odd;
-        const sfem_int root = sfemi_mend_root(m, t, &odd);
-        area[2 * (size_t)root + odd] += sfemi_mend_area(m, t);
+        const sfem_int root = sfemi_repair_root(m, t, &odd);
+        area[2 * (size_t)root + odd] += sfemi_repair_area(m, t);
     }
     for (t = 0; t < m->n; ++t) {
         unsigned char odd;
-        const sfem_int root = sfemi_mend_root(m, t, &odd);
+        const sfem_int root = sfemi_repair_root(m, t, &odd);
         sfem_int *v = m->tri + 3 * (size_t)t, swap = v[1];
         if (odd != (area[2 * (size_t)root + 1] > area[2 * (size_t)root] * (1 + 1e-12))) {
             v[1] = v[2];
@@ -7467,8 +7474,8 @@ typedef struct sfemi_bvh {
 
 enum { SFEMI_BVH_LEAF = 4, SFEMI_BVH_DEEP = 48 };
 
-/* A dipole stands for the triangles of a node from this many of its radii on: the winding number of 2000 points in and
- * round a torus of 70 200 triangles was wrong by at most 0.06, where 0.5 decides; a query took 3 us. */
+/* A dipole stands for the triangles of a node from this many of its radii on. tests/test_mesher.c bounds what that does to
+ * winding numbers, of which 0.5 decides. */
 #define SFEMI_BVH_FAR 2.5
 
 static void sfemi_bvh_box(const sfem_real *corner, sfem_int count, sfem_real box[2][3])
@@ -7494,7 +7501,7 @@ static void sfemi_bvh_sum(sfemi_bvh_node *v, const sfem_real *corner, sfem_int c
     for (t = 0; t < count; ++t) {
         const sfem_real *p = corner + 9 * (size_t)t;
         sfem_real n[3], area;
-        sfemi_mend_normal(p, p + 3, p + 6, n);
+        sfemi_repair_normal(p, p + 3, p + 6, n);
         area = sqrt(sfemi_dot3(n, n));
         weight += area;
         for (c = 0; c < 3; ++c) {
@@ -7651,7 +7658,7 @@ typedef struct sfemi_solid {
     sfem_real volume, area; /* estimates, for the number of tets */
 } sfemi_solid;
 
-/* Above 0 inside; outside of the box it is below, by decree. */
+/* Above 0 inside. It is below 0 outside of the box, whatever the function says, so that the mesh ends there. */
 static sfem_real sfemi_solid_value(const sfemi_solid *s, const sfem_real x[3])
 {
     sfem_real wall = HUGE_VAL, v;
@@ -7980,8 +7987,8 @@ static void sfemi_lattice_prism(sfemi_lattice *l, const sfem_int top[3], const s
     }
 }
 
-/* Two inside, c and d outside: a prism between the triangles a, ac, ad and b, bc, bd. */
-static void sfemi_lattice_wedge(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+/* Points a and b inside, c and d outside: a prism between the triangles a, ac, ad and b, bc, bd. */
+static void sfemi_lattice_two_inside(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
 {
     sfem_int top[3], bottom[3];
     sfem_real x[3], y[3], u[3], v[3];
@@ -8004,7 +8011,7 @@ static void sfemi_lattice_wedge(sfemi_lattice *l, sfem_int a, sfem_int b, sfem_i
 }
 
 /* Three inside, d outside: a prism between the cuts and a, b, c. */
-static void sfemi_lattice_stump(sfemi_lattice *l, const sfem_int in[3], sfem_int d)
+static void sfemi_lattice_three_inside(sfemi_lattice *l, const sfem_int in[3], sfem_int d)
 {
     sfem_int top[3];
     int order[3] = {0, 0, 0}, rank, i, j;
@@ -8035,9 +8042,9 @@ static void sfemi_lattice_stencil(sfemi_lattice *l, const sfem_int p[4])
         for (k = 0; k < outs; ++k) cut[ons + k] = sfemi_lattice_end(l, in[0], out[k]);
         sfemi_lattice_put(l, in[0], cut[0], cut[1], cut[2]);
     } else if (ins == 3) {
-        sfemi_lattice_stump(l, in, out[0]);
+        sfemi_lattice_three_inside(l, in, out[0]);
     } else if (outs == 2) {
-        sfemi_lattice_wedge(l, in[0], in[1], out[0], out[1]);
+        sfemi_lattice_two_inside(l, in[0], in[1], out[0], out[1]);
     } else { /* a pyramid: two tets with the point on the surface */
         const int from_a = sfemi_lattice_diagonal(l, in[0], in[1], out[0]);
         cut[0] = sfemi_lattice_end(l, in[0], out[0]);
@@ -8088,7 +8095,7 @@ static void sfemi_lattice_angles(const sfem_real *const x[4], sfem_real cosine[2
     int i, j;
     for (i = 0; i < 4; ++i) {
         const unsigned char *v = sfemi_mesh_face[i];
-        sfemi_mend_normal(x[v[0]], x[v[1]], x[v[2]], n[i]);
+        sfemi_repair_normal(x[v[0]], x[v[1]], x[v[2]], n[i]);
     }
     for (i = 0; i < 4; ++i)
         for (j = i + 1; j < 4; ++j) { /* that of an angle between faces is minus that between their normals */
@@ -8162,7 +8169,7 @@ static int sfemi_cage_meets(sfem_real tri[3][3], sfem_real tet[4][3])
     if (sfemi_cage_apart(tri, tet, d)) return 0;
     for (k = 0; k < 4; ++k) {
         const unsigned char *v = sfemi_mesh_face[k];
-        sfemi_mend_normal(tet[v[0]], tet[v[1]], tet[v[2]], d);
+        sfemi_repair_normal(tet[v[0]], tet[v[1]], tet[v[2]], d);
         if (sfemi_cage_apart(tri, tet, d)) return 0;
     }
     for (i = 0; i < 4; ++i)
@@ -8270,30 +8277,38 @@ static void sfemi_lattice_enclose(sfemi_lattice *l, const sfem_int v[4], size_t 
     sfemi_lattice_put(l, v[0], v[1], v[2], v[3]);
 }
 
-/* Marks all tets round the edge of two points: what lies between them gets filled. Returns how many are new. */
+/* Marks a tet that has both points, a new one; returns whether it is. */
+static int sfemi_cage_fill_tet(sfemi_lattice *l, sfem_int p, int axis, int m, const sfem_int ends[2])
+{
+    const size_t at = ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + (size_t)m;
+    sfem_int v[4];
+    int k, found = 0;
+    sfemi_lattice_tet(l, p, axis, m, v);
+    for (k = 0; k < 4; ++k) found += v[k] == ends[0] || v[k] == ends[1];
+    if (found < 2 || l->mark[at] || sfemi_cage_inside(l, v)) return 0;
+    l->mark[at] = 2;
+    return 1;
+}
+
+/* Marks all tets round the edge of two points, which fills the gap there. Returns how many are new. */
 static sfem_int sfemi_cage_fill(sfemi_lattice *l, sfem_int a, sfem_int b)
 {
-    sfem_int i[3], j[3], v[4], added = 0;
-    int axis, m, c, k;
+    const sfem_int ends[2] = {a, b};
+    sfem_int i[3], from[3], to[3], j[3], added = 0;
+    int axis, m, c;
     sfemi_lattice_indices(l, a, i);
-    for (j[0] = i[0] - 2; j[0] <= i[0] + 1; ++j[0])
-        for (j[1] = i[1] - 2; j[1] <= i[1] + 1; ++j[1])
-            for (j[2] = i[2] - 2; j[2] <= i[2] + 1; ++j[2])
-                for (axis = 0; axis < 3; ++axis)
-                    for (m = 0; m < 4; ++m) {
-                        const sfem_int p = 2 * ((j[0] * l->n[1] + j[1]) * l->n[2] + j[2]) + 1;
-                        size_t at;
-                        int found = 0;
-                        for (c = 0; c < 3; ++c)
-                            if (j[c] < 0 || j[c] > l->n[c] - (c == axis ? 3 : 2)) found = -9;
-                        if (found < 0) continue;
-                        sfemi_lattice_tet(l, p, axis, m, v);
-                        for (k = 0; k < 4; ++k) found += (v[k] == a) + (v[k] == b);
-                        at = ((size_t)(p / 2) * 3 + (size_t)axis) * 4 + (size_t)m;
-                        if (found < 2 || l->mark[at] || sfemi_cage_inside(l, v)) continue;
-                        l->mark[at] = 2;
-                        ++added;
-                    }
+    for (axis = 0; axis < 3; ++axis) {
+        for (c = 0; c < 3; ++c) { /* cells next to the point, as far as the lattice has tets along this axis */
+            const sfem_int last = l->n[c] - (c == axis ? 3 : 2);
+            from[c] = i[c] < 2 ? 0 : i[c] - 2;
+            to[c] = i[c] + 1 < last ? i[c] + 1 : last;
+        }
+        for (j[0] = from[0]; j[0] <= to[0]; ++j[0])
+            for (j[1] = from[1]; j[1] <= to[1]; ++j[1])
+                for (j[2] = from[2]; j[2] <= to[2]; ++j[2])
+                    for (m = 0; m < 4; ++m)
+                        added += sfemi_cage_fill_tet(l, 2 * ((j[0] * l->n[1] + j[1]) * l->n[2] + j[2]) + 1, axis, m, ends);
+    }
     return added;
 }
 
@@ -8358,8 +8373,8 @@ done:
     return status;
 }
 
-/* What separates parts that hang together by a node or an edge only. */
-typedef struct sfemi_pinch {
+/* What makes the mesh a manifold where parts meet in a node or an edge only. */
+typedef struct sfemi_manifold {
     sfem_mesh *m;
     const sfem_allocator *a;
     sfem_error *err;
@@ -8369,9 +8384,9 @@ typedef struct sfemi_pinch {
     sfem_int nodes;   /* so many then */
     sfem_int *edge;   /* [edges] corners of faces, 3 (4 tet + face) + side, whose edges are in more than two triangles */
     sfem_int edges;
-} sfemi_pinch;
+} sfemi_manifold;
 
-static void sfemi_pinch_free(sfemi_pinch *p)
+static void sfemi_manifold_free(sfemi_manifold *p)
 {
     sfemi_delete(p->a, p->mate);
     sfemi_delete(p->a, p->root);
@@ -8379,7 +8394,7 @@ static void sfemi_pinch_free(sfemi_pinch *p)
     sfemi_delete(p->a, p->edge);
 }
 
-static sfem_status sfemi_pinch_mates(sfemi_pinch *p)
+static sfem_status sfemi_manifold_mates(sfemi_manifold *p)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
@@ -8403,7 +8418,7 @@ done:
     return status;
 }
 
-static sfem_int sfemi_pinch_root(sfemi_pinch *p, sfem_int i)
+static sfem_int sfemi_manifold_root(sfemi_manifold *p, sfem_int i)
 {
     while (p->root[i] != i) {
         p->root[i] = p->root[p->root[i]];
@@ -8413,7 +8428,7 @@ static sfem_int sfemi_pinch_root(sfemi_pinch *p, sfem_int i)
 }
 
 /* One node for each set of tets that faces connect round it: the first set keeps the number. */
-static sfem_status sfemi_pinch_corners(sfemi_pinch *p)
+static sfem_status sfemi_manifold_corners(sfemi_manifold *p)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
@@ -8430,14 +8445,14 @@ static sfem_status sfemi_pinch_corners(sfemi_pinch *p)
         for (k = 0; k < 3; ++k) {
             i = (f & ~3) + sfemi_mesh_face[f & 3][k];
             for (j = p->mate[f] & ~3; tet[j] != tet[i];) ++j;
-            i = sfemi_pinch_root(p, i);
-            j = sfemi_pinch_root(p, j);
+            i = sfemi_manifold_root(p, i);
+            j = sfemi_manifold_root(p, j);
             p->root[i > j ? i : j] = i > j ? j : i;
         }
     }
     p->nodes = p->m->nodes;
     for (i = 0; i < corners; ++i) {
-        j = sfemi_pinch_root(p, i);
+        j = sfemi_manifold_root(p, i);
         if (j != i)
             p->number[i] = p->number[j]; /* a root is lower than its corners */
         else {
@@ -8451,7 +8466,7 @@ done:
 }
 
 /* The edges that are in more than two triangles of the surface, by the new numbers: one entry for each triangle. */
-static sfem_status sfemi_pinch_edges(sfemi_pinch *p)
+static sfem_status sfemi_manifold_edges(sfemi_manifold *p)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
@@ -8485,7 +8500,7 @@ done:
 }
 
 /* From a face on the surface through the tets round one of its edges to the surface again: how many; marks them. */
-static sfem_int sfemi_pinch_wedge(const sfemi_pinch *p, sfem_int side, unsigned char *dead)
+static sfem_int sfemi_manifold_wedge(const sfemi_manifold *p, sfem_int side, unsigned char *dead)
 {
     const sfem_int *tet = p->m->tet;
     sfem_int f = side / 3, n = 0, a, b, k;
@@ -8504,7 +8519,7 @@ static sfem_int sfemi_pinch_wedge(const sfemi_pinch *p, sfem_int side, unsigned 
 }
 
 /* Takes the smallest wedge of tets out at each such edge. */
-static sfem_status sfemi_pinch_cut(sfemi_pinch *p, sfem_int *count)
+static sfem_status sfemi_manifold_cut(sfemi_manifold *p, sfem_int *count)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
@@ -8518,13 +8533,13 @@ static sfem_status sfemi_pinch_cut(sfemi_pinch *p, sfem_int *count)
             const sfem_int f = p->edge[j] / 3, k = p->edge[j] % 3, at = j > i;
             const sfem_int a = p->number[(f & ~3) + sfemi_mesh_face[f & 3][k]];
             const sfem_int b = p->number[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]];
-            const sfem_int size = sfemi_pinch_wedge(p, p->edge[j], NULL);
+            const sfem_int size = sfemi_manifold_wedge(p, p->edge[j], NULL);
             low[at] = a < b ? a : b;
             high[at] = a < b ? b : a;
             if (at && (low[0] != low[1] || high[0] != high[1])) break;
             if (size < least) least = size, best = p->edge[j];
         }
-        sfemi_pinch_wedge(p, best, dead);
+        sfemi_manifold_wedge(p, best, dead);
     }
     for (t = 0; t < p->m->tets; ++t) {
         *count += dead[t];
@@ -8537,7 +8552,7 @@ done:
 }
 
 /* Gives the corners their new nodes. */
-static sfem_status sfemi_pinch_apply(sfemi_pinch *p, sfem_int *split)
+static sfem_status sfemi_manifold_apply(sfemi_manifold *p, sfem_int *split)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = p->err;
@@ -8558,11 +8573,12 @@ done:
     return status;
 }
 
-/* The lattice's mesh, every edge of whose surface is in two triangles. Each round takes tets away or adds some. */
+/* The lattice's mesh, every edge of whose surface is in two triangles. Each round removes a tet or adds one at least, so
+ * the rounds end. */
 static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
 {
     sfem_status status;
-    sfemi_pinch p;
+    sfemi_manifold p;
     sfem_int edges, i;
     memset(&p, 0, sizeof p);
     SFEMI_TRY(sfemi_lattice_emit(l));
@@ -8572,28 +8588,28 @@ static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
         p.m = &l->mesh;
         p.a = l->a;
         p.err = l->err;
-        SFEMI_TRY(sfemi_pinch_mates(&p));
-        SFEMI_TRY(sfemi_pinch_corners(&p));
-        SFEMI_TRY(sfemi_pinch_edges(&p));
+        SFEMI_TRY(sfemi_manifold_mates(&p));
+        SFEMI_TRY(sfemi_manifold_corners(&p));
+        SFEMI_TRY(sfemi_manifold_edges(&p));
         edges = p.edges;
         if (!edges) break;
         if (l->cage) {
             for (i = 0; i < edges; ++i) {
                 const sfem_int f = p.edge[i] / 3, k = p.edge[i] % 3;
-                info->mended += sfemi_cage_fill(l, l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][k]]],
+                info->repaired += sfemi_cage_fill(l, l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][k]]],
                                                 l->at[l->mesh.tet[(f & ~3) + sfemi_mesh_face[f & 3][(k + 1) % 3]]]);
             }
             SFEMI_TRY(sfemi_lattice_emit(l));
             SFEMI_TRY(sfemi_lattice_number(l));
         } else
-            SFEMI_TRY(sfemi_pinch_cut(&p, &info->mended));
-        sfemi_pinch_free(&p);
+            SFEMI_TRY(sfemi_manifold_cut(&p, &info->repaired));
+        sfemi_manifold_free(&p);
         memset(&p, 0, sizeof p);
     }
-    SFEMI_TRY(sfemi_pinch_apply(&p, &info->split));
+    SFEMI_TRY(sfemi_manifold_apply(&p, &info->split));
     if (l->mesh.tets) status = sfem_mesh_remove_unused(&l->mesh, NULL, l->err);
 done:
-    sfemi_pinch_free(&p);
+    sfemi_manifold_free(&p);
     return status;
 }
 
@@ -8685,7 +8701,7 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     l.a = &def->allocator;
     l.err = err;
     l.cage = def->mode == SFEM_CAGE;
-    info->mended = info->split = 0;
+    info->repaired = info->split = 0;
     info->size = h;
     ++info->passes;
     SFEMI_TRY(sfemi_lattice_lay(&l, h));
@@ -8711,8 +8727,8 @@ done:
     return status;
 }
 
-/* The length of edges by which a volume V in an area A is likely to have n tets: 12 V/h^3 + k A/h^2 = n. k is a
- * guess, with which two lattices were enough for each of five scanned and drawn bodies of 20 000 tets. */
+/* A first length of edges for n tets in a volume V of area A: 12 V/h^3 + k A/h^2 = n, the tets of the volume and those
+ * that its surface adds. k was fitted to five scanned and drawn bodies; the search corrects what it is off. */
 static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def *def)
 {
     const sfem_real n = (sfem_real)def->tets, k = def->mode == SFEM_CAGE ? 9 : 6;
@@ -8801,7 +8817,7 @@ done:
 }
 
 /* The tree of what is left of the surface; volume and area of it. */
-static sfem_status sfemi_mesher_tree(sfemi_solid *s, const sfemi_mend *m)
+static sfem_status sfemi_mesher_tree(sfemi_solid *s, const sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
@@ -8819,7 +8835,7 @@ static sfem_status sfemi_mesher_tree(sfemi_solid *s, const sfemi_mend *m)
     sfemi_bvh_build(tree, 0, m->n, 0);
     for (k = 0; k < (size_t)m->n; ++k) {
         const sfem_real *p = tree->corner + 9 * k;
-        sfemi_mend_normal(p, p + 3, p + 6, n);
+        sfemi_repair_normal(p, p + 3, p + 6, n);
         for (c = 0; c < 3; ++c) d[c] = p[c] - 0.5 * (s->box[0][c] + s->box[1][c]);
         s->area += 0.5 * sqrt(sfemi_dot3(n, n));
         s->volume += sfemi_dot3(n, d) / 6;
@@ -8836,7 +8852,7 @@ SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sf
     sfem_status status;
     sfem_mesher_info own;
     sfemi_solid s;
-    sfemi_mend m;
+    sfemi_repair m;
     SFEM_ASSERT(def && surface && out);
     memset(&s, 0, sizeof s);
     memset(&m, 0, sizeof m);
@@ -8846,10 +8862,10 @@ SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sf
     m.info = &own;
     m.err = err;
     SFEMI_TRY(sfemi_mesher_check(def, err));
-    SFEMI_TRY(sfemi_mend_check(surface, err));
-    SFEMI_TRY(sfemi_mend_collect(&m));
-    SFEMI_TRY(sfemi_mend_doubled(&m));
-    SFEMI_TRY(sfemi_mend_turn(&m));
+    SFEMI_TRY(sfemi_repair_check(surface, err));
+    SFEMI_TRY(sfemi_repair_collect(&m));
+    SFEMI_TRY(sfemi_repair_doubled(&m));
+    SFEMI_TRY(sfemi_repair_turn(&m));
     SFEMI_TRY(sfemi_mesher_tree(&s, &m));
     SFEMI_TRY(sfemi_mesher_make(&s, def, out, &own, err));
     if (info) *info = own;
@@ -10144,7 +10160,7 @@ done:
 }
 
 /* ============================================================================================
- * >>crew   shared counters, and threads that work off a list of units that wait for each other
+ * >>queue   shared counters, and threads that work off a list of units that wait for each other
  *
  * For factorisations and solves, whose units are too uneven for a loop in parallel. Units write to places of their own
  * and are summed in an order that is fixed beforehand: the number of threads changes no bit. Without atomics one thread
@@ -10188,30 +10204,29 @@ static double sfemi_seconds(void)
 #endif
 }
 
-/* A crew works off a list of units on several threads in one parallel region: each worker takes the
- * next unit, waits for what it depends on, which stands before it in the list and so has been
- * taken, and does it. So one worker alone can do everything, and nobody waits for a thread that the
- * system has not started.
+/* A work queue: several threads work off a list of units in one parallel region. Each worker takes the next unit, waits
+ * for those that it depends on, and does it. These stand before it in the list, so they have been taken. One worker
+ * alone can do everything, and nobody waits for a thread that the system has not started.
  *
- * On a busy machine several threads may still take longer than one. A pace compares the two: one
- * call in 64 is done alone, and where the crew was slower it rests, for longer each time. */
-#define SFEMI_CREW 32 /* most workers */
+ * On a busy machine several threads may take longer than one. A pace compares the two: one call in 64 is done by one
+ * thread, and where several were slower, the next calls are, too, more of them each time. */
+#define SFEMI_WORKERS 32 /* most workers */
 
 typedef struct sfemi_pace {
     sfemi_counter calls, rest, longer;
     sfemi_counter alone; /* microseconds / 4 of the latest call on one thread, or 0 */
 } sfemi_pace;
 
-typedef struct sfemi_crew {
+typedef struct sfemi_queue {
     void (*unit)(void *data, sfem_int unit);
     void *data;
     sfem_int count;
     sfemi_counter *next;
-} sfemi_crew;
+} sfemi_queue;
 
-static void sfemi_crew_work(void *data, sfem_int worker)
+static void sfemi_queue_work(void *data, sfem_int worker)
 {
-    sfemi_crew *c = (sfemi_crew *)data;
+    sfemi_queue *c = (sfemi_queue *)data;
     (void)worker;
     for (;;) {
         const sfem_int unit = (sfem_int)SFEMI_ATOMIC_ADD(c->next, 1);
@@ -10220,7 +10235,7 @@ static void sfemi_crew_work(void *data, sfem_int worker)
     }
 }
 
-static void sfemi_crew_wait(sfemi_counter *counter, sfem_int value)
+static void sfemi_queue_wait(sfemi_counter *counter, sfem_int value)
 {
     int spins = 0;
     while (SFEMI_ATOMIC_GET(counter) < value) {
@@ -10242,7 +10257,7 @@ static sfem_int sfemi_pace_threads(sfemi_pace *p, const sfem_exec *e)
         return 1;
     }
     if (SFEMI_ATOMIC_ADD(&p->calls, 1) % 64 == 1) return 1;
-    return threads < SFEMI_CREW ? threads : SFEMI_CREW;
+    return threads < SFEMI_WORKERS ? threads : SFEMI_WORKERS;
 }
 
 static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
@@ -11056,7 +11071,7 @@ struct sfem_ldl {
     double *lost;         /* [tasks] the pivot that stopped a task */
     sfem_int *lost_at;    /* [tasks] its column, or -1; -2: a task below failed */
     sfem_int *units;      /* [tasks + 1] in order of levels: units of work before each */
-    sfemi_counter *done;  /* [tasks + 1] units done; then the crew's counter */
+    sfemi_counter *done;  /* [tasks + 1] units done; then the queue's counter */
     sfemi_pace *pace;     /* [3] of factorisations, solves, solves of blocks */
     sfem_int *negative;   /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
@@ -11184,10 +11199,10 @@ static void sfemi_solve_unit(void *data, sfem_int u)
     sfem_int c;
     if (up)
         for (c = y->child[root]; c >= 0; c = y->sibling[c]) {
-            if (y->of[c] != t) sfemi_crew_wait(q->done + y->of[c], 1);
+            if (y->of[c] != t) sfemi_queue_wait(q->done + y->of[c], 1);
         }
     else
-        sfemi_crew_wait(q->done + (y->parent[root] < 0 ? t : y->tasks + y->of[y->parent[root]]), 1);
+        sfemi_queue_wait(q->done + (y->parent[root] < 0 ? t : y->tasks + y->of[y->parent[root]]), 1);
     (up ? q->forward : q->backward)(data, t);
     SFEMI_ATOMIC_SET(q->done + (up ? t : y->tasks + t), 1);
 }
@@ -11204,16 +11219,16 @@ static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task 
     const double start = exec && exec->threads > 1 ? sfemi_seconds() : 0;
     sfem_int t;
     if (threads > 1) {
-        sfemi_crew crew;
-        crew.unit = sfemi_solve_unit;
-        crew.data = q;
-        crew.count = 2 * y->tasks;
-        crew.next = q->done + 2 * y->tasks;
+        sfemi_queue queue;
+        queue.unit = sfemi_solve_unit;
+        queue.data = q;
+        queue.count = 2 * y->tasks;
+        queue.next = q->done + 2 * y->tasks;
         memset(q->done, 0, (2 * (size_t)y->tasks + 1) * sizeof *q->done);
         q->forward = forward;
         q->backward = backward;
-        SFEMI_ATOMIC_SET(crew.next, 0);
-        sfemi_run(exec, threads, sfemi_crew_work, &crew);
+        SFEMI_ATOMIC_SET(queue.next, 0);
+        sfemi_run(exec, threads, sfemi_queue_work, &queue);
     } else {
         for (t = 0; t < y->tasks; ++t) forward(q, t);
         for (t = y->tasks; t-- > 0;) backward(q, t);
@@ -11697,7 +11712,7 @@ static void sfemi_factor_wait(const sfem_ldl *ldl, sfem_int t)
     for (; c >= 0; c = y->sibling[c]) {
         const sfem_int below = y->of[c];
         if (below == t) continue;
-        sfemi_crew_wait(ldl->done + below,
+        sfemi_queue_wait(ldl->done + below,
                         ldl->units[y->at_level[below] + 1] - ldl->units[y->at_level[below]]);
         if (ldl->lost_at[below] != -1) ldl->lost_at[t] = -2;
     }
@@ -11725,7 +11740,7 @@ static void sfemi_factor_unit(void *data, sfem_int unit)
         sfemi_front q = sfemi_front_of(ldl, job->a, y->task[t]);
         size_t before;
         (void)sfemi_front_unit(&q, (size_t)unit, 0, &before, NULL);
-        sfemi_crew_wait(ldl->done + t, (sfem_int)before);
+        sfemi_queue_wait(ldl->done + t, (sfem_int)before);
         if (ldl->lost_at[t] == -1) {
             const sfem_int at = sfemi_front_unit(&q, (size_t)unit, 1, &before, ldl->lost + t);
             if (at >= 0) ldl->lost_at[t] = at + (sfem_int)y->per * y->first[q.s];
@@ -11859,13 +11874,13 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     threads = y->tasks > 1 ? sfemi_pace_threads(ldl->pace, &ldl->exec) : 1;
     start = ldl->exec.threads > 1 ? sfemi_seconds() : 0;
     if (threads > 1) {
-        sfemi_crew crew;
-        crew.unit = sfemi_factor_unit;
-        crew.data = &job;
-        crew.count = ldl->units[y->tasks];
-        crew.next = ldl->done + y->tasks;
-        SFEMI_ATOMIC_SET(crew.next, 0);
-        sfemi_run(&ldl->exec, threads, sfemi_crew_work, &crew);
+        sfemi_queue queue;
+        queue.unit = sfemi_factor_unit;
+        queue.data = &job;
+        queue.count = ldl->units[y->tasks];
+        queue.next = ldl->done + y->tasks;
+        SFEMI_ATOMIC_SET(queue.next, 0);
+        sfemi_run(&ldl->exec, threads, sfemi_queue_work, &queue);
     } else
         for (k = 0; k < y->tasks && (k == 0 || ldl->lost_at[y->by_level[k - 1]] == -1); ++k)
             sfemi_factor_task(ldl, a, y->by_level[k]);
@@ -17586,12 +17601,12 @@ enum { SFEMI_LEDGER, SFEMI_REBASE, SFEMI_NEW_LEDGER };
 enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 
 /* What has come and gone of the energy of a body that may break. */
-typedef struct sfemi_books {
+typedef struct sfemi_energy_balance {
     sfem_real start, now;   /* kinetic and elastic energy in the middle of the first step and the last, J */
     sfem_real work, damped, released, guarded; /* since then */
     sfem_real scale;        /* the largest of all of these so far */
     int64_t open;           /* start is known */
-} sfemi_books;
+} sfemi_energy_balance;
 
 /* In one block, see sfemi_state_array. w is the velocity for Newmark and before the first step, the mean velocity over
  * the last step for (p,q,r). */
@@ -17604,7 +17619,7 @@ typedef struct sfemi_state {
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_handle *handle;  /* [max_handles] */
-    sfemi_books *books;    /* these two only where the body may break */
+    sfemi_energy_balance *balance;    /* these two only where the body may break */
     uint64_t *damage;      /* [] >>damage's own state */
     sfemi_hold *pin;       /* [pin_count] last: what stands before it stays where pins change */
 } sfemi_state;
@@ -17986,7 +18001,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
     SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
     SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
-    SFEMI_ROW(books, 1, breaking, NULL, NULL),
+    SFEMI_ROW(balance, 1, breaking, NULL, NULL),
     SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
     SFEMI_ROW(pin, 1, pins, sfemi_state_check_holds, "a pin")};
 #undef SFEMI_ROW
@@ -18278,7 +18293,7 @@ static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
 }
 
 /* ============================================================================================
- * >>balance   right sides, and the mass: what the integrators share
+ * >>residual   right sides, and the mass: what the integrators share
  * ============================================================================================ */
 
 /* The factor that steps solve with. */
@@ -22782,7 +22797,7 @@ static sfem_real sfemi_fracture_damping(sfem_body *b)
 /* Enters the step, before anything breaks. */
 static void sfemi_fracture_account(sfem_body *b)
 {
-    sfemi_books *k = b->state.books;
+    sfemi_energy_balance *k = b->state.balance;
     sfem_real kinetic, size;
     const sfem_real energy = sfemi_fracture_energy(b, &kinetic);
     b->guard.damped = 0;
@@ -22843,8 +22858,8 @@ static void sfemi_fracture_round(sfem_body *b)
     if (!g->rejected) head->psi += change.psi0;
     g->psi += change.psi1;
     head->budget += fallen;
-    b->state.books->now += fallen;
-    b->state.books->released -= fallen;
+    b->state.balance->now += fallen;
+    b->state.balance->released -= fallen;
     if (change.pieces) { /* what the energies leave out, the centres' motion, is other motion now */
         sfemi_guard_energies before, after;
         sfemi_turn_locate(b, b->state.u);
@@ -23684,7 +23699,7 @@ static sfem_status sfemi_body_new_state(const sfem_body *b, sfem_int pins, sfemi
 {
     const sfemi_state_shape shape = sfemi_body_state_shape(b, pins);
     const sfem_status status = sfemi_saved_new(&sfemi_state_kind, &shape, 0, &b->allocator, out, err);
-    if (!b->bonds) out->books = NULL, out->damage = NULL;
+    if (!b->bonds) out->balance = NULL, out->damage = NULL;
     return status;
 }
 
@@ -24149,7 +24164,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     status = sfemi_body_predict(b, h, err);
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
-    memset(b->late, 0, bytes);
+    memset(b->late, 0, bytes); /* add_impulse adds to it, and the workspace is another body's before */
     b->is_late = b->kicked = 0;
     return SFEM_OK;
 }
@@ -24413,7 +24428,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->estimate = b->state.head->rate = 0;
     b->state.head->pairs = 0;
     b->state.head->skipped = 0;
-    if (b->damage) memset(b->state.books, 0, sizeof *b->state.books);
+    if (b->damage) memset(b->state.balance, 0, sizeof *b->state.balance);
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
     for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
     b->phase = SFEMI_IDLE;
@@ -24756,7 +24771,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 
 SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
 {
-    const sfemi_books *k = b->state.books;
+    const sfemi_energy_balance *k = b->state.balance;
     sfem_fracture f;
     sfem_int i;
     memset(&f, 0, sizeof f);
@@ -24862,7 +24877,7 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
     sfemi_sleep_rouse(b);
     sfemi_damage_reset(b->damage);
     sfemi_fracture_regroup(b);
-    memset(b->state.books, 0, sizeof *b->state.books);
+    memset(b->state.balance, 0, sizeof *b->state.balance);
     b->state.head->current = 0;
     sfemi_refactor_drop(b); /* or K would be larger than the factor's */
     sfemi_sleep_rouse(b);
@@ -31975,9 +31990,10 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
- *   0.4.0   bodies may share a workspace; the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
+ *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
- *           forces with (p,q,r); refactorise in place of renew; Medit meshes; switches that leave parts out; states saved by 0.3.0 are refused
+ *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
+ *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
  *           oscillators; redone steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed

@@ -1386,7 +1386,7 @@ static void violent(const scene *s, test_random *r, double strain, double *u0, d
     }
 }
 
-static void a_round_books_the_energy_that_it_changes_under_every_law(void **state)
+static void a_round_accounts_for_the_energy_that_it_changes_under_every_law(void **state)
 {
     static const sfem_law laws[] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
     size_t l;
@@ -2063,7 +2063,7 @@ static void a_blade_crosses_what_it_sweeps(void **state)
     }
 }
 
-static void a_blade_cuts_a_body_in_two_and_books_the_plane(void **state)
+static void a_blade_cuts_a_body_in_two_and_accounts_for_the_plane(void **state)
 {
     double per[3];
     int n;
@@ -2204,7 +2204,7 @@ int main(void)
         cmocka_unit_test(closing_cracks_need_twice_the_p),
         cmocka_unit_test(a_crack_costs_the_same_on_every_mesh_by_energy_and_less_by_strength),
         cmocka_unit_test(dual_areas_scatter_by_orientation),
-        cmocka_unit_test(a_round_books_the_energy_that_it_changes_under_every_law),
+        cmocka_unit_test(a_round_accounts_for_the_energy_that_it_changes_under_every_law),
         cmocka_unit_test(edges_are_judged_by_the_mean_strain_of_a_step),
         cmocka_unit_test(one_round_breaks_no_two_edges_at_a_node),
         cmocka_unit_test(tets_that_are_passed_over_would_not_have_broken),
@@ -2217,7 +2217,7 @@ int main(void)
         cmocka_unit_test(unbreakable_edges_and_the_rankine_gate_hold),
         cmocka_unit_test(a_ductile_edge_softens_and_does_not_heal),
         cmocka_unit_test(a_blade_crosses_what_it_sweeps),
-        cmocka_unit_test(a_blade_cuts_a_body_in_two_and_books_the_plane),
+        cmocka_unit_test(a_blade_cuts_a_body_in_two_and_accounts_for_the_plane),
         cmocka_unit_test(memory_that_fails_is_given_back),
         cmocka_unit_test(definitions_that_make_no_sense_are_refused),
     };

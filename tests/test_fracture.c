@@ -489,7 +489,7 @@ static double hidden(const scene *s, double h, double beta)
 
 /* A linear body under everything at once: gravity, changing forces, a handle and an end that move, damping,
  * breaks. */
-static void the_books_of_a_linear_body_balance(void **state)
+static void the_energies_of_a_linear_body_balance(void **state)
 {
     int k, i, c;
     (void)state;
@@ -1010,7 +1010,7 @@ static void a_body_without_damage_has_nothing_of_it(void **state)
     (void)state;
     add_body(&s, def, NULL, 0);
     assert_null(s.body->damage);
-    assert_null(s.body->state.books);
+    assert_null(s.body->state.balance);
     run(s.body, 0.01, 3);
     f = sfem_body_fracture(s.body);
     assert_int_equal(f.pieces, 1);
@@ -1061,7 +1061,7 @@ int main(void)
         cmocka_unit_test(no_break_raises_the_invariant_of_a_linear_body),
         cmocka_unit_test(new_pieces_take_energy_out_of_the_stale_factor),
         cmocka_unit_test(a_thrown_body_that_breaks_in_flight_keeps_both_momenta),
-        cmocka_unit_test(the_books_of_a_linear_body_balance),
+        cmocka_unit_test(the_energies_of_a_linear_body_balance),
         cmocka_unit_test(forces_after_breaks_are_those_of_the_damaged_body),
         cmocka_unit_test(a_cut_bar_falls_as_it_should_by_projection_or_refactorisation),
         cmocka_unit_test(the_sources_law_explodes_unless_p_is_what_it_asks_for),

@@ -277,32 +277,30 @@ static double solid_angle(const double *a, const double *b, const double *c, con
 static void the_tree_gives_the_winding_number_of_all_triangles(void **state)
 {
     sfem_surface s = tube(0, 60, 30, 0.4);
-    {
-        sfemi_solid solid;
-        sfemi_mend mend;
-        sfem_mesher_info info;
-        sfem_error err;
-        test_random random = {1};
-        sfem_int t;
-        int k;
-        (void)state;
-        s.triangles -= 400; /* a hole: winding numbers between 0 and 1 */
-        memset(&solid, 0, sizeof solid), memset(&mend, 0, sizeof mend), memset(&info, 0, sizeof info);
-        mend.s = &s, mend.info = &info, mend.err = &err;
-        assert_ok(sfemi_mend_collect(&mend), err);
-        assert_ok(sfemi_mesher_tree(&solid, &mend), err);
-        for (k = 0; k < 1000; ++k) {
-            double p[3], w = 0;
-            random_fill(&random, p, 3, -1.6, 1.6);
-            p[2] *= 0.4;
-            for (t = 0; t < s.triangles; ++t)
-                w += solid_angle(s.x + 3 * s.tri[3 * t], s.x + 3 * s.tri[3 * t + 1], s.x + 3 * s.tri[3 * t + 2], p);
-            assert_near(sfemi_bvh_winding(&solid.tree, p), w / (4 * TEST_PI), 0, 0.08);
-        }
-        sfemi_delete(&mend.a, mend.tri);
-        sfemi_delete(&mend.a, solid.tree.corner);
-        sfemi_delete(&mend.a, solid.tree.node);
+    sfemi_solid solid;
+    sfemi_repair repair;
+    sfem_mesher_info info;
+    sfem_error err;
+    test_random random = {1};
+    sfem_int t;
+    int k;
+    (void)state;
+    s.triangles -= 400; /* a hole: winding numbers between 0 and 1 */
+    memset(&solid, 0, sizeof solid), memset(&repair, 0, sizeof repair), memset(&info, 0, sizeof info);
+    repair.s = &s, repair.info = &info, repair.err = &err;
+    assert_ok(sfemi_repair_collect(&repair), err);
+    assert_ok(sfemi_mesher_tree(&solid, &repair), err);
+    for (k = 0; k < 1000; ++k) {
+        double p[3], w = 0;
+        random_fill(&random, p, 3, -1.6, 1.6);
+        p[2] *= 0.4;
+        for (t = 0; t < s.triangles; ++t)
+            w += solid_angle(s.x + 3 * s.tri[3 * t], s.x + 3 * s.tri[3 * t + 1], s.x + 3 * s.tri[3 * t + 2], p);
+        assert_near(sfemi_bvh_winding(&solid.tree, p), w / (4 * TEST_PI), 0, 0.08);
     }
+    sfemi_delete(&repair.a, repair.tri);
+    sfemi_delete(&repair.a, solid.tree.corner);
+    sfemi_delete(&repair.a, solid.tree.node);
     drop_surface(&s);
 }
 
@@ -326,7 +324,7 @@ static void a_fitted_mesh_is_near_the_surface_and_fills_its_volume(void **state)
         assert_int_equal(r.components, 1);
         assert_int_equal(r.euler, 0);
         assert_true(hausdorff(&s, &m) < size);
-        assert_int_equal(info.flipped + info.doubled + info.degenerate + info.open_edges + info.mended, 0);
+        assert_int_equal(info.flipped + info.doubled + info.degenerate + info.open_edges + info.repaired, 0);
         sfem_mesh_free(&m);
         drop_surface(&s);
     }
