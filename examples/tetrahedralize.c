@@ -167,7 +167,7 @@ int main(int argc, char **argv)
     must(sfem_mesh_check(&mesh, &report, &err), &err);
     write_mesh(out ? out : ex_path(directory, "mesh.msh"), &mesh);
     draw(&mesh, ex_path(directory, "cut.png"));
-    printf("triangles    %ld (left out: %ld without area, %ld doubled; turned: %ld; open edges: %ld)\n",
+    printf("triangles    %ld (left out: %ld without area, %ld doubled; reversed: %ld; open edges: %ld)\n",
            (long)surface.triangles, (long)info.degenerate, (long)info.doubled, (long)info.flipped, (long)info.open_edges);
     printf("tets         %ld\nnodes        %ld\nsize         %.4g m\n", (long)mesh.tets, (long)mesh.nodes, info.size);
     printf("volume       %.6g m^3\ncomponents   %ld\n", info.volume, (long)report.components);
