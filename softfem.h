@@ -58,16 +58,16 @@
  *                           nonlinear statics
  *            >>alpha        dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *            >>pqr          the (p,q,r) family, central difference
- *            >>turn         A^-1 in a body that turns: frames, rigid projection
+ *            >>rotated         A^-1 in a body that rotates: frames, rigid projection
  *            >>resume       linear bodies whose step, pins or handles change
- *            >>guard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
+ *            >>safeguard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
  *            >>body         the pipeline that a user calls: create, prepare, step, read
  *            >>fragments    the surface of a broken body: pieces, cracks
  *            >>statics      static solutions
- *            >>modes        block Lanczos, proof by inertia
+ *            >>modes        block Lanczos, inertia count
  *            >>reduced      modal bodies: oscillators, warping, handles
  *            >>link         packets of accelerations, key frames
  *            >>kernels      inner loops, compiled once for each vector path
@@ -470,7 +470,7 @@ SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allo
  * negative counts, before anything is opened. */
 
 /* Gmsh 4.1 ASCII, regions as entity numbers: sfem_mesh_read gives the same mesh again. */
-SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
+SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err);
 
 /* Values at nodes or in tets, to be written next to the mesh. */
 typedef struct sfem_field {
@@ -484,16 +484,16 @@ typedef struct sfem_field {
  *   x       [nodes][3] current positions, m; NULL = rest
  *   fields  [count], may be NULL if count is 0; the mesh's regions are added by themselves
  *   errors  SFEM_BAD_ARGUMENT (a field without name or values, components < 1), SFEM_IO */
-SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
+SFEM_DEF sfem_status sfem_mesh_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
                                     const sfem_field *fields, sfem_int count, sfem_error *err);
 
 /* ParaView's list (.pvd) of .vtu files, relative to it, and their times, s. */
-SFEM_DEF sfem_status sfem_write_pvd(const char *path, const char *const *files,
+SFEM_DEF sfem_status sfem_mesh_write_pvd(const char *path, const char *const *files,
                                     const sfem_real *times, sfem_int count, sfem_error *err);
 
 /* Wavefront OBJ of a surface at positions x (NULL = rest): only the nodes on it, in mesh order.
  * surface NULL = the mesh's own. Scratch from the mesh's allocator: SFEM_OUT_OF_MEMORY. */
-SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
+SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err);
 #endif
@@ -1110,7 +1110,7 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
 /* Why an edge broke. */
 typedef enum sfem_break_reason {
     SFEM_BROKE_CRITERION,
-    SFEM_BROKE_LONE, /* a fibre: in every tet around it the only intact link between its nodes, or the tet
+    SFEM_BROKE_DANGLING, /* a fibre: in every tet around it the only intact link between its nodes, or the tet
                       * does not hang together */
     SFEM_BROKE_BLADE
 } sfem_break_reason;
@@ -1199,16 +1199,16 @@ typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_sta
  * tangents that outgrow that at rest. More where the law of damage asks for it. */
 #define SFEM_P_SAFE (-2.0)
 
-/* The frame in which the constant factor of a body that turns is used: turned with each node (default), with
+/* The frame in which the constant factor of a body that rotates is used: rotated with each node (default), with
  * each connected piece, or as it is (the source's form, which explodes after a turn of 5 degrees). The last
- * takes in place of K its isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian: it bounds the
+ * takes in place of K its isotropic upper bound (2 mu + 3 lambda) L (x) I, L the Laplacian: it bounds the
  * corotational stiffness whatever turns, but is far too heavy for slender bodies, and stiffness damping is
- * the majorant's, too. */
+ * the isotropic upper bound's, too. */
 typedef enum sfem_frame {
     SFEM_FRAME_NODE,
     SFEM_FRAME_PIECE,
     SFEM_FRAME_REST,
-    SFEM_FRAME_MAJORANT
+    SFEM_FRAME_ISOTROPIC
 } sfem_frame;
 
 typedef struct sfem_body sfem_body;
@@ -1508,7 +1508,7 @@ SFEM_DEF void sfem_body_reactions(sfem_body *body, sfem_real *force /* [nodes][3
 
 /* Handles take hold of a node, or of a point inside a tet (barycentric coordinates), while the body runs,
  * without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l where H x' is the target.
- * A handle's number stays its own until it is released. The force is that of the hand on the body over
+ * A handle's number stays its own until it is released. The force is that of the handle on the body over
  * the last step, N. Handles that others already determine (five points of one tet) carry no force.
  *   errors  SFEM_FULL past max_handles: pin the nodes instead; SFEM_BAD_ARGUMENT (pinned node, ...) */
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *body, sfem_int node, sfem_int *handle,
@@ -1591,7 +1591,7 @@ SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *body, const sfem_alloc
                                          sfem_fragments *out, sfem_error *err);
 SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
 /* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
- * take them, turned with the intact edges there. Between steps; allocates nothing. */
+ * take them, rotated with the intact edges there. Between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
 
 #endif /* SFEM_NO_BODY */
@@ -1805,9 +1805,9 @@ typedef struct sfem_modal_def {
     sfem_real beta, gamma;  /* > 0, >= 1/2 */
     sfem_real handle_beta;  /* while a handle is held: constraints on positions ring under */
     sfem_real handle_gamma; /* (1/4, 1/2), with growing amplitude */
-    sfem_real compliance;   /* eps >= 0: a hand gives so much of what the body gives at rest, which
+    sfem_real compliance;   /* eps >= 0: a handle gives so much of what the body gives at rest, which
                              * noisy targets and dependent handles need; see HANDLES */
-    int frozen_turns;           /* handles pull by J = H Rt Phi, as the source has it: without how the
+    int frozen_rotations;           /* handles pull by J = H Rt Phi, as the source has it: without how the
                                  * nodes' rotations follow q */
     sfem_int handle_iterations; /* at most so many corrections a step bring warped handles to their
                                  * targets, >= 1 */
@@ -1834,7 +1834,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
 SFEM_DEF void sfem_modal_free(sfem_modal *modal); /* NULL allowed */
 
 /* One step of h > 0 seconds; h may change from step to step (coefficients are renewed: about 0.1
- * us a mode). Loads are turned by the rotations that the last step leads on to, which keeps the
+ * us a mode). Loads are rotated by the rotations that the last step leads on to, which keeps the
  * second order. A free body's frame follows Newmark's formulas with the angular momentum for a
  * velocity; its rotation, exp of the mean angular velocity, by the implicit midpoint rule, is
  * always proper, and both momenta are kept to rounding where no force acts. Approximations: mass
@@ -1888,7 +1888,7 @@ SFEM_DEF void sfem_modal_load(sfem_modal *modal, sfem_real *load);
  * the present q (once where nothing warps). Velocities become zero; a frame stays where it is, as
  * if held at it.
  *   info    NULL allowed; also written where it does not converge
- *   errors  SFEM_NOT_CONVERGED (200 iterations, or a node turned by pi: a bar that its
+ *   errors  SFEM_NOT_CONVERGED (200 iterations, or a node rotated by pi: a bar that its
  *           load bends by 80 % of its length and more may have no answer here), SFEM_SINGULAR (a loaded mode of
  *           lambda 0), SFEM_BAD_ARGUMENT (a free body with handles), SFEM_NOT_FINITE: the state is as it
  *           was */
@@ -1931,16 +1931,16 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
 
 /* HANDLES hold a node, or the mean of a region's places x, at a target by multipliers [A.14-A.17]:
  *     A q'' = b - J^T l,   x - target = C l - tau x',   J = dx/dq
- * where the hand is a spring and a damper on the target's place:
+ * where the handle is a spring and a damper on the target's place:
  *     C = eps mean diag J Lambda^-1 J^T   1/eps times as stiff as the body is at rest,
  *     tau = 2 sqrt(C/mean diag J M^-1 J^T)   critically damped; 0 in statics
  * (a free body's C at least that of A). So what noise, jumps and contradictions make of a body does
  * not grow as steps shrink, and with C the least of q.Lambda q/2 + sum |x - target|^2/2C is where it
- * rests. A hand that moves at v lags by tau v, at most .02 v/omega_1 at eps = 1e-4. With eps = 0 they
+ * rests. A handle that moves at v lags by tau v, at most .02 v/omega_1 at eps = 1e-4. With eps = 0 they
  * are the source's constraints: exact, but 1 mm of noise in targets is v = 1 mm/h, times what the modes
  * need to follow it, and on release that is what the body flies with. Under SFEM_WARP_ROTATION and
- * _PATH J contains how the rotations follow q: the hand's work goes into the body (with the source's
- * J = H R Phi, frozen_turns, 15-20 % of it do not, and targets that contradict one another can pump).
+ * _PATH J contains how the rotations follow q: the handle's work goes into the body (with the source's
+ * J = H R Phi, frozen_rotations, 15-20 % of it do not, and targets that contradict one another can pump).
  * Taken when grabbed: the node's place becomes the target, and q' and q'' lose what would move it.
  * Nodes that do not move in any mode carry no force. Handles that contradict or repeat one
  * another, or that are more than the modes can follow, share what is left by least squares,
@@ -1958,7 +1958,7 @@ SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *modal, sfem_int handle,
                                             const sfem_real target[3], sfem_error *err);
 SFEM_DEF void sfem_modal_release_handle(sfem_modal *modal, sfem_int handle);
 SFEM_DEF void sfem_modal_handle_position(const sfem_modal *modal, sfem_int handle, sfem_real x[3]);
-/* Force of the hand on the body at the end of the last step, N, as sfem_body_handle_force: -l. The
+/* Force of the handle on the body at the end of the last step, N, as sfem_body_handle_force: -l. The
  * hand, and so a haptic device, feels its opposite. Node k of a region carries weight[k] of it; in
  * modes it is J^T (-l), [modes], of the q that it was computed with. */
 SFEM_DEF void sfem_modal_handle_force(const sfem_modal *modal, sfem_int handle, sfem_real force[3]);
@@ -2023,7 +2023,7 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits, and
  * lets one in 2^32 others pass; it does not keep out who means harm. */
 
-/* What a receiver takes for an acceleration that is not there when its step comes. A mode turns by
+/* What a receiver takes for an acceleration that is not there when its step comes. A mode rotates by
  * omega h a step: below pi/3 held is better than zero and extrapolated better than held, above it
  * is the other way round. Without key frames the distortion of none is bounded. */
 typedef enum sfem_lost {
@@ -2755,7 +2755,7 @@ static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
  * Sweeps of it over all pairs give B = F V with orthogonal columns, for B = F and V = I at the
  * start: the singular value decomposition, its small values to their own rounding error
  * [Hestenes 1958]. */
-static int sfemi_svd_turn(int n, sfem_real *b, sfem_real *v, int p, int q)
+static int sfemi_svd_rotate(int n, sfem_real *b, sfem_real *v, int p, int q)
 {
     sfem_real pp = 0, qq = 0, pq = 0, t, c, s;
     int i;
@@ -2824,9 +2824,9 @@ SFEM_DEF void sfem_signed_svd(const sfem_real f[9], sfem_real u[9], sfem_real s[
     for (i = 0; i < 9; ++i)
         b[i] = fabs(f[i] / scale) < 1e-150 ? 0 : f[i] / scale; /* squares are next */
     for (sweep = 0; sweep < 20 && turned; ++sweep) {           /* b = f v / scale */
-        turned = sfemi_svd_turn(3, b, v, 0, 1);
-        turned |= sfemi_svd_turn(3, b, v, 0, 2);
-        turned |= sfemi_svd_turn(3, b, v, 1, 2);
+        turned = sfemi_svd_rotate(3, b, v, 0, 1);
+        turned |= sfemi_svd_rotate(3, b, v, 0, 2);
+        turned |= sfemi_svd_rotate(3, b, v, 1, 2);
     }
     for (j = 0; j < 3; ++j) size[j] = b[j] * b[j] + b[3 + j] * b[3 + j] + b[6 + j] * b[6 + j];
     for (j = 0; j < 2; ++j) { /* descending */
@@ -7002,7 +7002,7 @@ static void sfemi_file_point(FILE *f, const sfem_real *x)
     sfemi_file_real(f, x[2], "\n");
 }
 
-SFEM_DEF sfem_status sfem_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err)
+SFEM_DEF sfem_status sfem_mesh_write_msh(const char *path, const sfem_mesh *mesh, sfem_error *err)
 {
     const sfem_int *region;
     sfem_status status;
@@ -7109,7 +7109,7 @@ static void sfemi_vtu_append(FILE *f, const sfem_mesh *m, const sfem_real *x,
     if (m->region) sfemi_vtu_data(f, m->region, tets * sizeof *m->region);
 }
 
-SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
+SFEM_DEF sfem_status sfem_mesh_write_vtu(const char *path, const sfem_mesh *mesh, const sfem_real *x,
                                     const sfem_field *fields, sfem_int count, sfem_error *err)
 {
     const uint16_t one = 1;
@@ -7148,7 +7148,7 @@ SFEM_DEF sfem_status sfem_write_vtu(const char *path, const sfem_mesh *mesh, con
     return sfemi_file_close(f, path, err);
 }
 
-SFEM_DEF sfem_status sfem_write_pvd(const char *path, const char *const *files,
+SFEM_DEF sfem_status sfem_mesh_write_pvd(const char *path, const char *const *files,
                                     const sfem_real *times, sfem_int count, sfem_error *err)
 {
     sfem_status status;
@@ -7173,7 +7173,7 @@ SFEM_DEF sfem_status sfem_write_pvd(const char *path, const char *const *files,
     return sfemi_file_close(f, path, err);
 }
 
-SFEM_DEF sfem_status sfem_write_obj(const char *path, const sfem_mesh *mesh,
+SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh,
                                     const sfem_surface *surface, const sfem_real *x,
                                     sfem_error *err)
 {
@@ -7426,7 +7426,7 @@ done:
 }
 
 /* Reverses the smaller area of each connected part. */
-static sfem_status sfemi_repair_turn(sfemi_repair *m)
+static sfem_status sfemi_repair_rotate(sfemi_repair *m)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = m->err;
@@ -8865,7 +8865,7 @@ SFEM_DEF sfem_status sfem_mesh_from_surface(const sfem_mesher_def *def, const sf
     SFEMI_TRY(sfemi_repair_check(surface, err));
     SFEMI_TRY(sfemi_repair_collect(&m));
     SFEMI_TRY(sfemi_repair_doubled(&m));
-    SFEMI_TRY(sfemi_repair_turn(&m));
+    SFEMI_TRY(sfemi_repair_rotate(&m));
     SFEMI_TRY(sfemi_mesher_tree(&s, &m));
     SFEMI_TRY(sfemi_mesher_make(&s, def, out, &own, err));
     if (info) *info = own;
@@ -10208,14 +10208,14 @@ static double sfemi_seconds(void)
  * for those that it depends on, and does it. These stand before it in the list, so they have been taken. One worker
  * alone can do everything, and nobody waits for a thread that the system has not started.
  *
- * On a busy machine several threads may take longer than one. A pace compares the two: one call in 64 is done by one
+ * On a busy machine several threads may take longer than one. A throttle compares the two: one call in 64 is done by one
  * thread, and where several were slower, the next calls are, too, more of them each time. */
 #define SFEMI_WORKERS 32 /* most workers */
 
-typedef struct sfemi_pace {
+typedef struct sfemi_throttle {
     sfemi_counter calls, rest, longer;
     sfemi_counter alone; /* microseconds / 4 of the latest call on one thread, or 0 */
-} sfemi_pace;
+} sfemi_throttle;
 
 typedef struct sfemi_queue {
     void (*unit)(void *data, sfem_int unit);
@@ -10248,7 +10248,7 @@ static void sfemi_queue_wait(sfemi_counter *counter, sfem_int value)
 }
 
 /* Threads to use for the next call. */
-static sfem_int sfemi_pace_threads(sfemi_pace *p, const sfem_exec *e)
+static sfem_int sfemi_throttle_threads(sfemi_throttle *p, const sfem_exec *e)
 {
     const sfem_int threads = SFEMI_ATOMICS ? sfemi_threads(e) : 1;
     if (threads == 1) return 1;
@@ -10260,7 +10260,7 @@ static sfem_int sfemi_pace_threads(sfemi_pace *p, const sfem_exec *e)
     return threads < SFEMI_WORKERS ? threads : SFEMI_WORKERS;
 }
 
-static void sfemi_pace_took(sfemi_pace *p, sfem_int threads, double seconds)
+static void sfemi_throttle_took(sfemi_throttle *p, sfem_int threads, double seconds)
 {
     const double units = seconds * 250000 + 1;
     const sfemi_counter took = units < 1e9 ? (sfemi_counter)units : 1000000000;
@@ -11072,7 +11072,7 @@ struct sfem_ldl {
     sfem_int *lost_at;    /* [tasks] its column, or -1; -2: a task below failed */
     sfem_int *units;      /* [tasks + 1] in order of levels: units of work before each */
     sfemi_counter *done;  /* [tasks + 1] units done; then the queue's counter */
-    sfemi_pace *pace;     /* [3] of factorisations, solves, solves of blocks */
+    sfemi_throttle *throttle;     /* [3] of factorisations, solves, solves of blocks */
     sfem_int *negative;   /* [supernodes] negative pivots */
     unsigned char *stale; /* [supernodes] to be renewed */
     double unit;          /* power of 2 near the root of the largest entry of A */
@@ -11093,7 +11093,7 @@ typedef struct sfemi_solve {
     float *w32, *scratch32;
     sfem_task forward, backward;
     sfemi_counter *done;
-    sfemi_pace *pace;
+    sfemi_throttle *throttle;
 } sfemi_solve;
 
 static size_t sfemi_solve_rows(const sfemi_symbolic *y)
@@ -11215,7 +11215,7 @@ static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task 
 {
     const sfemi_symbolic *y = q->ldl->symbolic;
     const sfem_int threads =
-        y->tasks > 1 && y->nnz > SFEMI_SOLVE_PARALLEL ? sfemi_pace_threads(q->pace, exec) : 1;
+        y->tasks > 1 && y->nnz > SFEMI_SOLVE_PARALLEL ? sfemi_throttle_threads(q->throttle, exec) : 1;
     const double start = exec && exec->threads > 1 ? sfemi_seconds() : 0;
     sfem_int t;
     if (threads > 1) {
@@ -11233,7 +11233,7 @@ static void sfemi_solve_sweeps(sfemi_solve *q, const sfem_exec *exec, sfem_task 
         for (t = 0; t < y->tasks; ++t) forward(q, t);
         for (t = y->tasks; t-- > 0;) backward(q, t);
     }
-    if (start > 0) sfemi_pace_took(q->pace, threads, sfemi_seconds() - start);
+    if (start > 0) sfemi_throttle_took(q->throttle, threads, sfemi_seconds() - start);
 }
 
 /* count <= block right sides; those that are missing are 0 */
@@ -11309,7 +11309,7 @@ SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x, sf
     memset(&q, 0, sizeof q);
     q.ldl = ldl;
     q.block = rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1;
-    q.pace = ldl->pace + (q.block == 1 ? 1 : 2);
+    q.throttle = ldl->throttle + (q.block == 1 ? 1 : 2);
     q.w = work;
     q.scratch = work + sfemi_solve_rows(ldl->symbolic) * q.block;
     q.w32 = (float *)(void *)q.w;
@@ -11791,7 +11791,7 @@ static sfem_status sfemi_ldl_try(sfem_ldl *ldl, const sfem_matrix *a, sfem_error
     memset(&q, 0, sizeof q);
     q.ldl = ldl;
     q.block = 1;
-    q.pace = ldl->pace + 1;
+    q.throttle = ldl->throttle + 1;
     q.w = r + n;
     q.scratch = q.w + sfemi_solve_rows(ldl->symbolic);
     q.done = (sfemi_counter *)(void *)(q.scratch + ldl->symbolic->scratch[ldl->symbolic->tasks] *
@@ -11871,7 +11871,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     job.ldl = ldl;
     job.a = a;
     sfemi_ldl_begin(ldl, a);
-    threads = y->tasks > 1 ? sfemi_pace_threads(ldl->pace, &ldl->exec) : 1;
+    threads = y->tasks > 1 ? sfemi_throttle_threads(ldl->throttle, &ldl->exec) : 1;
     start = ldl->exec.threads > 1 ? sfemi_seconds() : 0;
     if (threads > 1) {
         sfemi_queue queue;
@@ -11884,7 +11884,7 @@ static sfem_status sfemi_ldl_factor(sfem_ldl *ldl, const sfem_matrix *a, sfem_er
     } else
         for (k = 0; k < y->tasks && (k == 0 || ldl->lost_at[y->by_level[k - 1]] == -1); ++k)
             sfemi_factor_task(ldl, a, y->by_level[k]);
-    if (start > 0) sfemi_pace_took(ldl->pace, threads, sfemi_seconds() - start);
+    if (start > 0) sfemi_throttle_took(ldl->throttle, threads, sfemi_seconds() - start);
     for (k = 0; k < y->tasks; ++k)
         if (ldl->lost_at[y->by_level[k]] >= 0) return sfemi_ldl_failed(ldl, a, y->by_level[k], err);
     sfemi_ldl_statistics(ldl);
@@ -11989,7 +11989,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
     SFEMI_NEW(sfem_int, ldl->units, m, nt + 1);
     SFEMI_NEW(sfemi_counter, ldl->done, m, nt + 1);
-    SFEMI_NEW(sfemi_pace, ldl->pace, m, 3);
+    SFEMI_NEW(sfemi_throttle, ldl->throttle, m, 3);
     SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
     SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
     memset(ldl->stale, 1, ns);
@@ -12132,7 +12132,7 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
     sfemi_delete(&m, ldl->lost_at);
     sfemi_delete(&m, ldl->units);
     sfemi_delete(&m, ldl->done);
-    sfemi_delete(&m, ldl->pace);
+    sfemi_delete(&m, ldl->throttle);
     sfemi_delete(&m, ldl->negative);
     sfemi_delete(&m, ldl->stale);
     sfemi_delete(&m, ldl);
@@ -13288,7 +13288,7 @@ static int sfemi_edge_pseudo_inverse(int m, sfem_real *q, sfem_real *w)
     for (i = 0; i < m * m; ++i) v[i] = i % (m + 1) ? 0 : 1;
     for (sweep = 0; sweep < 30 && turned; ++sweep)
         for (turned = 0, e = 1; e < m; ++e)
-            for (i = 0; i < e; ++i) turned |= sfemi_svd_turn(m, q, v, i, e);
+            for (i = 0; i < e; ++i) turned |= sfemi_svd_rotate(m, q, v, i, e);
     for (e = 0; e < m; ++e) {
         for (k = 0, square[e] = 0; k < m; ++k) square[e] += q[m * k + e] * q[m * k + e];
         largest = fmax(largest, square[e]);
@@ -14131,7 +14131,7 @@ struct sfem_model {
     sfem_real *density;        /* [tets] kg/m^3 */
     sfem_real *volume;         /* [tets] */
     unsigned char *law;        /* [tets] sfem_law */
-    int turns;                 /* some law is not linear */
+    int rotates;                 /* some law is not linear */
     sfem_real stiffest;        /* Pa, the largest lambda + 2 mu */
     sfem_real margin;          /* p for modes that steps do not resolve, by the laws, see SFEM_P_SAFE */
     sfemi_chunks chunks;
@@ -14487,7 +14487,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
     const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
     sfem_law_lame(m->young, m->poisson, &model->lambda[e], &model->mu[e]);
     model->law[e] = (unsigned char)m->law;
-    model->turns |= m->law != SFEM_LINEAR;
+    model->rotates |= m->law != SFEM_LINEAR;
     model->stiffest = fmax(model->stiffest, model->lambda[e] + 2 * model->mu[e]);
     model->margin = fmax(model->margin, sfemi_fem_margin(m->law));
     model->density[e] = m->density;
@@ -15101,7 +15101,7 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * never indefinite, and with the condition of W, the square root of that of S, which is
  * (edge/height)^4 in slivers.
  * 
- * In a body that turns, damaged tets are masked out of the vector kernels' blocks (a copy of its
+ * In a body that rotates, damaged tets are masked out of the vector kernels' blocks (a copy of its
  * own) rather than subtracted: across an open crack the intact force would be 1e2 .. 1e10 times Y,
  * and only its rounding would be left. A linear body subtracts: K u rounds by as much in any case.
  */
@@ -15322,7 +15322,7 @@ static void sfemi_damage_add_material(const sfem_damage_tet *tet, const sfem_rea
         }
 }
 
-/* k += the geometric part, of strains in current lengths: edge p pulls with s_p and turns with its nodes. */
+/* k += the geometric part, of strains in current lengths: edge p pulls with s_p and rotates with its nodes. */
 static void sfemi_damage_add_geometric(const sfem_damage_tet *tet, sfem_tangent kind, const sfem_real s[6],
                                        sfem_real m[6][3], const sfem_real length[6], sfem_real k[144])
 {
@@ -15437,7 +15437,7 @@ typedef struct sfemi_bonds {
     sfem_real *area;         /* [edges] a, m^2 */
     sfem_real *price;        /* [edges] share Gc a and all factors, J */
     sfem_real *factor;       /* [edges] of strength and of strains */
-    sfem_real *quiet;        /* [tets] no edge breaks while sum e^2 is below this in all its tets */
+    sfem_real *threshold;        /* [tets] no edge breaks while sum e^2 is below this in all its tets */
     unsigned char *never;    /* [edges] SFEMI_NEVER: unbreakable, SFEMI_BLADE_ONLY */
     sfem_real stiffening;    /* the largest of sfem_damage_stiffening: p >= stiffening/4 */
 } sfemi_bonds;
@@ -15447,7 +15447,7 @@ typedef struct sfemi_bonds {
  * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
  * derived: sfemi_damage_refresh makes it anew. */
 enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
-enum { SFEMI_INTACT, SFEMI_HURT, SFEMI_LOOSE }; /* loose: intact edges do not connect its nodes */
+enum { SFEMI_INTACT, SFEMI_DAMAGED, SFEMI_DISCONNECTED }; /* loose: intact edges do not connect its nodes */
 
 typedef struct sfemi_damage {
     sfem_allocator allocator;
@@ -15476,12 +15476,12 @@ typedef struct sfemi_damage {
     sfem_real *weight;       /* [model tets][6] w_k or V n.sigma n */
     sfem_real *ratio;        /* [edges] criterion over its limit */
     sfem_real *most;         /* [nodes] largest ratio of a node's edges */
-    unsigned char *hot, *near_hot; /* [model tets], [edges] */
+    unsigned char *candidate, *near_candidate; /* [model tets], [edges] */
     sfem_real *local;        /* [degree][60] S_d, changes of forces at both ends, of a trial */
     sfem_int *fresh, fresh_count; /* [model tets] tets newly damaged */
     sfem_int *stamp, *queue; /* [nodes], [2 nodes] */
     sfem_int *merge;         /* [model tets] */
-    int lone;                /* lone edges may be waiting */
+    int dangling;                /* dangling edges may be waiting */
 } sfemi_damage;
 
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
@@ -15507,7 +15507,7 @@ static void sfemi_bonds_free(sfemi_bonds *g) /* NULL allowed */
     sfemi_delete(&al, g->area);
     sfemi_delete(&al, g->price);
     sfemi_delete(&al, g->factor);
-    sfemi_delete(&al, g->quiet);
+    sfemi_delete(&al, g->threshold);
     sfemi_delete(&al, g->never);
     sfemi_delete(&al, g);
 }
@@ -15584,7 +15584,7 @@ static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
     SFEMI_NEW(sfem_real, g->area, al, edges);
     SFEMI_NEW(sfem_real, g->price, al, edges);
     SFEMI_NEW(sfem_real, g->factor, al, edges);
-    SFEMI_NEW(sfem_real, g->quiet, al, tets);
+    SFEMI_NEW(sfem_real, g->threshold, al, tets);
     SFEMI_NEW(unsigned char, g->never, al, edges);
 done:
     return status;
@@ -15727,7 +15727,7 @@ static void sfemi_damage_tet(const sfemi_bonds *g, sfem_int e, sfem_damage_tet *
 /* A bound under which sum e^2 of a tet lets none of its edges break. With it in all tets of an
  * edge: w_k <= sum V_e Psi_e, Psi_e <= tr S/2 sum e^2, against price = sum V_e/(2 L) price/a; and
  * |sigma| <= (3 lambda + 2 mu) |eps|, |eps| <= |T^-1| |e|. */
-static void sfemi_bonds_quiet(sfemi_bonds *g, sfem_int e)
+static void sfemi_bonds_threshold(sfemi_bonds *g, sfem_int e)
 {
     const sfem_damage_def *def = &g->def;
     sfem_damage_tet tet;
@@ -15751,7 +15751,7 @@ static void sfemi_bonds_quiet(sfemi_bonds *g, sfem_int e)
     if (def->criterion == SFEM_BREAK_ENERGY) least = sqrt(least / trace);
     if (def->criterion == SFEM_BREAK_STRESS)
         least /= (3 * fabs(tet.lambda) + 2 * tet.mu) * sqrt(inverse);
-    g->quiet[e] = .99 * least * least;
+    g->threshold[e] = .99 * least * least;
 }
 
 static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *def, sfem_error *err)
@@ -15790,7 +15790,7 @@ static sfem_status sfemi_bonds_measure(sfemi_bonds *g, const sfem_damage_def *de
     SFEMI_TRY(sfemi_bonds_lines(g, def, err));
     for (edge = 0; edge < g->edges; ++edge)
         g->price[edge] = g->def.share * def->toughness * g->area[edge] * g->factor[edge];
-    for (e = 0; e < model->mesh.tets; ++e) sfemi_bonds_quiet(g, e);
+    for (e = 0; e < model->mesh.tets; ++e) sfemi_bonds_threshold(g, e);
 done:
     return status;
 }
@@ -15870,8 +15870,8 @@ static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
     sfemi_delete(&al, d->weight);
     sfemi_delete(&al, d->ratio);
     sfemi_delete(&al, d->most);
-    sfemi_delete(&al, d->hot);
-    sfemi_delete(&al, d->near_hot);
+    sfemi_delete(&al, d->candidate);
+    sfemi_delete(&al, d->near_candidate);
     sfemi_delete(&al, d->local);
     sfemi_delete(&al, d->fresh);
     sfemi_delete(&al, d->merge);
@@ -15897,7 +15897,7 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     SFEMI_NEW(sfem_int, d->tet, allocator, tets);
     SFEMI_NEW(unsigned char, d->kind, allocator, tets);
     SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
-    if (model->turns) {
+    if (model->rotates) {
         SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
         SFEMI_NEW(sfem_int, d->lane, allocator, tets);
         SFEMI_NEW(sfem_real, d->rotation, allocator, 9 * tets);
@@ -15912,8 +15912,8 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     SFEMI_NEW(sfem_real, d->weight, allocator, 6 * tets);
     SFEMI_NEW(sfem_real, d->ratio, allocator, edges);
     SFEMI_NEW(sfem_real, d->most, allocator, nodes);
-    SFEMI_NEW(unsigned char, d->hot, allocator, tets);
-    SFEMI_NEW(unsigned char, d->near_hot, allocator, edges);
+    SFEMI_NEW(unsigned char, d->candidate, allocator, tets);
+    SFEMI_NEW(unsigned char, d->near_candidate, allocator, edges);
     SFEMI_NEW(sfem_real, d->local, allocator, 60 * (size_t)bonds->degree);
     SFEMI_NEW(sfem_int, d->fresh, allocator, tets);
     SFEMI_NEW(sfem_int, d->merge, allocator, tets);
@@ -15950,7 +15950,7 @@ static unsigned sfemi_damage_zetas(const sfemi_damage *d, sfem_int e, sfem_real 
     return mask;
 }
 
-/* S_d and the kind of a tet with these zetas. With closure, a loose tet may still be pressed. */
+/* S_d and the kind of a tet with these zetas. With closure, a disconnected tet may still be pressed. */
 static int sfemi_damage_assess(const sfemi_damage *d, const sfem_damage_tet *tet,
                                const sfem_real zeta[6], unsigned mask, sfem_real s_d[36])
 {
@@ -15958,9 +15958,9 @@ static int sfemi_damage_assess(const sfemi_damage *d, const sfem_damage_tet *tet
     for (k = 0; k < 6; ++k) intact &= zeta[k] >= 1;
     memset(s_d, 0, 36 * sizeof *s_d);
     if (intact) return SFEMI_INTACT;
-    if (!(sfemi_damage_links[mask] & SFEMI_CONNECTED) && !d->bonds->def.closure) return SFEMI_LOOSE;
+    if (!(sfemi_damage_links[mask] & SFEMI_CONNECTED) && !d->bonds->def.closure) return SFEMI_DISCONNECTED;
     sfem_damage_modulus(tet, d->bonds->def.law, zeta, s_d);
-    return sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
+    return sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_DAMAGED : SFEMI_DISCONNECTED;
 }
 
 /* With closure the energy is the least over crack openings w >= 0 of the damaged edges,
@@ -16040,14 +16040,14 @@ static sfem_real sfemi_damage_blend(const sfem_real upright[2], sfem_real j, sfe
 typedef struct sfemi_damage_case {
     const sfem_damage_tet *tet;
     sfem_law law;
-    int kind;              /* SFEMI_INTACT .. SFEMI_LOOSE */
+    int kind;              /* SFEMI_INTACT .. SFEMI_DISCONNECTED */
     const sfem_real *zeta; /* [6] */
     const sfem_real *s_d;  /* [6][6] of zeta */
 } sfemi_damage_case;
 
 /* Energy and force of a tet. Below upright[1] the edge form, which does not see
  * inversion, gives way to the undamaged corotational law, in the energy, so that the force remains
- * a gradient and no energy jumps; a loose tet does not resist, for its nodes may be anywhere. */
+ * a gradient and no energy jumps; a disconnected tet does not resist, for its nodes may be anywhere. */
 static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfemi_damage_case *at, const sfem_real u[12],
                                          sfem_real force[12])
 {
@@ -16061,14 +16061,14 @@ static sfem_real sfemi_damage_tet_energy(const sfemi_damage *d, const sfemi_dama
     int i;
     if (kind == SFEMI_INTACT) return sfemi_damage_undamaged(tet, law, u, force);
     memset(force, 0, 12 * sizeof *force);
-    if (kind == SFEMI_LOOSE && !def->closure) return 0;
+    if (kind == SFEMI_DISCONNECTED && !def->closure) return 0;
     if (def->closure) {
         sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
         sfemi_damage_close(tet, at->zeta, e, closed);
         s_d = closed;
     }
     psi = sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, SFEM_TANGENT_PSD, force, NULL);
-    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return psi;
+    if (law == SFEM_LINEAR || kind == SFEMI_DISCONNECTED) return psi;
     j = sfemi_damage_jacobian(tet, u, slope);
     phi = sfemi_damage_blend(def->upright, j, &dphi);
     if (phi >= 1) return psi;
@@ -16148,7 +16148,7 @@ static void sfemi_damage_find_pieces(sfemi_damage *d)
     }
 }
 
-enum { SFEMI_NEXT = 2 }; /* in near_hot: broken, too, but to be looked at later */
+enum { SFEMI_NEXT = 2 }; /* in near_candidate: broken, too, but to be looked at later */
 
 /* Does edge `edge`, broken, part a piece? Searches from its two ends by turns, a node each, until
  * they meet or the smaller side is done, which then gets a label of its own: O(smaller side). stamp
@@ -16169,7 +16169,7 @@ static int sfemi_damage_part(sfemi_damage *d, sfem_int edge)
         const sfem_int node = queue[side][head[side]++];
         for (k = g->node_start[node]; k < g->node_start[node + 1] && !met; ++k) {
             const sfem_int j = sfemi_damage_across(g, g->node_edge[k], node);
-            if (!(d->zeta[g->node_edge[k]] > 0 || d->near_hot[g->node_edge[k]] == SFEMI_NEXT) ||
+            if (!(d->zeta[g->node_edge[k]] > 0 || d->near_candidate[g->node_edge[k]] == SFEMI_NEXT) ||
                 d->stamp[j] == side)
                 continue;
             met = d->stamp[j] == !side;
@@ -16194,7 +16194,7 @@ static void sfemi_damage_refresh(sfemi_damage *d)
     sfem_int e;
     sfemi_damage_unmask(d);
     d->tets = d->events = d->fresh_count = 0;
-    d->lone = 1;
+    d->dangling = 1;
     for (e = 0; e < model->mesh.tets; ++e) {
         const unsigned mask = sfemi_damage_zetas(d, e, zeta);
         int k, intact = 1;
@@ -16227,7 +16227,7 @@ typedef struct sfemi_damage_job {
     sfem_real *rotation; /* ask's, or the body's own */
 } sfemi_damage_job;
 
-/* sfemi_damage_tet_energy of most tets, at a fraction of the time: hurt, in lengths, upright.
+/* sfemi_damage_tet_energy of most tets, at a fraction of the time: damaged, in lengths, upright.
  * Returns 0 where that is not so. */
 static int sfemi_damage_upright(const sfemi_damage *d, sfem_int e, const sfem_real u[12],
                                 sfem_real *psi, sfem_real force[12])
@@ -16237,7 +16237,7 @@ static int sfemi_damage_upright(const sfemi_damage *d, sfem_int e, const sfem_re
     const sfem_real *s_d = d->s + 36 * (size_t)e, volume = g->model->volume[e];
     sfem_real x[12], now[6][3], strain[6], scale[6], area[3], s;
     int k, l, i;
-    if (d->kind[e] != SFEMI_HURT || g->model->law[e] == SFEM_LINEAR || g->def.closure) return 0;
+    if (d->kind[e] != SFEMI_DAMAGED || g->model->law[e] == SFEM_LINEAR || g->def.closure) return 0;
     sfemi_damage_gather(g->model->mesh.x, g->model->mesh.tet + 4 * (size_t)e, x);
     for (k = 0; k < 6; ++k) {
         const sfem_real *xi = x + 3 * sfemi_edge_node[k][0], *xj = x + 3 * sfemi_edge_node[k][1];
@@ -16290,7 +16290,7 @@ static sfem_real sfemi_damage_other(const sfemi_damage *d, sfem_int e, const sfe
     sfem_damage_tet tet;
     sfemi_damage_case at;
     int k;
-    if (d->kind[e] == SFEMI_LOOSE && !d->bonds->def.closure && d->block) {
+    if (d->kind[e] == SFEMI_DISCONNECTED && !d->bonds->def.closure && d->block) {
         memset(force, 0, 12 * sizeof *force);
         return 0;
     }
@@ -16302,14 +16302,14 @@ static sfem_real sfemi_damage_other(const sfemi_damage *d, sfem_int e, const sfe
     return energy;
 }
 
-/* The nearest rotation; I of a linear tet, 0 of a loose one. */
+/* The nearest rotation; I of a linear tet, 0 of a disconnected one. */
 static void sfemi_damage_rotation(const sfemi_damage *d, sfem_int e, const sfem_real u[12],
                                   sfem_real r[9])
 {
     sfem_real f[9], g[4][3];
     int k;
-    for (k = 0; k < 9; ++k) r[k] = d->kind[e] != SFEMI_LOOSE && k % 4 == 0;
-    if (d->bonds->model->law[e] == SFEM_LINEAR || d->kind[e] == SFEMI_LOOSE) return;
+    for (k = 0; k < 9; ++k) r[k] = d->kind[e] != SFEMI_DISCONNECTED && k % 4 == 0;
+    if (d->bonds->model->law[e] == SFEM_LINEAR || d->kind[e] == SFEMI_DISCONNECTED) return;
     sfemi_element_gradients(&d->bonds->model->mesh, e, g);
     sfemi_element_deform(u, u + 3, u + 6, u + 9, g, f);
     for (k = 0; k < 9; k += 4) f[k] += 1;
@@ -16332,9 +16332,9 @@ static void sfemi_damage_forces_task(void *data, sfem_int index)
     }
 }
 
-/* Adds energy and internal force of the damaged tets. Body that turns (d->block): theirs
+/* Adds energy and internal force of the damaged tets. Body that rotates (d->block): theirs
  * alone, to go with sfemi_fem_forces on d->block. Linear body (block NULL): damaged less intact, to
- * go with K u. Rotations of damaged tets are those of sfem_model_forces, but 0 for loose tets, which then
+ * go with K u. Rotations of damaged tets are those of sfem_model_forces, but 0 for disconnected tets, which then
  * weigh nothing in the frames; where sums of them are wanted, but not they themselves, they go to
  * d->rotation. *inverted += tets with J <= 0 that hang together. spin, sum and work are not written. Same
  * bits for any number of threads: tets in ascending order. */
@@ -16359,7 +16359,7 @@ static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask)
     for (i = 0; ask->inverted && i < d->tets; ++i) {
         sfem_real now[12], rest[12], x[12];
         const sfem_int *t = model->mesh.tet + 4 * (size_t)d->tet[i];
-        if (d->kind[d->tet[i]] == SFEMI_LOOSE) continue;
+        if (d->kind[d->tet[i]] == SFEMI_DISCONNECTED) continue;
         sfemi_damage_gather(ask->u, t, now);
         sfemi_damage_gather(model->mesh.x, t, rest);
         for (k = 0; k < 12; ++k) x[k] = rest[k] + now[k];
@@ -16368,7 +16368,7 @@ static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask)
     return energy;
 }
 
-/* As sfemi_fem_forces, for a damaged body that turns. */
+/* As sfemi_fem_forces, for a damaged body that rotates. */
 static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfemi_forces *ask)
 {
     const sfem_model *model = d->bonds->model;
@@ -16401,14 +16401,14 @@ static void sfemi_damage_tet_tangent(const sfemi_damage *d, const sfemi_damage_c
     sfem_real closed[36], e[6], m[6][3], length[6], slope[12], whole[144], phi, dphi;
     int i;
     memset(k, 0, 144 * sizeof *k);
-    if (kind == SFEMI_LOOSE && !def->closure) return;
+    if (kind == SFEMI_DISCONNECTED && !def->closure) return;
     if (def->closure) {
         sfemi_damage_strains(tet, law == SFEM_LINEAR, u, e, m, length);
         sfemi_damage_close(tet, at->zeta, e, closed);
         s_d = closed;
     }
     sfem_damage_energy(tet, s_d, law == SFEM_LINEAR, u, tangent, NULL, k);
-    if (law == SFEM_LINEAR || kind == SFEMI_LOOSE) return;
+    if (law == SFEM_LINEAR || kind == SFEMI_DISCONNECTED) return;
     phi = sfemi_damage_blend(def->upright, sfemi_damage_jacobian(tet, u, slope), &dphi);
     if (phi >= 1) return;
     sfem_damage_energy(tet, s_d, 0, u, SFEM_TANGENT_PSD, NULL, k);
@@ -16432,7 +16432,7 @@ static void sfemi_damage_scatter(const sfem_model *model, sfem_int e, sfem_real 
         }
 }
 
-/* As sfem_model_tangent, for a damaged body that turns. */
+/* As sfem_model_tangent, for a damaged body that rotates. */
 static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind,
                                        sfem_matrix *tangent, const sfem_exec *exec)
 {
@@ -16475,8 +16475,8 @@ static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, s
 /* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
  *     a0 dPsi(u0) + a1 dPsi(u1) - ac (u1-u0).d(f(u1)-f(u0)),   d: after less before:
  * (1/2, 1/2, 1/4) for (p,1,1) with any constant A, and for Newmark(p,1/2); (1/2, 1/2, (1/2-p)/2) is
- * what the guard's ledger sees; (0, 1, 0) judges Psi at the end alone. In a body
- * that turns the decision is by the last term in each tet's own turning frame. */
+ * what the guard's energy budget sees; (0, 1, 0) judges Psi at the end alone. In a body
+ * that rotates the decision is by the last term in each tet's own rotating frame. */
 typedef struct sfemi_damage_step {
     const sfem_real *u0, *u1; /* [nodes][3] start and end; may be the same */
     sfem_real a0, a1, ac;
@@ -16489,7 +16489,7 @@ typedef struct sfemi_damage_change {
     sfem_real released, price;   /* what the invariant fell by; the surfaces made, J */
     sfem_int broken, delayed;    /* edges; delayed: would have broken, but that made energy */
     sfem_int softened;           /* edges whose zeta fell without breaking */
-    sfem_int hurt;               /* tets newly damaged */
+    sfem_int damaged;               /* tets newly damaged */
     sfem_int pieces;             /* more than before */
 } sfemi_damage_change;
 
@@ -16507,7 +16507,7 @@ static sfem_int sfemi_damage_range(sfem_int index, sfem_int count, sfem_int *end
     return start;
 }
 
-/* The mean of the strains of edge k at u0 and u1; in a body that turns, from its lengths: the
+/* The mean of the strains of edge k at u0 and u1; in a body that rotates, from its lengths: the
  * strain of the mean would be shortened by the turn. */
 static sfem_real sfemi_damage_edge_strain(const sfemi_bonds *g, sfem_int k, const sfem_real *u0,
                                           const sfem_real *u1)
@@ -16521,12 +16521,12 @@ static sfem_real sfemi_damage_edge_strain(const sfemi_bonds *g, sfem_int k, cons
         const sfem_real *u = t ? u1 : u0;
         sfemi_sub3(u + i, u + j, du);
         square[t] = 2 * sfemi_dot3(big, du);
-        if (!g->model->turns) continue;
+        if (!g->model->rotates) continue;
         square[t] += sfemi_dot3(du, du); /* l^2 - L^2 = (l - L)(l + L) */
         d[0] = big[0] + du[0], d[1] = big[1] + du[1], d[2] = big[2] + du[2];
         sum[t] = sqrt(sfemi_dot3(d, d)) + rest;
     }
-    if (!g->model->turns) return (square[0] + square[1]) / (4 * rest * rest);
+    if (!g->model->rotates) return (square[0] + square[1]) / (4 * rest * rest);
     return (square[0] * sum[1] + square[1] * sum[0]) / (2 * rest * sum[0] * sum[1]);
 }
 
@@ -16541,7 +16541,7 @@ static void sfemi_damage_strain_task(void *data, sfem_int index)
 
 /* Broken edges store nothing, unless pressed and closed: Psi_e <= tr S/2 sum e^2 over the others.
  */
-static void sfemi_damage_hot_task(void *data, sfem_int index)
+static void sfemi_damage_candidate_task(void *data, sfem_int index)
 {
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
     const sfemi_bonds *g = d->bonds;
@@ -16555,7 +16555,7 @@ static void sfemi_damage_hot_task(void *data, sfem_int index)
             if (d->kind[e] == SFEMI_INTACT || d->zeta[edge[k]] > 0 || (g->def.closure && s < 0))
                 square += s * s;
         }
-        d->hot[e] = !(square < g->quiet[e]) ||
+        d->candidate[e] = !(square < g->threshold[e]) ||
                     (d->kind[e] != SFEMI_INTACT && g->def.criterion == SFEM_BREAK_STRESS);
     }
 }
@@ -16567,10 +16567,10 @@ static void sfemi_damage_near_task(void *data, sfem_int index)
     const sfemi_bonds *g = d->bonds;
     sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
     for (; k < end; ++k) {
-        d->near_hot[k] = 0;
+        d->near_candidate[k] = 0;
         if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k]) continue;
-        for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_hot[k]; ++i)
-            d->near_hot[k] = d->hot[g->edge_tet[i] / 6];
+        for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_candidate[k]; ++i)
+            d->near_candidate[k] = d->candidate[g->edge_tet[i] / 6];
     }
 }
 
@@ -16622,13 +16622,13 @@ static void sfemi_damage_weigh_task(void *data, sfem_int index)
     sfemi_damage *d = ((const sfemi_damage_round_job *)data)->d;
     const sfemi_bonds *g = d->bonds;
     sfem_int end, e = sfemi_damage_range(index, g->model->mesh.tets, &end);
-    int k, i, near_hot;
+    int k, i, near_candidate;
     for (; e < end; ++e) {
         sfem_real *s = d->stress + 6 * (size_t)e, *weight = d->weight + 6 * (size_t)e;
         sfem_real diagonal[6], sigma[9];
         sfem_damage_tet tet;
-        for (k = near_hot = 0; k < 6; ++k) near_hot |= d->near_hot[g->tet_edge[6 * e + k]];
-        if (!near_hot) continue;
+        for (k = near_candidate = 0; k < 6; ++k) near_candidate |= d->near_candidate[g->tet_edge[6 * e + k]];
+        if (!near_candidate) continue;
         sfemi_damage_tet(g, e, &tet);
         sfemi_damage_tet_stress(d, e, &tet, s, diagonal);
         sfemi_damage_cauchy(&tet, s, sigma);
@@ -16671,7 +16671,7 @@ static void sfemi_damage_ratio_task(void *data, sfem_int index)
     for (; k < end; ++k) {
         sfem_real sum = 0, pull = 0, volume = 0;
         d->ratio[k] = 0;
-        if (!d->near_hot[k]) continue;
+        if (!d->near_candidate[k]) continue;
         for (i = g->tet_start[k]; i < g->tet_start[k + 1]; ++i) {
             const sfem_real v = g->model->volume[g->edge_tet[i] / 6];
             sum += d->weight[g->edge_tet[i]];
@@ -16714,7 +16714,7 @@ static int sfemi_damage_is_peak(const sfemi_damage *d, sfem_int k)
 }
 
 /* The rotations of a tet at both ends of a step; I where its law is linear. */
-static void sfemi_damage_turns(const sfem_damage_tet *tet, sfem_law law, const sfem_real u0[12],
+static void sfemi_damage_rotates(const sfem_damage_tet *tet, sfem_law law, const sfem_real u0[12],
                                const sfem_real u1[12], sfem_real r[2][9])
 {
     sfem_real f[9], g[4][3];
@@ -16731,8 +16731,8 @@ static void sfemi_damage_turns(const sfem_damage_tet *tet, sfem_law law, const s
 }
 
 /* What one tet contributes to the invariant, and its forces at both ends. out: Psi(u0), Psi(u1),
- * (u1-u0).(f1-f0), and the last in the tet's own turning frame, (R1^T x1 - R0^T x0).(R1^T f1 - R0^T
- * f0): a tet under stress that turns by theta in a step has theta^2/strain times its energy in the
+ * (u1-u0).(f1-f0), and the last in the tet's own rotating frame, (R1^T x1 - R0^T x0).(R1^T f1 - R0^T
+ * f0): a tet under stress that rotates by theta in a step has theta^2/strain times its energy in the
  * first. */
 static void sfemi_damage_local(const sfemi_damage *d, const sfemi_damage_case *at, const sfem_real u0[12],
                                const sfem_real u1[12], sfem_real r[2][9], sfem_real f[24], sfem_real out[4])
@@ -16775,7 +16775,7 @@ static void sfemi_damage_consider(sfemi_damage *d, sfem_int k, sfem_real to,
         unsigned mask = sfemi_damage_case_of(d, e, &tet, zeta, &now);
         sfemi_damage_gather(step->u0, t, u0);
         sfemi_damage_gather(step->u1, t, u1);
-        sfemi_damage_turns(&tet, now.law, u0, u1, r);
+        sfemi_damage_rotates(&tet, now.law, u0, u1, r);
         sfemi_damage_local(d, &now, u0, u1, r, f, before);
         zeta[g->edge_tet[at] % 6] = to;
         if (!(to > 0)) mask &= ~(1u << g->edge_tet[at] % 6);
@@ -16803,10 +16803,10 @@ static void sfemi_damage_commit(sfemi_damage *d, sfem_int k, sfem_real to,
         if (d->kind[e] == SFEMI_INTACT) {
             d->fresh[d->fresh_count++] = e;
             sfemi_damage_mask(d, e);
-            ++change->hurt;
+            ++change->damaged;
         }
         memcpy(d->s + 36 * (size_t)e, local, 36 * sizeof *local);
-        d->kind[e] = sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_HURT : SFEMI_LOOSE;
+        d->kind[e] = sfemi_damage_links[mask] & SFEMI_CONNECTED ? SFEMI_DAMAGED : SFEMI_DISCONNECTED;
         for (i = 0; i < 12; ++i) {
             const size_t to_node = 3 * (size_t)t[i / 3] + (size_t)(i % 3);
             if (step->f0 && step->u0 != step->u1) step->f0[to_node] += local[36 + i];
@@ -16885,14 +16885,14 @@ static void sfemi_damage_merge(sfemi_damage *d)
 
 /* Is edge k, which is not broken, in every tet around it the only link between its nodes, or the tet loose,
  * so that it carries nothing? Faces without a tet that hangs together would stretch for ever. */
-static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
+static int sfemi_damage_is_dangling(const sfemi_damage *d, sfem_int k)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_real zeta[6];
     sfem_int at;
     for (at = g->tet_start[k]; at < g->tet_start[k + 1]; ++at) {
         const sfem_int e = g->edge_tet[at] / 6;
-        if (d->kind[e] == SFEMI_LOOSE) continue;
+        if (d->kind[e] == SFEMI_DISCONNECTED) continue;
         if (d->kind[e] == SFEMI_INTACT ||
             !(sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)] >> g->edge_tet[at] % 6 & 1))
             return 0;
@@ -16900,33 +16900,33 @@ static int sfemi_damage_is_lone(const sfemi_damage *d, sfem_int k)
     return 1;
 }
 
-/* Breaks lone edges: no crack surface separates what they hold, and they hold next to nothing.
- * Breaking one may leave another. d->lone: there may be some, for something broke or one had to
+/* Breaks dangling edges: no crack surface separates what they hold, and they hold next to nothing.
+ * Breaking one may leave another. d->dangling: there may be some, for something broke or one had to
  * wait. */
-static void sfemi_damage_sweep_lone(sfemi_damage *d, const sfemi_damage_step *step,
+static void sfemi_damage_sweep_dangling(sfemi_damage *d, const sfemi_damage_step *step,
                                     sfemi_damage_change *change)
 {
     const sfemi_bonds *g = d->bonds;
     sfem_real zeta[6];
     sfem_int i;
-    int pass, k, did = d->lone || d->events;
+    int pass, k, did = d->dangling || d->events;
     for (pass = 0; pass < 10 && did; ++pass) {
-        for (i = did = d->lone = 0; i < d->tets; ++i) {
+        for (i = did = d->dangling = 0; i < d->tets; ++i) {
             const sfem_int e = d->tet[i];
             const unsigned links = sfemi_damage_links[sfemi_damage_zetas(d, e, zeta)];
             for (k = 0; k < 6; ++k) {
                 const sfem_int edge = g->tet_edge[6 * e + k];
-                if (!(links >> k & 1 || d->kind[e] == SFEMI_LOOSE) || g->never[edge] ||
+                if (!(links >> k & 1 || d->kind[e] == SFEMI_DISCONNECTED) || g->never[edge] ||
                     g->edge_tet[g->tet_start[edge]] / 6 != e)
                     continue; /* each edge once, at its first tet */
-                if (!(d->zeta[edge] > 0) || !sfemi_damage_is_lone(d, edge)) continue;
-                if (sfemi_damage_try(d, edge, 0, SFEM_BROKE_LONE, step, change)) did = 1;
-                else d->lone = 1;
+                if (!(d->zeta[edge] > 0) || !sfemi_damage_is_dangling(d, edge)) continue;
+                if (sfemi_damage_try(d, edge, 0, SFEM_BROKE_DANGLING, step, change)) did = 1;
+                else d->dangling = 1;
             }
         }
         sfemi_damage_merge(d);
     }
-    d->lone |= did;
+    d->dangling |= did;
 }
 
 /* zeta of a ductile edge, from the largest strain so far. */
@@ -16946,7 +16946,7 @@ static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
     sfem_int k;
     for (k = 0; k < g->edges; ++k) {
         if (!(d->zeta[k] > 0) || g->never[k]) continue;
-        if (d->near_hot[k] && d->strain[k] > d->peak[k] && sfemi_damage_rankine(d, k))
+        if (d->near_candidate[k] && d->strain[k] > d->peak[k] && sfemi_damage_rankine(d, k))
             d->peak[k] = d->strain[k];
         if (sfemi_damage_soft(d, k) < d->zeta[k])
             sfemi_damage_try(d, k, sfemi_damage_soft(d, k), SFEM_BROKE_CRITERION, step, change);
@@ -16954,9 +16954,9 @@ static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
 }
 
 /* One round of breaking after a step: softening, or local maxima of the criterion at the midpoint;
- * edges that a blade has marked; then lone edges. Every break lowers the invariant, at worst by
+ * edges that a blade has marked; then dangling edges. Every break lowers the invariant, at worst by
  * nothing, but for edges that a blade has to force. Fills *change and d->event[0 .. d->events).
- * What is far from breaking costs 12 ns a tet, of a body that turns 34; a break some 40 us. */
+ * What is far from breaking costs 12 ns a tet, of a body that rotates 34; a break some 40 us. */
 static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
                                sfemi_damage_change *change)
 {
@@ -16966,23 +16966,23 @@ static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
     const sfem_int pieces = d->pieces;
     sfemi_damage_round_job job;
     sfem_int k, i;
-    int hot;
+    int candidate;
     memset(change, 0, sizeof *change);
     d->events = 0;
     job.d = d;
     job.step = step;
     sfemi_run(step->exec, edges, sfemi_damage_strain_task, &job);
-    sfemi_run(step->exec, tets, sfemi_damage_hot_task, &job);
-    hot = memchr(d->hot, 1, (size_t)g->model->mesh.tets) != NULL;
-    if (hot) {
+    sfemi_run(step->exec, tets, sfemi_damage_candidate_task, &job);
+    candidate = memchr(d->candidate, 1, (size_t)g->model->mesh.tets) != NULL;
+    if (candidate) {
         sfemi_run(step->exec, edges, sfemi_damage_near_task, &job);
         sfemi_run(step->exec, tets, sfemi_damage_weigh_task, &job);
     } else {
-        memset(d->near_hot, 0, (size_t)g->edges);
+        memset(d->near_candidate, 0, (size_t)g->edges);
     }
     if (d->peak) {
         sfemi_damage_soften(d, step, change);
-    } else if (hot) {
+    } else if (candidate) {
         sfemi_run(step->exec, edges, sfemi_damage_ratio_task, &job);
         sfemi_run(step->exec, (g->model->mesh.nodes + per - 1) / per, sfemi_damage_most_task, &job);
         for (k = 0; k < g->edges; ++k)
@@ -16992,12 +16992,12 @@ static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
     for (k = 0; k < g->edges; ++k)
         if (d->mark[k] && d->zeta[k] > 0) sfemi_damage_try(d, k, 0, SFEM_BROKE_BLADE, step, change);
     sfemi_damage_merge(d);
-    sfemi_damage_sweep_lone(d, step, change);
+    sfemi_damage_sweep_dangling(d, step, change);
     change->broken = d->events;
     /* one after the other: of two that part three pieces, the first must find the other whole */
-    for (i = 0; i < d->events; ++i) d->near_hot[d->event_edge[i]] = SFEMI_NEXT;
+    for (i = 0; i < d->events; ++i) d->near_candidate[d->event_edge[i]] = SFEMI_NEXT;
     for (i = 0; i < d->events; ++i) {
-        d->near_hot[d->event_edge[i]] = 0;
+        d->near_candidate[d->event_edge[i]] = 0;
         sfemi_damage_part(d, d->event_edge[i]);
     }
     if (d->pieces != pieces) sfemi_damage_number_pieces(d);
@@ -17013,20 +17013,20 @@ static void sfemi_damage_round(sfemi_damage *d, const sfemi_damage_step *step,
 /* f(t) = c0 + .. + c3 t^3: the roots in [0, 1], at most 3, between its extrema by bisection. */
 static int sfemi_damage_roots(const sfem_real c[4], sfem_real root[3])
 {
-    sfem_real knot[4] = {0, 1, 1, 1}, a = 3 * c[3], b = c[2], q, r;
-    int knots = 1, i, found = 0, pass;
+    sfem_real breakpoint[4] = {0, 1, 1, 1}, a = 3 * c[3], b = c[2], q, r;
+    int breakpoints = 1, i, found = 0, pass;
     const sfem_real discriminant = b * b - a * c[1];
     if (discriminant > 0) { /* of f'/1 = a t^2 + 2 b t + c1 */
         q = -(b + (b < 0 ? -1 : 1) * sqrt(discriminant));
         for (i = 0; i < 2; ++i) {
             r = i ? (q != 0 ? c[1] / q : 0) : (a != 0 ? q / a : 0);
-            if (r > 0 && r < 1) knot[knots++] = r;
+            if (r > 0 && r < 1) breakpoint[breakpoints++] = r;
         }
-        if (knots == 3 && knot[1] > knot[2]) r = knot[1], knot[1] = knot[2], knot[2] = r;
+        if (breakpoints == 3 && breakpoint[1] > breakpoint[2]) r = breakpoint[1], breakpoint[1] = breakpoint[2], breakpoint[2] = r;
     }
-    knot[knots] = 1;
-    for (i = 0; i < knots; ++i) {
-        sfem_real low = knot[i], high = knot[i + 1];
+    breakpoint[breakpoints] = 1;
+    for (i = 0; i < breakpoints; ++i) {
+        sfem_real low = breakpoint[i], high = breakpoint[i + 1];
         const sfem_real fl = ((c[3] * low + c[2]) * low + c[1]) * low + c[0];
         const sfem_real fh = ((c[3] * high + c[2]) * high + c[1]) * high + c[0];
         if (!((fl <= 0 && fh >= 0) || (fl >= 0 && fh <= 0)) || fl == fh) continue;
@@ -17214,7 +17214,7 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
  *
  * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
  * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
- * isotropic majorant (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
+ * isotropic upper bound (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
  * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. Unless
  * axes are pinned one by one, or damping does not share its form, what is factored of it is the n x n
  * matrix: a ninth of the memory, and three right sides in a solve. All bodies of a model with the
@@ -17224,7 +17224,7 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
 
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
-    int majorant; /* ck times the isotropic majorant in place of K */
+    int upper_bound; /* ck times the isotropic upper bound in place of K */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -17247,7 +17247,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, uint64_t hash)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.majorant == key->majorant && f->key.precision == key->precision &&
+           f->key.upper_bound == key->upper_bound && f->key.precision == key->precision &&
            f->key.ordering == key->ordering && f->hash == hash;
 }
 
@@ -17282,7 +17282,7 @@ static void sfemi_factor_release(sfem_model *model, sfem_factor *f)
 static int sfemi_factor_is_scalar(const sfem_model *model, const sfemi_factor_key *key)
 {
     sfem_int i;
-    if (!key->majorant || model->block_mass || (model->damping && key->cd != 0)) return 0;
+    if (!key->upper_bound || model->block_mass || (model->damping && key->cd != 0)) return 0;
     for (i = 0; i < model->mesh.nodes; ++i)
         if (key->mask[i] != 0 && key->mask[i] != SFEM_AXIS_ALL) return 0;
     return 1;
@@ -17305,7 +17305,7 @@ static sfem_factor *sfemi_factor_find(sfem_model *model, const sfemi_factor_key 
             k.ck = f->key.ck;
             k.cm = f->key.cm;
             k.cd = f->key.cd;
-            k.majorant = f->key.majorant;
+            k.upper_bound = f->key.upper_bound;
         }
         if (!sfemi_factor_matches(f, &k, hash)) continue;
         ++f->references;
@@ -17322,8 +17322,8 @@ static sfem_real sfemi_factor_isotropic(const sfem_model *model, sfem_int e)
     return model->volume[e] * (2 * model->mu[e] + 3 * fmax(model->lambda[e], 0.0));
 }
 
-/* y = the majorant times x. */
-static void sfemi_factor_multiply_majorant(const sfem_model *model, const sfem_real *x, sfem_real *y)
+/* y = the isotropic upper bound times x. */
+static void sfemi_factor_multiply_upper_bound(const sfem_model *model, const sfem_real *x, sfem_real *y)
 {
     sfem_int e;
     int a, i, j;
@@ -17344,8 +17344,8 @@ static void sfemi_factor_multiply_majorant(const sfem_model *model, const sfem_r
     }
 }
 
-/* The majorant's scalars [blocks], to be freed, where the key wants it; else NULL. */
-static sfem_status sfemi_factor_majorant(const sfem_model *model, const sfemi_factor_key *key,
+/* The isotropic upper bound's scalars [blocks], to be freed, where the key wants it; else NULL. */
+static sfem_status sfemi_factor_upper_bound(const sfem_model *model, const sfemi_factor_key *key,
                                          sfem_real **out, sfem_error *err)
 {
     sfem_real *scalar = NULL;
@@ -17353,7 +17353,7 @@ static sfem_status sfemi_factor_majorant(const sfem_model *model, const sfemi_fa
     sfem_int e;
     int a, b;
     *out = NULL;
-    if (!key->majorant) return SFEM_OK;
+    if (!key->upper_bound) return SFEM_OK;
     SFEMI_NEW(sfem_real, scalar, &model->allocator, model->row[model->mesh.nodes]);
     for (e = 0; e < model->mesh.tets; ++e) {
         const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
@@ -17371,13 +17371,13 @@ done:
 }
 
 /* Block (i, j) of A at place `at` of the pattern, without what couples held axes. */
-static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *majorant,
+static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *upper_bound,
                                sfem_int at, sfem_int i, sfem_real b[9])
 {
     const sfem_int j = model->col[at];
     int r, c;
-    sfemi_fem_block(model, at, i, majorant ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
-    for (r = 0; majorant && r < 9; r += 4) b[r] += f->key.ck * majorant[at];
+    sfemi_fem_block(model, at, i, upper_bound ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; upper_bound && r < 9; r += 4) b[r] += f->key.ck * upper_bound[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
             if (((f->mask[i] >> r & 1) || (f->mask[j] >> c & 1)) && !(i == j && r == c)) b[3 * r + c] = 0;
@@ -17389,11 +17389,11 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
 {
     const sfem_allocator *al = &model->allocator;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
-    sfem_real *majorant = NULL, block[9];
+    sfem_real *upper_bound = NULL, block[9];
     sfem_matrix a;
     sfem_status status = SFEM_OK;
     memset(&a, 0, sizeof a);
-    SFEMI_TRY(sfemi_factor_majorant(model, &f->key, &majorant, err));
+    SFEMI_TRY(sfemi_factor_upper_bound(model, &f->key, &upper_bound, err));
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
@@ -17405,7 +17405,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
         for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
             if (number[model->col[at]] == 0) continue;
             col[blocks] = number[model->col[at]] - 1;
-            sfemi_factor_block(model, f, majorant, at, f->node[k], block);
+            sfemi_factor_block(model, f, upper_bound, at, f->node[k], block);
             if (f->scalar) a.val[blocks++] = block[0];
             else memcpy(a.val + 9 * (size_t)blocks++, block, sizeof block);
         }
@@ -17414,7 +17414,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
     *out = a;
 done:
     if (status != SFEM_OK) sfem_matrix_free(&a, al);
-    sfemi_delete(al, majorant);
+    sfemi_delete(al, upper_bound);
     sfemi_delete(al, number);
     return status;
 }
@@ -17557,14 +17557,14 @@ static void sfemi_factor_solve(const sfem_factor *f, sfem_int nodes, sfem_int rh
  * ============================================================================================ */
 
 /* Something that holds points in place: the history that gives its velocity and acceleration. */
-typedef struct sfemi_hold {
+typedef struct sfemi_target {
     sfem_real target[3]; /* position at the end of the next step */
     sfem_real past[3];   /* position at the start of the last one */
     sfem_int age;        /* steps since it was taken, up to 2 */
-} sfemi_hold;
+} sfemi_target;
 
 typedef struct sfemi_handle {
-    sfemi_hold hold;
+    sfemi_target path;
     sfem_int used, node[4];
     sfem_real weight[4];
     sfem_real force[3]; /* N, on the body, over the last step */
@@ -17578,11 +17578,11 @@ typedef struct sfemi_state_head {
     sfem_int load_age;  /* steps since the load last changed, up to 2 */
     sfem_int loaded;    /* the load was ever set */
     sfem_int current;   /* f, psi and frame belong to u */
-    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new ledger; _NEW_: and scale */
+    sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new energy budget; _NEW_: and scale */
     sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
     int64_t steps, rejected;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
-    sfem_real psi, budget, scale, last; /* >>guard: the energy at u, the ledger, Ec of the last step, */
+    sfem_real psi, budget, scale, last; /* >>safeguard: the energy at u, the energy budget, Ec of the last step, */
     sfem_real energy;                   /* and what it conserves */
     sfem_real gamma;    /* >>correct: of the last step; */
     sfem_real estimate; /* what a correction is worth over what its cheap estimate says; 0: not known */
@@ -17621,7 +17621,7 @@ typedef struct sfemi_state {
     sfemi_handle *handle;  /* [max_handles] */
     sfemi_energy_balance *balance;    /* these two only where the body may break */
     uint64_t *damage;      /* [] >>damage's own state */
-    sfemi_hold *pin;       /* [pin_count] last: what stands before it stays where pins change */
+    sfemi_target *pin;       /* [pin_count] last: what stands before it stays where pins change */
 } sfemi_state;
 
 /* Does a body rotate, and if so, is it corrected? */
@@ -17640,10 +17640,10 @@ typedef struct sfemi_state_shape {
 } sfemi_state_shape;
 
 /* >>handle: the handles' columns and their dense block. */
-typedef struct sfemi_grip {
+typedef struct sfemi_schur {
     sfem_int count;   /* handles in use */
     sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body turns, so many
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body rotates, so many
                        * for each of the handle's nodes */
     sfem_int *parts;  /* [max] for how many nodes there is room in y */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
@@ -17652,22 +17652,22 @@ typedef struct sfemi_grip {
     sfem_real *lambda; /* [3 max] */
     sfem_real *place;  /* [3 max] where the handles are before a step */
     int dirty;        /* the set of handles or the factor changed */
-} sfemi_grip;
+} sfemi_schur;
 
-/* >>turn: one connected piece, at the positions of the last sfemi_turn_locate. */
+/* >>rotated: one connected piece, at the positions of the last sfemi_rotated_locate. */
 typedef struct sfemi_piece {
     int held; /* by a pin or a handle: no projection */
     int spans; /* >>correct: u' serves, and */
     sfem_real rest; /* sum m |X - centre|^2 */
     sfem_real mass, centre[3], inertia_inverse[9];
     sfem_real motion[6], kept[6]; /* scratch: velocity of the centre, angular velocity */
-    sfem_real push[6];            /* the rigid acceleration, so, that a step's loads give it */
+    sfem_real rigid[6];            /* the rigid acceleration, so, that a step's loads give it */
     sfem_real curl[3];            /* (N^T M N)^-1 of the torque of the centripetal acceleration */
     sfem_real ahead[3], between[9]; /* >>correct: the centre at u', (N'^T M N)^-1 of rotations */
     sfem_real sum[4][3];          /* scratch of the energies */
 } sfemi_piece;
 
-typedef struct sfemi_turn {
+typedef struct sfemi_rotated {
     sfem_int pieces;
     sfem_int *piece_of;  /* [nodes] -1: in no tet */
     sfemi_piece *piece;  /* [pieces] */
@@ -17680,15 +17680,15 @@ typedef struct sfemi_turn {
     sfem_real *diagonal; /* [nodes] one over the mean of A's diagonal */
     sfem_real *v;        /* [nodes][3] scratch */
     sfem_real *lever;    /* [nodes][3] where a consistent M puts a node's mass, m^-1 M X - X; lumped: NULL */
-    int still;           /* no law turns: rigid motions are those of the rest pose */
-    int twists;          /* of laws that turn and linear ones: internal forces have a torque */
+    int still;           /* no law rotates: rigid motions are those of the rest pose */
+    int has_torque;          /* of laws that rotate and linear ones: internal forces have a torque */
     int by_hand;         /* the caller may add to the right side of the step under way */
-} sfemi_turn;
+} sfemi_rotated;
 
-typedef struct sfemi_guard_energies {
+typedef struct sfemi_safeguard_energies {
     sfem_real kinetic, eb, ec, floor; /* floor: h^2/2 L_r.M^-1 L_r */
     sfem_real rounding; /* what cancellation leaves: all of it, in a body that falls without bending */
-} sfemi_guard_energies;
+} sfemi_safeguard_energies;
 
 /* A matrix that changes, and its factor. */
 typedef struct sfemi_system {
@@ -17697,8 +17697,8 @@ typedef struct sfemi_system {
     sfem_int *source;   /* [blocks] their places in K's pattern */
 } sfemi_system;
 
-/* >>guard: a step of a body that rotates, all [nodes][3] unless stated. */
-typedef struct sfemi_guard {
+/* >>safeguard: a step of a body that rotates, all [nodes][3] unless stated. */
+typedef struct sfemi_safeguard {
     sfem_real *u, *w, *f;  /* the step's end */
     sfem_real *external;   /* the loads, and what the caller added, in the equation; */
     sfem_real *known;      /* forces of the past in it */
@@ -17718,12 +17718,12 @@ typedef struct sfemi_guard {
     sfemi_system system;   /* of Newton's iteration in a fallback, made when first needed, as is */
     sfem_matrix tangent;   /* K(u') itself, on K's pattern */
     sfem_real psi;         /* at u */
-    sfemi_guard_energies energies; /* of the step, if measured */
+    sfemi_safeguard_energies energies; /* of the step, if measured */
     int measured;
     int rejected;          /* u, w, f come from the fallback */
     sfem_int corrections;  /* made in the last step */
     sfem_real damped;      /* what damping took in it, of a body that may break */
-} sfemi_guard;
+} sfemi_safeguard;
 
 /* What >>implicit works with. */
 typedef struct sfemi_stage {
@@ -17754,7 +17754,7 @@ enum { SFEMI_IMPLICIT_VECTORS = 15 };
 typedef struct sfemi_refactor {
     sfem_ldl *ldl[2];
     sfem_factor factor;   /* the one in use: the body's own with another ldl; owns nothing */
-    sfem_matrix k[2];     /* their K, turned back; on K's pattern */
+    sfem_matrix k[2];     /* their K, rotated back; on K's pattern */
     sfem_matrix a;        /* what is factorised, free rows */
     sfem_int *source;     /* [blocks of a] their places in K's pattern */
     sfem_real *u, *frame; /* [nodes][3], [nodes][3][3] when it was asked for */
@@ -17769,7 +17769,7 @@ typedef struct sfemi_refactor {
     double rest_rate;     /* what was spent a step with the factor of the rest pose */
     double patience;      /* prices to be spent before another is made */
     sfem_real broken;     /* edges that were broken when it was asked for */
-    sfem_int quiet;       /* steps since one has broken or softened */
+    sfem_int since_break;       /* steps since one has broken or softened */
     int64_t made, failed;
 } sfemi_refactor;
 
@@ -17806,7 +17806,7 @@ typedef struct sfemi_method {
 /* What an integrator comes to, in numbers and properties. Constant from creation on. */
 typedef struct sfemi_scheme {
     const sfemi_method *method;
-    int rotates;    /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>turn and >>guard apply */
+    int rotates;    /* SFEMI_STILL .. SFEMI_CORRECTS: a nonlinear law or damage, >>rotated and >>safeguard apply */
     int newton;     /* >>implicit */
     int resumes;    /* >>resume: a linear body by one solve a step, damaged or not */
     int mean;       /* w is the mean velocity over a step, not the velocity */
@@ -17869,7 +17869,7 @@ struct sfem_body {
     sfem_real omega_max;   /* >>pqr: 0: not known */
     sfem_int factors_made;
     sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
-    sfemi_grip grip;       /* >>handle */
+    sfemi_schur schur;       /* >>handle */
 
     /* predict, solve, finish: the step under way */
     int phase;             /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
@@ -17885,8 +17885,8 @@ struct sfem_body {
     int kicked;
     sfem_real *base;       /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to; else NULL */
     sfem_real *velocity;   /* >>resume: [nodes][3] what a step starts from, if step.fresh; is to lose, if step.falls */
-    sfemi_turn turn;       /* >>turn */
-    sfemi_guard guard;     /* >>guard */
+    sfemi_rotated rotated;       /* >>rotated */
+    sfemi_safeguard safeguard;     /* >>safeguard */
     sfemi_implicit implicit; /* >>implicit */
     sfemi_refactor refactor; /* >>refactor */
 
@@ -17929,14 +17929,14 @@ static int sfemi_state_check_head(const void *shape, const char *at, size_t coun
            h.calm >= 0 && sfemi_state_check_counts(&h);
 }
 
-static int sfemi_state_check_holds(const void *shape, const char *at, size_t count)
+static int sfemi_state_check_targets(const void *shape, const char *at, size_t count)
 {
     size_t i;
     (void)shape;
     for (i = 0; i < count; ++i) {
-        sfemi_hold hold;
-        memcpy(&hold, at + i * sizeof hold, sizeof hold);
-        if (!sfemi_all_finite(hold.target, 3) || !sfemi_all_finite(hold.past, 3) || hold.age < 0 || hold.age > 2)
+        sfemi_target path;
+        memcpy(&path, at + i * sizeof path, sizeof path);
+        if (!sfemi_all_finite(path.target, 3) || !sfemi_all_finite(path.past, 3) || path.age < 0 || path.age > 2)
             return 0;
     }
     return 1;
@@ -17952,7 +17952,7 @@ static int sfemi_state_check_handles(const void *shape, const char *at, size_t c
         sfemi_handle h;
         memcpy(&h, at + i * sizeof h, sizeof h);
         if (h.used == 0) continue;
-        if (h.used != 1 || !sfemi_state_check_holds(shape, (const char *)&h.hold, 1) || !sfemi_all_finite(h.weight, 4) ||
+        if (h.used != 1 || !sfemi_state_check_targets(shape, (const char *)&h.path, 1) || !sfemi_all_finite(h.weight, 4) ||
             !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
             return 0;
         for (c = 0; c < 4; ++c)
@@ -18003,7 +18003,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
     SFEMI_ROW(balance, 1, breaking, NULL, NULL),
     SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
-    SFEMI_ROW(pin, 1, pins, sfemi_state_check_holds, "a pin")};
+    SFEMI_ROW(pin, 1, pins, sfemi_state_check_targets, "a pin")};
 #undef SFEMI_ROW
 #undef SFEMI_LOAD
 
@@ -18052,8 +18052,8 @@ static void sfemi_workspace_take(sfem_real **array, size_t count, sfem_real *mem
 /* What a body that rotates has in it besides. */
 static void sfemi_workspace_take_rotating(sfem_body *b, sfem_real *memory, size_t *used)
 {
-    sfemi_turn *t = &b->turn;
-    sfemi_guard *g = &b->guard;
+    sfemi_rotated *t = &b->rotated;
+    sfemi_safeguard *g = &b->safeguard;
     sfem_real **const vector[] = {&t->v,     &g->u,   &g->w,   &g->f,       &g->external, &g->known, &g->added,
                                   &g->grad,  &g->dir, &g->trial_u, &g->trial_w, &g->trial_f, &g->trial_grad, &g->other};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -18078,7 +18078,7 @@ static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t 
     size_t k;
     for (k = 0; k < SFEMI_IMPLICIT_VECTORS; ++k)
         sfemi_workspace_take(vector[k], 3 * (size_t)b->model->mesh.nodes, memory, used);
-    if (b->model->turns) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
+    if (b->model->rotates) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
 }
 
 /* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
@@ -18171,7 +18171,7 @@ done:
  * ============================================================================================ */
 
 /* (H x) of one handle: the weighted mean over its nodes. */
-static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
+static void sfemi_schur_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
 {
     int k, c;
     for (c = 0; c < 3; ++c) {
@@ -18182,7 +18182,7 @@ static void sfemi_grip_mean(const sfemi_handle *h, const sfem_real *x, sfem_real
 }
 
 /* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
-static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
+static void sfemi_schur_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
                                sfem_real *y, sfem_real *work, const sfem_exec *exec)
 {
     const size_t n = 3 * (size_t)nodes;
@@ -18199,9 +18199,9 @@ static void sfemi_grip_columns(const sfem_factor *f, const sfemi_handle *h, sfem
     }
 }
 
-/* Factors S = H Y, unless the body turns, and W = H M^-1 H^T over the handles in g->slot. */
-static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
-                              int turns, const unsigned char *mask)
+/* Factors S = H Y, unless the body rotates, and W = H M^-1 H^T over the handles in g->slot. */
+static void sfemi_schur_gather(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
+                              int rotates, const unsigned char *mask)
 {
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_int k = g->count;
@@ -18213,8 +18213,8 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             const sfemi_handle *hj = handle + g->slot[j];
             for (b = 0; b < 3; ++b) {
                 sfem_real mean[3], w = 0;
-                if (!turns) sfemi_grip_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3 && !turns; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+                if (!rotates) sfemi_schur_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3 && !rotates; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
                 for (p = 0; p < 4; ++p)
                     for (q = 0; q < 4; ++q)
                         if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
@@ -18224,12 +18224,12 @@ static void sfemi_grip_gather(sfemi_grip *g, const sfemi_handle *handle, const s
             }
         }
     }
-    if (!turns) sfemi_small_factor(g->s, 3 * k, 3 * k);
+    if (!rotates) sfemi_small_factor(g->s, 3 * k, 3 * k);
     for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
 }
 
 /* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
-static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
+static void sfemi_schur_apply(sfemi_schur *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_int i;
@@ -18237,7 +18237,7 @@ static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int
     int c;
     for (i = 0; i < g->count; ++i) {
         sfem_real mean[3];
-        sfemi_grip_mean(handle + g->slot[i], a, mean);
+        sfemi_schur_mean(handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
@@ -18251,7 +18251,7 @@ static void sfemi_grip_apply(sfemi_grip *g, const sfemi_handle *handle, sfem_int
 
 /* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
  * lumped M serves: it only chooses among the changes. */
-static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const sfem_model *model,
+static void sfemi_schur_project(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
                                const unsigned char *mask, sfem_real *x)
 {
     const sfem_int k = g->count;
@@ -18259,7 +18259,7 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
     int c, p;
     for (i = 0; i < k; ++i) {
         sfem_real mean[3];
-        sfemi_grip_mean(handle + g->slot[i], x, mean);
+        sfemi_schur_mean(handle + g->slot[i], x, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
@@ -18275,21 +18275,21 @@ static void sfemi_grip_project(sfemi_grip *g, const sfemi_handle *handle, const 
 
 /* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
  * of h_before seconds: of second and first order once three positions are known. */
-static void sfemi_hold_motion(const sfemi_hold *hold, const sfem_real *x, sfem_real h,
+static void sfemi_target_motion(const sfemi_target *path, const sfem_real *x, sfem_real h,
                               sfem_real h_before, sfem_real v[3], sfem_real a[3])
 {
     int c;
     for (c = 0; c < 3; ++c) {
-        const sfem_real d = (hold->target[c] - x[c]) / h;
-        a[c] = hold->age > 0 ? 2 * (d - (x[c] - hold->past[c]) / h_before) / (h + h_before) : 0;
+        const sfem_real d = (path->target[c] - x[c]) / h;
+        a[c] = path->age > 0 ? 2 * (d - (x[c] - path->past[c]) / h_before) / (h + h_before) : 0;
         v[c] = d + h / 2 * a[c];
     }
 }
 
-static void sfemi_hold_advance(sfemi_hold *hold, const sfem_real *x)
+static void sfemi_target_advance(sfemi_target *path, const sfem_real *x)
 {
-    memcpy(hold->past, x, sizeof hold->past);
-    if (hold->age < 2) ++hold->age;
+    memcpy(path->past, x, sizeof path->past);
+    if (path->age < 2) ++path->age;
 }
 
 /* ============================================================================================
@@ -18356,9 +18356,9 @@ static sfem_real sfemi_body_lumped_solve(sfem_body *b, sfem_real *r, sfem_real *
     size_t i;
     for (i = 0; i < n; ++i)
         z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / model->node_mass[i / 3];
-    if (b->grip.count) {
-        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
-        sfemi_grip_project(&b->grip, b->state.handle, model, b->mask, z);
+    if (b->schur.count) {
+        memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
+        sfemi_schur_project(&b->schur, b->state.handle, model, b->mask, z);
     }
     for (i = 0; i < n; ++i) {
         r[i] = model->node_mass[i / 3] * z[i];
@@ -18397,7 +18397,7 @@ static void sfemi_body_mass_solve(sfem_body *b, sfem_real *a)
     }
 }
 
-/* x = what is nearest to y, in the norm of M, of all that has x on held axes and grip.lambda at the handles'
+/* x = what is nearest to y, in the norm of M, of all that has x on held axes and schur.lambda at the handles'
  * points. Uses the step's scratch; y may be x. */
 static void sfemi_body_project(sfem_body *b, const sfem_real *y, sfem_real *x)
 {
@@ -18406,11 +18406,11 @@ static void sfemi_body_project(sfem_body *b, const sfem_real *y, sfem_real *x)
     size_t i;
     if (!b->model->block_mass) {
         for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : y[i];
-        if (b->grip.count) sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, x);
+        if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
         return;
     }
     for (i = 0; i < n; ++i) given[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : 0;
-    if (b->grip.count) sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, given);
+    if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, given);
     for (i = 0; i < n; ++i) x[i] = y[i] - given[i];
     sfem_model_multiply_mass(b->model, x, b->rhs, &b->exec);
     sfemi_body_mass_solve(b, x);
@@ -18436,17 +18436,17 @@ static void sfemi_body_initial_acceleration(sfem_body *b, sfem_real scale)
 
 /* c - (what the handles would do without force), in units of acceleration, to g->lambda:
  * (target - H X - H u)/scale with u the displacement that is predicted. */
-static void sfemi_body_handle_gap(const sfem_body *b, sfemi_grip *g, const sfem_real *u, sfem_real scale)
+static void sfemi_body_handle_gap(const sfem_body *b, sfemi_schur *g, const sfem_real *u, sfem_real scale)
 {
     sfem_int i;
     int c;
     for (i = 0; i < g->count; ++i) {
         const sfemi_handle *h = b->state.handle + g->slot[i];
         sfem_real rest[3], moved[3];
-        sfemi_grip_mean(h, b->model->mesh.x, rest);
-        sfemi_grip_mean(h, u, moved);
+        sfemi_schur_mean(h, b->model->mesh.x, rest);
+        sfemi_schur_mean(h, u, moved);
         for (c = 0; c < 3; ++c)
-            g->lambda[3 * i + c] = (h->hold.target[c] - rest[c] - moved[c]) / scale;
+            g->lambda[3 * i + c] = (h->path.target[c] - rest[c] - moved[c]) / scale;
     }
 }
 
@@ -18455,8 +18455,8 @@ SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfe
     sfem_real u[3];
     int c;
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    sfemi_grip_mean(b->state.handle + handle, b->model->mesh.x, x);
-    sfemi_grip_mean(b->state.handle + handle, b->state.u, u);
+    sfemi_schur_mean(b->state.handle + handle, b->model->mesh.x, x);
+    sfemi_schur_mean(b->state.handle + handle, b->state.u, u);
     for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
@@ -18502,7 +18502,7 @@ static void sfemi_newmark_predict(sfem_body *b)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c];
-        sfemi_hold_motion(b->state.pin + k, x, h, b->state.head->h, v, a);
+        sfemi_target_motion(b->state.pin + k, x, h, b->state.head->h, v, a);
         for (c = 0; c < 3; ++c) {
             i = at + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
@@ -18522,10 +18522,10 @@ static void sfemi_newmark_solve(sfem_body *b)
     const sfem_real h = b->step.h;
     size_t i;
     sfem_real v;
-    if (!b->grip.count) return;
+    if (!b->schur.count) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, &b->zk[i], &v);
-    sfemi_body_handle_gap(b, &b->grip, b->zk, b->def.beta * h * h);
-    sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+    sfemi_body_handle_gap(b, &b->schur, b->zk, b->def.beta * h * h);
+    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
 }
 
 static void sfemi_newmark_finish(sfem_body *b)
@@ -18548,29 +18548,29 @@ static void sfemi_newmark_finish(sfem_body *b)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
-        sfemi_hold_motion(s->pin + k, x, h, s->head->h, v, a);
+        sfemi_target_motion(s->pin + k, x, h, s->head->h, v, a);
         for (c = 0; c < 3; ++c) {
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             s->u[at + (size_t)c] = s->pin[k].target[c] - b->model->mesh.x[at + (size_t)c];
             s->w[at + (size_t)c] = v[c];
             s->a[at + (size_t)c] = a[c];
         }
-        sfemi_hold_advance(s->pin + k, x);
+        sfemi_target_advance(s->pin + k, x);
     }
 }
 
 /* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
-static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
+static void sfemi_newmark_finish_handles(sfem_body *b, const sfem_real *x)
 {
     sfem_real *const array[2] = {b->state.w, b->state.a};
     sfem_int i;
     int c, pass;
-    for (pass = 0; pass < 2 && b->grip.count; ++pass) {
-        for (i = 0; i < b->grip.count; ++i) {
+    for (pass = 0; pass < 2 && b->schur.count; ++pass) {
+        for (i = 0; i < b->schur.count; ++i) {
             sfem_real motion[2][3];
-            sfemi_hold_motion(&b->state.handle[b->grip.slot[i]].hold, x + 3 * i, b->step.h,
+            sfemi_target_motion(&b->state.handle[b->schur.slot[i]].path, x + 3 * i, b->step.h,
                               b->state.head->h, motion[0], motion[1]);
-            for (c = 0; c < 3; ++c) b->grip.lambda[3 * i + c] = motion[pass][c];
+            for (c = 0; c < 3; ++c) b->schur.lambda[3 * i + c] = motion[pass][c];
         }
         sfemi_body_project(b, array[pass], array[pass]);
     }
@@ -18596,7 +18596,7 @@ static void sfemi_newmark_settle_handles(sfem_body *b, const sfem_real *x)
  * ============================================================================================ */
 
 /* Do all tets follow Hooke's law in small rotations? */
-static int sfemi_implicit_linear(const sfem_model *model) { return !model->turns; }
+static int sfemi_implicit_linear(const sfem_model *model) { return !model->rotates; }
 
 static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
 {
@@ -18830,14 +18830,14 @@ static sfem_status sfemi_implicit_get_factor(sfem_body *b, sfem_real h, sfem_fac
 }
 
 /* Place, velocity and acceleration of something held, where the stage ends; x: where it is now. */
-static void sfemi_implicit_hold(const sfem_body *b, const sfemi_hold *hold, const sfem_real *x,
+static void sfemi_implicit_place(const sfem_body *b, const sfemi_target *path, const sfem_real *x,
                                 sfem_real place[3], sfem_real v[3], sfem_real a[3])
 {
     const sfem_real back = (1 - b->implicit.stage.end) * b->step.h;
     int c;
-    sfemi_hold_motion(hold, x, b->step.h, b->state.head->h, v, a);
+    sfemi_target_motion(path, x, b->step.h, b->state.head->h, v, a);
     for (c = 0; c < 3; ++c) {
-        place[c] = hold->target[c] - back * (v[c] - back / 2 * a[c]);
+        place[c] = path->target[c] - back * (v[c] - back / 2 * a[c]);
         v[c] -= back * a[c];
     }
 }
@@ -18862,7 +18862,7 @@ static void sfemi_implicit_history(sfem_body *b)
         const sfem_real *rest = b->model->mesh.x + at, *u = b->state.u + at;
         sfem_real x[3], place[3], pv[3], pa[3];
         for (c = 0; c < 3; ++c) x[c] = rest[c] + u[c];
-        sfemi_implicit_hold(b, b->state.pin + k, x, place, pv, pa);
+        sfemi_implicit_place(b, b->state.pin + k, x, place, pv, pa);
         for (c = 0; c < 3; ++c) {
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             i = at + (size_t)c;
@@ -19017,11 +19017,11 @@ static int sfemi_newton_finite(const sfem_body *b, const sfemi_newton *t)
     return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale);
 }
 
-/* The norm of r + H^T l, l in grip.lambda, and whether it will do. */
+/* The norm of r + H^T l, l in schur.lambda, and whether it will do. */
 static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
 {
     sfemi_implicit *m = &b->implicit;
-    const sfemi_grip *g = &b->grip;
+    const sfemi_schur *g = &b->schur;
     const unsigned char *mask = t->system->factor->mask;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real floor, norm;
@@ -19148,28 +19148,28 @@ static void sfemi_newton_lift(sfem_body *b, const sfem_real *g)
     for (i = 0; i < n; ++i) m->step[i] -= cd * b->zk[i];
 }
 
-/* What the handles still have to go, to grip.lambda; the largest of it. */
+/* What the handles still have to go, to schur.lambda; the largest of it. */
 static sfem_real sfemi_newton_gap(sfem_body *b)
 {
     sfemi_implicit *m = &b->implicit;
     sfem_int k;
     int c;
-    for (k = 0; k < b->grip.count; ++k) {
-        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->schur.slot[k];
         sfem_real rest[3], u[3], d[3], place[3], v[3], a[3];
-        sfemi_grip_mean(h, b->model->mesh.x, rest);
-        sfemi_grip_mean(h, b->state.u, u);
-        sfemi_grip_mean(h, m->d, d);
+        sfemi_schur_mean(h, b->model->mesh.x, rest);
+        sfemi_schur_mean(h, b->state.u, u);
+        sfemi_schur_mean(h, m->d, d);
         for (c = 0; c < 3; ++c) place[c] = rest[c] + u[c];
         if (m->still) {
-            for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->hold.target[c] - place[c]);
+            for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->path.target[c] - place[c]);
             memcpy(place, v, sizeof place);
         } else {
-            sfemi_implicit_hold(b, &h->hold, place, place, v, a);
+            sfemi_implicit_place(b, &h->path, place, place, v, a);
         }
-        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = place[c] - rest[c] - u[c] - d[c];
+        for (c = 0; c < 3; ++c) b->schur.lambda[3 * k + c] = place[c] - rest[c] - u[c] - d[c];
     }
-    return sfemi_implicit_max(b->grip.lambda, 3 * (size_t)b->grip.count);
+    return sfemi_implicit_max(b->schur.lambda, 3 * (size_t)b->schur.count);
 }
 
 /* Newton's correction, to step; pins and handles go all their way. */
@@ -19196,15 +19196,15 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
     ++m->info.iterations;
-    if (!b->grip.count) return SFEM_OK;
+    if (!b->schur.count) return SFEM_OK;
     if (y->matrix.val || m->second) {
-        for (k = 0; k < b->grip.count; ++k)
-            sfemi_grip_columns(y->factor, b->state.handle + b->grip.slot[k], nodes, 0,
-                               b->grip.y[b->grip.slot[k]], b->workspace->work, &b->exec);
-        sfemi_grip_gather(&b->grip, b->state.handle, b->model, 0, y->factor->mask);
+        for (k = 0; k < b->schur.count; ++k)
+            sfemi_schur_columns(y->factor, b->state.handle + b->schur.slot[k], nodes, 0,
+                               b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
+        sfemi_schur_gather(&b->schur, b->state.handle, b->model, 0, y->factor->mask);
     }
     sfemi_newton_gap(b);
-    sfemi_grip_apply(&b->grip, b->state.handle, nodes, m->step);
+    sfemi_schur_apply(&b->schur, b->state.handle, nodes, m->step);
     return SFEM_OK;
 }
 
@@ -19213,9 +19213,9 @@ static sfem_real sfemi_newton_handle_work(const sfem_body *b)
 {
     sfem_real work = 0, mean[3];
     sfem_int k;
-    for (k = 0; k < b->grip.count; ++k) {
-        sfemi_grip_mean(b->state.handle + b->grip.slot[k], b->implicit.step, mean);
-        work += sfemi_dot3(mean, b->grip.lambda + 3 * k);
+    for (k = 0; k < b->schur.count; ++k) {
+        sfemi_schur_mean(b->state.handle + b->schur.slot[k], b->implicit.step, mean);
+        work += sfemi_dot3(mean, b->schur.lambda + 3 * k);
     }
     return work;
 }
@@ -19284,8 +19284,8 @@ static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *e
     t->feasible = !(sfemi_newton_gap(b) > 0);
     for (i = 0; i < n && t->feasible; ++i)
         t->feasible = !(mask[i / 3] >> (i % 3) & 1) || m->d[i] == m->goal[i];
-    for (i = 0; i < (size_t)b->grip.count; ++i)
-        memcpy(b->grip.lambda + 3 * i, b->state.handle[b->grip.slot[i]].force, 3 * sizeof(sfem_real));
+    for (i = 0; i < (size_t)b->schur.count; ++i)
+        memcpy(b->schur.lambda + 3 * i, b->state.handle[b->schur.slot[i]].force, 3 * sizeof(sfem_real));
     m->info.converged = 0;
     for (;;) {
         const int enough = sfemi_newton_converged(b, t);
@@ -19417,7 +19417,7 @@ static void sfemi_implicit_finish(sfem_body *b)
         const size_t at = 3 * (size_t)b->pin[k];
         sfem_real x[3], v[3], a[3];
         for (c = 0; c < 3; ++c) x[c] = b->model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c];
-        sfemi_hold_motion(s->pin + k, x, b->step.h, s->head->h, v, a);
+        sfemi_target_motion(s->pin + k, x, b->step.h, s->head->h, v, a);
         for (c = 0; c < 3; ++c) {
             i = at + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
@@ -19425,7 +19425,7 @@ static void sfemi_implicit_finish(sfem_body *b)
             s->w[i] = v[c];
             s->a[i] = a[c];
         }
-        sfemi_hold_advance(s->pin + k, x);
+        sfemi_target_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
         if (b->mask[i / 3] >> (i % 3) & 1) continue;
@@ -19443,7 +19443,7 @@ SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *b)
 
 /* ---- statics ---- */
 
-/* f(u) = F, the held axes of mask at known, and the handles in grip.slot at their targets, from the present u
+/* f(u) = F, the held axes of mask at known, and the handles in schur.slot at their targets, from the present u
  * on; the solution to u. Steps of the load, in which the force that is out of balance at the start
  * vanishes in proportion and pins and handles go their ways. */
 static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system, const sfem_real *known,
@@ -19638,9 +19638,9 @@ static void sfemi_alpha_predict(sfem_body *b)
     for (i = 0; i < n; ++i) b->rhs[i] *= -b->p * b->step.h * b->step.h;
     memset(b->base, 0, n * sizeof *b->base);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->workspace->work, &b->exec);
-    if (b->grip.count) {
-        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
-        sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->base);
+    if (b->schur.count) {
+        memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
+        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->base);
     }
     for (i = 0; i < n; ++i) b->base[i] += w[i];
 }
@@ -19689,10 +19689,10 @@ static void sfemi_pqr_solve(sfem_body *b)
     const sfemi_step t = b->step;
     const sfem_real h = b->step.h, *base = sfemi_pqr_base(b);
     size_t i;
-    if (b->grip.count) {
+    if (b->schur.count) {
         for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
-        sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
-        sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, b->acc);
+        sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
+        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
 }
@@ -19712,7 +19712,7 @@ static void sfemi_pqr_finish(sfem_body *b)
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             x[c] = b->model->mesh.x[i] + s->u[i];
         }
-        sfemi_hold_advance(s->pin + k, x);
+        sfemi_target_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
         s->w[i] = base[i] + t.d * b->acc[i];
@@ -19878,25 +19878,25 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
 {
     if (b->scheme.newmark) return b->def.beta < b->def.gamma / 2;
     if (!b->scheme.pqr) return b->scheme.central;
-    if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->turns)) return b->def.q < 1;
+    if (b->def.p == SFEM_P_SAFE || (b->def.p == SFEM_P_AUTO && b->model->rotates)) return b->def.q < 1;
     return b->def.p < 0.25 || b->def.q < 1; /* SFEM_P_AUTO is below 1/4 too */
 }
 
 /* ============================================================================================
- * >>turn   the inverse of A in a body that turns: frames, rigid projection
+ * >>rotated   the inverse of A in a body that rotates: frames, rigid projection
  *
- * The factor is of the rest pose, A0. For a body that turns, A = Q A0 Q^T with one rotation a node,
+ * The factor is of the rest pose, A0. For a body that rotates, A = Q A0 Q^T with one rotation a node,
  * Q_i = polar(sum V_e R_e) over its tets, or one a piece; a lumped M commutes with Q. That does not keep
  * rigid motions free of force, so on pieces that nothing holds
  *   A^-1 b = N (N^T c M N)^-1 N^T b + P Q A0^-1 Q^T P^T b,   P = I - N (N^T M N)^-1 N^T M,
  * N being the six rigid motions at the present positions, cm M the mass part of A0: linear and angular
- * momentum are then exact, and the form is symmetric. Stiffness damping turns alike, D w = alpha M w +
+ * momentum are then exact, and the form is symmetric. Stiffness damping rotates alike, D w = alpha M w +
  * P^T Q (beta K + rest) Q^T P w, which A bounds. A piece that a handle holds counts as held.
  * ============================================================================================ */
 
 /* Inverse of an inertia, kept finite where it is singular; that of a piece crushed to a point, so far below
- * its inertia at rest that only rounding tells its rotation, becomes zero, as does that of a lone node. */
-static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real inverse[9])
+ * its inertia at rest that only rounding tells its rotation, becomes zero, as does that of a dangling node. */
+static void sfemi_rotated_invert(const sfem_real m[9], sfem_real rest, sfem_real inverse[9])
 {
     sfem_real a[9], c[9], det;
     int i;
@@ -19910,13 +19910,13 @@ static void sfemi_turn_invert(const sfem_real m[9], sfem_real rest, sfem_real in
 
 /* Where rigid motions are taken: at X + u, or at X (NULL) where all laws are linear. What costs no energy
  * there, and what K does not see, are the infinitesimal rotations of the rest pose. */
-static const sfem_real *sfemi_turn_pose(const sfem_body *b, const sfem_real *u)
+static const sfem_real *sfemi_rotated_pose(const sfem_body *b, const sfem_real *u)
 {
-    return b->turn.still ? NULL : u;
+    return b->rotated.still ? NULL : u;
 }
 
 /* r = X + u - centre of node i. */
-static void sfemi_turn_arm(const sfem_body *b, const sfem_real *u, sfem_int i, const sfem_real centre[3],
+static void sfemi_rotated_arm(const sfem_body *b, const sfem_real *u, sfem_int i, const sfem_real centre[3],
                            sfem_real r[3])
 {
     const sfem_real *x = b->model->mesh.x + 3 * (size_t)i;
@@ -19925,16 +19925,16 @@ static void sfemi_turn_arm(const sfem_body *b, const sfem_real *u, sfem_int i, c
 }
 
 /* Mass, centre and inertia of every piece at X + u. */
-static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
+static void sfemi_rotated_locate(sfem_body *b, const sfem_real *u)
 {
     const sfem_model *model = b->model;
     const sfem_int nodes = model->mesh.nodes;
-    sfemi_turn *t = &b->turn;
+    sfemi_rotated *t = &b->rotated;
     sfem_int i, k;
     int c, held = !b->damage;
     for (k = 0; k < t->pieces; ++k) held &= t->piece[k].held;
     if (held) return; /* nobody asks */
-    u = sfemi_turn_pose(b, u);
+    u = sfemi_rotated_pose(b, u);
     for (k = 0; k < t->pieces; ++k) {
         t->piece[k].mass = 0;
         memset(t->piece[k].centre, 0, sizeof t->piece[k].centre);
@@ -19956,8 +19956,8 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         sfem_real r[3], q[3], m = model->node_mass[i], *in;
         if (t->piece_of[i] < 0 || t->piece[t->piece_of[i]].held) continue;
         in = t->piece[t->piece_of[i]].inertia_inverse;
-        sfemi_turn_arm(b, u, i, t->piece[t->piece_of[i]].centre, r);
-        sfemi_turn_arm(b, t->lever ? t->lever : u, i, t->piece[t->piece_of[i]].centre, q);
+        sfemi_rotated_arm(b, u, i, t->piece[t->piece_of[i]].centre, r);
+        sfemi_rotated_arm(b, t->lever ? t->lever : u, i, t->piece[t->piece_of[i]].centre, q);
         for (c = 0; c < 9; ++c)
             in[c] += m * ((c % 4 == 0 ? sfemi_dot3(q, r) : 0) - r[c / 3] * q[c % 3]);
     }
@@ -19965,79 +19965,79 @@ static void sfemi_turn_locate(sfem_body *b, const sfem_real *u)
         if (!t->piece[k].held) {
             sfem_real inertia[9];
             memcpy(inertia, t->piece[k].inertia_inverse, sizeof inertia);
-            sfemi_turn_invert(inertia, t->piece[k].rest, t->piece[k].inertia_inverse);
+            sfemi_rotated_invert(inertia, t->piece[k].rest, t->piece[k].inertia_inverse);
         }
 }
 
 /* The pieces' sum m |X - centre|^2, from their places at rest. */
-static void sfemi_turn_size(sfem_body *b)
+static void sfemi_rotated_size(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
-    sfemi_turn_locate(b, NULL);
-    for (i = 0; i < b->turn.pieces; ++i) b->turn.piece[i].rest = b->turn.piece[i].sum[0][0] = 0;
+    sfemi_rotated_locate(b, NULL);
+    for (i = 0; i < b->rotated.pieces; ++i) b->rotated.piece[i].rest = b->rotated.piece[i].sum[0][0] = 0;
     for (i = 0; i < model->mesh.nodes; ++i) {
         sfemi_piece *p;
         sfem_real r[3];
-        if (b->turn.piece_of[i] < 0) continue;
-        p = b->turn.piece + b->turn.piece_of[i];
-        sfemi_turn_arm(b, NULL, i, p->centre, r);
+        if (b->rotated.piece_of[i] < 0) continue;
+        p = b->rotated.piece + b->rotated.piece_of[i];
+        sfemi_rotated_arm(b, NULL, i, p->centre, r);
         p->rest += model->node_mass[i] * sfemi_dot3(r, r);
         p->sum[0][0] += 1;
     }
-    for (i = 0; i < b->turn.pieces; ++i)
-        if (b->turn.piece[i].sum[0][0] < 2) b->turn.piece[i].rest = 0; /* else what rounding leaves of it */
+    for (i = 0; i < b->rotated.pieces; ++i)
+        if (b->rotated.piece[i].sum[0][0] < 2) b->rotated.piece[i].rest = 0; /* else what rounding leaves of it */
 }
 
-/* The same, 1 / sum of the weights of the nodes' tets, and whether some laws of a body that turns are linear. */
-static void sfemi_turn_weigh(sfem_body *b)
+/* The same, 1 / sum of the weights of the nodes' tets, and whether some laws of a body that rotates are linear. */
+static void sfemi_rotated_weigh(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_int i;
-    memset(b->turn.over, 0, (size_t)model->mesh.nodes * sizeof *b->turn.over);
-    for (i = 0; i < 4 * model->mesh.tets; ++i) b->turn.over[model->mesh.tet[i]] += sfemi_fem_weight(model, i / 4);
+    memset(b->rotated.over, 0, (size_t)model->mesh.nodes * sizeof *b->rotated.over);
+    for (i = 0; i < 4 * model->mesh.tets; ++i) b->rotated.over[model->mesh.tet[i]] += sfemi_fem_weight(model, i / 4);
     for (i = 0; i < model->mesh.nodes; ++i)
-        if (b->turn.over[i] > 0) b->turn.over[i] = 1 / b->turn.over[i];
-    b->turn.twists = 0;
-    for (i = 0; model->turns && i < model->mesh.tets; ++i) b->turn.twists |= model->law[i] == SFEM_LINEAR;
-    sfemi_turn_size(b);
+        if (b->rotated.over[i] > 0) b->rotated.over[i] = 1 / b->rotated.over[i];
+    b->rotated.has_torque = 0;
+    for (i = 0; model->rotates && i < model->mesh.tets; ++i) b->rotated.has_torque |= model->law[i] == SFEM_LINEAR;
+    sfemi_rotated_size(b);
 }
 
 /* Which pieces are held by pins or handles. */
-static void sfemi_turn_find_held(sfem_body *b)
+static void sfemi_rotated_find_held(sfem_body *b)
 {
     sfem_int i, k;
     int l;
-    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].held = 0;
+    for (k = 0; k < b->rotated.pieces; ++k) b->rotated.piece[k].held = 0;
     for (i = 0; i < b->pin_count; ++i)
-        if (b->turn.piece_of[b->pin[i]] >= 0) b->turn.piece[b->turn.piece_of[b->pin[i]]].held = 1;
+        if (b->rotated.piece_of[b->pin[i]] >= 0) b->rotated.piece[b->rotated.piece_of[b->pin[i]]].held = 1;
     for (i = 0; i < b->def.max_handles; ++i)
         for (l = 0; b->state.handle[i].used && l < 4; ++l)
             if (b->state.handle[i].weight[l] != 0)
-                b->turn.piece[b->turn.piece_of[b->state.handle[i].node[l]]].held = 1;
+                b->rotated.piece[b->rotated.piece_of[b->state.handle[i].node[l]]].held = 1;
 }
 
 /* The nodes [first, end) that follow each other in one free piece: from first on, or *end is the number of
  * nodes. */
-static sfem_int sfemi_turn_run(const sfem_body *b, sfem_int first, sfem_int *end)
+static sfem_int sfemi_rotated_run(const sfem_body *b, sfem_int first, sfem_int *end)
 {
-    const sfem_int nodes = b->model->mesh.nodes, *of = b->turn.piece_of;
+    const sfem_int nodes = b->model->mesh.nodes, *of = b->rotated.piece_of;
     sfem_int i = first;
-    while (i < nodes && (of[i] < 0 || b->turn.piece[of[i]].held)) ++i;
+    while (i < nodes && (of[i] < 0 || b->rotated.piece[of[i]].held)) ++i;
     for (*end = i; *end < nodes && of[*end] == of[i];) ++*end;
     return i;
 }
 
 /* Adds to each free piece's motion its momentum scale N^T x, x a force or momentum [nodes][3]; of M x where
  * x is a velocity. */
-static void sfemi_turn_collect(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity,
+static void sfemi_rotated_collect(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity,
                                sfem_real scale)
 {
     const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x;
-    const sfem_real *pose = velocity && b->turn.lever ? b->turn.lever : sfemi_turn_pose(b, u);
+    const sfem_real *pose = velocity && b->rotated.lever ? b->rotated.lever : sfemi_rotated_pose(b, u);
     sfem_int i, end;
-    for (i = sfemi_turn_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_turn_run(b, end, &end)) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+    for (i = sfemi_rotated_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_rotated_run(b, end, &end)) {
+        sfemi_piece *p = b->rotated.piece + b->rotated.piece_of[i];
         const sfem_real c0 = p->centre[0], c1 = p->centre[1], c2 = p->centre[2];
         sfem_real f[3] = {0, 0, 0}, t[3] = {0, 0, 0};
         size_t at;
@@ -20061,20 +20061,20 @@ static void sfemi_turn_collect(sfem_body *b, const sfem_real *u, const sfem_real
     }
 }
 
-static void sfemi_turn_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+static void sfemi_rotated_momentum(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
 {
     sfem_int k;
-    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
-    sfemi_turn_collect(b, u, x, velocity, 1);
+    for (k = 0; k < b->rotated.pieces; ++k) memset(b->rotated.piece[k].motion, 0, sizeof b->rotated.piece[k].motion);
+    sfemi_rotated_collect(b, u, x, velocity, 1);
 }
 
 /* The motion that has this momentum: (N^T M N)^-1. */
-static void sfemi_turn_divide(sfem_body *b)
+static void sfemi_rotated_divide(sfem_body *b)
 {
     sfem_int k;
     int c;
-    for (k = 0; k < b->turn.pieces; ++k) {
-        sfemi_piece *p = b->turn.piece + k;
+    for (k = 0; k < b->rotated.pieces; ++k) {
+        sfemi_piece *p = b->rotated.piece + k;
         sfem_real omega[3];
         if (p->held) continue;
         for (c = 0; c < 3; ++c) {
@@ -20085,20 +20085,20 @@ static void sfemi_turn_divide(sfem_body *b)
     }
 }
 
-static void sfemi_turn_motion(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
+static void sfemi_rotated_motion(sfem_body *b, const sfem_real *u, const sfem_real *x, int velocity)
 {
-    sfemi_turn_momentum(b, u, x, velocity);
-    sfemi_turn_divide(b);
+    sfemi_rotated_momentum(b, u, x, velocity);
+    sfemi_rotated_divide(b);
 }
 
 /* x += scale N motion on free pieces, times the nodes' masses where x is a force. */
-static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real scale, int force,
+static void sfemi_rotated_add_motion(sfem_body *b, const sfem_real *u, sfem_real scale, int force,
                                   sfem_real *x)
 {
-    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *pose = sfemi_turn_pose(b, u);
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *pose = sfemi_rotated_pose(b, u);
     sfem_int i, end;
-    for (i = sfemi_turn_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_turn_run(b, end, &end)) {
-        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+    for (i = sfemi_rotated_run(b, 0, &end); i < b->model->mesh.nodes; i = sfemi_rotated_run(b, end, &end)) {
+        const sfemi_piece *p = b->rotated.piece + b->rotated.piece_of[i];
         const sfem_real c0 = p->centre[0], c1 = p->centre[1], c2 = p->centre[2];
         const sfem_real v0 = p->motion[0], v1 = p->motion[1], v2 = p->motion[2];
         const sfem_real w0 = p->motion[3], w1 = p->motion[4], w2 = p->motion[5];
@@ -20116,7 +20116,7 @@ static void sfemi_turn_add_motion(sfem_body *b, const sfem_real *u, sfem_real sc
 }
 
 /* y = Q^T x or Q x, node by node; y may be x. */
-static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, const sfem_real *x,
+static void sfemi_rotated_rotate(const sfem_real *frame, sfem_int nodes, int back, const sfem_real *x,
                               sfem_real *y)
 {
     sfem_int i;
@@ -20134,12 +20134,12 @@ static void sfemi_turn_rotate(const sfem_real *frame, sfem_int nodes, int back, 
     }
 }
 
-static int sfemi_turn_projects(const sfem_body *b)
+static int sfemi_rotated_projects(const sfem_body *b)
 {
     sfem_int k;
     if (b->scheme.rotates && b->def.frame == SFEM_FRAME_REST) return 0;
-    for (k = 0; k < b->turn.pieces; ++k)
-        if (!b->turn.piece[k].held) return 1;
+    for (k = 0; k < b->rotated.pieces; ++k)
+        if (!b->rotated.piece[k].held) return 1;
     return 0;
 }
 
@@ -20147,59 +20147,59 @@ static int sfemi_turn_projects(const sfem_body *b)
  * sum M g, less brake M v: internal forces add up to nothing, but where modes are not resolved (h omega of 1e4
  * and more), or the body has gone far, what rounding leaves of their sum is much more than that. So their sum
  * is never taken: this is, as an acceleration times the mass part of A. */
-static void sfemi_turn_push(sfem_body *b, const sfem_real *u, const sfem_real load[3], const sfem_real *v,
+static void sfemi_rotated_set_rigid_load(sfem_body *b, const sfem_real *u, const sfem_real load[3], const sfem_real *v,
                             sfem_real brake)
 {
     const sfemi_state_head *head = b->state.head;
     const sfem_real all = load[0] + load[1] + load[2];
     sfem_int k;
     int c;
-    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
-    if (head->loaded && head->load_age >= 2) sfemi_turn_collect(b, u, b->state.force[0], 0, all);
+    for (k = 0; k < b->rotated.pieces; ++k) memset(b->rotated.piece[k].motion, 0, sizeof b->rotated.piece[k].motion);
+    if (head->loaded && head->load_age >= 2) sfemi_rotated_collect(b, u, b->state.force[0], 0, all);
     for (c = 0; head->loaded && head->load_age < 2 && c < 3; ++c)
-        if (load[c] != 0) sfemi_turn_collect(b, u, b->state.force[c], 0, load[c]);
-    if (brake != 0) sfemi_turn_collect(b, u, v, 1, -brake);
-    sfemi_turn_divide(b);
-    for (k = 0; k < b->turn.pieces; ++k)
+        if (load[c] != 0) sfemi_rotated_collect(b, u, b->state.force[c], 0, load[c]);
+    if (brake != 0) sfemi_rotated_collect(b, u, v, 1, -brake);
+    sfemi_rotated_divide(b);
+    for (k = 0; k < b->rotated.pieces; ++k)
         for (c = 0; c < 6; ++c)
-            b->turn.piece[k].push[c] = b->turn.piece[k].motion[c] + (c < 3 ? all * head->gravity[c] : 0);
+            b->rotated.piece[k].rigid[c] = b->rotated.piece[k].motion[c] + (c < 3 ? all * head->gravity[c] : 0);
 }
 
 /* The same of forces x that the caller has added, times scale. */
-static void sfemi_turn_push_more(sfem_body *b, const sfem_real *u, const sfem_real *x, sfem_real scale)
+static void sfemi_rotated_add_rigid_load(sfem_body *b, const sfem_real *u, const sfem_real *x, sfem_real scale)
 {
     sfem_int k;
     int c;
-    sfemi_turn_motion(b, u, x, 0);
-    for (k = 0; k < b->turn.pieces; ++k)
-        for (c = 0; c < 6; ++c) b->turn.piece[k].push[c] += scale * b->turn.piece[k].motion[c];
+    sfemi_rotated_motion(b, u, x, 0);
+    for (k = 0; k < b->rotated.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->rotated.piece[k].rigid[c] += scale * b->rotated.piece[k].motion[c];
 }
 
 /* The push of pieces whose velocities, not forces, are given. */
-static void sfemi_turn_push_velocity(sfem_body *b, const sfem_real *v)
+static void sfemi_rotated_set_rigid_velocity(sfem_body *b, const sfem_real *v)
 {
     sfem_int k;
     int c;
-    sfemi_turn_motion(b, NULL, v, 1);
-    for (k = 0; k < b->turn.pieces; ++k)
-        for (c = 0; c < 6; ++c) b->turn.piece[k].push[c] = b->turn.piece[k].motion[c];
+    sfemi_rotated_motion(b, NULL, v, 1);
+    for (k = 0; k < b->rotated.pieces; ++k)
+        for (c = 0; c < 6; ++c) b->rotated.piece[k].rigid[c] = b->rotated.piece[k].motion[c];
 }
 
 /* Of a body of linear laws: gives the acceleration the rigid part that the loads give it. What A^-1 has
  * made of it differs by rounding, times the condition of A. */
-static void sfemi_turn_settle(sfem_body *b, sfem_real cm, sfem_real *a)
+static void sfemi_rotated_correct_momentum(sfem_body *b, sfem_real cm, sfem_real *a)
 {
     sfem_int k;
     int c;
-    sfemi_turn_motion(b, NULL, a, 1);
-    for (k = 0; k < b->turn.pieces; ++k)
+    sfemi_rotated_motion(b, NULL, a, 1);
+    for (k = 0; k < b->rotated.pieces; ++k)
         for (c = 0; c < 6; ++c)
-            b->turn.piece[k].motion[c] = b->turn.piece[k].push[c] / cm - b->turn.piece[k].motion[c];
-    sfemi_turn_add_motion(b, NULL, 1, 0, a);
+            b->rotated.piece[k].motion[c] = b->rotated.piece[k].rigid[c] / cm - b->rotated.piece[k].motion[c];
+    sfemi_rotated_add_motion(b, NULL, 1, 0, a);
 }
 
 /* x = Q A0^-1 Q^T x, held axes becoming 0. */
-static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real *frame, sfem_real *x)
+static void sfemi_rotated_apply(sfem_body *b, const sfem_factor *f, const sfem_real *frame, sfem_real *x)
 {
     /* in work, from a node to the next and from an axis to the next */
     const size_t node = f->scalar ? 1 : 3, axis = f->scalar ? (size_t)f->free_nodes : 1;
@@ -20239,62 +20239,62 @@ static void sfemi_turn_apply(sfem_body *b, const sfem_factor *f, const sfem_real
 
 /* x = A^-1 x, see above, held axes becoming 0; with u NULL without the projection. Pushed, rigid motion is
  * that of the pieces' push; but that of laws which have a torque, so that theirs counts. */
-static void sfemi_turn_solve_pushed(sfem_body *b, const sfem_factor *f, const sfem_real *u,
-                                    const sfem_real *frame, int pushed, sfem_real *x)
+static void sfemi_rotated_solve_rigid(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+                                    const sfem_real *frame, int rigid, sfem_real *x)
 {
-    const int projects = u && sfemi_turn_projects(b), given = pushed ? b->turn.twists ? 3 : 6 : 0;
+    const int projects = u && sfemi_rotated_projects(b), given = rigid ? b->rotated.has_torque ? 3 : 6 : 0;
     sfem_int k;
     int c;
     if (projects) {
-        sfemi_turn_motion(b, u, x, 0);
-        sfemi_turn_add_motion(b, u, -1, 1, x);
+        sfemi_rotated_motion(b, u, x, 0);
+        sfemi_rotated_add_motion(b, u, -1, 1, x);
     }
-    sfemi_turn_apply(b, f, frame, x);
+    sfemi_rotated_apply(b, f, frame, x);
     if (!projects) return;
-    for (k = 0; k < b->turn.pieces; ++k) /* the motion of the first part, while the second is removed */
+    for (k = 0; k < b->rotated.pieces; ++k) /* the motion of the first part, while the second is removed */
         for (c = 0; c < 6; ++c)
-            b->turn.piece[k].kept[c] = c < given ? b->turn.piece[k].push[c] : b->turn.piece[k].motion[c];
-    sfemi_turn_motion(b, u, x, 1);
-    for (k = 0; k < b->turn.pieces; ++k)
+            b->rotated.piece[k].kept[c] = c < given ? b->rotated.piece[k].rigid[c] : b->rotated.piece[k].motion[c];
+    sfemi_rotated_motion(b, u, x, 1);
+    for (k = 0; k < b->rotated.pieces; ++k)
         for (c = 0; c < 6; ++c)
-            b->turn.piece[k].motion[c] = b->turn.piece[k].kept[c] / f->key.cm - b->turn.piece[k].motion[c];
-    sfemi_turn_add_motion(b, u, 1, 0, x);
+            b->rotated.piece[k].motion[c] = b->rotated.piece[k].kept[c] / f->key.cm - b->rotated.piece[k].motion[c];
+    sfemi_rotated_add_motion(b, u, 1, 0, x);
 }
 
-static void sfemi_turn_solve(sfem_body *b, const sfem_factor *f, const sfem_real *u,
+static void sfemi_rotated_solve_system(sfem_body *b, const sfem_factor *f, const sfem_real *u,
                              const sfem_real *frame, sfem_real *x)
 {
-    sfemi_turn_solve_pushed(b, f, u, frame, 0, x);
+    sfemi_rotated_solve_rigid(b, f, u, frame, 0, x);
 }
 
 /* y = P^T Q (K Q^T P z + rest of D Q^T P zd); zd may be NULL. z and zd are overwritten. */
-static void sfemi_turn_stiffness(sfem_body *b, const sfem_real *u, const sfem_real *frame, sfem_real *z,
+static void sfemi_rotated_stiffness(sfem_body *b, const sfem_real *u, const sfem_real *frame, sfem_real *z,
                                  sfem_real *zd, sfem_real *y)
 {
     const sfem_int nodes = b->model->mesh.nodes;
-    const int projects = sfemi_turn_projects(b);
+    const int projects = sfemi_rotated_projects(b);
     sfem_real *const both[2] = {z, zd};
     int k;
     for (k = 0; k < (zd ? 2 : 1); ++k) {
         if (projects) {
-            sfemi_turn_motion(b, u, both[k], 1);
-            sfemi_turn_add_motion(b, u, -1, 0, both[k]);
+            sfemi_rotated_motion(b, u, both[k], 1);
+            sfemi_rotated_add_motion(b, u, -1, 0, both[k]);
         }
-        sfemi_turn_rotate(frame, nodes, 1, both[k], both[k]);
+        sfemi_rotated_rotate(frame, nodes, 1, both[k], both[k]);
     }
-    if (b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(b->model, z, y);
+    if (b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(b->model, z, y);
     else sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &b->model->stiffness,
                               z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
-    sfemi_turn_rotate(frame, nodes, 0, y, y);
+    sfemi_rotated_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
-    sfemi_turn_motion(b, u, y, 0);
-    sfemi_turn_add_motion(b, u, -1, 1, y);
+    sfemi_rotated_motion(b, u, y, 0);
+    sfemi_rotated_add_motion(b, u, -1, 1, y);
 }
 
 /* Is the rotation of s = sum V_e R_e well determined: are its two smaller singular values, one of them
  * signed, together above a twentieth of V? They are at least trace S - V. */
-static int sfemi_turn_polar(const sfem_real s[9], sfem_real volume, sfem_real r[9])
+static int sfemi_rotated_polar(const sfem_real s[9], sfem_real volume, sfem_real r[9])
 {
     sfem_real stretch[9], u[9], v[9], w[3], fresh[9];
     sfem_polar(s, fresh, stretch);
@@ -20312,11 +20312,11 @@ typedef struct sfemi_frames {
     sfemi_polars_kernel kernel;
 } sfemi_frames;
 
-static void sfemi_turn_some_frames(void *data, sfem_int index)
+static void sfemi_rotated_some_frames(void *data, sfem_int index)
 {
     const sfemi_frames *job = (const sfemi_frames *)data;
     const sfem_body *b = job->body;
-    const sfemi_turn *t = &b->turn;
+    const sfemi_rotated *t = &b->rotated;
     const sfem_int nodes = b->model->mesh.nodes, first = index * SFEMI_NODE_TASK;
     const sfem_int count = nodes - first < SFEMI_NODE_TASK ? nodes - first : SFEMI_NODE_TASK;
     const size_t at = 9 * (size_t)first;
@@ -20326,14 +20326,14 @@ static void sfemi_turn_some_frames(void *data, sfem_int index)
         const size_t k = 9 * (size_t)i;
         if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
         if (t->trace[i] > 1.05) memcpy(job->frame + k, t->fresh + k, 9 * sizeof *job->frame);
-        else (void)sfemi_turn_polar(t->sum + k, 1 / t->over[i], job->frame + k);
+        else (void)sfemi_rotated_polar(t->sum + k, 1 / t->over[i], job->frame + k);
     }
 }
 
 /* The same with one rotation for each piece. */
-static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
+static void sfemi_rotated_piece_frames(sfem_body *b, sfem_real *frame)
 {
-    const sfemi_turn *t = &b->turn;
+    const sfemi_rotated *t = &b->rotated;
     const sfem_int nodes = b->model->mesh.nodes;
     sfem_real *sum = t->fresh, *volume = t->trace; /* there are no more pieces than nodes */
     sfem_int i;
@@ -20347,7 +20347,7 @@ static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
         volume[t->piece_of[i]] += 1 / t->over[i];
     }
     for (i = 0; i < t->pieces; ++i) /* -1 in place of a volume: leave all its frames */
-        if (!sfemi_turn_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
+        if (!sfemi_rotated_polar(sum + 9 * (size_t)i, volume[i], sum + 9 * (size_t)i)) volume[i] = -1;
     for (i = 0; i < nodes; ++i) {
         if (t->piece_of[i] < 0 || (b->mask[i] != 0 && b->mask[i] != SFEM_AXIS_ALL)) continue;
         if (volume[t->piece_of[i]] > 0)
@@ -20357,18 +20357,18 @@ static void sfemi_turn_piece_frames(sfem_body *b, sfem_real *frame)
 
 /* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
  * only, it stays as it was. */
-static void sfemi_turn_frames(sfem_body *b, sfem_real *frame)
+static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
 {
     sfemi_frames job;
-    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_MAJORANT || !b->model->turns) return;
+    if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_ISOTROPIC || !b->model->rotates) return;
     if (b->def.frame == SFEM_FRAME_PIECE) {
-        sfemi_turn_piece_frames(b, frame);
+        sfemi_rotated_piece_frames(b, frame);
         return;
     }
     job.body = b;
     job.frame = frame;
     job.kernel = sfemi_polars_pick();
-    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_turn_some_frames, &job);
+    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
 }
 
 /* y += (K_frac - K) z, small strain about rest. */
@@ -20399,34 +20399,34 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
 {
     const sfem_int nodes = b->model->mesh.nodes;
     const sfem_real *u = b->state.u, *frame = b->state.frame;
-    const int projects = sfemi_turn_projects(b);
-    sfem_real *sum = b->turn.v;
+    const int projects = sfemi_rotated_projects(b);
+    sfem_real *sum = b->rotated.v;
     size_t i;
     if (!b->damage || !b->damage->tets) return;
     if (projects) {
-        sfemi_turn_motion(b, u, z, 1);
-        sfemi_turn_add_motion(b, u, -1, 0, z);
+        sfemi_rotated_motion(b, u, z, 1);
+        sfemi_rotated_add_motion(b, u, -1, 0, z);
     }
-    sfemi_turn_rotate(frame, nodes, 1, z, z);
+    sfemi_rotated_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
     sfemi_fracture_multiply(b, z, sum);
     if (b->refactor.live) { /* what was left when the factor was made is out already */
-        sfem_real *kz = b->guard.trial_f;
+        sfem_real *kz = b->safeguard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
         for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] += kz[i];
         sfem_matrix_multiply(b->refactor.k + b->refactor.live - 1, z, kz, &b->exec);
         for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] -= kz[i];
     }
-    sfemi_turn_rotate(frame, nodes, 0, sum, sum);
+    sfemi_rotated_rotate(frame, nodes, 0, sum, sum);
     if (projects) {
-        sfemi_turn_motion(b, u, sum, 0);
-        sfemi_turn_add_motion(b, u, -1, 1, sum);
+        sfemi_rotated_motion(b, u, sum, 0);
+        sfemi_rotated_add_motion(b, u, -1, 1, sum);
     }
     for (i = 0; i < 3 * (size_t)nodes; ++i) y[i] += sum[i];
 }
 
 /* Room for the columns of handle `slot`, where it is used or may not allocate later. */
-static sfem_status sfemi_grip_reserve(sfem_body *b, sfemi_grip *g, sfem_int slot, sfem_error *err)
+static sfem_status sfemi_schur_reserve(sfem_body *b, sfemi_schur *g, sfem_int slot, sfem_error *err)
 {
     const sfemi_handle *h = b->state.handle + slot;
     sfem_status status = SFEM_OK;
@@ -20456,7 +20456,7 @@ done:
  * sfem_body_energy does not: it is E times (1 + (p - 1/4) W^2)/(1 + p W^2) in a mode of W = h omega. What
  * follows keeps E from rising by itself.
  *   1. What held is let go. The history of (p,q,r), m = A w - h/2 (K u + D w - F) = B v, lacks H^T l: in stiff
- *      bodies most of it is the force that the hand had taken up, and it would become motion. So
+ *      bodies most of it is the force that the handle had taken up, and it would become motion. So
  *        v = w + B^-1 (h/2) (F - K (u + u-)/2 - D w + H^T l)
  *      is found, l by H v = the velocity of what held, and the next step starts from it with m = B v.
  *   2. Something is held. The step that follows has a given H w'; what m has of H^T plays no part in it, and
@@ -20469,8 +20469,8 @@ done:
  *        m - C B2^-1 m/2,            where B grows: 1 + t/2 <= (1 - t)^(-1/2),
  *      t an eigenvalue of B1^-1 C or -B2^-1 C, so that E does not rise; it falls by O(W^4), of second order.
  *      In a damaged body A has the intact K0, and B - r M = h^2 (p K0 - K/4) is not zero at p = 1/4 either. Where
- *      pieces of it are free, their rigid motion is projected out of A (>>turn), which this B does not know. There
- *      the first step of another length is backward Euler's, a rejected one (>>guard); the motion starts afresh
+ *      pieces of it are free, their rigid motion is projected out of A (>>rotated), which this B does not know. There
+ *      the first step of another length is backward Euler's, a rejected one (>>safeguard); the motion starts afresh
  *      from it with m = r M v, so that E becomes 1/2 m.B^-1 m + 1/2 u.K u, at most what there is.
  *   4. Newmark(beta, gamma) is (beta, 2 gamma, 1) with m = M v. Its a, M a = F - D v - K u, is stale where
  *      something is let go, and is computed again.
@@ -20489,13 +20489,13 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
-    return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_MAJORANT);
+    return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
 /* Does the projection of free pieces change B, so that it is not at hand? See 3. */
 static int sfemi_resume_inertia_is_unknown(const sfem_body *b)
 {
-    return sfemi_resume_bounded(b) && sfemi_turn_projects(b);
+    return sfemi_resume_bounded(b) && sfemi_rotated_projects(b);
 }
 
 /* Is backward Euler's step taken in place of one of h for that reason? */
@@ -20530,7 +20530,7 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     const sfem_real own = bounded ? t->bound : t->bound + t->k;
     sfem_real *z = b->spare + 3 * n;
     size_t i;
-    if (bounded && b->def.frame == SFEM_FRAME_MAJORANT) sfemi_factor_multiply_majorant(model, x, y);
+    if (bounded && b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(model, x, y);
     else if (own == 0) memset(y, 0, n * sizeof *y);
     else sfem_matrix_multiply(bounded && b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness,
                               x, y, &b->exec);
@@ -20549,9 +20549,9 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
 /* x less the least change, in the lumped mass, that makes the handles' points stand in it. */
 static void sfemi_resume_still(sfem_body *b, sfem_real *x)
 {
-    if (!b->grip.count) return;
-    memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
-    sfemi_grip_project(&b->grip, b->state.handle, b->model, b->mask, x);
+    if (!b->schur.count) return;
+    memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
+    sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
 }
 
 /* r = P^T r, z = P A^-1 r, P taking out held axes and the handles' motion; M in place of A without a factor. */
@@ -20630,14 +20630,14 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
     int c, moved = 0;
     sfemi_resume_mean_force(b);
     for (i = 0; i < n; ++i) v[i] = s->w[i] + (b->mask[i / 3] >> (i % 3) & 1 ? half * s->a[i] : 0);
-    for (k = 0; k < b->grip.count; ++k) {
+    for (k = 0; k < b->schur.count; ++k) {
         sfem_real w[3], a[3];
-        sfemi_grip_mean(s->handle + b->grip.slot[k], s->w, w);
-        sfemi_grip_mean(s->handle + b->grip.slot[k], s->a, a);
+        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
+        sfemi_schur_mean(s->handle + b->schur.slot[k], s->a, a);
         for (c = 0; c < 3; ++c) /* new ones stop what they take */
-            b->grip.lambda[3 * k + c] = s->handle[b->grip.slot[k]].hold.age > 0 ? w[c] + half * a[c] : 0;
+            b->schur.lambda[3 * k + c] = s->handle[b->schur.slot[k]].path.age > 0 ? w[c] + half * a[c] : 0;
     }
-    if (b->grip.count) sfemi_grip_project(&b->grip, s->handle, b->model, b->mask, v);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, v);
     for (i = 0; i < n; ++i) {
         r[i] *= half;
         change[i] = v[i] - s->w[i];
@@ -20659,13 +20659,13 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
 /* The handles that are there now, for projections in the mass norm; their columns may wait. */
 static void sfemi_resume_gather(sfem_body *b)
 {
-    sfemi_grip *g = &b->grip;
+    sfemi_schur *g = &b->schur;
     sfem_int k;
     if (!g->dirty) return;
     g->count = 0;
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_grip_gather(g, b->state.handle, b->model, 1, b->mask);
+    sfemi_schur_gather(g, b->state.handle, b->model, 1, b->mask);
 }
 
 /* Newmark's M v = m to x = B^-1 m: the v of (p,q,r). */
@@ -20677,16 +20677,16 @@ static void sfemi_resume_newmark(sfem_body *b, const sfemi_inertia *t, sfem_real
     size_t i;
     int c;
     for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? s->w[i] : 0;
-    for (k = 0; k < b->grip.count; ++k) {
-        const sfemi_hold *hold = &s->handle[b->grip.slot[k]].hold;
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_target *path = &s->handle[b->schur.slot[k]].path;
         sfem_real at[3], w[3];
-        sfem_body_handle_position(b, b->grip.slot[k], at);
-        sfemi_grip_mean(s->handle + b->grip.slot[k], s->w, w);
+        sfem_body_handle_position(b, b->schur.slot[k], at);
+        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
         if (s->head->started != SFEMI_RUNNING) /* something has been let go since: w is not the velocity here */
-            for (c = 0; c < 3; ++c) w[c] = (at[c] - hold->past[c]) / s->head->h;
-        for (c = 0; c < 3; ++c) b->grip.lambda[3 * k + c] = hold->age > 0 ? w[c] : 0;
+            for (c = 0; c < 3; ++c) w[c] = (at[c] - path->past[c]) / s->head->h;
+        for (c = 0; c < 3; ++c) b->schur.lambda[3 * k + c] = path->age > 0 ? w[c] : 0;
     }
-    if (b->grip.count) sfemi_grip_project(&b->grip, s->handle, b->model, b->mask, x);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, x);
     sfemi_resume_multiply(b, t, x, b->spare);
     sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
     for (i = 0; i < n; ++i) b->acc[i] -= b->spare[i];
@@ -20705,13 +20705,13 @@ static void sfemi_resume_lead(sfem_body *b, sfem_real h)
             const size_t i = 3 * (size_t)b->pin[k] + (size_t)c;
             s->pin[k].target[c] = b->model->mesh.x[i] + s->u[i] + h * (s->w[i] + d * s->a[i]);
         }
-    for (k = 0; k < b->grip.count; ++k) {
-        sfemi_handle *hand = s->handle + b->grip.slot[k];
+    for (k = 0; k < b->schur.count; ++k) {
+        sfemi_handle *hand = s->handle + b->schur.slot[k];
         sfem_real w[3], a[3];
-        sfem_body_handle_position(b, b->grip.slot[k], hand->hold.target);
-        sfemi_grip_mean(hand, s->w, w);
-        sfemi_grip_mean(hand, s->a, a);
-        for (c = 0; c < 3; ++c) hand->hold.target[c] += h * (w[c] + d * a[c]);
+        sfem_body_handle_position(b, b->schur.slot[k], hand->path.target);
+        sfemi_schur_mean(hand, s->w, w);
+        sfemi_schur_mean(hand, s->a, a);
+        for (c = 0; c < 3; ++c) hand->path.target[c] += h * (w[c] + d * a[c]);
     }
 }
 
@@ -20721,14 +20721,14 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real before = b->state.head->h;
-    sfemi_grip *g = &b->grip;
+    sfemi_schur *g = &b->schur;
     const sfem_int count = g->count;
     sfem_int k;
     size_t i;
     sfemi_pqr_weigh(b, h);
     for (g->count = k = 0; k < count; ++k)
-        if (b->state.handle[g->slot[k]].hold.age > 0) g->slot[g->count++] = g->slot[k];
-    if (g->count < count) sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
+        if (b->state.handle[g->slot[k]].path.age > 0) g->slot[g->count++] = g->slot[k];
+    if (g->count < count) sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
     sfemi_pqr_predict(b);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_pqr_solve(b);
@@ -20736,23 +20736,23 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
     if (g->count == count) return;
     for (g->count = k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_grip_gather(g, b->state.handle, b->model, 0, b->mask);
+    sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
 }
 
 /* The same, what holds going on as it has: before a change nobody has told where it would have gone. */
 static void sfemi_resume_between_leading(sfem_body *b, sfem_real h, sfem_real *v)
 {
     sfemi_state *s = &b->state;
-    sfem_real *pin = b->spare, *hand = b->grip.place;
+    sfem_real *pin = b->spare, *hand = b->schur.place;
     sfem_int k;
     for (k = 0; k < b->pin_count; ++k) memcpy(pin + 3 * k, s->pin[k].target, sizeof s->pin[k].target);
-    for (k = 0; k < b->grip.count; ++k)
-        memcpy(hand + 3 * k, s->handle[b->grip.slot[k]].hold.target, 3 * sizeof *hand);
+    for (k = 0; k < b->schur.count; ++k)
+        memcpy(hand + 3 * k, s->handle[b->schur.slot[k]].path.target, 3 * sizeof *hand);
     sfemi_resume_lead(b, h);
     sfemi_resume_between(b, h, v);
     for (k = 0; k < b->pin_count; ++k) memcpy(s->pin[k].target, pin + 3 * k, sizeof s->pin[k].target);
-    for (k = 0; k < b->grip.count; ++k)
-        memcpy(s->handle[b->grip.slot[k]].hold.target, hand + 3 * k, 3 * sizeof *hand);
+    for (k = 0; k < b->schur.count; ++k)
+        memcpy(s->handle[b->schur.slot[k]].path.target, hand + 3 * k, 3 * sizeof *hand);
 }
 
 /* Before something is let go, pins or handles: brings a running body to u, v, its v or Newmark's in w. */
@@ -20775,7 +20775,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     v = b->velocity;
     t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     sfemi_resume_gather(b);
-    if (b->base && b->factor && b->h == s->head->h && !b->grip.dirty) {
+    if (b->base && b->factor && b->h == s->head->h && !b->schur.dirty) {
         sfemi_resume_between_leading(b, b->h, v);
         memcpy(s->w, v, n * sizeof *v);
     } else if (!newmark) {
@@ -20796,7 +20796,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
 
 /* v projected in the norm of M to what is held in the step under way, which has the velocity that takes it to
  * its target. */
-static void sfemi_resume_hold(sfem_body *b, sfem_real *v)
+static void sfemi_resume_constrain(sfem_body *b, sfem_real *v)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real *m = b->spare + n;
@@ -20811,11 +20811,11 @@ static void sfemi_resume_hold(sfem_body *b, sfem_real *v)
             if (b->mask[b->pin[k]] >> c & 1)
                 v[i] = (b->state.pin[k].target[c] - b->model->mesh.x[i] - b->state.u[i]) / b->step.h;
         }
-    for (k = 0; k < b->grip.count; ++k) {
+    for (k = 0; k < b->schur.count; ++k) {
         sfem_real at[3];
-        sfem_body_handle_position(b, b->grip.slot[k], at);
+        sfem_body_handle_position(b, b->schur.slot[k], at);
         for (c = 0; c < 3; ++c)
-            b->grip.lambda[3 * k + c] = (b->state.handle[b->grip.slot[k]].hold.target[c] - at[c]) / b->step.h;
+            b->schur.lambda[3 * k + c] = (b->state.handle[b->schur.slot[k]].path.target[c] - at[c]) / b->step.h;
     }
     sfemi_body_project(b, m, v);
 }
@@ -20829,8 +20829,8 @@ static void sfemi_resume_stand(sfem_body *b, sfem_real *v)
     size_t i;
     sfemi_resume_gather(b);
     memcpy(m, v, n * sizeof *m);
-    for (k = 0; k < b->grip.count; ++k)
-        sfemi_grip_mean(b->state.handle + b->grip.slot[k], m, b->grip.lambda + 3 * k);
+    for (k = 0; k < b->schur.count; ++k)
+        sfemi_schur_mean(b->state.handle + b->schur.slot[k], m, b->schur.lambda + 3 * k);
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) v[i] = 0;
     sfemi_body_project(b, m, v);
@@ -20852,8 +20852,8 @@ static void sfemi_resume_pin(sfem_body *b)
 static int sfemi_resume_takes(const sfem_body *b)
 {
     sfem_int k;
-    for (k = 0; k < b->grip.count; ++k)
-        if (b->state.handle[b->grip.slot[k]].hold.age == 0) return 1;
+    for (k = 0; k < b->schur.count; ++k)
+        if (b->state.handle[b->schur.slot[k]].path.age == 0) return 1;
     return 0;
 }
 
@@ -20955,7 +20955,7 @@ static int sfemi_resume_bridges(sfem_body *b, sfem_real h)
         if (!other && head->started != SFEMI_RESTARTED) return 0;
         memcpy(b->velocity, b->state.w, 3 * (size_t)b->model->mesh.nodes * sizeof *b->velocity);
     }
-    sfemi_resume_hold(b, b->velocity);
+    sfemi_resume_constrain(b, b->velocity);
     return 1;
 }
 
@@ -20974,28 +20974,28 @@ static void sfemi_resume_bridge_predict(sfem_body *b)
         b->acc[i] = 0;
     }
     sfemi_body_residual(b, load, b->alpha != 0);
-    if (!sfemi_turn_projects(b)) return;
-    sfemi_turn_push(b, NULL, load, b->zm, b->alpha != 0);
-    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, -1);
+    if (!sfemi_rotated_projects(b)) return;
+    sfemi_rotated_set_rigid_load(b, NULL, load, b->zm, b->alpha != 0);
+    if (b->rotated.by_hand) sfemi_rotated_add_rigid_load(b, NULL, b->rhs, -1);
 }
 
-static void sfemi_resume_bridge_hold(sfem_body *b, sfem_real *a)
+static void sfemi_resume_bridge_constrain(sfem_body *b, sfem_real *a)
 {
-    if (!b->grip.count) return;
-    memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
-    sfemi_grip_apply(&b->grip, b->state.handle, b->model->mesh.nodes, a);
+    if (!b->schur.count) return;
+    memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
+    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, a);
 }
 
 /* a = T's part of it, from a = A^-1 (..), with the handles held. D has g h in place of q h/2 there: one iteration,
  * a - A^-1 E a, E = (g - q/2) h D, makes up for that to second order. Rigid motion is by the pieces' push. */
-static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
+static void sfemi_resume_bridge_correct(sfem_body *b, sfem_real *a)
 {
     const sfem_model *model = b->model;
-    const size_t n = 3 * (size_t)model->mesh.nodes, rows = 3 * (size_t)b->grip.count;
+    const size_t n = 3 * (size_t)model->mesh.nodes, rows = 3 * (size_t)b->schur.count;
     const sfem_real c = (sqrt(b->p) - b->scheme.q / 2) * b->step.h;
     sfem_real *x = b->spare + 2 * n, *y = b->spare + 3 * n;
     size_t i;
-    sfemi_resume_bridge_hold(b, a);
+    sfemi_resume_bridge_constrain(b, a);
     if (c != 0 && (b->alpha != 0 || b->beta != 0 || b->zd)) {
         sfem_matrix_multiply(&model->stiffness, a, x, &b->exec);
         for (i = 0; i < n; ++i) x[i] *= c * b->beta;
@@ -21004,12 +21004,12 @@ static void sfemi_resume_bridge_settle(sfem_body *b, sfem_real *a)
         if (b->zd) sfemi_fem_add_damping_rest(model, y, x);
         memset(y, 0, n * sizeof *y);
         sfemi_factor_solve(b->factor, model->mesh.nodes, 1, x, y, b->workspace->work, &b->exec);
-        if (rows) memcpy(b->grip.place, b->grip.lambda, rows * sizeof *b->grip.lambda);
-        sfemi_resume_bridge_hold(b, y);
-        for (i = 0; i < rows; ++i) b->grip.lambda[i] = b->grip.place[i] - b->grip.lambda[i];
+        if (rows) memcpy(b->schur.place, b->schur.lambda, rows * sizeof *b->schur.lambda);
+        sfemi_resume_bridge_constrain(b, y);
+        for (i = 0; i < rows; ++i) b->schur.lambda[i] = b->schur.place[i] - b->schur.lambda[i];
         for (i = 0; i < n; ++i) a[i] -= y[i];
     }
-    if (sfemi_turn_projects(b)) sfemi_turn_settle(b, b->factor->key.cm, a);
+    if (sfemi_rotated_projects(b)) sfemi_rotated_correct_momentum(b, b->factor->key.cm, a);
 }
 
 /* (du, dv) = T (du, dv). */
@@ -21018,13 +21018,13 @@ static void sfemi_resume_bridge_stage(sfem_body *b, sfem_real *du, sfem_real *dv
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real gh = sqrt(b->p) * b->step.h;
     size_t i;
-    if (sfemi_turn_projects(b)) sfemi_turn_push_velocity(b, dv);
+    if (sfemi_rotated_projects(b)) sfemi_rotated_set_rigid_velocity(b, dv);
     for (i = 0; i < n; ++i) b->zk[i] = -gh * du[i];
     sfem_model_multiply_stiffness(b->model, b->zk, b->rhs, &b->exec);
     sfemi_fem_add_mass(b->model, 1, dv, b->rhs);
     memset(dv, 0, n * sizeof *dv);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, dv, b->workspace->work, &b->exec);
-    sfemi_resume_bridge_settle(b, dv);
+    sfemi_resume_bridge_correct(b, dv);
     for (i = 0; i < n; ++i) du[i] += gh * dv[i];
 }
 
@@ -21042,7 +21042,7 @@ static void sfemi_resume_bridge_finish(sfem_body *b)
         sfem_real x[3];
         for (c = 0; c < 3; ++c)
             x[c] = b->model->mesh.x[3 * (size_t)b->pin[k] + (size_t)c] + s->u[3 * (size_t)b->pin[k] + (size_t)c];
-        sfemi_hold_advance(s->pin + k, x);
+        sfemi_target_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) {
         dv[i] = h * b->acc[i];
@@ -21068,7 +21068,7 @@ static void sfemi_resume_lessen(const sfem_body *b, sfem_real *rhs)
 }
 
 /* ============================================================================================
- * >>guard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
+ * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
  *
  * A trial of one solve, corrections of it, an energy safeguard, and a step in place of one that would make energy.
  * The safeguard tests two energies, L being the loads and v_r, L_r the parts of w' and L that do not move a free
@@ -21085,32 +21085,32 @@ static void sfemi_resume_lessen(const sfem_body *b, sfem_real *rhs)
 static int sfemi_correct_is_braked(const sfem_body *b) { return b->def.damping_force.force != NULL; }
 
 /* p of the energy that a step keeps: that of HHT's equation where it is corrected, whatever p the trial has. */
-static sfem_real sfemi_guard_weight(const sfem_body *b)
+static sfem_real sfemi_safeguard_weight(const sfem_body *b)
 {
     const sfem_real a = b->def.dissipation;
     return b->scheme.rotates == SFEMI_CORRECTS ? (1 + a) * (1 + a) * (1 - a) / 4 : b->p;
 }
 
 /* Sums over a free piece, and the pieces' share in the energies of the whole. */
-static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
+static sfemi_safeguard_energies sfemi_safeguard_measure(sfem_body *b, const sfem_real *u1, const sfem_real *w1,
                                                 const sfem_real *f1, sfem_real psi1, sfem_real h)
 {
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
     const sfem_real *g = s->head->gravity, r = b->scheme.r;
-    sfemi_guard_energies e;
+    sfemi_safeguard_energies e;
     sfem_real kinetic[3] = {0, 0, 0}, floor2[3] = {0, 0, 0}, mid[3] = {0, 0, 0}, end[3] = {0, 0, 0};
     sfem_real stretch[3] = {0, 0, 0}, terms[3] = {0, 0, 0};
     sfem_int i, k;
     int c, held;
-    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (k = 0; k < b->rotated.pieces; ++k) memset(b->rotated.piece[k].sum, 0, sizeof b->rotated.piece[k].sum);
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfem_real m = model->node_mass[i];
         sfem_real(*sum)[3], over;
-        if (b->turn.piece_of[i] < 0) continue;
+        if (b->rotated.piece_of[i] < 0) continue;
         over = 1 / m;
-        sum = b->turn.piece[b->turn.piece_of[i]].sum;
-        held = b->turn.piece[b->turn.piece_of[i]].held;
+        sum = b->rotated.piece[b->rotated.piece_of[i]].sum;
+        held = b->rotated.piece[b->rotated.piece_of[i]].held;
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real load = m * g[c] + s->force[1][at];
@@ -21128,8 +21128,8 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
             sum[3][c] += m * u1[at];
         }
     }
-    for (k = 0; k < b->turn.pieces; ++k) {
-        const sfemi_piece *p = b->turn.piece + k;
+    for (k = 0; k < b->rotated.pieces; ++k) {
+        const sfemi_piece *p = b->rotated.piece + k;
         for (c = 0; !p->held && c < 3; ++c) {
             kinetic[c] -= p->sum[0][c] * p->sum[0][c] / p->mass;
             floor2[c] -= p->sum[1][c] * p->sum[1][c] / p->mass;
@@ -21141,54 +21141,54 @@ static sfemi_guard_energies sfemi_guard_measure(sfem_body *b, const sfem_real *u
     e.floor = h * h / 2 * (floor2[0] + floor2[1] + floor2[2]);
     e.rounding = 1e-12 * (terms[0] + terms[1] + terms[2]);
     e.eb = e.kinetic + (s->head->psi + psi1) / 2 + (mid[0] + mid[1] + mid[2]) / 2 +
-           (sfemi_guard_weight(b) - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
+           (sfemi_safeguard_weight(b) - 0.5) / 2 * (stretch[0] + stretch[1] + stretch[2]);
     e.ec = e.kinetic + psi1 + (end[0] + end[1] + end[2]);
     return e;
 }
 
-static sfem_real sfemi_guard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
+static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_real *f)
 {
-    const int turns = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
+    const int rotates = b->def.frame == SFEM_FRAME_NODE || b->def.frame == SFEM_FRAME_PIECE;
     sfemi_forces ask;
     memset(&ask, 0, sizeof ask);
     ask.u = u;
     ask.precision = b->def.precision;
     ask.force = f;
-    ask.work = b->turn.work;
+    ask.work = b->rotated.work;
     ask.exec = &b->exec;
-    if (b->damage && b->damage->tets && !b->model->turns) { /* linear: damaged less intact, from the intact force */
-        const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->turn.work, &b->exec);
+    if (b->damage && b->damage->tets && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
+        const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->rotated.work, &b->exec);
         return psi + sfemi_damage_forces(b->damage, &ask);
     }
-    ask.spin = turns ? b->turn.spin : NULL;
-    ask.sum = turns ? b->turn.sum : NULL;
-    if (b->damage && b->model->turns) return sfemi_damage_total_forces(b->damage, &ask);
+    ask.spin = rotates ? b->rotated.spin : NULL;
+    ask.sum = rotates ? b->rotated.sum : NULL;
+    if (b->damage && b->model->rotates) return sfemi_damage_total_forces(b->damage, &ask);
     return sfemi_fem_forces(b->model, b->model->chunks.block, &ask);
 }
 
 /* Forces and frames where the state was set from outside; the pieces' places. */
-static void sfemi_guard_look(sfem_body *b)
+static void sfemi_safeguard_inspect(sfem_body *b)
 {
     sfemi_state_head *head = b->state.head;
     sfem_int i;
     if (!head->current) {
         for (i = 0; i < 9 * b->model->mesh.nodes; ++i) b->state.frame[i] = i % 9 % 4 ? 0 : 1;
-        head->psi = sfemi_guard_forces(b, b->state.u, b->state.f);
-        sfemi_turn_frames(b, b->state.frame);
+        head->psi = sfemi_safeguard_forces(b, b->state.u, b->state.f);
+        sfemi_rotated_frames(b, b->state.frame);
         head->current = 1;
         head->rebase = SFEMI_NEW_LEDGER;
     }
-    sfemi_turn_locate(b, b->state.u);
+    sfemi_rotated_locate(b, b->state.u);
 }
 
 /* An energy budget for steps of h from here, where the present one is void. */
-static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
+static void sfemi_safeguard_refresh(sfem_body *b, sfem_real h)
 {
     sfemi_state_head *head = b->state.head;
-    sfemi_guard_energies e;
-    sfemi_guard_look(b);
+    sfemi_safeguard_energies e;
+    sfemi_safeguard_inspect(b);
     if (head->rebase == SFEMI_LEDGER) return;
-    e = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
+    e = sfemi_safeguard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, h);
     head->last = e.ec;
     head->budget = e.ec + e.rounding;
     if (head->rebase == SFEMI_NEW_LEDGER) head->scale = 0;
@@ -21196,9 +21196,9 @@ static void sfemi_guard_refresh(sfem_body *b, sfem_real h)
     head->rebase = SFEMI_LEDGER;
 }
 
-/* In a turned body every node has a frame of its own, so a handle has three columns for each of its nodes,
+/* In a rotated body every node has a frame of its own, so a handle has three columns for each of its nodes,
  * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
-static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *frame)
+static void sfemi_safeguard_gather(sfem_body *b, sfemi_schur *g, const sfem_real *frame)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_int size = 3 * g->count;
@@ -21232,18 +21232,18 @@ static void sfemi_guard_gather(sfem_body *b, sfemi_grip *g, const sfem_real *fra
 }
 
 /* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
-static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame, sfem_real *a)
+static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real *y = b->turn.v;
+    sfem_real *y = b->rotated.v;
     sfem_int i;
     size_t k;
     int c, l;
     if (!g->count) return;
-    sfemi_guard_gather(b, g, frame);
+    sfemi_safeguard_gather(b, g, frame);
     for (i = 0; i < g->count; ++i) {
         sfem_real mean[3];
-        sfemi_grip_mean(b->state.handle + g->slot[i], a, mean);
+        sfemi_schur_mean(b->state.handle + g->slot[i], a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
@@ -21261,13 +21261,13 @@ static void sfemi_guard_hold(sfem_body *b, sfemi_grip *g, const sfem_real *frame
             }
         }
     }
-    sfemi_turn_rotate(frame, b->model->mesh.nodes, 0, y, y);
+    sfemi_rotated_rotate(frame, b->model->mesh.nodes, 0, y, y);
     for (k = 0; k < n; ++k)
         if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
 }
 
-/* b->base as in sfemi_alpha_predict, in the turned frames. */
-static void sfemi_guard_predict_alpha(sfem_body *b)
+/* b->base as in sfemi_alpha_predict, in the rotated frames. */
+static void sfemi_safeguard_predict_alpha(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_state *s = &b->state;
@@ -21275,11 +21275,11 @@ static void sfemi_guard_predict_alpha(sfem_body *b)
     for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->step.back * s->a[i];
     if (s->head->started == SFEMI_RUNNING) return;
     for (i = 0; i < n; ++i) b->zk[i] = b->p * b->step.h * b->step.h * s->w[i];
-    sfemi_turn_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
-    sfemi_turn_solve(b, b->factor, s->u, s->frame, b->zm);
-    if (b->grip.count) {
-        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
-        sfemi_guard_hold(b, &b->grip, s->frame, b->zm);
+    sfemi_rotated_stiffness(b, s->u, s->frame, b->zk, NULL, b->zm);
+    sfemi_rotated_solve_system(b, b->factor, s->u, s->frame, b->zm);
+    if (b->schur.count) {
+        memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
+        sfemi_safeguard_apply_handles(b, &b->schur, s->frame, b->zm);
     }
     for (i = 0; i < n; ++i) b->base[i] = s->w[i] - b->zm[i];
 }
@@ -21287,7 +21287,7 @@ static void sfemi_guard_predict_alpha(sfem_body *b)
 /* KR-alpha blends forces and accelerations of two places, which have no common momentum. The rigid part of
  * the step of a free piece is therefore made (p,q,r)'s own, N^T M (w' - w) = (h1+h2)/2 N^T (L - alpha M w')
  * in its form of one solve. */
-static void sfemi_guard_settle_momentum(sfem_body *b)
+static void sfemi_safeguard_correct_momentum(sfem_body *b)
 {
     const sfem_real load[3] = {0, 1, 0};
     const sfemi_step t = b->step;
@@ -21295,40 +21295,40 @@ static void sfemi_guard_settle_momentum(sfem_body *b)
     size_t i;
     sfem_int k;
     int c;
-    if (!sfemi_turn_projects(b)) return;
+    if (!sfemi_rotated_projects(b)) return;
     for (i = 0; i < n; ++i) b->zm[i] = b->alpha * b->model->node_mass[i / 3] * b->state.w[i];
     sfemi_body_take_from_load(b, load, b->zm, b->zm);
-    for (i = 0; i < n; ++i) b->zm[i] += b->guard.added[i];
-    sfemi_turn_motion(b, b->state.u, b->zm, 0);
-    for (k = 0; k < b->turn.pieces; ++k)
-        memcpy(b->turn.piece[k].kept, b->turn.piece[k].motion, sizeof b->turn.piece[k].kept);
+    for (i = 0; i < n; ++i) b->zm[i] += b->safeguard.added[i];
+    sfemi_rotated_motion(b, b->state.u, b->zm, 0);
+    for (k = 0; k < b->rotated.pieces; ++k)
+        memcpy(b->rotated.piece[k].kept, b->rotated.piece[k].motion, sizeof b->rotated.piece[k].kept);
     for (i = 0; i < n; ++i) b->zm[i] = b->state.w[i] - b->base[i] - t.d * b->acc[i];
-    sfemi_turn_motion(b, b->state.u, b->zm, 1);
-    for (k = 0; k < b->turn.pieces; ++k)
+    sfemi_rotated_motion(b, b->state.u, b->zm, 1);
+    for (k = 0; k < b->rotated.pieces; ++k)
         for (c = 0; c < 6; ++c)
-            b->turn.piece[k].motion[c] += b->turn.piece[k].kept[c] * (t.d - t.back) / b->factor->key.cm;
-    sfemi_turn_add_motion(b, b->state.u, 1 / t.d, 0, b->acc);
+            b->rotated.piece[k].motion[c] += b->rotated.piece[k].kept[c] * (t.d - t.back) / b->factor->key.cm;
+    sfemi_rotated_add_motion(b, b->state.u, 1 / t.d, 0, b->acc);
 }
 
 /* The centripetal acceleration of free pieces, omega x (omega x r), omega by the momentum of w; of others 0.
- * The turned K0 takes it for a stretch that p h^2 K0 resists: a stiff body at .2 rad a step then
+ * The rotated K0 takes it for a stretch that p h^2 K0 resists: a stiff body at .2 rad a step then
  * stretches until that is a fifth of its energy. So only what differs from it is solved for,
  *   A (a - c) = L - f - D (w + q h c/2) - r M c,
  * which leaves its damping in place (it cancels what w, the way over the last step, has of it) and the momenta
  * as they are. Returns whether there is any. */
-static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
+static int sfemi_safeguard_centripetal(sfem_body *b, sfem_real *a)
 {
     const sfem_model *model = b->model;
     const sfemi_state *s = &b->state;
     sfem_int i;
     int c;
-    if (b->base || b->turn.still || !b->factor || !sfemi_turn_projects(b)) return 0;
-    sfemi_turn_momentum(b, s->u, s->w, 1);
-    for (i = 0; i < b->turn.pieces; ++i)
-        memcpy(b->turn.piece[i].curl, b->turn.piece[i].motion + 3, sizeof b->turn.piece[i].curl);
-    sfemi_turn_divide(b);
-    for (i = 0; i < b->turn.pieces; ++i) { /* sum m r x (omega x (omega x r)) = omega x L */
-        sfemi_piece *p = b->turn.piece + i;
+    if (b->base || b->rotated.still || !b->factor || !sfemi_rotated_projects(b)) return 0;
+    sfemi_rotated_momentum(b, s->u, s->w, 1);
+    for (i = 0; i < b->rotated.pieces; ++i)
+        memcpy(b->rotated.piece[i].curl, b->rotated.piece[i].motion + 3, sizeof b->rotated.piece[i].curl);
+    sfemi_rotated_divide(b);
+    for (i = 0; i < b->rotated.pieces; ++i) { /* sum m r x (omega x (omega x r)) = omega x L */
+        sfemi_piece *p = b->rotated.piece + i;
         sfem_real torque[3];
         sfemi_cross(p->motion + 3, p->curl, torque);
         for (c = 0; c < 3; ++c) p->curl[c] = sfemi_dot3(p->inertia_inverse + 3 * c, torque);
@@ -21338,8 +21338,8 @@ static int sfemi_guard_centripetal(sfem_body *b, sfem_real *a)
         const sfemi_piece *p;
         const size_t at = 3 * (size_t)i;
         sfem_real r[3], v[3];
-        if (b->turn.piece_of[i] < 0) continue;
-        p = b->turn.piece + b->turn.piece_of[i];
+        if (b->rotated.piece_of[i] < 0) continue;
+        p = b->rotated.piece + b->rotated.piece_of[i];
         if (p->held) continue;
         for (c = 0; c < 3; ++c) r[c] = model->mesh.x[at + (size_t)c] + s->u[at + (size_t)c] - p->centre[c];
         sfemi_cross(p->motion + 3, r, v);
@@ -21373,11 +21373,11 @@ static void sfemi_correct_open(sfem_body *b, sfemi_equation *q)
     q->moving = 0;
     q->h = h2;
     q->d = t.d;
-    q->end = b->guard.end = k1 * (1 - a);
+    q->end = b->safeguard.end = k1 * (1 - a);
     q->after = b->scheme.q / 2 * h2 / t.d;
     q->before = t.cd - q->after;
-    for (i = 0; i < n; ++i) b->guard.known[i] = now * s->f[i] + past * s->f_past[i];
-    for (i = 0; h1 > 0 && a != 0 && i < n; ++i) b->guard.known[i] += k3 * a * s->f_past2[i];
+    for (i = 0; i < n; ++i) b->safeguard.known[i] = now * s->f[i] + past * s->f_past[i];
+    for (i = 0; h1 > 0 && a != 0 && i < n; ++i) b->safeguard.known[i] += k3 * a * s->f_past2[i];
 }
 
 /* The internal force by which the trial goes: f; where the step goes on, what that equation has of forces if f'
@@ -21386,7 +21386,7 @@ static const sfem_real *sfemi_correct_forecast(sfem_body *b)
 {
     const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    sfem_real *f = b->guard.f, ahead;
+    sfem_real *f = b->safeguard.f, ahead;
     sfemi_equation q;
     size_t i;
     if (b->scheme.rotates != SFEMI_CORRECTS) return s->f;
@@ -21394,7 +21394,7 @@ static const sfem_real *sfemi_correct_forecast(sfem_body *b)
     if (s->head->started != SFEMI_RUNNING) return s->f;
     ahead = q.h / s->head->h;
     for (i = 0; i < n; ++i)
-        f[i] = b->guard.known[i] + q.end * (s->f[i] + ahead * (s->f[i] - s->f_past[i]));
+        f[i] = b->safeguard.known[i] + q.end * (s->f[i] + ahead * (s->f[i] - s->f_past[i]));
     return f;
 }
 
@@ -21405,17 +21405,17 @@ static void sfemi_correct_brake(sfem_body *b, const sfemi_step *t)
     const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real ahead = b->scheme.q / 2 * b->step.h;
-    sfem_real *v = b->guard.dir, *force = b->guard.other;
+    sfem_real *v = b->safeguard.dir, *force = b->safeguard.other;
     size_t i;
     if (!sfemi_correct_is_braked(b)) return;
     for (i = 0; i < n; ++i) v[i] = t->cd * s->w[i] + ahead * s->a[i];
     memset(force, 0, n * sizeof *force);
     b->def.damping_force.force(b->def.damping_force.user, v, force);
     for (i = 0; i < n; ++i) b->rhs[i] += force[i];
-    if (sfemi_turn_projects(b)) sfemi_turn_push_more(b, s->u, force, -1);
+    if (sfemi_rotated_projects(b)) sfemi_rotated_add_rigid_load(b, s->u, force, -1);
 }
 
-static void sfemi_guard_predict(sfem_body *b)
+static void sfemi_safeguard_predict(sfem_body *b)
 {
     const sfemi_state *s = &b->state;
     const sfem_real h = b->step.h;
@@ -21427,16 +21427,16 @@ static void sfemi_guard_predict(sfem_body *b)
     int stiff, c;
     sfem_int j;
     size_t i;
-    sfemi_guard_refresh(b, h);
+    sfemi_safeguard_refresh(b, h);
     force = sfemi_correct_forecast(b);
     if (force != s->f) t.ck = 0;
     if (b->step.starts_from_mass) t.cd -= b->scheme.q; /* A w' = r M w + ..; the rest of A w is left out */
     if (b->base) {
-        sfemi_guard_predict_alpha(b);
+        sfemi_safeguard_predict_alpha(b);
         t.ck = 0; /* forces at the end of the last step are at hand */
     } else {
-        t.ca = 0; /* the source of growth where damping is stiff and the body turns; the order stays */
-        if (sfemi_turn_projects(b)) sfemi_turn_push(b, s->u, t.load, s->w, b->alpha * t.cd);
+        t.ca = 0; /* the source of growth where damping is stiff and the body rotates; the order stays */
+        if (sfemi_rotated_projects(b)) sfemi_rotated_set_rigid_load(b, s->u, t.load, s->w, b->alpha * t.cd);
     }
     stiff = b->beta != 0 || b->zd != NULL || t.ck != 0 || t.cka != 0;
     memset(b->acc, 0, n * sizeof *b->acc);
@@ -21454,12 +21454,12 @@ static void sfemi_guard_predict(sfem_body *b)
             b->zk[i] = (b->beta * t.cd - ck) * s->w[i] - (b->beta * t.ca - t.cka) * s->a[i] + held * b->acc[i];
         }
         for (i = 0; b->zd && i < n; ++i) b->zd[i] = t.cd * s->w[i] - t.ca * s->a[i] + b->scheme.q / 2 * h * b->acc[i];
-        if ((b->beta != 0 || b->zd) && sfemi_guard_centripetal(b, b->guard.grad))
+        if ((b->beta != 0 || b->zd) && sfemi_safeguard_centripetal(b, b->safeguard.grad))
             for (i = 0; i < n; ++i) {
-                b->zk[i] += b->scheme.q / 2 * h * b->beta * b->guard.grad[i];
-                if (b->zd) b->zd[i] += b->scheme.q / 2 * h * b->guard.grad[i];
+                b->zk[i] += b->scheme.q / 2 * h * b->beta * b->safeguard.grad[i];
+                if (b->zd) b->zd[i] += b->scheme.q / 2 * h * b->safeguard.grad[i];
             }
-        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        sfemi_rotated_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i) b->rhs[i] += force[i];
         for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
         if (b->beta != 0) sfemi_fracture_soften(b, b->zk, b->rhs);
@@ -21474,21 +21474,21 @@ static void sfemi_guard_predict(sfem_body *b)
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     sfemi_resume_lessen(b, b->rhs);
     for (i = 0; b->step.starts_from_mass && i < n; ++i) b->rhs[i] += b->scheme.r * model->node_mass[i / 3] * s->w[i] / t.d;
-    for (i = 0; i < n; ++i) b->guard.added[i] = -b->rhs[i];
+    for (i = 0; i < n; ++i) b->safeguard.added[i] = -b->rhs[i];
 }
 
 /* x -= part P w, P taking out the rigid motion of free pieces. */
-static void sfemi_guard_subtract_velocity(sfem_body *b, sfem_real part, sfem_real *x)
+static void sfemi_safeguard_subtract_velocity(sfem_body *b, sfem_real part, sfem_real *x)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t i;
     memcpy(b->zk, b->state.w, n * sizeof *b->zk);
-    sfemi_turn_motion(b, b->state.u, b->zk, 1);
-    sfemi_turn_add_motion(b, b->state.u, -1, 0, b->zk);
+    sfemi_rotated_motion(b, b->state.u, b->zk, 1);
+    sfemi_rotated_add_motion(b, b->state.u, -1, 0, b->zk);
     for (i = 0; i < n; ++i) x[i] -= part * b->zk[i];
 }
 
-static void sfemi_guard_try(sfem_body *b)
+static void sfemi_safeguard_try(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_step t = b->step;
@@ -21500,34 +21500,34 @@ static void sfemi_guard_try(sfem_body *b)
     size_t i;
     memcpy(x, b->rhs, n * sizeof *x);
     for (i = 0; i < n; ++i) {
-        b->guard.added[i] += b->rhs[i];
-        more |= b->guard.added[i] != 0;
+        b->safeguard.added[i] += b->rhs[i];
+        more |= b->safeguard.added[i] != 0;
     }
-    if (more && !b->base && sfemi_turn_projects(b)) sfemi_turn_push_more(b, b->state.u, b->guard.added, 1);
-    centripetal = sfemi_guard_centripetal(b, b->guard.grad);
+    if (more && !b->base && sfemi_rotated_projects(b)) sfemi_rotated_add_rigid_load(b, b->state.u, b->safeguard.added, 1);
+    centripetal = sfemi_safeguard_centripetal(b, b->safeguard.grad);
     for (i = 0; centripetal && i < n; ++i)
-        x[i] -= f->key.cm * b->model->node_mass[i / 3] * b->guard.grad[i];
-    for (k = 0; centripetal && k < b->turn.pieces; ++k)
-        for (c = 0; c < 3; ++c) b->turn.piece[k].push[3 + c] -= f->key.cm * b->turn.piece[k].curl[c];
-    sfemi_turn_solve_pushed(b, f, b->state.u, b->state.frame, !b->base, x);
+        x[i] -= f->key.cm * b->model->node_mass[i / 3] * b->safeguard.grad[i];
+    for (k = 0; centripetal && k < b->rotated.pieces; ++k)
+        for (c = 0; c < 3; ++c) b->rotated.piece[k].rigid[3 + c] -= f->key.cm * b->rotated.piece[k].curl[c];
+    sfemi_rotated_solve_rigid(b, f, b->state.u, b->state.frame, !b->base, x);
     ++b->state.head->solves;
-    for (i = 0; centripetal && i < n; ++i) x[i] += b->guard.grad[i];
-    if (b->step.starts_from_mass) sfemi_guard_subtract_velocity(b, 1 / t.d, x);
+    for (i = 0; centripetal && i < n; ++i) x[i] += b->safeguard.grad[i];
+    if (b->step.starts_from_mass) sfemi_safeguard_subtract_velocity(b, 1 / t.d, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
-    if (b->grip.count) {
+    if (b->schur.count) {
         for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
-        sfemi_body_handle_gap(b, &b->grip, b->zk, h * t.d / (1 - t.am));
-        sfemi_guard_hold(b, &b->grip, b->state.frame, b->acc);
+        sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
+        sfemi_safeguard_apply_handles(b, &b->schur, b->state.frame, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
-    if (b->base) sfemi_guard_settle_momentum(b);
+    if (b->base) sfemi_safeguard_correct_momentum(b);
 }
 
 /* Where the trial's acceleration leads: guard.w, u, f, psi. */
-static void sfemi_guard_advance(sfem_body *b)
+static void sfemi_safeguard_advance(sfem_body *b)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real d = b->step.d, *base = sfemi_pqr_base(b);
     size_t i;
@@ -21535,7 +21535,7 @@ static void sfemi_guard_advance(sfem_body *b)
         g->w[i] = base[i] + d * b->acc[i];
         g->u[i] = b->state.u[i] + b->step.h * g->w[i];
     }
-    g->psi = sfemi_guard_forces(b, g->u, g->f);
+    g->psi = sfemi_safeguard_forces(b, g->u, g->f);
     ++b->state.head->evaluations;
     g->corrections = 0;
     g->made = g->dropped = 0;
@@ -21544,7 +21544,7 @@ static void sfemi_guard_advance(sfem_body *b)
 /* The work along part (u' - u) + back w of what the caller added to the right side, and of so much of the newer
  * and the older loads' difference to those in the energies; less what moves the centres of mass of free
  * pieces, for their energy is not watched. */
-static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem_real back, sfem_real newer,
+static sfem_real sfemi_safeguard_outer_work(const sfem_body *b, sfem_real part, sfem_real back, sfem_real newer,
                                         sfem_real older)
 {
     const sfemi_state *s = &b->state;
@@ -21552,15 +21552,15 @@ static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem
     sfem_real work = 0;
     sfem_int i, k;
     int c;
-    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (k = 0; k < b->rotated.pieces; ++k) memset(b->rotated.piece[k].sum, 0, sizeof b->rotated.piece[k].sum);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
         sfemi_piece *p;
-        if (b->turn.piece_of[i] < 0) continue;
-        p = b->turn.piece + b->turn.piece_of[i];
+        if (b->rotated.piece_of[i] < 0) continue;
+        p = b->rotated.piece + b->rotated.piece_of[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
-            const sfem_real way = part * (b->guard.u[at] - s->u[at]) + back * s->w[at];
-            sfem_real f = b->guard.added[at];
+            const sfem_real way = part * (b->safeguard.u[at] - s->u[at]) + back * s->w[at];
+            sfem_real f = b->safeguard.added[at];
             if (loads)
                 f += newer * (s->force[0][at] - s->force[1][at]) + older * (s->force[2][at] - s->force[1][at]);
             work += f * way;
@@ -21568,26 +21568,26 @@ static sfem_real sfemi_guard_outer_work(const sfem_body *b, sfem_real part, sfem
             p->sum[1][c] += b->model->node_mass[i] * way;
         }
     }
-    for (k = 0; k < b->turn.pieces; ++k)
-        for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
-            work -= b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
+    for (k = 0; k < b->rotated.pieces; ++k)
+        for (c = 0; !b->rotated.piece[k].held && c < 3; ++c)
+            work -= b->rotated.piece[k].sum[0][c] * b->rotated.piece[k].sum[1][c] / b->rotated.piece[k].mass;
     return work;
 }
 
 /* The energy budget's share of a change of the loads while the body is where it is: energies count -L.(u + u-)/2,
  * or -L.u after a redo. */
-static sfem_real sfemi_guard_load_change(const sfem_body *b)
+static sfem_real sfemi_safeguard_load_change(const sfem_body *b)
 {
     const sfemi_state *s = &b->state;
     const sfem_real back = s->head->started == SFEMI_RUNNING ? s->head->h / 2 : 0;
     sfem_real change = 0;
     sfem_int i, k;
     int c;
-    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].sum, 0, sizeof b->turn.piece[k].sum);
+    for (k = 0; k < b->rotated.pieces; ++k) memset(b->rotated.piece[k].sum, 0, sizeof b->rotated.piece[k].sum);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
         sfemi_piece *p;
-        if (b->turn.piece_of[i] < 0) continue;
-        p = b->turn.piece + b->turn.piece_of[i];
+        if (b->rotated.piece_of[i] < 0) continue;
+        p = b->rotated.piece + b->rotated.piece_of[i];
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)i + (size_t)c;
             const sfem_real u = s->u[at] - back * s->w[at], d = s->force[0][at] - s->force[1][at];
@@ -21596,30 +21596,30 @@ static sfem_real sfemi_guard_load_change(const sfem_body *b)
             p->sum[1][c] += b->model->node_mass[i] * u;
         }
     }
-    for (k = 0; k < b->turn.pieces; ++k)
-        for (c = 0; !b->turn.piece[k].held && c < 3; ++c)
-            change += b->turn.piece[k].sum[0][c] * b->turn.piece[k].sum[1][c] / b->turn.piece[k].mass;
+    for (k = 0; k < b->rotated.pieces; ++k)
+        for (c = 0; !b->rotated.piece[k].held && c < 3; ++c)
+            change += b->rotated.piece[k].sum[0][c] * b->rotated.piece[k].sum[1][c] / b->rotated.piece[k].mass;
     return change;
 }
 
 /* Work done by handles, moved pins, and the part of the loads that is not in the energies, on the way (u'-u)/2 +
  * back w: back = h1/2 between the middles of the last step and this one, 0 from there on to its end. */
-static sfem_real sfemi_guard_step_work(const sfem_body *b, sfem_real back)
+static sfem_real sfemi_safeguard_step_work(const sfem_body *b, sfem_real back)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     const sfemi_step t = b->step;
     const int loads = s->head->loaded && s->head->load_age < 2;
-    sfem_real work = sfemi_guard_outer_work(b, .5, back, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
+    sfem_real work = sfemi_safeguard_outer_work(b, .5, back, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
     sfem_int k;
     size_t i;
     int l, c;
-    for (k = 0; k < b->grip.count; ++k) {
-        const sfemi_handle *h = s->handle + b->grip.slot[k];
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_handle *h = s->handle + b->schur.slot[k];
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 i = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->grip.lambda[3 * k + c] * h->weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
+                work += b->schur.lambda[3 * k + c] * h->weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -21633,9 +21633,9 @@ static sfem_real sfemi_guard_step_work(const sfem_body *b, sfem_real back)
 }
 
 /* The work of handles and moved pins in a fallback. */
-static sfem_real sfemi_guard_held_work(const sfem_body *b)
+static sfem_real sfemi_safeguard_held_work(const sfem_body *b)
 {
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     sfem_real work = 0;
     sfem_int k;
     int l, c;
@@ -21645,65 +21645,65 @@ static sfem_real sfemi_guard_held_work(const sfem_body *b)
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
-    for (k = 0; k < b->grip.count; ++k) {
-        const sfemi_handle *h = b->state.handle + b->grip.slot[k];
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_handle *h = b->state.handle + b->schur.slot[k];
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->grip.lambda[3 * k + c] * h->weight[l] * (g->u[at] - b->state.u[at]);
+                work += b->schur.lambda[3 * k + c] * h->weight[l] * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
 }
 
 /* Impulses are forces over the span of a (p,q,r) step, from the middle of the last one; in a fallback over its length. */
-static void sfemi_guard_spread_impulses(sfem_body *b)
+static void sfemi_safeguard_spread_impulses(sfem_body *b)
 {
     const sfemi_step t = b->step;
     const sfem_real change = 1 / b->step.h - 1 / (t.d - t.back);
     size_t i;
-    for (i = 0; b->kicked && i < 3 * (size_t)b->model->mesh.nodes; ++i) b->guard.added[i] += change * b->kick[i];
+    for (i = 0; b->kicked && i < 3 * (size_t)b->model->mesh.nodes; ++i) b->safeguard.added[i] += change * b->kick[i];
 }
 
 /* With that of what the caller added: of forces from the middle of the last step on, where its energy was taken. */
-static sfem_real sfemi_guard_fallback_work(sfem_body *b)
+static sfem_real sfemi_safeguard_fallback_work(sfem_body *b)
 {
     const sfem_real h1 = b->state.head->started == SFEMI_RUNNING ? b->state.head->h : 0;
-    sfem_real *added = b->guard.added, work = sfemi_guard_held_work(b) + sfemi_guard_outer_work(b, 1, h1 / 2, 0, 0);
+    sfem_real *added = b->safeguard.added, work = sfemi_safeguard_held_work(b) + sfemi_safeguard_outer_work(b, 1, h1 / 2, 0, 0);
     if (!b->kicked) return work;
-    b->guard.added = b->kick;
-    work -= sfemi_guard_outer_work(b, 0, h1 / 2 / b->step.h, 0, 0);
-    b->guard.added = added;
+    b->safeguard.added = b->kick;
+    work -= sfemi_safeguard_outer_work(b, 0, h1 / 2 / b->step.h, 0, 0);
+    b->safeguard.added = added;
     return work;
 }
 
 /* The energy in motion, S: the largest kinetic energy, or change of Psi in a step, of the last steps and this one.
  * Not Psi itself: what is stored in a load, or locked in another minimum, does not move. */
-static sfem_real sfemi_guard_in_motion(const sfem_body *b, const sfemi_guard_energies *e)
+static sfem_real sfemi_safeguard_in_motion(const sfem_body *b, const sfemi_safeguard_energies *e)
 {
-    const sfem_real change = fabs(b->guard.psi - b->state.head->psi);
+    const sfem_real change = fabs(b->safeguard.psi - b->state.head->psi);
     return fmax(fmax(b->state.head->scale, e->floor), fmax(e->kinetic, change));
 }
 
 /* Is the energy of the step in guard in order? *budget: what it may be, the work done in the step included. */
-static int sfemi_guard_accepts(sfem_body *b, sfemi_guard_energies *e, sfem_real *budget)
+static int sfemi_safeguard_accepts(sfem_body *b, sfemi_safeguard_energies *e, sfem_real *budget)
 {
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state_head *head = b->state.head;
     sfem_real scale;
-    *budget = head->budget + sfemi_guard_step_work(b, head->started == SFEMI_RUNNING ? head->h / 2 : 0);
-    *e = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
-    scale = sfemi_guard_in_motion(b, e);
+    *budget = head->budget + sfemi_safeguard_step_work(b, head->started == SFEMI_RUNNING ? head->h / 2 : 0);
+    *e = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
+    scale = sfemi_safeguard_in_motion(b, e);
     if (b->scheme.rotates != SFEMI_CORRECTS) scale += (head->psi + g->psi) / 2; /* by one solve Eb is off by parts of Psi */
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
-           e->ec <= *budget + sfemi_guard_step_work(b, 0) + e->rounding + 0.3 * scale;
+           e->ec <= *budget + sfemi_safeguard_step_work(b, 0) + e->rounding + 0.3 * scale;
 }
 
 static void sfemi_body_forget_columns(sfem_body *b)
 {
     sfem_int i;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    for (i = 0; i < b->def.max_handles; ++i) b->schur.ready[i] = 0;
+    b->schur.dirty = 1;
 }
 
 /* ---- the corrected step ----
@@ -21731,7 +21731,7 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *w = b->state.w;
-    sfem_real *force = b->guard.other;
+    sfem_real *force = b->safeguard.other;
     size_t i;
     if (b->beta == 0 && !b->zd) return;
     for (i = 0; i < n; ++i) {
@@ -21739,7 +21739,7 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
         b->zk[i] = b->beta * v;
         if (b->zd) b->zd[i] = v;
     }
-    sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, force);
+    sfemi_rotated_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, force);
     if (b->damage && b->beta != 0) {
         for (i = 0; i < n; ++i) b->zk[i] = b->beta * (q->before * w[i] + q->after * w1[i]);
         sfemi_fracture_soften(b, b->zk, force);
@@ -21754,23 +21754,23 @@ static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const 
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *w = b->state.w, *mass = b->model->node_mass;
     const sfem_real r = b->scheme.r;
-    const int projects = !q->fallback && sfemi_turn_projects(b);
+    const int projects = !q->fallback && sfemi_rotated_projects(b);
     size_t i;
-    for (i = 0; i < n; ++i) out[i] = q->end * f1[i] + b->guard.known[i];
+    for (i = 0; i < n; ++i) out[i] = q->end * f1[i] + b->safeguard.known[i];
     sfemi_correct_add_damping(b, q, w1, out);
     if (projects) { /* internal forces add up to nothing; what rounding leaves is taken out */
-        sfemi_turn_motion(b, b->state.u, out, 0);
-        sfemi_turn_add_motion(b, b->state.u, -1, 1, out);
+        sfemi_rotated_motion(b, b->state.u, out, 0);
+        sfemi_rotated_add_motion(b, b->state.u, -1, 1, out);
     }
     for (i = 0; i < n; ++i)
         out[i] += mass[i / 3] * (r * (w1[i] - w[i]) / q->d + b->alpha * (q->before * w[i] + q->after * w1[i])) -
-                  b->guard.external[i];
+                  b->safeguard.external[i];
     if (sfemi_correct_is_braked(b)) {
         for (i = 0; i < n; ++i) b->zm[i] = q->before * w[i] + q->after * w1[i];
         b->def.damping_force.force(b->def.damping_force.user, b->zm, out);
     } else if (projects) {
-        sfemi_turn_motion(b, b->state.u, out, 0);
-        sfemi_turn_add_motion(b, b->state.u, -1, 1, out);
+        sfemi_rotated_motion(b, b->state.u, out, 0);
+        sfemi_rotated_add_motion(b, b->state.u, -1, 1, out);
     }
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) out[i] = 0;
@@ -21793,37 +21793,37 @@ static sfem_real sfemi_correct_dot(const sfem_real *a, const sfem_real *b, size_
 /* Does a correction leave the momenta of free pieces alone? */
 static int sfemi_correct_projects(const sfem_body *b, const sfemi_equation *q)
 {
-    return !q->fallback && sfemi_turn_projects(b) && !sfemi_correct_is_braked(b);
+    return !q->fallback && sfemi_rotated_projects(b) && !sfemi_correct_is_braked(b);
 }
 
 /* Of free pieces: the centre at u' and J^-T, J = sum m ((a.a') I - a' a^T), a and a' the arms at u and u'.
  * Where a piece has rotated too far for that, those of u. */
 static void sfemi_correct_span(sfem_body *b)
 {
-    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *u1 = b->guard.u;
+    const sfem_real *mass = b->model->node_mass, *rest = b->model->mesh.x, *u1 = b->safeguard.u;
     sfem_int i, k;
     int r, c;
-    for (k = 0; k < b->turn.pieces; ++k) {
-        memset(b->turn.piece[k].ahead, 0, sizeof b->turn.piece[k].ahead);
-        memset(b->turn.piece[k].between, 0, sizeof b->turn.piece[k].between);
+    for (k = 0; k < b->rotated.pieces; ++k) {
+        memset(b->rotated.piece[k].ahead, 0, sizeof b->rotated.piece[k].ahead);
+        memset(b->rotated.piece[k].between, 0, sizeof b->rotated.piece[k].between);
     }
     for (i = 0; i < b->model->mesh.nodes; ++i)
-        for (c = 0; c < 3 && b->turn.piece_of[i] >= 0; ++c) {
-            sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        for (c = 0; c < 3 && b->rotated.piece_of[i] >= 0; ++c) {
+            sfemi_piece *p = b->rotated.piece + b->rotated.piece_of[i];
             p->ahead[c] += mass[i] / p->mass * (rest[3 * i + c] + u1[3 * i + c]);
         }
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p = b->rotated.piece + b->rotated.piece_of[i];
         sfem_real from[3], to[3], both;
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
-        sfemi_turn_arm(b, b->state.u, i, p->centre, from);
-        sfemi_turn_arm(b, u1, i, p->ahead, to);
+        if (b->rotated.piece_of[i] < 0 || p->held) continue;
+        sfemi_rotated_arm(b, b->state.u, i, p->centre, from);
+        sfemi_rotated_arm(b, u1, i, p->ahead, to);
         both = sfemi_dot3(from, to);
         for (r = 0; r < 3; ++r)
             for (c = 0; c < 3; ++c) p->between[3 * r + c] += mass[i] * ((r == c ? both : 0) - to[r] * from[c]);
     }
-    for (k = 0; k < b->turn.pieces; ++k) {
-        sfemi_piece *p = b->turn.piece + k;
+    for (k = 0; k < b->rotated.pieces; ++k) {
+        sfemi_piece *p = b->rotated.piece + k;
         sfem_real j[9], det;
         if (p->held) continue;
         memcpy(j, p->between, sizeof j);
@@ -21843,21 +21843,21 @@ static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
     const sfem_real *mass = b->model->node_mass;
     sfem_int i, k;
     int c;
-    for (k = 0; k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion, 0, sizeof b->turn.piece[k].motion);
+    for (k = 0; k < b->rotated.pieces; ++k) memset(b->rotated.piece[k].motion, 0, sizeof b->rotated.piece[k].motion);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        sfemi_piece *p = b->rotated.piece + b->rotated.piece_of[i];
         sfem_real arm[3], torque[3];
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
-        if (force && p->spans) sfemi_turn_arm(b, b->guard.u, i, p->ahead, arm);
-        else sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
+        if (b->rotated.piece_of[i] < 0 || p->held) continue;
+        if (force && p->spans) sfemi_rotated_arm(b, b->safeguard.u, i, p->ahead, arm);
+        else sfemi_rotated_arm(b, b->state.u, i, p->centre, arm);
         sfemi_cross(arm, x + 3 * i, torque);
         for (c = 0; c < 3; ++c) {
             p->motion[c] += (force ? 1 : mass[i]) * x[3 * i + c];
             p->motion[3 + c] += (force ? 1 : mass[i]) * torque[c];
         }
     }
-    for (k = 0; k < b->turn.pieces; ++k) {
-        sfemi_piece *p = b->turn.piece + k;
+    for (k = 0; k < b->rotated.pieces; ++k) {
+        sfemi_piece *p = b->rotated.piece + k;
         const sfem_real *inverse = p->spans ? p->between : p->inertia_inverse;
         sfem_real omega[3];
         if (p->held) continue;
@@ -21869,11 +21869,11 @@ static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
         memcpy(p->motion + 3, omega, sizeof omega);
     }
     for (i = 0; i < b->model->mesh.nodes; ++i) {
-        const sfemi_piece *p = b->turn.piece + b->turn.piece_of[i];
+        const sfemi_piece *p = b->rotated.piece + b->rotated.piece_of[i];
         sfem_real arm[3], spin[3];
-        if (b->turn.piece_of[i] < 0 || p->held) continue;
-        if (force || !p->spans) sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
-        else sfemi_turn_arm(b, b->guard.u, i, p->ahead, arm);
+        if (b->rotated.piece_of[i] < 0 || p->held) continue;
+        if (force || !p->spans) sfemi_rotated_arm(b, b->state.u, i, p->centre, arm);
+        else sfemi_rotated_arm(b, b->safeguard.u, i, p->ahead, arm);
         sfemi_cross(p->motion + 3, arm, spin);
         for (c = 0; c < 3; ++c) x[3 * i + c] -= (force ? mass[i] : 1) * (p->motion[c] + spin[c]);
     }
@@ -21886,14 +21886,14 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, co
     const int upper = q->fallback && f != sfemi_body_active(b); /* bounds that a projection would break */
     const int frees = sfemi_correct_projects(b, q);
     size_t i;
-    if (q->fallback && !upper) sfemi_turn_locate(b, b->guard.u);
+    if (q->fallback && !upper) sfemi_rotated_locate(b, b->safeguard.u);
     if (frees) sfemi_correct_free(b, 1, x);
-    sfemi_turn_solve(b, f, upper || frees ? NULL : q->fallback ? b->guard.u : b->state.u, b->guard.frame, x);
+    sfemi_rotated_solve_system(b, f, upper || frees ? NULL : q->fallback ? b->safeguard.u : b->state.u, b->safeguard.frame, x);
     if (frees) sfemi_correct_free(b, 0, x);
-    if (q->fallback && !upper) sfemi_turn_locate(b, b->state.u);
-    if (b->grip.count) {
-        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
-        sfemi_guard_hold(b, &b->grip, b->guard.frame, x);
+    if (q->fallback && !upper) sfemi_rotated_locate(b, b->state.u);
+    if (b->schur.count) {
+        memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
+        sfemi_safeguard_apply_handles(b, &b->schur, b->safeguard.frame, x);
     }
     for (i = 0; i < n; ++i) x[i] *= q->d;
     ++b->state.head->solves;
@@ -21902,7 +21902,7 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, co
 /* guard.dir: the step to be taken from w'. Returns h dir.r, twice the energy that it is expected to gain. */
 static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, const sfem_factor *f)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int count = g->pairs < SFEMI_MEMORY ? g->pairs : SFEMI_MEMORY;
     sfem_real part[SFEMI_MEMORY];
@@ -21924,9 +21924,9 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, 
         for (i = 0; i < n; ++i) g->dir[i] += (part[k] - back) * s[i];
     }
     if (count && sfemi_correct_projects(b, q)) sfemi_correct_free(b, 0, g->dir);
-    if (b->grip.count && count) { /* pairs of other frames may move the handles */
-        memset(b->grip.lambda, 0, 3 * (size_t)b->grip.count * sizeof *b->grip.lambda);
-        sfemi_guard_hold(b, &b->grip, g->frame, g->dir);
+    if (b->schur.count && count) { /* pairs of other frames may move the handles */
+        memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
+        sfemi_safeguard_apply_handles(b, &b->schur, g->frame, g->dir);
     }
     return q->h * sfemi_correct_dot(g->dir, g->grad, n);
 }
@@ -21934,7 +21934,7 @@ static sfem_real sfemi_correct_direction(sfem_body *b, const sfemi_equation *q, 
 /* The step and the change of r that it made, if r has changed along the step as it must. Returns whether. */
 static int sfemi_correct_remember(sfem_body *b, sfem_real length)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int at = g->pairs % SFEMI_MEMORY;
     sfem_real *s = g->pair + 2 * n * (size_t)at, *y = s + n, sy, ss, yy;
@@ -21959,7 +21959,7 @@ static void sfemi_correct_swap(sfem_real **a, sfem_real **b)
     *b = c;
 }
 
-static void sfemi_correct_swap_trial(sfemi_guard *g)
+static void sfemi_correct_swap_trial(sfemi_safeguard *g)
 {
     sfemi_correct_swap(&g->w, &g->trial_w);
     sfemi_correct_swap(&g->u, &g->trial_u);
@@ -21970,10 +21970,10 @@ static void sfemi_correct_swap_trial(sfemi_guard *g)
 /* guard.u, f, psi for guard.w. */
 static void sfemi_correct_evaluate(sfem_body *b, const sfemi_equation *q)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) g->u[i] = b->state.u[i] + q->h * g->w[i];
-    g->psi = sfemi_guard_forces(b, g->u, g->f);
+    g->psi = sfemi_safeguard_forces(b, g->u, g->f);
     ++b->state.head->evaluations;
 }
 
@@ -21982,7 +21982,7 @@ static void sfemi_correct_evaluate(sfem_body *b, const sfemi_equation *q)
 static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
                                     sfem_real length, sfem_real psi_from, sfem_real psi_to)
 {
-    const sfemi_guard *g = &b->guard; /* trial: from, the others: to */
+    const sfemi_safeguard *g = &b->safeguard; /* trial: from, the others: to */
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real sum = 0;
     size_t i;
@@ -21997,7 +21997,7 @@ static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q,
 static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfem_real decrement)
 {
     enum { TRIES = 10 };
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real psi = g->psi, slope = decrement / q->h;
     const sfem_real noise = (b->def.precision == SFEM_MIXED ? 1e-6 : 1e-12) * q->end / q->h * fabs(psi);
@@ -22026,45 +22026,45 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
         length = fmax(0.1 * length, fmin(secant, 0.8 * length));
     }
     sfemi_correct_swap_trial(g);
-    g->psi = sfemi_guard_forces(b, g->u, g->f); /* rotations and all */
+    g->psi = sfemi_safeguard_forces(b, g->u, g->f); /* rotations and all */
     return 0;
 }
 
 /* The multipliers of the handles that r leaves, in the mass norm. */
 static void sfemi_correct_find_handle_forces(sfem_body *b)
 {
-    sfemi_grip *grip = &b->grip;
-    const sfem_int k = grip->count;
+    sfemi_schur *schur = &b->schur;
+    const sfem_int k = schur->count;
     sfem_int i;
     int c, p;
     for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = b->state.handle + grip->slot[i];
+        const sfemi_handle *h = b->state.handle + schur->slot[i];
         for (c = 0; c < 3; ++c) {
-            grip->lambda[3 * i + c] = 0;
+            schur->lambda[3 * i + c] = 0;
             for (p = 0; p < 4; ++p)
                 if (h->weight[p] != 0)
-                    grip->lambda[3 * i + c] += h->weight[p] * b->guard.grad[3 * (size_t)h->node[p] + (size_t)c] /
+                    schur->lambda[3 * i + c] += h->weight[p] * b->safeguard.grad[3 * (size_t)h->node[p] + (size_t)c] /
                                                b->model->node_mass[h->node[p]];
         }
     }
-    for (c = 0; c < 3; ++c) sfemi_small_solve(grip->wm + c * k * k, k, k, grip->lambda + c, 3);
+    for (c = 0; c < 3; ++c) sfemi_small_solve(schur->wm + c * k * k, k, k, schur->lambda + c, 3);
 }
 
 /* Energy beyond what a fallback may have: the budget, or what there was, and the work done in it. */
-static sfem_real sfemi_guard_excess(sfem_body *b)
+static sfem_real sfemi_safeguard_excess(sfem_body *b)
 {
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state_head *head = b->state.head;
-    const sfem_real ec = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec;
-    if (b->grip.count) sfemi_correct_find_handle_forces(b);
-    return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_guard_fallback_work(b);
+    const sfem_real ec = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec;
+    if (b->schur.count) sfemi_correct_find_handle_forces(b);
+    return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_safeguard_fallback_work(b);
 }
 
 /* guard.pair: the pairs of earlier steps of this length, in the frames of the trial. The stiffness that the rotated
- * factor has wrong turns with the body: half of the corrections are saved on a bar that swings far. */
+ * factor has wrong rotates with the body: half of the corrections are saved on a bar that swings far. */
 static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const sfemi_state_head *head = b->state.head;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes;
@@ -22075,8 +22075,8 @@ static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
         const float *from = b->state.pair + 2 * n * (size_t)((head->pairs - count + k) % SFEMI_MEMORY);
         sfem_real *s = g->pair + 2 * n * (size_t)g->pairs;
         for (i = 0; i < 2 * n; ++i) s[i] = (sfem_real)from[i];
-        sfemi_turn_rotate(g->frame, nodes, 0, s, s);
-        sfemi_turn_rotate(g->frame, nodes, 0, s + n, s + n);
+        sfemi_rotated_rotate(g->frame, nodes, 0, s, s);
+        sfemi_rotated_rotate(g->frame, nodes, 0, s + n, s + n);
         g->curvature[g->pairs] = sfemi_correct_dot(s, s + n, n);
         if (g->curvature[g->pairs] > 0) ++g->pairs;
     }
@@ -22085,7 +22085,7 @@ static void sfemi_correct_recall(sfem_body *b, const sfemi_equation *q)
 /* The pairs that a step has made go to the state, when it is taken. */
 static void sfemi_correct_store(sfem_body *b)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_state_head *head = b->state.head;
     const sfem_int nodes = b->model->mesh.nodes;
     const size_t n = 3 * (size_t)nodes;
@@ -22096,17 +22096,17 @@ static void sfemi_correct_store(sfem_body *b)
     for (k = g->made < SFEMI_MEMORY ? g->made : SFEMI_MEMORY; k > 0; --k) {
         sfem_real *s = g->pair + 2 * n * (size_t)((g->pairs - k) % SFEMI_MEMORY);
         float *to = b->state.pair + 2 * n * (size_t)(head->pairs++ % SFEMI_MEMORY);
-        sfemi_turn_rotate(g->frame, nodes, 1, s, s);
-        sfemi_turn_rotate(g->frame, nodes, 1, s + n, s + n);
+        sfemi_rotated_rotate(g->frame, nodes, 1, s, s);
+        sfemi_rotated_rotate(g->frame, nodes, 1, s + n, s + n);
         for (i = 0; i < 2 * n; ++i) to[i] = (float)s[i];
     }
     if (head->pairs >= 1 << 20) head->pairs = head->pairs % SFEMI_MEMORY + SFEMI_MEMORY;
 }
 
-static void sfemi_guard_do_not_rotate(sfem_body *b)
+static void sfemi_safeguard_do_not_rotate(sfem_body *b)
 {
     size_t i;
-    for (i = 0; i < 9 * (size_t)b->model->mesh.nodes; ++i) b->guard.frame[i] = i % 9 % 4 ? 0 : 1;
+    for (i = 0; i < 9 * (size_t)b->model->mesh.nodes; ++i) b->safeguard.frame[i] = i % 9 % 4 ? 0 : 1;
 }
 
 /* Corrects guard.w until little is to be gained, `most` times at most; in a fallback until its energy is low
@@ -22114,15 +22114,15 @@ static void sfemi_guard_do_not_rotate(sfem_body *b)
 static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, int most,
                                        sfem_real tolerance)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfem_real first = 0, last = 0, rate = !q->fallback && b->state.head->rate > 0 ? b->state.head->rate : 0.3;
     int k;
     g->pairs = g->made = g->dropped = g->converged = 0;
-    g->bounded = f->key.majorant != 0;
-    if (g->bounded) sfemi_guard_do_not_rotate(b);
+    g->bounded = f->key.upper_bound != 0;
+    if (g->bounded) sfemi_safeguard_do_not_rotate(b);
     else {
         memcpy(g->frame, b->state.frame, 9 * (size_t)b->model->mesh.nodes * sizeof *g->frame);
-        sfemi_turn_frames(b, g->frame);
+        sfemi_rotated_frames(b, g->frame);
     }
     if (!q->fallback) sfemi_correct_recall(b, q);
     for (k = 0; k < most; ++k) {
@@ -22144,7 +22144,7 @@ static sfem_real sfemi_correct_iterate(sfem_body *b, const sfemi_equation *q, co
         left = fmax(rate, 1 - length) * decrement; /* a short step has not gained what it was expected to */
         if (q->fallback) left /= 1 - fmin(rate, 0.98); /* the sum of all that follow, by slow convergence */
         g->converged = left < tolerance &&
-                       (!q->fallback || sfemi_guard_excess(b) <= 0);
+                       (!q->fallback || sfemi_safeguard_excess(b) <= 0);
         if (g->converged) break;
     }
     if (!q->fallback) b->state.head->rate = rate;
@@ -22160,7 +22160,7 @@ static void sfemi_correct_weigh(sfem_body *b)
     for (i = 0; i < model->mesh.nodes; ++i) {
         const sfem_real *k = model->stiffness.val + 9 * (size_t)(model->row[i + 1] - 1);
         const sfem_real a = key->cm * model->node_mass[i] + key->ck * (k[0] + k[4] + k[8]) / 3;
-        b->turn.diagonal[i] = a > 0 ? 1 / a : 0;
+        b->rotated.diagonal[i] = a > 0 ? 1 / a : 0;
     }
 }
 
@@ -22169,11 +22169,11 @@ static void sfemi_correct_weigh(sfem_body *b)
 static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation *q)
 {
     const sfemi_factor_key *key = &b->factor->key;
-    const sfem_real *x = b->model->mesh.x, *u = b->guard.u;
+    const sfem_real *x = b->model->mesh.x, *u = b->safeguard.u;
     sfem_real sum = 0;
     sfem_int i;
     for (i = 0; key->ck > 0 && i < b->model->mesh.nodes; ++i) {
-        const sfem_real inverse = b->turn.diagonal[i];
+        const sfem_real inverse = b->rotated.diagonal[i];
         const sfem_real k = inverse > 0 ? (1 / inverse - key->cm * b->model->node_mass[i]) / key->ck : 0;
         const sfem_real p[3] = {x[3 * i] + u[3 * i], x[3 * i + 1] + u[3 * i + 1], x[3 * i + 2] + u[3 * i + 2]};
         sum += k * k * sfemi_dot3(p, p) * inverse;
@@ -22185,11 +22185,11 @@ static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation
 static void sfemi_correct(sfem_body *b)
 {
     enum { MOST = 40, AFTER_REJECTION = 5, SKIPS = 20 };
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real cheap = 0, first, tolerance, budget;
-    sfemi_guard_energies e;
+    sfemi_safeguard_energies e;
     sfemi_equation q;
     size_t i;
     if (!sfemi_finite(g->psi)) return;
@@ -22198,11 +22198,11 @@ static void sfemi_correct(sfem_body *b)
     sfemi_body_take_from_load(b, b->step.load, g->external, g->external);
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
     sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
-    for (i = 0; i < n; ++i) cheap += g->grad[i] * g->grad[i] * b->turn.diagonal[i / 3];
+    for (i = 0; i < n; ++i) cheap += g->grad[i] * g->grad[i] * b->rotated.diagonal[i / 3];
     cheap *= q.h * q.d;
     if (!(cheap > 0)) return; /* at rest */
     if (head->estimate > 0 && head->estimate * cheap < 10 * b->def.accuracy * head->scale &&
-        head->skipped < SKIPS && sfemi_guard_accepts(b, &e, &budget)) {
+        head->skipped < SKIPS && sfemi_safeguard_accepts(b, &e, &budget)) {
         ++head->skipped;
         return;
     }
@@ -22212,7 +22212,7 @@ static void sfemi_correct(sfem_body *b)
                                   tolerance);
     if (cheap > 0 && first > 0)
         head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
-    if (b->grip.count) sfemi_correct_find_handle_forces(b);
+    if (b->schur.count) sfemi_correct_find_handle_forces(b);
     for (i = 0; i < n; ++i) b->acc[i] = (g->w[i] - b->state.w[i]) / q.d;
 }
 
@@ -22228,45 +22228,45 @@ static void sfemi_correct(sfem_body *b)
 
 /* The momenta that free pieces are to have after the step, in `push`: what w has, and what the loads give from where
  * it is the velocity, the middle of the last step, to the end of this one. */
-static void sfemi_guard_keep_momentum(sfem_body *b)
+static void sfemi_safeguard_keep_momentum(sfem_body *b)
 {
     const sfem_real *mass = b->model->node_mass, r = b->scheme.r;
     const sfem_real h = b->step.h + (b->state.head->started == SFEMI_RUNNING ? b->state.head->h / 2 : 0);
     sfem_int k;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
-        b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->guard.external[i] -
+        b->zk[i] = (r * mass[i / 3] * b->state.w[i] + h * b->safeguard.external[i] -
                     (b->kicked ? (h / b->step.h - 1) * b->kick[i] : 0)) / (r + h * b->alpha);
-    sfemi_turn_momentum(b, b->state.u, b->zk, 0);
-    for (k = 0; k < b->turn.pieces; ++k)
-        memcpy(b->turn.piece[k].push, b->turn.piece[k].motion, sizeof b->turn.piece[k].push);
+    sfemi_rotated_momentum(b, b->state.u, b->zk, 0);
+    for (k = 0; k < b->rotated.pieces; ++k)
+        memcpy(b->rotated.piece[k].rigid, b->rotated.piece[k].motion, sizeof b->rotated.piece[k].rigid);
 }
 
 /* Gives free pieces these momenta, by a rigid motion at u' in w'; `moving` their centres to where that takes them. */
-static void sfemi_guard_restore_momentum(sfem_body *b, int moving)
+static void sfemi_safeguard_restore_momentum(sfem_body *b, int moving)
 {
-    sfemi_guard *g = &b->guard;
-    const sfem_int nodes = b->model->mesh.nodes, *of = b->turn.piece_of;
+    sfemi_safeguard *g = &b->safeguard;
+    const sfem_int nodes = b->model->mesh.nodes, *of = b->rotated.piece_of;
     sfem_int i, k;
     int c;
-    if (!sfemi_turn_projects(b)) return;
-    sfemi_turn_locate(b, g->u);
-    sfemi_turn_momentum(b, g->u, g->w, 1);
-    for (k = 0; k < b->turn.pieces; ++k)
+    if (!sfemi_rotated_projects(b)) return;
+    sfemi_rotated_locate(b, g->u);
+    sfemi_rotated_momentum(b, g->u, g->w, 1);
+    for (k = 0; k < b->rotated.pieces; ++k)
         for (c = 0; c < 6; ++c)
-            b->turn.piece[k].motion[c] = b->turn.piece[k].push[c] - b->turn.piece[k].motion[c];
-    sfemi_turn_divide(b);
-    sfemi_turn_add_motion(b, g->u, 1, 0, g->w);
+            b->rotated.piece[k].motion[c] = b->rotated.piece[k].rigid[c] - b->rotated.piece[k].motion[c];
+    sfemi_rotated_divide(b);
+    sfemi_rotated_add_motion(b, g->u, 1, 0, g->w);
     for (i = 0; moving && i < nodes; ++i)
-        for (c = 0; c < 3 && of[i] >= 0 && !b->turn.piece[of[i]].held; ++c)
-            g->u[3 * (size_t)i + (size_t)c] += b->step.h * b->turn.piece[of[i]].motion[c];
-    sfemi_turn_locate(b, b->state.u);
+        for (c = 0; c < 3 && of[i] >= 0 && !b->rotated.piece[of[i]].held; ++c)
+            g->u[3 * (size_t)i + (size_t)c] += b->step.h * b->rotated.piece[of[i]].motion[c];
+    sfemi_rotated_locate(b, b->state.u);
 }
 
 /* guard.w for held axes and handles where they are to be. */
-static void sfemi_guard_constrain(sfem_body *b)
+static void sfemi_safeguard_constrain(sfem_body *b)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const sfemi_state *s = &b->state;
     sfem_int k;
     int c;
@@ -22276,35 +22276,35 @@ static void sfemi_guard_constrain(sfem_body *b)
             if (b->mask[b->pin[k]] >> c & 1)
                 g->w[at] = (s->pin[k].target[c] - b->model->mesh.x[at] - s->u[at]) / b->step.h;
         }
-    if (!b->grip.count) return;
-    sfemi_body_handle_gap(b, &b->grip, s->u, b->step.h);
-    sfemi_guard_hold(b, &b->grip, s->frame, g->w);
+    if (!b->schur.count) return;
+    sfemi_body_handle_gap(b, &b->schur, s->u, b->step.h);
+    sfemi_safeguard_apply_handles(b, &b->schur, s->frame, g->w);
 }
 
 /* guard.w by which free pieces move and rotate as their momenta have it, held ones not at all. They rotate about their
  * angular momentum L, at its rate along it: L.J^-1 L, and with it the energy, stay what they are. About the angular
  * velocity J^-1 L of a piece that tumbles, it would change in a step of finite length. */
-static void sfemi_guard_move_rigidly(sfem_body *b)
+static void sfemi_safeguard_move_rigidly(sfem_body *b)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const sfem_real h = b->step.h;
     sfem_int i, k;
     int c;
     memset(g->w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *g->w);
-    if (!sfemi_turn_projects(b)) return;
-    for (k = 0; k < b->turn.pieces; ++k)
-        memcpy(b->turn.piece[k].motion, b->turn.piece[k].push, sizeof b->turn.piece[k].motion);
-    sfemi_turn_divide(b);
+    if (!sfemi_rotated_projects(b)) return;
+    for (k = 0; k < b->rotated.pieces; ++k)
+        memcpy(b->rotated.piece[k].motion, b->rotated.piece[k].rigid, sizeof b->rotated.piece[k].motion);
+    sfemi_rotated_divide(b);
     for (i = 0; i < b->model->mesh.nodes; ++i) {
         const sfemi_piece *p;
         sfem_real arm[3], angle[3], rotation[9], rate;
-        if (b->turn.piece_of[i] < 0) continue;
-        p = b->turn.piece + b->turn.piece_of[i];
+        if (b->rotated.piece_of[i] < 0) continue;
+        p = b->rotated.piece + b->rotated.piece_of[i];
         if (p->held) continue;
-        sfemi_turn_arm(b, b->state.u, i, p->centre, arm);
-        rate = sfemi_dot3(p->push + 3, p->push + 3);
-        if (rate > 0) rate = sfemi_dot3(p->motion + 3, p->push + 3) / rate;
-        for (c = 0; c < 3; ++c) angle[c] = h * rate * p->push[3 + c];
+        sfemi_rotated_arm(b, b->state.u, i, p->centre, arm);
+        rate = sfemi_dot3(p->rigid + 3, p->rigid + 3);
+        if (rate > 0) rate = sfemi_dot3(p->motion + 3, p->rigid + 3) / rate;
+        for (c = 0; c < 3; ++c) angle[c] = h * rate * p->rigid[3 + c];
         sfemi_rotate_by(angle, rotation);
         for (c = 0; c < 3; ++c)
             g->w[3 * i + c] = (sfemi_dot3(rotation + 3 * c, arm) - arm[c]) / h + p->motion[c];
@@ -22312,43 +22312,43 @@ static void sfemi_guard_move_rigidly(sfem_body *b)
 }
 
 /* guard.w, u, f, psi, grad of the better of w and a rigid motion, the one whose potential is lower. */
-static void sfemi_guard_start_fallback(sfem_body *b, const sfemi_equation *q)
+static void sfemi_safeguard_start_fallback(sfem_body *b, const sfemi_equation *q)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real psi;
     size_t i;
     memcpy(g->w, b->state.w, n * sizeof *g->w);
-    sfemi_guard_constrain(b);
+    sfemi_safeguard_constrain(b);
     sfemi_correct_evaluate(b, q);
     sfemi_correct_residual(b, q, g->w, g->f, g->grad);
     psi = g->psi;
     sfemi_correct_swap_trial(g);
-    sfemi_guard_move_rigidly(b);
-    sfemi_guard_constrain(b);
+    sfemi_safeguard_move_rigidly(b);
+    sfemi_safeguard_constrain(b);
     sfemi_correct_evaluate(b, q);
     sfemi_correct_residual(b, q, g->w, g->f, g->grad);
     for (i = 0; i < n; ++i) g->dir[i] = g->trial_w[i] - g->w[i];
     if (!sfemi_finite(psi) || sfemi_correct_fall(b, q, g->dir, 1, psi, g->psi) > 0) return;
     sfemi_correct_swap_trial(g);
-    g->psi = sfemi_guard_forces(b, g->u, g->f);
+    g->psi = sfemi_safeguard_forces(b, g->u, g->f);
 }
 
 /* What of w' is no rigid motion at u', or with `all` no motion of the pieces' centres, scaled until there is no
  * excess of energy, or to nothing. */
-static void sfemi_guard_slow_down(sfem_body *b, sfem_real excess, int all)
+static void sfemi_safeguard_slow_down(sfem_body *b, sfem_real excess, int all)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real inner = 0, scale;
     sfem_int k;
     size_t i;
     memcpy(b->zk, g->w, n * sizeof *b->zk);
-    sfemi_turn_locate(b, g->u);
-    if (sfemi_turn_projects(b)) {
-        sfemi_turn_motion(b, g->u, b->zk, 1);
-        for (k = 0; all && k < b->turn.pieces; ++k) memset(b->turn.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
-        sfemi_turn_add_motion(b, g->u, -1, 0, b->zk);
+    sfemi_rotated_locate(b, g->u);
+    if (sfemi_rotated_projects(b)) {
+        sfemi_rotated_motion(b, g->u, b->zk, 1);
+        for (k = 0; all && k < b->rotated.pieces; ++k) memset(b->rotated.piece[k].motion + 3, 0, 3 * sizeof(sfem_real));
+        sfemi_rotated_add_motion(b, g->u, -1, 0, b->zk);
     }
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) inner += b->model->node_mass[i / 3] * b->zk[i] * b->zk[i] / 2;
@@ -22356,44 +22356,44 @@ static void sfemi_guard_slow_down(sfem_body *b, sfem_real excess, int all)
     inner *= b->scheme.r;
     scale = inner > excess ? 1 - sqrt(1 - excess / inner) : 1;
     for (i = 0; i < n; ++i) g->w[i] -= scale * b->zk[i];
-    sfemi_turn_locate(b, b->state.u);
+    sfemi_rotated_locate(b, b->state.u);
 }
 
 /* At last: what moves rigidly has the energy that it had, and no other motion. */
-static void sfemi_guard_freeze(sfem_body *b, const sfemi_equation *q)
+static void sfemi_safeguard_freeze(sfem_body *b, const sfemi_equation *q)
 {
-    sfemi_guard *g = &b->guard;
-    const sfem_int *of = b->turn.piece_of;
+    sfemi_safeguard *g = &b->safeguard;
+    const sfem_int *of = b->rotated.piece_of;
     sfem_int i;
-    sfemi_guard_move_rigidly(b);
-    sfemi_guard_constrain(b);
+    sfemi_safeguard_move_rigidly(b);
+    sfemi_safeguard_constrain(b);
     sfemi_correct_evaluate(b, q);
     for (i = 0; i < b->model->mesh.nodes; ++i)
-        if (of[i] >= 0 && !b->turn.piece[of[i]].held) memset(g->w + 3 * (size_t)i, 0, 3 * sizeof *g->w);
-    sfemi_guard_restore_momentum(b, 0);
+        if (of[i] >= 0 && !b->rotated.piece[of[i]].held) memset(g->w + 3 * (size_t)i, 0, 3 * sizeof *g->w);
+    sfemi_safeguard_restore_momentum(b, 0);
 }
 
 /* The handles' columns for f, in place of those of the body's factor. */
-static void sfemi_guard_find_columns(sfem_body *b, const sfem_factor *f)
+static void sfemi_safeguard_find_columns(sfem_body *b, const sfem_factor *f)
 {
     sfem_int i;
-    for (i = 0; i < b->grip.count; ++i) {
-        const sfem_int slot = b->grip.slot[i];
-        sfemi_grip_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->grip.y[slot], b->workspace->work, &b->exec);
+    for (i = 0; i < b->schur.count; ++i) {
+        const sfem_int slot = b->schur.slot[i];
+        sfemi_schur_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->schur.y[slot], b->workspace->work, &b->exec);
     }
 }
 
 /* The factor of r M + h^2 (2 mu + 3 lambda) L (x) I, of n x n scalars, shared: an upper bound of the corotational
  * tangent whatever rotates, so that full steps lower the energy of bodies that are scattered or inside out, where
  * each tet's rotation jumps and Newton's steps get as short as 1e-3. */
-static sfem_status sfemi_guard_prepare_isotropic(sfem_body *b, sfem_error *err)
+static sfem_status sfemi_safeguard_prepare_isotropic(sfem_body *b, sfem_error *err)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_factor_key key = b->factor->key;
     sfem_factor *f = NULL;
     sfem_status status = SFEM_OK;
     if (!g->isotropic || g->isotropic_h != b->h) {
-        key.majorant = 1;
+        key.upper_bound = 1;
         key.ck = b->h * b->h;
         key.cm = b->scheme.r + b->h * b->alpha;
         key.cd = 0;
@@ -22407,23 +22407,23 @@ done:
     return status;
 }
 
-static void sfemi_guard_close_system(sfem_body *b)
+static void sfemi_safeguard_close_system(sfem_body *b)
 {
-    sfemi_factor_release(b->model, b->guard.isotropic);
-    b->guard.isotropic = NULL;
-    sfemi_factor_release(b->model, b->guard.system.factor);
-    sfemi_system_close(b, &b->guard.system);
+    sfemi_factor_release(b->model, b->safeguard.isotropic);
+    b->safeguard.isotropic = NULL;
+    sfemi_factor_release(b->model, b->safeguard.system.factor);
+    sfemi_system_close(b, &b->safeguard.system);
 }
 
 /* Room for K(z), and a factor of the body's own. */
-static sfem_status sfemi_guard_open_system(sfem_body *b, sfem_error *err)
+static sfem_status sfemi_safeguard_open_system(sfem_body *b, sfem_error *err)
 {
     const sfem_model *model = b->model;
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_factor_key key = b->factor->key;
     sfem_status status = SFEM_OK;
     if (g->system.factor) return sfemi_workspace_reserve_work(b, g->system.factor, 3, err);
-    key.majorant = 0;
+    key.upper_bound = 0;
     key.ck = b->h * b->h;
     key.cm = b->scheme.r;
     key.cd = 0;
@@ -22440,9 +22440,9 @@ done:
 }
 
 /* What that takes. */
-static size_t sfemi_guard_bytes(const sfem_body *b)
+static size_t sfemi_safeguard_bytes(const sfem_body *b)
 {
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     size_t bytes = 0;
     if (g->tangent.val) bytes += 9 * (size_t)g->tangent.row[g->tangent.n] * sizeof(sfem_real);
     if (!g->system.factor) return bytes;
@@ -22455,10 +22455,10 @@ static size_t sfemi_guard_bytes(const sfem_body *b)
 }
 
 /* A factor of (r + shift) M + h^2 K(z) with the projected K(z) that is in guard.tangent. */
-static sfem_status sfemi_guard_factor_tangent(sfem_body *b, sfem_real shift)
+static sfem_status sfemi_safeguard_factor_tangent(sfem_body *b, sfem_real shift)
 {
     const sfem_model *model = b->model;
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const sfemi_system *y = &g->system;
     const sfem_real h2 = b->step.h * b->step.h, cm = b->scheme.r + b->step.h * b->alpha + shift;
     sfem_int k, at = 0;
@@ -22482,23 +22482,23 @@ static sfem_status sfemi_guard_factor_tangent(sfem_body *b, sfem_real shift)
 
 /* K(z), each tet's projected to be positive semidefinite, and its factor; where rounding has eaten the mass,
  * with more of that. 0 if there is none. */
-static int sfemi_guard_linearise(sfem_body *b)
+static int sfemi_safeguard_linearise(sfem_body *b)
 {
     const sfem_model *model = b->model;
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     const sfem_factor *f = g->system.factor;
     sfem_real fastest = 0;
     sfem_status status;
     sfem_int i;
     int c, tries;
     if (!f->ldl) return 0;
-    if (b->damage && model->turns) {
+    if (b->damage && model->rotates) {
         sfemi_damage_total_tangent(b->damage, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
     } else {
         sfem_model_tangent(model, g->u, SFEM_TANGENT_PSD, &g->tangent, &b->exec);
         if (b->damage) sfemi_damage_add_stiffness(b->damage, 1, g->tangent.val);
     }
-    status = sfemi_guard_factor_tangent(b, 0);
+    status = sfemi_safeguard_factor_tangent(b, 0);
     if (status != SFEM_OK) { /* the largest (h omega)^2 of a node alone */
         for (i = 0; i < model->mesh.nodes; ++i)
             for (c = 0; c < 9 && model->node_mass[i] > 0; c += 4)
@@ -22506,46 +22506,46 @@ static int sfemi_guard_linearise(sfem_body *b)
                                             model->node_mass[i]);
         fastest *= b->step.h * b->step.h;
         for (tries = 0; status != SFEM_OK && tries < 4; ++tries)
-            status = sfemi_guard_factor_tangent(b, fastest * pow(10.0, 2.0 * tries - 12));
+            status = sfemi_safeguard_factor_tangent(b, fastest * pow(10.0, 2.0 * tries - 12));
     }
     if (status != SFEM_OK) return 0;
-    sfemi_guard_find_columns(b, f);
+    sfemi_safeguard_find_columns(b, f);
     return 1;
 }
 
 /* Newton's iteration in place of L-BFGS: each step by a factor of its own, of the tets' tangents made positive
  * semidefinite. It goes on where the rotated factor is no guide: in bodies that are strongly distorted. The handles'
  * columns are this factor's until the next step. */
-static sfem_status sfemi_guard_descend(sfem_body *b, const sfemi_equation *q, sfem_real tolerance, sfem_error *err)
+static sfem_status sfemi_safeguard_descend(sfem_body *b, const sfemi_equation *q, sfem_real tolerance, sfem_error *err)
 {
     enum { MOST = 40 };
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfem_status status = SFEM_OK;
     int k;
-    SFEMI_TRY(sfemi_guard_open_system(b, err));
-    sfemi_guard_do_not_rotate(b);
+    SFEMI_TRY(sfemi_safeguard_open_system(b, err));
+    sfemi_safeguard_do_not_rotate(b);
     g->pairs = g->bounded = 0;
     for (k = 0; k < MOST; ++k) {
         sfem_real decrement, length;
-        if (!sfemi_guard_linearise(b)) break;
+        if (!sfemi_safeguard_linearise(b)) break;
         decrement = sfemi_correct_direction(b, q, g->system.factor);
         length = decrement > 0 ? sfemi_correct_search(b, q, decrement) : 0;
         if (!(length > 0)) break;
-        if (length > 0.5 && decrement < tolerance && sfemi_guard_excess(b) <= 0) break;
+        if (length > 0.5 && decrement < tolerance && sfemi_safeguard_excess(b) <= 0) break;
     }
 done:
     return status;
 }
 
 /* The step in place of a rejected one, to guard. */
-static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
+static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
 {
     enum { MOST = 20, LONGEST = 80 };
     static const sfem_real at_start[3] = {0, 1, 0};
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_guard_energies there = sfemi_guard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step.h);
+    const sfemi_safeguard_energies there = sfemi_safeguard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step.h);
     /* what has moved before is no measure where most of it has been lost since */
     const sfem_real tolerance = 0.01 * fmin(head->scale, head->psi + there.kinetic + there.floor);
     sfemi_equation q;
@@ -22560,45 +22560,45 @@ static sfem_status sfemi_guard_fall_back(sfem_body *b, sfem_error *err)
     memset(g->known, 0, n * sizeof *g->known);
     memset(g->external, 0, n * sizeof *g->external);
     sfemi_body_take_from_load(b, at_start, g->external, g->external);
-    sfemi_guard_spread_impulses(b);
+    sfemi_safeguard_spread_impulses(b);
     for (i = 0; i < n; ++i) g->external[i] += g->added[i];
-    sfemi_guard_keep_momentum(b);
-    sfemi_guard_start_fallback(b, &q);
+    sfemi_safeguard_keep_momentum(b);
+    sfemi_safeguard_start_fallback(b, &q);
     (void)sfemi_correct_iterate(b, &q, sfemi_body_active(b), MOST, tolerance);
     if (!g->converged) {
-        SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
-        sfemi_guard_find_columns(b, g->isotropic);
+        SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
+        sfemi_safeguard_find_columns(b, g->isotropic);
         (void)sfemi_correct_iterate(b, &q, g->isotropic, LONGEST, 0.01 * tolerance); /* too stiff to tell */
     }
-    if (!g->converged) SFEMI_TRY(sfemi_guard_descend(b, &q, tolerance, err));
-    if (b->grip.count) { /* what rounding has left of the handles' gaps after so many steps */
-        sfemi_guard_constrain(b);
+    if (!g->converged) SFEMI_TRY(sfemi_safeguard_descend(b, &q, tolerance, err));
+    if (b->schur.count) { /* what rounding has left of the handles' gaps after so many steps */
+        sfemi_safeguard_constrain(b);
         sfemi_correct_evaluate(b, &q);
         sfemi_correct_residual(b, &q, g->w, g->f, g->grad);
     }
-    sfemi_guard_restore_momentum(b, 1);
-    excess = sfemi_guard_excess(b);
+    sfemi_safeguard_restore_momentum(b, 1);
+    excess = sfemi_safeguard_excess(b);
     above = excess + fmax(0.0, head->last - head->budget - 0.01 * head->scale); /* what was let pass goes first */
     if (above > 0) {
-        sfemi_guard_slow_down(b, above, 0);
-        excess = sfemi_guard_excess(b);
+        sfemi_safeguard_slow_down(b, above, 0);
+        excess = sfemi_safeguard_excess(b);
     }
     if (!sfemi_finite(excess) || excess > 1e-9 * head->scale) {
-        sfemi_guard_freeze(b, &q);
-        excess = sfemi_guard_excess(b); /* of a body that tumbles: its inertia is less about the new axis */
-        if (excess > 0) sfemi_guard_slow_down(b, excess, 1);
+        sfemi_safeguard_freeze(b, &q);
+        excess = sfemi_safeguard_excess(b); /* of a body that tumbles: its inertia is less about the new axis */
+        if (excess > 0) sfemi_safeguard_slow_down(b, excess, 1);
     }
-    head->budget += sfemi_guard_fallback_work(b);
+    head->budget += sfemi_safeguard_fallback_work(b);
 done:
-    if (b->grip.count) sfemi_body_forget_columns(b);
+    if (b->schur.count) sfemi_body_forget_columns(b);
     return status;
 }
 
 /* Judges the step, and puts another one in its place where it would make energy. The state is not changed but
  * for the budget, which a failure puts back. */
-static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
+static sfem_status sfemi_safeguard_judge_step(sfem_body *b, sfem_error *err)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real before = head->budget;
@@ -22608,10 +22608,10 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
     g->rejected = g->measured = 0;
     if (other) head->budget = head->last;
     if (b->scheme.guarded || other) {
-        g->rejected = other || !sfemi_guard_accepts(b, &g->energies, &budget);
+        g->rejected = other || !sfemi_safeguard_accepts(b, &g->energies, &budget);
         g->measured = !g->rejected;
         if (!g->rejected) head->budget = budget;
-        else if ((status = sfemi_guard_fall_back(b, err)) != SFEM_OK) return status;
+        else if ((status = sfemi_safeguard_fall_back(b, err)) != SFEM_OK) return status;
     }
     if (sfemi_finite(g->psi) && sfemi_all_finite(g->u, n) && sfemi_all_finite(g->w, n)) return SFEM_OK;
     head->budget = before;
@@ -22619,12 +22619,12 @@ static sfem_status sfemi_guard_judge_step(sfem_body *b, sfem_error *err)
 }
 
 /* What rounding of the places makes of Psi. */
-static sfem_real sfemi_guard_rounding(const sfem_body *b)
+static sfem_real sfemi_safeguard_rounding(const sfem_body *b)
 {
     sfem_real sum = 0;
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i)
-        sum += fabs(b->guard.f[i]) * fabs(b->model->mesh.x[i] + b->guard.u[i]);
+        sum += fabs(b->safeguard.f[i]) * fabs(b->model->mesh.x[i] + b->safeguard.u[i]);
     return 1e-15 * sum;
 }
 
@@ -22633,12 +22633,12 @@ static sfem_real sfemi_guard_rounding(const sfem_body *b)
 static const sfem_real sfemi_budget_kept = 1 - 1.0 / 32, sfemi_scale_kept = 1 - 1.0 / 64;
 
 /* Energy budget and scale after the step. */
-static void sfemi_guard_settle_budget(sfem_body *b)
+static void sfemi_safeguard_update_budget(sfem_body *b)
 {
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     sfemi_state_head *head = b->state.head;
-    const sfemi_guard_energies e =
-        g->measured ? g->energies : sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
+    const sfemi_safeguard_energies e =
+        g->measured ? g->energies : sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
     sfem_real least;
     head->energy = g->rejected ? e.ec : e.eb;
     /* what damping takes may not come back, as it would where fragments spin too fast for the frames of D */
@@ -22647,14 +22647,14 @@ static void sfemi_guard_settle_budget(sfem_body *b)
     if (least < head->budget) /* what a fallback takes away does not come back */
         head->budget = g->rejected ? least : least + (head->budget - least) * sfemi_budget_kept;
     head->scale *= g->rejected ? 0 : sfemi_scale_kept; /* what a fallback takes away is no longer in motion */
-    head->scale = sfemi_guard_in_motion(b, &e);
-    if (g->rejected) head->scale = fmax(head->scale, sfemi_guard_rounding(b));
+    head->scale = sfemi_safeguard_in_motion(b, &e);
+    if (g->rejected) head->scale = fmax(head->scale, sfemi_safeguard_rounding(b));
     head->last = e.ec;
 }
 
-static void sfemi_guard_finish(sfem_body *b)
+static void sfemi_safeguard_finish(sfem_body *b)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_state *s = &b->state;
     sfemi_state_head *head = s->head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
@@ -22662,9 +22662,9 @@ static void sfemi_guard_finish(sfem_body *b)
     sfem_int k;
     size_t i;
     int c;
-    for (k = 0; k < b->grip.count; ++k)
-        memcpy(s->handle[b->grip.slot[k]].force, b->grip.lambda + 3 * k, 3 * sizeof(sfem_real));
-    sfemi_guard_settle_budget(b);
+    for (k = 0; k < b->schur.count; ++k)
+        memcpy(s->handle[b->schur.slot[k]].force, b->schur.lambda + 3 * k, 3 * sizeof(sfem_real));
+    sfemi_safeguard_update_budget(b);
     head->psi = g->psi;
     head->lag = b->step.lag;
     head->gamma = (b->step.h / 2 + a * h1) / ((1 - a) * b->step.h + a * h1);
@@ -22675,7 +22675,7 @@ static void sfemi_guard_finish(sfem_body *b)
         for (c = 0; c < 3; ++c)
             x[c] =
                 b->model->mesh.x[3 * (size_t)b->pin[k] + (size_t)c] + s->u[3 * (size_t)b->pin[k] + (size_t)c];
-        sfemi_hold_advance(s->pin + k, x);
+        sfemi_target_advance(s->pin + k, x);
     }
     for (i = 0; i < n; ++i) s->a[i] = g->rejected ? 0 : b->acc[i];
     memcpy(s->f_past2, h1 > 0 ? s->f_past : s->f, n * sizeof *s->f);
@@ -22683,7 +22683,7 @@ static void sfemi_guard_finish(sfem_body *b)
     memcpy(s->f, g->f, n * sizeof *s->f);
     memcpy(s->u, g->u, n * sizeof *s->u);
     memcpy(s->w, g->w, n * sizeof *s->w);
-    sfemi_turn_frames(b, s->frame);
+    sfemi_rotated_frames(b, s->frame);
     head->started = g->rejected ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
@@ -22691,16 +22691,16 @@ static void sfemi_guard_finish(sfem_body *b)
  *
  * Edges are judged in the middle of a step from u to u', and break only where the exact local energy
  *   (Psi + Psi')/2 - (u'-u).(f'-f)/4
- * does not rise; after a redone step, which starts afresh from u', where Psi' does not. Then the forces at
+ * does not rise; after a rejected step, which starts afresh from u', where Psi' does not. Then the forces at
  * both ends are those of what is left, so that the next step goes on as if it had never been otherwise,
- * and what the ledger counts falls by what has been released. A and its factor stay: they bound
- * what is left of K. New pieces that nothing holds get the rigid projection of >>turn at once. */
+ * and what the energy budget counts falls by what has been released. A and its factor stay: they bound
+ * what is left of K. New pieces that nothing holds get the rigid projection of >>rotated at once. */
 
 /* T + U of the step just taken, which (p,q,r) conserves where it is linear and A belongs to K:
  * 1/2 w'.r M w' + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2, after a redo 1/2 w'.r M w' + Psi'. */
 static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
 {
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state *s = &b->state;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real stretch = 0, sum = 0;
@@ -22710,13 +22710,13 @@ static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
     }
     *kinetic = sum * b->scheme.r;
-    return *kinetic + (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (sfemi_guard_weight(b) - 0.5) / 2 * stretch);
+    return *kinetic + (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (sfemi_safeguard_weight(b) - 0.5) / 2 * stretch);
 }
 
 /* The way from where the last step's energy was taken to where this one's is. */
 static sfem_real sfemi_fracture_way(const sfem_body *b, size_t i)
 {
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state *s = &b->state;
     const sfem_real h1 = s->head->started == SFEMI_RUNNING ? s->head->h : 0;
     return h1 / 2 * s->w[i] + (g->rejected ? g->u[i] - s->u[i] : b->step.h / 2 * g->w[i]);
@@ -22726,12 +22726,12 @@ static sfem_real sfemi_fracture_way(const sfem_body *b, size_t i)
 static sfem_real sfemi_fracture_work(sfem_body *b)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     const sfem_real *gravity = s->head->gravity, *mass = b->model->node_mass;
     const sfemi_step t = b->step;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
-    sfem_real work = g->rejected ? sfemi_guard_held_work(b) : 0;
+    sfem_real work = g->rejected ? sfemi_safeguard_held_work(b) : 0;
     sfem_int k;
     size_t i;
     int l, c;
@@ -22744,13 +22744,13 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
         work += load * sfemi_fracture_way(b, i);
     }
     if (g->rejected) return work;
-    for (k = 0; k < b->grip.count; ++k) {
-        const sfemi_handle *h = s->handle + b->grip.slot[k];
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_handle *h = s->handle + b->schur.slot[k];
         for (l = 0; l < 4; ++l)
             for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
                 i = 3 * (size_t)h->node[l] + (size_t)c;
                 if (!(b->mask[i / 3] >> c & 1))
-                    work += b->grip.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
+                    work += b->schur.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -22767,7 +22767,7 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
 static sfem_real sfemi_fracture_damping(sfem_body *b)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_guard *g = &b->guard;
+    const sfemi_safeguard *g = &b->safeguard;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int running = s->head->started == SFEMI_RUNNING;
     const sfem_real d = b->step.d;
@@ -22781,7 +22781,7 @@ static sfem_real sfemi_fracture_damping(sfem_body *b)
         if (b->zd) b->zd[i] = v;
     }
     if (b->beta != 0 || b->zd) {
-        sfemi_turn_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
+        sfemi_rotated_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         sfemi_fracture_soften(b, b->zm, b->rhs);
     } else {
         memset(b->rhs, 0, n * sizeof *b->rhs);
@@ -22800,12 +22800,12 @@ static void sfemi_fracture_account(sfem_body *b)
     sfemi_energy_balance *k = b->state.balance;
     sfem_real kinetic, size;
     const sfem_real energy = sfemi_fracture_energy(b, &kinetic);
-    b->guard.damped = 0;
+    b->safeguard.damped = 0;
     if (k->open) {
         const sfem_real work = sfemi_fracture_work(b);
         k->work += work;
-        if (b->guard.rejected) k->guarded += k->now + work - energy;
-        else k->damped += b->guard.damped = sfemi_fracture_damping(b);
+        if (b->safeguard.rejected) k->guarded += k->now + work - energy;
+        else k->damped += b->safeguard.damped = sfemi_fracture_damping(b);
     } else {
         k->start = energy;
         k->open = 1;
@@ -22818,10 +22818,10 @@ static void sfemi_fracture_account(sfem_body *b)
 /* The pieces as >>damage has them, which of them are held, and what they weigh. */
 static void sfemi_fracture_regroup(sfem_body *b)
 {
-    b->turn.pieces = b->damage->pieces;
-    memcpy(b->turn.piece_of, b->damage->piece_of, (size_t)b->model->mesh.nodes * sizeof *b->turn.piece_of);
-    sfemi_turn_find_held(b);
-    sfemi_turn_weigh(b);
+    b->rotated.pieces = b->damage->pieces;
+    memcpy(b->rotated.piece_of, b->damage->piece_of, (size_t)b->model->mesh.nodes * sizeof *b->rotated.piece_of);
+    sfemi_rotated_find_held(b);
+    sfemi_rotated_weigh(b);
 }
 
 /* What p must be at least: damaged tets are up to `stiffening` times as stiff as intact ones, and a crack
@@ -22837,7 +22837,7 @@ static sfem_real sfemi_fracture_least_p(const sfem_body *b)
 /* The round of breaks of a step that is taken but not yet entered in the state. */
 static void sfemi_fracture_round(sfem_body *b)
 {
-    sfemi_guard *g = &b->guard;
+    sfemi_safeguard *g = &b->safeguard;
     sfemi_state_head *head = b->state.head;
     sfemi_damage_step step;
     sfemi_damage_change change;
@@ -22853,20 +22853,20 @@ static void sfemi_fracture_round(sfem_body *b)
     step.exec = &b->exec;
     sfemi_damage_round(b->damage, &step, &change);
     if (!change.broken && !change.softened) return;
-    b->refactor.quiet = 0;
-    fallen = g->rejected ? change.psi1 : (change.psi0 + change.psi1) / 2 + (sfemi_guard_weight(b) - 0.5) / 2 * change.cross;
+    b->refactor.since_break = 0;
+    fallen = g->rejected ? change.psi1 : (change.psi0 + change.psi1) / 2 + (sfemi_safeguard_weight(b) - 0.5) / 2 * change.cross;
     if (!g->rejected) head->psi += change.psi0;
     g->psi += change.psi1;
     head->budget += fallen;
     b->state.balance->now += fallen;
     b->state.balance->released -= fallen;
     if (change.pieces) { /* what the energies leave out, the centres' motion, is other motion now */
-        sfemi_guard_energies before, after;
-        sfemi_turn_locate(b, b->state.u);
-        before = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
+        sfemi_safeguard_energies before, after;
+        sfemi_rotated_locate(b, b->state.u);
+        before = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
         sfemi_fracture_regroup(b);
-        sfemi_turn_locate(b, b->state.u);
-        after = sfemi_guard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
+        sfemi_rotated_locate(b, b->state.u);
+        after = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
         head->budget += g->rejected ? after.ec - before.ec : after.eb - before.eb;
     }
 }
@@ -22880,7 +22880,7 @@ static void sfemi_fracture_round(sfem_body *b)
  * the tolerance, V twice the tolerance and P < 40 T, the change is above it.
  * ============================================================================================ */
 
-static void sfemi_sleep_rouse(sfem_body *b)
+static void sfemi_sleep_wake_up(sfem_body *b)
 {
     b->state.head->sleep = SFEMI_AWAKE;
 }
@@ -22907,14 +22907,14 @@ static void sfemi_sleep_begin(sfem_body *b)
     memset(s->a, 0, bytes);
     for (k = 0; k < b->pin_count; ++k) memcpy(s->pin[k].past, s->pin[k].target, sizeof s->pin[k].past);
     for (k = 0; k < b->def.max_handles; ++k)
-        memcpy(s->handle[k].hold.past, s->handle[k].hold.target, sizeof s->handle[k].hold.past);
+        memcpy(s->handle[k].path.past, s->handle[k].path.target, sizeof s->handle[k].path.past);
     s->head->sleep = SFEMI_ASLEEP;
     s->head->started = SFEMI_LOAD_FIXED;
     s->head->pairs = s->head->skipped = 0;
     s->head->estimate = s->head->rate = 0;
     if (!b->scheme.rotates) return;
     memcpy(s->f_past, s->f, bytes);
-    s->head->energy = sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
+    s->head->energy = sfemi_safeguard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
     s->head->rebase = SFEMI_NEW_LEDGER;
 }
 
@@ -22948,7 +22948,7 @@ static void sfemi_sleep_compare_load(sfem_body *b)
     const sfemi_state *s = &b->state;
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     if (!b->sleeps || !s->head->loaded || s->head->load_age > 0) return;
-    if (memcmp(s->force[0], s->force[1], bytes) != 0) sfemi_sleep_rouse(b);
+    if (memcmp(s->force[0], s->force[1], bytes) != 0) sfemi_sleep_wake_up(b);
     else s->head->load_age = memcmp(s->force[1], s->force[2], bytes) == 0 ? 2 : 1;
 }
 
@@ -22974,7 +22974,7 @@ SFEM_DEF int sfem_body_is_asleep(const sfem_body *b)
 SFEM_DEF void sfem_body_wake(sfem_body *b)
 {
     SFEM_ASSERT(b);
-    sfemi_sleep_rouse(b);
+    sfemi_sleep_wake_up(b);
 }
 
 /* ============================================================================================
@@ -23000,8 +23000,8 @@ SFEM_DEF void sfem_body_wake(sfem_body *b)
 static void sfemi_refactor_forget_columns(sfem_body *b)
 {
     sfem_int i;
-    for (i = 0; i < b->def.max_handles; ++i) b->grip.ready[i] = 0;
-    b->grip.dirty = 1;
+    for (i = 0; i < b->def.max_handles; ++i) b->schur.ready[i] = 0;
+    b->schur.dirty = 1;
 }
 
 static void sfemi_refactor_drop(sfem_body *b)
@@ -23012,7 +23012,7 @@ static void sfemi_refactor_drop(sfem_body *b)
     r->stage = SFEMI_REFACTOR_IDLE;
     r->spent = r->steps = 0;
     r->broken = 0;
-    r->quiet = 0;
+    r->since_break = 0;
 }
 
 static void sfemi_refactor_destroy(sfem_body *b)
@@ -23139,7 +23139,7 @@ static double sfemi_refactor_tangent(sfem_body *b)
 }
 
 /* Q_i^T K_ij Q_j for the next row of blocks. */
-static double sfemi_refactor_turn(sfem_body *b)
+static double sfemi_refactor_rotate(sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfemi_refactor *r = &b->refactor;
@@ -23211,13 +23211,13 @@ static void sfemi_refactor_watch(sfem_body *b)
     enum { FREE = 2 }; /* corrections of a step that good factors need, too */
     const sfem_real longest = 64;
     sfemi_refactor *r = &b->refactor;
-    const sfem_int extra = b->guard.corrections - FREE;
+    const sfem_int extra = b->safeguard.corrections - FREE;
     if (b->damage) return; /* K at rest of what is left: the tangent would not keep the bounds of later breaks */
     if (extra > 0) r->spent += (double)extra * sfemi_refactor_correction(b, b->factor);
     ++r->steps;
-    if (r->stage != SFEMI_REFACTOR_IDLE || (r->spent <= r->patience * r->price && !(r->live && b->guard.rejected))) return;
+    if (r->stage != SFEMI_REFACTOR_IDLE || (r->spent <= r->patience * r->price && !(r->live && b->safeguard.rejected))) return;
     if (!r->live) r->rest_rate = r->spent / r->steps;
-    else if (b->guard.rejected || (r->rest_rate > 0 && r->spent + r->price > r->rest_rate * r->steps)) {
+    else if (b->safeguard.rejected || (r->rest_rate > 0 && r->spent + r->price > r->rest_rate * r->steps)) {
         sfemi_refactor_drop(b);
         r->patience = fmin(2 * r->patience, longest);
         return;
@@ -23235,7 +23235,7 @@ static void sfemi_refactor_advance(sfem_body *b)
     r->credit += r->budget;
     while (r->credit > 0) {
         const double cost = r->stage == SFEMI_REFACTOR_TANGENT  ? sfemi_refactor_tangent(b)
-                            : r->stage == SFEMI_REFACTOR_TURN   ? sfemi_refactor_turn(b)
+                            : r->stage == SFEMI_REFACTOR_TURN   ? sfemi_refactor_rotate(b)
                             : r->stage == SFEMI_REFACTOR_MATRIX ? sfemi_refactor_matrix(b)
                                                              : sfemi_refactor_factor(b);
         if (cost < 0) {
@@ -23252,13 +23252,13 @@ static void sfemi_refactor_advance(sfem_body *b)
 }
 
 /* After breaks, once pieces have parted: a factor of what is left. While edges break, it would have to be made
- * again and again, and takes the margin that the guard of bodies that turn lives on. */
+ * again and again, and takes the margin that the guard of bodies that rotate lives on. */
 static void sfemi_refactor_follow(sfem_body *b)
 {
-    enum { QUIET = 8 }; /* steps */
+    enum { WAIT = 8 }; /* steps */
     sfemi_refactor *r = &b->refactor;
     if (!b->damage || !r->source) return;
-    if (r->quiet < QUIET) ++r->quiet;
+    if (r->since_break < WAIT) ++r->since_break;
     else if (r->stage == SFEMI_REFACTOR_IDLE && b->damage->account[SFEMI_BROKEN] != r->broken)
         sfemi_refactor_begin(b, NULL);
 }
@@ -23277,7 +23277,7 @@ SFEM_DEF sfem_status sfem_body_refactorise(sfem_body *b, const sfem_matrix *k, s
     for (i = 0; k && i < k->n; ++i)
         if (!sfemi_all_finite(k->val + 9 * (size_t)k->row[i], 9 * (size_t)(k->row[i + 1] - k->row[i])))
             return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "the matrix is not finite at node %d", (int)i);
-    sfemi_guard_look(b);
+    sfemi_safeguard_inspect(b);
     sfemi_refactor_begin(b, k);
     return SFEM_OK;
 }
@@ -23312,16 +23312,16 @@ static sfem_status sfemi_method_check_acceleration(const sfem_body *b, sfem_erro
 
 static void sfemi_method_note_handle_forces(sfem_body *b)
 {
-    const sfemi_grip *g = &b->grip;
+    const sfemi_schur *g = &b->schur;
     sfem_int i;
     for (i = 0; i < g->count; ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
 }
 
 /* v and a of the handles' points; the acceleration that a new handle makes stale is found again, see below. */
-static void sfemi_method_settle_handles(sfem_body *b)
+static void sfemi_method_finish_handles(sfem_body *b)
 {
-    sfemi_newmark_settle_handles(b, b->grip.place);
+    sfemi_newmark_finish_handles(b, b->schur.place);
     /* a node that is taken while it moves changes its velocity, and D v: the acceleration is found again. Without that,
      * stiffness damping makes energy, three times what there was */
     if (sfemi_resume_takes(b) && (b->beta != 0 || b->zd)) b->state.head->started = SFEMI_RESTARTED;
@@ -23331,28 +23331,28 @@ static void sfemi_method_settle_handles(sfem_body *b)
 
 /* Of a linear body: the momentum that the step's loads give its free pieces; by hand, less that of the right
  * side, which the solve will add when the caller has added to it what he likes. */
-static void sfemi_linear_push(sfem_body *b)
+static void sfemi_linear_rigid_load(sfem_body *b)
 {
     static const sfem_real end[3] = {1, 0, 0};
     const int newmark = b->scheme.newmark;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfemi_step t = b->step;
     size_t i;
-    if (!sfemi_turn_projects(b)) return;
+    if (!sfemi_rotated_projects(b)) return;
     if (b->base && !sfemi_body_goes_on(b)) { /* at a start base comes from a solve, too */
         for (i = 0; i < n; ++i) b->zk[i] = sfemi_body_way(b)[i] - b->base[i];
-        sfemi_turn_motion(b, NULL, b->zk, 1);
-        sfemi_turn_add_motion(b, NULL, 1, 0, b->base);
+        sfemi_rotated_motion(b, NULL, b->zk, 1);
+        sfemi_rotated_add_motion(b, NULL, 1, 0, b->base);
     }
-    sfemi_turn_push(b, NULL, newmark ? end : t.load, b->zm, b->alpha != 0 || t.am != 0);
-    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, -1);
+    sfemi_rotated_set_rigid_load(b, NULL, newmark ? end : t.load, b->zm, b->alpha != 0 || t.am != 0);
+    if (b->rotated.by_hand) sfemi_rotated_add_rigid_load(b, NULL, b->rhs, -1);
 }
 
-static void sfemi_linear_settle(sfem_body *b)
+static void sfemi_linear_correct_momentum(sfem_body *b)
 {
-    if (!sfemi_turn_projects(b)) return;
-    if (b->turn.by_hand) sfemi_turn_push_more(b, NULL, b->rhs, 1);
-    sfemi_turn_settle(b, b->factor->key.cm, b->acc);
+    if (!sfemi_rotated_projects(b)) return;
+    if (b->rotated.by_hand) sfemi_rotated_add_rigid_load(b, NULL, b->rhs, 1);
+    sfemi_rotated_correct_momentum(b, b->factor->key.cm, b->acc);
 }
 
 static void sfemi_linear_predict(sfem_body *b)
@@ -23368,14 +23368,14 @@ static void sfemi_linear_predict(sfem_body *b)
     if (b->scheme.newmark) sfemi_newmark_predict(b);
     else sfemi_pqr_predict(b);
     sfemi_resume_lessen(b, b->rhs);
-    sfemi_linear_push(b);
+    sfemi_linear_rigid_load(b);
 }
 
 static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
-    sfemi_linear_settle(b);
-    if (b->step.bridges) sfemi_resume_bridge_settle(b, b->acc);
+    sfemi_linear_correct_momentum(b);
+    if (b->step.bridges) sfemi_resume_bridge_correct(b, b->acc);
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     return sfemi_method_check_acceleration(b, err);
@@ -23419,7 +23419,7 @@ static void sfemi_linear_finish(sfem_body *b)
     else if (b->scheme.newmark) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
     b->state.head->started = b->step.bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
-    if (b->scheme.newmark) sfemi_method_settle_handles(b);
+    if (b->scheme.newmark) sfemi_method_finish_handles(b);
 }
 
 static sfem_real sfemi_linear_elastic(sfem_body *b)
@@ -23480,7 +23480,7 @@ static void sfemi_newton_finish(sfem_body *b)
     sfemi_method_note_handle_forces(b);
     sfemi_implicit_finish(b);
     b->state.head->started = SFEMI_RUNNING;
-    sfemi_method_settle_handles(b);
+    sfemi_method_finish_handles(b);
 }
 
 static sfem_real sfemi_newton_elastic(sfem_body *b)
@@ -23505,28 +23505,28 @@ static void sfemi_rotated_predict(sfem_body *b)
 {
     b->step.falls = sfemi_resume_change(b, b->step.h);
     sfemi_pqr_weigh(b, b->step.h);
-    sfemi_guard_predict(b);
+    sfemi_safeguard_predict(b);
 }
 
 static sfem_status sfemi_rotated_solve(sfem_body *b, sfem_error *err)
 {
-    sfemi_guard_try(b);
-    sfemi_guard_advance(b);
+    sfemi_safeguard_try(b);
+    sfemi_safeguard_advance(b);
     if (b->scheme.rotates == SFEMI_CORRECTS) sfemi_correct(b);
     return sfemi_method_check_acceleration(b, err);
 }
 
 static sfem_real sfemi_rotated_elastic(sfem_body *b)
 {
-    return b->state.head->current ? b->state.head->psi : sfemi_guard_forces(b, b->state.u, b->zk);
+    return b->state.head->current ? b->state.head->psi : sfemi_safeguard_forces(b, b->state.u, b->zk);
 }
 
 static void sfemi_rotated_conserved(sfem_body *b, sfem_energy *e)
 {
     const sfemi_state *s = &b->state;
-    sfemi_guard_look(b);
+    sfemi_safeguard_inspect(b);
     e->conserved = s->head->steps ? s->head->energy
-                                  : sfemi_guard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
+                                  : sfemi_safeguard_measure(b, s->u, s->w, s->f, s->head->psi, s->head->h).ec;
 }
 
 static void sfemi_rotated_balance(sfem_body *b, sfem_real *v)
@@ -23540,8 +23540,8 @@ static void sfemi_rotated_balance(sfem_body *b, sfem_real *v)
         if (b->zd) b->zd[i] = v[i];
         b->zk[i] -= b->state.u[i];
     }
-    sfemi_guard_look(b);
-    sfemi_turn_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
+    sfemi_safeguard_inspect(b);
+    sfemi_rotated_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, b->rhs);
     for (i = 0; i < n; ++i) b->zk[i] = b->beta * v[i];
     sfemi_fracture_soften(b, b->zk, b->rhs);
     for (i = 0; i < n; ++i) b->rhs[i] += b->state.f[i] + b->model->node_mass[i / 3] * b->zm[i];
@@ -23556,8 +23556,8 @@ static const sfemi_method sfemi_method_linear = {sfemi_linear_predict, sfemi_lin
 static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
                                                  sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
                                                  sfemi_newton_balance};
-static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict, sfemi_rotated_solve, sfemi_guard_judge_step,
-                                                  sfemi_guard_finish, sfemi_rotated_elastic, sfemi_rotated_conserved,
+static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict, sfemi_rotated_solve, sfemi_safeguard_judge_step,
+                                                  sfemi_safeguard_finish, sfemi_rotated_elastic, sfemi_rotated_conserved,
                                                   sfemi_rotated_balance};
 
 /* beta, gamma, am and af of the Newton methods as generalized-alpha [Chung, Hulbert 1993]; Newmark has its own. */
@@ -23579,7 +23579,7 @@ static void sfemi_method_weigh(const sfem_body_def *d, sfemi_scheme *s)
 static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
 {
     const sfem_body_def *d = &b->def;
-    const int nonlinear = b->model->turns, braked = d->damping_force.force != NULL;
+    const int nonlinear = b->model->rotates, braked = d->damping_force.force != NULL;
     sfemi_scheme *s = &b->scheme;
     s->newmark = d->integrator == SFEM_NEWMARK;
     s->pqr = d->integrator == SFEM_PQR;
@@ -23591,7 +23591,7 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
         s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked) ? SFEMI_CORRECTS : SFEMI_ROTATES;
     s->resumes = !nonlinear && s->rotates != SFEMI_CORRECTS && !s->newton;
     s->guarded = !d->no_guard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
-    s->refactors = s->rotates && d->refactorise > 0 && s->pqr && d->frame != SFEM_FRAME_MAJORANT;
+    s->refactors = s->rotates && d->refactorise > 0 && s->pqr && d->frame != SFEM_FRAME_ISOTROPIC;
     s->q = s->pqr ? d->q : 1;
     s->r = s->pqr ? d->r : 1;
     if (s->newmark) s->q = 2 * d->gamma;
@@ -23634,7 +23634,7 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "p is %g, must be >= 0, SFEM_P_SAFE or SFEM_P_AUTO", d->p);
     if (!(sfemi_finite(d->gui_lambda) && d->gui_lambda > 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Gui's lambda is %g, must be > 0", d->gui_lambda);
-    if ((unsigned)d->frame > SFEM_FRAME_MAJORANT)
+    if ((unsigned)d->frame > SFEM_FRAME_ISOTROPIC)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no frame %d", (int)d->frame);
     if (!(sfemi_finite(d->refactorise) && d->refactorise >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "refactorise (%g) must be >= 0", d->refactorise);
@@ -23736,12 +23736,12 @@ static void sfemi_body_place_pins(sfem_body *b)
     sfem_int k;
     int c;
     for (k = 0; k < b->pin_count; ++k) {
-        sfemi_hold *hold = b->state.pin + k;
+        sfemi_target *path = b->state.pin + k;
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
-            hold->target[c] = hold->past[c] = b->model->mesh.x[at] + b->state.u[at];
+            path->target[c] = path->past[c] = b->model->mesh.x[at] + b->state.u[at];
         }
-        hold->age = 0;
+        path->age = 0;
         if (!b->scheme.rotates || b->mask[b->pin[k]] == SFEM_AXIS_ALL) continue;
         for (c = 0; c < 9; ++c) /* in a frame that has rotated, the axes that the factor holds are others */
             b->state.frame[9 * (size_t)b->pin[k] + (size_t)c] = c % 4 ? 0 : 1;
@@ -23749,9 +23749,9 @@ static void sfemi_body_place_pins(sfem_body *b)
     sfemi_resume_pin(b);
 }
 
-/* A body of linear laws that steps by one solve has the momentum of its free pieces set right, see >>turn; not
+/* A body of linear laws that steps by one solve has the momentum of its free pieces set right, see >>rotated; not
  * where its tets are damped each in its own way, which makes no rule for it. */
-static int sfemi_body_settles(const sfem_body *b)
+static int sfemi_body_corrects_momentum(const sfem_body *b)
 {
     return !b->scheme.rotates && !b->scheme.newton && !b->model->damping;
 }
@@ -23759,12 +23759,12 @@ static int sfemi_body_settles(const sfem_body *b)
 /* Which pieces are held; a body that does not turn has them in their places for good. */
 static void sfemi_body_find_held(sfem_body *b)
 {
-    if (!b->turn.pieces) return;
-    sfemi_turn_find_held(b);
-    if (!b->scheme.rotates) sfemi_turn_locate(b, NULL);
+    if (!b->rotated.pieces) return;
+    sfemi_rotated_find_held(b);
+    if (!b->scheme.rotates) sfemi_rotated_locate(b, NULL);
 }
 
-static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
+static void sfemi_body_free_schur(sfem_body *b, sfemi_schur *g)
 {
     const sfem_allocator *al = &b->allocator;
     sfem_int i;
@@ -23779,7 +23779,7 @@ static void sfemi_body_free_grip(sfem_body *b, sfemi_grip *g)
     sfemi_delete(al, g->place);
 }
 
-static sfem_status sfemi_body_allocate_grip(sfem_body *b, size_t k, sfemi_grip *g, sfem_error *err)
+static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur *g, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
     sfem_status status = SFEM_OK;
@@ -23805,30 +23805,30 @@ static sfem_status sfemi_body_allocate_lever(sfem_body *b, sfem_error *err)
     sfem_status status = SFEM_OK;
     size_t i;
     if (model->block_mass) {
-        SFEMI_NEW(sfem_real, b->turn.lever, &b->allocator, n);
-        sfem_model_multiply_mass(model, model->mesh.x, b->turn.lever, &b->exec);
+        SFEMI_NEW(sfem_real, b->rotated.lever, &b->allocator, n);
+        sfem_model_multiply_mass(model, model->mesh.x, b->rotated.lever, &b->exec);
         for (i = 0; i < n; ++i)
-            b->turn.lever[i] = model->node_mass[i / 3] > 0
-                                   ? b->turn.lever[i] / model->node_mass[i / 3] - model->mesh.x[i] : 0;
+            b->rotated.lever[i] = model->node_mass[i / 3] > 0
+                                   ? b->rotated.lever[i] / model->node_mass[i / 3] - model->mesh.x[i] : 0;
     }
-    sfemi_turn_size(b);
+    sfemi_rotated_size(b);
 done:
     return status;
 }
 
-/* The pieces, and what only a body that turns needs. */
-static sfem_status sfemi_body_allocate_turn(sfem_body *b, sfem_error *err)
+/* The pieces, and what only a body that rotates needs. */
+static sfem_status sfemi_body_allocate_rotated(sfem_body *b, sfem_error *err)
 {
     const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, b->turn.piece_of, al, n / 3);
-    SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->turn.piece_of, &b->turn.pieces, err));
-    SFEMI_NEW(sfemi_piece, b->turn.piece, al, b->bonds ? b->model->mesh.nodes : b->turn.pieces);
-    b->turn.still = !b->model->turns;
+    SFEMI_NEW(sfem_int, b->rotated.piece_of, al, n / 3);
+    SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->rotated.piece_of, &b->rotated.pieces, err));
+    SFEMI_NEW(sfemi_piece, b->rotated.piece, al, b->bonds ? b->model->mesh.nodes : b->rotated.pieces);
+    b->rotated.still = !b->model->rotates;
     if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
-    SFEMI_NEW(sfem_real, b->turn.over, al, n / 3);
-    SFEMI_NEW(sfem_real, b->turn.diagonal, al, n / 3);
+    SFEMI_NEW(sfem_real, b->rotated.over, al, n / 3);
+    SFEMI_NEW(sfem_real, b->rotated.diagonal, al, n / 3);
 done:
     return status;
 }
@@ -23840,14 +23840,14 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_body_free_grip(b, &b->grip);
-    sfemi_guard_close_system(b);
-    sfemi_delete(&al, b->guard.tangent.val);
-    sfemi_delete(&al, b->turn.piece_of);
-    sfemi_delete(&al, b->turn.piece);
-    sfemi_delete(&al, b->turn.over);
-    sfemi_delete(&al, b->turn.diagonal);
-    sfemi_delete(&al, b->turn.lever);
+    sfemi_body_free_schur(b, &b->schur);
+    sfemi_safeguard_close_system(b);
+    sfemi_delete(&al, b->safeguard.tangent.val);
+    sfemi_delete(&al, b->rotated.piece_of);
+    sfemi_delete(&al, b->rotated.piece);
+    sfemi_delete(&al, b->rotated.over);
+    sfemi_delete(&al, b->rotated.diagonal);
+    sfemi_delete(&al, b->rotated.lever);
     sfemi_damage_free(b->damage);
     sfemi_bonds_free(b->bonds);
     sfemi_delete(&al, b->pin);
@@ -23875,8 +23875,8 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     b->state.head->saved.key = sfemi_body_key(b);
     memcpy(b->state.head->gravity, def->gravity, sizeof def->gravity);
     SFEMI_TRY(sfemi_workspace_reserve(b, err));
-    SFEMI_TRY(sfemi_body_allocate_grip(b, k, &b->grip, err));
-    if (b->scheme.rotates || sfemi_body_settles(b)) SFEMI_TRY(sfemi_body_allocate_turn(b, err));
+    SFEMI_TRY(sfemi_body_allocate_schur(b, k, &b->schur, err));
+    if (b->scheme.rotates || sfemi_body_corrects_momentum(b)) SFEMI_TRY(sfemi_body_allocate_rotated(b, err));
     if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
     if (b->bonds) {
         SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
@@ -23884,7 +23884,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
         sfemi_damage_reset(b->damage);
         sfemi_fracture_regroup(b);
     }
-    if (b->scheme.rotates) sfemi_turn_weigh(b);
+    if (b->scheme.rotates) sfemi_rotated_weigh(b);
     sfemi_body_find_held(b);
 done:
     return status;
@@ -23947,22 +23947,22 @@ static void sfemi_body_held_changed(sfem_body *b)
 {
     sfem_int k;
     int changed = 0;
-    for (k = 0; k < b->turn.pieces; ++k) b->turn.piece[k].sum[0][0] = b->turn.piece[k].held;
+    for (k = 0; k < b->rotated.pieces; ++k) b->rotated.piece[k].sum[0][0] = b->rotated.piece[k].held;
     sfemi_body_find_held(b);
     if (!b->scheme.rotates) return;
-    for (k = 0; k < b->turn.pieces; ++k) changed |= (b->turn.piece[k].sum[0][0] > 0) != b->turn.piece[k].held;
+    for (k = 0; k < b->rotated.pieces; ++k) changed |= (b->rotated.piece[k].sum[0][0] > 0) != b->rotated.piece[k].held;
     if (changed && b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
 }
 
 /* Columns and dense blocks of the handles for the body's factor. */
 static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
 {
-    sfemi_grip *g = &b->grip;
+    sfemi_schur *g = &b->schur;
     sfem_status status = SFEM_OK;
     sfem_int i, count = 0;
     if (!g->dirty) return SFEM_OK;
     for (i = 0; i < b->def.max_handles; ++i) {
-        SFEMI_TRY(sfemi_grip_reserve(b, g, i, err));
+        SFEMI_TRY(sfemi_schur_reserve(b, g, i, err));
         count += b->state.handle[i].used;
     }
     if (count || b->def.no_allocation) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
@@ -23970,16 +23970,16 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_grip_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
+            sfemi_schur_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
                                g->y[i], b->workspace->work, &b->exec);
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
-    sfemi_grip_gather(g, b->state.handle, b->model, b->scheme.rotates, b->mask);
-    if (b->scheme.rotates && (b->model->turns || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
+    sfemi_schur_gather(g, b->state.handle, b->model, b->scheme.rotates, b->mask);
+    if (b->scheme.rotates && (b->model->rotates || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
         b->def.no_allocation && !b->def.no_guard) {
-        SFEMI_TRY(sfemi_guard_prepare_isotropic(b, err));
-        SFEMI_TRY(sfemi_guard_open_system(b, err));
+        SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
+        SFEMI_TRY(sfemi_safeguard_open_system(b, err));
     }
     g->dirty = 0;
 done:
@@ -24010,9 +24010,9 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
         return SFEM_OK;
     }
     *p = b->scheme.newmark ? b->def.beta : b->scheme.central ? 0 : b->def.p;
-    if (*p == SFEM_P_AUTO && !b->model->turns && b->omega_max * h < 2) *p = 1.0 / 12;
+    if (*p == SFEM_P_AUTO && !b->model->rotates && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
-        *p = b->scheme.rotates == SFEMI_CORRECTS ? sfemi_guard_weight(b) : b->model->margin;
+        *p = b->scheme.rotates == SFEMI_CORRECTS ? sfemi_safeguard_weight(b) : b->model->margin;
         *p = fmax(*p, sfemi_fracture_least_p(b));
     }
     if (*p < sfemi_fracture_least_p(b))
@@ -24032,7 +24032,7 @@ static int sfemi_body_has_factor(const sfem_body *b, sfem_real h)
 
 static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
 {
-    return sfemi_body_has_factor(b, h) && !b->grip.dirty;
+    return sfemi_body_has_factor(b, h) && !b->schur.dirty;
 }
 
 static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
@@ -24077,7 +24077,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cm = b->scheme.r + b->scheme.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
         key.mask = b->mask;
-        key.majorant = b->scheme.rotates && b->def.frame == SFEM_FRAME_MAJORANT;
+        key.upper_bound = b->scheme.rotates && b->def.frame == SFEM_FRAME_ISOTROPIC;
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -24147,7 +24147,7 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     b->before = *b->state.head;
     b->begun = 1;
     b->step.h = h;
-    if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_rouse(b);
+    if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_wake_up(b);
     sfemi_sleep_compare_load(b);
     b->step.bridges = b->step.falls = b->step.fresh = b->step.starts_from_mass = 0;
     b->scheme.method->predict(b);
@@ -24160,7 +24160,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     sfem_status status;
     SFEM_ASSERT(b);
-    b->turn.by_hand = 1;
+    b->rotated.by_hand = 1;
     status = sfemi_body_predict(b, h, err);
     if (status != SFEM_OK) return status;
     memcpy(b->predicted, b->rhs, bytes);
@@ -24174,7 +24174,7 @@ SFEM_DEF sfem_status sfem_body_solve(sfem_body *b, sfem_error *err)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status;
     SFEM_ASSERT(b && b->phase == SFEMI_PREDICTED);
-    if (b->turn.by_hand && !sfemi_all_finite(b->rhs, n)) { /* on held axes, too: it would enter the energy budget */
+    if (b->rotated.by_hand && !sfemi_all_finite(b->rhs, n)) { /* on held axes, too: it would enter the energy budget */
         sfemi_body_undo(b);
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's right side is not finite: a force was not");
     }
@@ -24189,7 +24189,7 @@ static void sfemi_body_age_load(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     if (!b->state.head->loaded || b->state.head->load_age >= 2) return;
-    if (b->scheme.rotates) b->state.head->budget += sfemi_guard_load_change(b);
+    if (b->scheme.rotates) b->state.head->budget += sfemi_safeguard_load_change(b);
     memcpy(b->state.force[2], b->state.force[1], bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
     ++b->state.head->load_age;
@@ -24213,7 +24213,7 @@ static sfem_status sfemi_body_solve_again(sfem_body *b, sfem_error *err)
 
 SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
 {
-    sfemi_grip *g = &b->grip;
+    sfemi_schur *g = &b->schur;
     sfem_status status;
     sfem_int i;
     SFEM_ASSERT(b && b->phase == SFEMI_SOLVED);
@@ -24232,13 +24232,13 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     if (b->damage) sfemi_fracture_round(b);
     b->scheme.method->finish(b);
     for (i = 0; i < g->count; ++i)
-        sfemi_hold_advance(&b->state.handle[g->slot[i]].hold, g->place + 3 * i);
+        sfemi_target_advance(&b->state.handle[g->slot[i]].path, g->place + 3 * i);
     b->state.head->time += b->step.h;
     b->state.head->h = b->step.h;
     b->state.head->p = b->p;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
-    if (b->damage && b->damage->events) sfemi_sleep_rouse(b);
+    if (b->damage && b->damage->events) sfemi_sleep_wake_up(b);
     sfemi_sleep_watch(b);
     sfemi_refactor_follow(b);
     sfemi_refactor_advance(b);
@@ -24252,7 +24252,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     SFEM_ASSERT(b);
     sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
-    b->turn.by_hand = b->kicked = 0;
+    b->rotated.by_hand = b->kicked = 0;
     status = sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
@@ -24361,7 +24361,7 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
 {
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     if (memcmp(b->state.head->gravity, g, 3 * sizeof *g) == 0) return SFEM_OK;
-    sfemi_sleep_rouse(b);
+    sfemi_sleep_wake_up(b);
     memcpy(b->state.head->gravity, g, 3 * sizeof *g);
     if (b->state.head->rebase == SFEMI_LEDGER) b->state.head->rebase = SFEMI_REBASE;
     return SFEM_OK;
@@ -24416,7 +24416,7 @@ static void sfemi_body_restart(sfem_body *b)
 {
     const size_t bytes = 3 * (size_t)b->model->mesh.nodes * sizeof(sfem_real);
     sfem_int i;
-    sfemi_sleep_rouse(b);
+    sfemi_sleep_wake_up(b);
     sfemi_refactor_drop(b);
     memset(b->state.a, 0, bytes);
     memcpy(b->state.force[1], b->state.force[0], bytes);
@@ -24430,7 +24430,7 @@ static void sfemi_body_restart(sfem_body *b)
     b->state.head->skipped = 0;
     if (b->damage) memset(b->state.balance, 0, sizeof *b->state.balance);
     for (i = 0; i < b->pin_count; ++i) b->state.pin[i].age = 0;
-    for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].hold.age = 0;
+    for (i = 0; i < b->def.max_handles; ++i) b->state.handle[i].path.age = 0;
     b->phase = SFEMI_IDLE;
     b->begun = 0;
 }
@@ -24526,10 +24526,10 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     b->factor = NULL;
-    sfemi_guard_close_system(b);
+    sfemi_safeguard_close_system(b);
     b->state.head->pairs = 0;
     sfemi_body_forget_columns(b);
-    sfemi_sleep_rouse(b);
+    sfemi_sleep_wake_up(b);
     sfemi_body_place_pins(b);
     sfemi_body_held_changed(b);
     return SFEM_OK;
@@ -24548,7 +24548,7 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_
     for (k = 0; k < b->pin_count && b->pin[k] != node; ++k) continue;
     if (k == b->pin_count)
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "node %d is not pinned", (int)node);
-    if (memcmp(b->state.pin[k].target, position, 3 * sizeof *position) != 0) sfemi_sleep_rouse(b);
+    if (memcmp(b->state.pin[k].target, position, 3 * sizeof *position) != 0) sfemi_sleep_wake_up(b);
     memcpy(b->state.pin[k].target, position, 3 * sizeof *position);
     return SFEM_OK;
 }
@@ -24572,11 +24572,11 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
     memcpy(h->node, node, sizeof h->node);
     memcpy(h->weight, weight, sizeof h->weight);
     h->used = 1;
-    sfem_body_handle_position(b, k, h->hold.target);
-    memcpy(h->hold.past, h->hold.target, sizeof h->hold.past);
-    b->grip.ready[k] = 0;
-    b->grip.dirty = 1;
-    sfemi_sleep_rouse(b);
+    sfem_body_handle_position(b, k, h->path.target);
+    memcpy(h->path.past, h->path.target, sizeof h->path.past);
+    b->schur.ready[k] = 0;
+    b->schur.dirty = 1;
+    sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
     *handle = k;
     return SFEM_OK;
@@ -24611,22 +24611,22 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
-    if (memcmp(b->state.handle[handle].hold.target, target, 3 * sizeof *target) != 0) sfemi_sleep_rouse(b);
-    memcpy(b->state.handle[handle].hold.target, target, 3 * sizeof *target);
+    if (memcmp(b->state.handle[handle].path.target, target, 3 * sizeof *target) != 0) sfemi_sleep_wake_up(b);
+    memcpy(b->state.handle[handle].path.target, target, 3 * sizeof *target);
     return SFEM_OK;
 }
 
 SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    if (b->state.handle[handle].hold.age > 0) sfemi_resume_stop(b, 0);
+    if (b->state.handle[handle].path.age > 0) sfemi_resume_stop(b, 0);
     memset(b->state.handle + handle, 0, sizeof *b->state.handle);
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
-    b->grip.ready[handle] = 0;
-    b->grip.dirty = 1;
-    sfemi_sleep_rouse(b);
+    b->schur.ready[handle] = 0;
+    b->schur.dirty = 1;
+    sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
-    /* what the hand had put into motion, and would let steps make a share of, may be gone long since */
+    /* what the handle had put into motion, and would let steps make a share of, may be gone long since */
     b->state.head->rebase = SFEMI_NEW_LEDGER;
 }
 
@@ -24738,18 +24738,18 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.rejected = b->state.head->rejected;
     info.solves = b->state.head->solves;
     info.evaluations = b->state.head->evaluations;
-    info.corrections = b->guard.corrections;
+    info.corrections = b->safeguard.corrections;
     info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
                       (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
                                                      3 * sizeof(sfem_int) + sizeof(sfem_real *));
-    if (b->turn.piece_of) /* as sfemi_body_allocate_turn has it */
-        info.body_bytes += (size_t)info.nodes * sizeof *b->turn.piece_of +
-                           (size_t)(b->bonds ? info.nodes : b->turn.pieces) * sizeof *b->turn.piece;
+    if (b->rotated.piece_of) /* as sfemi_body_allocate_rotated has it */
+        info.body_bytes += (size_t)info.nodes * sizeof *b->rotated.piece_of +
+                           (size_t)(b->bonds ? info.nodes : b->rotated.pieces) * sizeof *b->rotated.piece;
     if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
-        info.body_bytes += 3 * n * (size_t)b->grip.parts[i] * sizeof(sfem_real);
-    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_guard_bytes(b);
+        info.body_bytes += 3 * n * (size_t)b->schur.parts[i] * sizeof(sfem_real);
+    info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_safeguard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
     info.diagonal = b->factor->inverse != NULL;
@@ -24778,7 +24778,7 @@ SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
     f.pieces = 1;
     if (!b->damage) return f;
     f.pieces = b->damage->pieces;
-    for (i = 0; i < b->turn.pieces; ++i) f.free_pieces += !b->turn.piece[i].held;
+    for (i = 0; i < b->rotated.pieces; ++i) f.free_pieces += !b->rotated.piece[i].held;
     f.broken = (sfem_int)b->damage->account[SFEMI_BROKEN];
     f.breaks = b->damage->events;
     for (i = 0; i < b->bonds->edges; ++i) f.marked += b->damage->mark[i] && b->damage->zeta[i] > 0;
@@ -24854,7 +24854,7 @@ SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *b, sfem_int i, sfem_int j, 
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the edge between nodes %d and %d is unbreakable", (int)i,
                           (int)j);
     if (!b->damage->mark[edge]) b->damage->mark[edge] = 1;
-    sfemi_sleep_rouse(b);
+    sfemi_sleep_wake_up(b);
     return SFEM_OK;
 }
 
@@ -24866,7 +24866,7 @@ SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const 
     if (!sfemi_all_finite(from, 9) || !sfemi_all_finite(to, 9))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the blade's place is not finite");
     count = sfemi_damage_cut(b->damage, b->state.u, from, to);
-    if (count) sfemi_sleep_rouse(b);
+    if (count) sfemi_sleep_wake_up(b);
     if (marked) *marked = count;
     return SFEM_OK;
 }
@@ -24874,13 +24874,13 @@ SFEM_DEF sfem_status sfem_body_cut(sfem_body *b, const sfem_real from[9], const 
 SFEM_DEF void sfem_body_heal(sfem_body *b)
 {
     SFEM_ASSERT(b && b->damage);
-    sfemi_sleep_rouse(b);
+    sfemi_sleep_wake_up(b);
     sfemi_damage_reset(b->damage);
     sfemi_fracture_regroup(b);
     memset(b->state.balance, 0, sizeof *b->state.balance);
     b->state.head->current = 0;
     sfemi_refactor_drop(b); /* or K would be larger than the factor's */
-    sfemi_sleep_rouse(b);
+    sfemi_sleep_wake_up(b);
     b->phase = SFEMI_IDLE;
 }
 
@@ -24894,30 +24894,30 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
 
 /* Slots of the copies: nodes, then two for each edge, three for each face, four for each tet; number is
  * the vertex made of a slot, or -1. */
-typedef struct sfemi_shards {
+typedef struct sfemi_fragments {
     const sfem_body *b;
     sfem_fragments out;
     sfem_int faces, *face_of;      /* [tets][4] */
     unsigned char *alone;          /* [tets][4] the face is on the outer surface */
     sfem_int *number;              /* [slots]; NULL: only count */
     size_t edge_slot, face_slot, tet_slot;
-} sfemi_shards;
+} sfemi_fragments;
 
 /* Are the ends of an edge together? */
-static int sfemi_shards_joined(const sfemi_shards *s, sfem_int tet, int edge)
+static int sfemi_fragments_joined(const sfemi_fragments *s, sfem_int tet, int edge)
 {
     return s->b->damage->zeta[s->b->bonds->tet_edge[6 * tet + edge]] > 0;
 }
 
 /* The edge between local nodes a and b of a tet. */
-static int sfemi_shards_edge(int a, int b)
+static int sfemi_fragments_edge(int a, int b)
 {
     const int low = a < b ? a : b, high = a < b ? b : a;
     return low == 0 ? high - 1 : low + high;
 }
 
 /* Those of the nodes in `among` (bits) that intact edges among them connect with node a. */
-static int sfemi_shards_group(const sfemi_shards *s, sfem_int tet, int a, int among)
+static int sfemi_fragments_group(const sfemi_fragments *s, sfem_int tet, int a, int among)
 {
     int group = 1 << a, before = 0, i, j;
     while (group != before) {
@@ -24925,17 +24925,17 @@ static int sfemi_shards_group(const sfemi_shards *s, sfem_int tet, int a, int am
         for (i = 0; i < 4; ++i)
             for (j = 0; j < 4; ++j)
                 if ((group >> i & 1) && (among >> j & 1) && i != j &&
-                    sfemi_shards_joined(s, tet, sfemi_shards_edge(i, j)))
+                    sfemi_fragments_joined(s, tet, sfemi_fragments_edge(i, j)))
                     group |= 1 << j;
     }
     return group;
 }
 
 /* The vertex of the simplex of local nodes `among` on the side of node a. */
-static sfem_int sfemi_shards_vertex(sfemi_shards *s, sfem_int tet, int a, int among)
+static sfem_int sfemi_fragments_vertex(sfemi_fragments *s, sfem_int tet, int a, int among)
 {
     const sfem_int *t = s->b->model->mesh.tet + 4 * (size_t)tet;
-    const int group = sfemi_shards_group(s, tet, a, among);
+    const int group = sfemi_fragments_group(s, tet, a, among);
     sfem_int nodes[4], low = -1, v;
     int size = 0, rank = 0, i, mask = 0, other = 0;
     size_t slot;
@@ -24957,7 +24957,7 @@ static sfem_int sfemi_shards_vertex(sfemi_shards *s, sfem_int tet, int a, int am
         slot = s->face_slot + 3 * (size_t)s->face_of[4 * (size_t)tet + (size_t)other] + (size_t)rank;
     else {
         const int b = among & ~(1 << a);
-        const int edge = sfemi_shards_edge(a, b >> 1 == 4 ? 3 : b >> 1);
+        const int edge = sfemi_fragments_edge(a, b >> 1 == 4 ? 3 : b >> 1);
         slot = s->edge_slot + 2 * (size_t)s->b->bonds->tet_edge[6 * tet + edge] + (size_t)rank;
     }
     v = s->number[slot];
@@ -24969,7 +24969,7 @@ static sfem_int sfemi_shards_vertex(sfemi_shards *s, sfem_int tet, int a, int am
     return v;
 }
 
-static void sfemi_shards_quad(sfemi_shards *s, sfem_int node, int made, sfem_int a, sfem_int b, sfem_int c,
+static void sfemi_fragments_quad(sfemi_fragments *s, sfem_int node, int made, sfem_int a, sfem_int b, sfem_int c,
                               sfem_int d)
 {
     const size_t n = (size_t)s->out.triangles;
@@ -24984,7 +24984,7 @@ static void sfemi_shards_quad(sfemi_shards *s, sfem_int node, int made, sfem_int
 }
 
 /* Numbers the faces, and finds those that only one tet has. */
-static sfem_status sfemi_shards_faces(sfemi_shards *s, const sfem_allocator *al, sfem_error *err)
+static sfem_status sfemi_fragments_faces(sfemi_fragments *s, const sfem_allocator *al, sfem_error *err)
 {
     const sfem_mesh *m = &s->b->model->mesh;
     const sfem_int all = 4 * m->tets;
@@ -25015,7 +25015,7 @@ done:
 }
 
 /* All quads: counts them, and writes them where there is room. */
-static void sfemi_shards_emit(sfemi_shards *s)
+static void sfemi_fragments_emit(sfemi_fragments *s)
 {
     /* the ends of an edge, then the other two nodes, so that all four are an even permutation */
     static const unsigned char even[6][4] = {{0, 1, 2, 3}, {0, 2, 3, 1}, {0, 3, 1, 2},
@@ -25028,25 +25028,25 @@ static void sfemi_shards_emit(sfemi_shards *s)
         const sfem_int *t = m->tet + 4 * (size_t)e;
         for (k = 0; s->b->damage->kind[e] != SFEMI_INTACT && k < 6; ++k) {
             const unsigned char *p = even[k];
-            if (sfemi_shards_joined(s, e, k)) continue;
+            if (sfemi_fragments_joined(s, e, k)) continue;
             for (side = 0; side < 2; ++side) {
                 const int a = p[side], both = 1 << p[0] | 1 << p[1];
-                const sfem_int mid = sfemi_shards_vertex(s, e, a, both);
-                const sfem_int left = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 3 : 2]);
-                const sfem_int cell = sfemi_shards_vertex(s, e, a, 15);
-                const sfem_int right = sfemi_shards_vertex(s, e, a, both | 1 << p[side ? 2 : 3]);
-                sfemi_shards_quad(s, t[a], 1, mid, left, cell, right);
+                const sfem_int mid = sfemi_fragments_vertex(s, e, a, both);
+                const sfem_int left = sfemi_fragments_vertex(s, e, a, both | 1 << p[side ? 3 : 2]);
+                const sfem_int cell = sfemi_fragments_vertex(s, e, a, 15);
+                const sfem_int right = sfemi_fragments_vertex(s, e, a, both | 1 << p[side ? 2 : 3]);
+                sfemi_fragments_quad(s, t[a], 1, mid, left, cell, right);
             }
         }
         for (k = 0; k < 4; ++k)
             for (i = 0; s->alone[4 * (size_t)e + (size_t)k] && i < 3; ++i) {
                 const unsigned char *f = sfemi_mesh_face[k];
                 const int a = f[i], next = f[(i + 1) % 3], last = f[(i + 2) % 3];
-                const sfem_int node = sfemi_shards_vertex(s, e, a, 1 << a);
-                const sfem_int to = sfemi_shards_vertex(s, e, a, 1 << a | 1 << next);
-                const sfem_int middle = sfemi_shards_vertex(s, e, a, 15 & ~(1 << k));
-                const sfem_int from = sfemi_shards_vertex(s, e, a, 1 << a | 1 << last);
-                sfemi_shards_quad(s, t[a], 0, node, to, middle, from);
+                const sfem_int node = sfemi_fragments_vertex(s, e, a, 1 << a);
+                const sfem_int to = sfemi_fragments_vertex(s, e, a, 1 << a | 1 << next);
+                const sfem_int middle = sfemi_fragments_vertex(s, e, a, 15 & ~(1 << k));
+                const sfem_int from = sfemi_fragments_vertex(s, e, a, 1 << a | 1 << last);
+                sfemi_fragments_quad(s, t[a], 0, node, to, middle, from);
             }
     }
 }
@@ -25067,7 +25067,7 @@ SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *b, const sfem_allocato
 {
     const sfem_mesh *m = &b->model->mesh;
     sfem_allocator al;
-    sfemi_shards s;
+    sfemi_fragments s;
     sfem_status status = SFEM_OK;
     size_t slots, i;
     SFEM_ASSERT(b && b->damage && out);
@@ -25081,21 +25081,21 @@ SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *b, const sfem_allocato
     }
     SFEMI_NEW(sfem_int, s.face_of, &al, 4 * (size_t)m->tets);
     SFEMI_NEW(unsigned char, s.alone, &al, 4 * (size_t)m->tets);
-    SFEMI_TRY(sfemi_shards_faces(&s, &al, err));
+    SFEMI_TRY(sfemi_fragments_faces(&s, &al, err));
     s.edge_slot = (size_t)m->nodes;
     s.face_slot = s.edge_slot + 2 * (size_t)b->bonds->edges;
     s.tet_slot = s.face_slot + 3 * (size_t)s.faces;
     slots = s.tet_slot + 4 * (size_t)m->tets;
     SFEMI_NEW(sfem_int, s.number, &al, slots);
     memset(s.number, -1, slots * sizeof *s.number);
-    sfemi_shards_emit(&s);
+    sfemi_fragments_emit(&s);
     SFEMI_NEW(sfem_int, s.out.tri, &al, 3 * (size_t)s.out.triangles);
     SFEMI_NEW(sfem_int, s.out.node, &al, s.out.triangles);
     SFEMI_NEW(unsigned char, s.out.made, &al, s.out.triangles);
     SFEMI_NEW(sfem_int, s.out.simplex, &al, 4 * (size_t)s.out.vertices);
     SFEMI_NEW(unsigned char, s.out.group, &al, s.out.vertices);
     for (i = 0; i < slots; ++i) s.number[i] = -1;
-    sfemi_shards_emit(&s);
+    sfemi_fragments_emit(&s);
     *out = s.out;
 done:
     if (status != SFEM_OK) sfem_fragments_free(&s.out);
@@ -25106,11 +25106,11 @@ done:
 }
 
 /* The rotation of every node's intact edges, the other edges of its piece counting a little, in turn.sum. */
-static void sfemi_shards_turn(sfem_body *b)
+static void sfemi_fragments_rotate(sfem_body *b)
 {
     const sfemi_bonds *g = b->bonds;
     const sfem_real *rest = b->model->mesh.x, *u = b->state.u;
-    sfem_real *sum = b->turn.sum, *whole = b->guard.frame;
+    sfem_real *sum = b->rotated.sum, *whole = b->safeguard.frame;
     sfem_int i, k;
     int c, q;
     memset(sum, 0, 9 * (size_t)b->model->mesh.nodes * sizeof *sum);
@@ -25135,7 +25135,7 @@ static void sfemi_shards_turn(sfem_body *b)
         for (c = 0; c < 9; ++c) size += fabs(whole[9 * (size_t)k + (size_t)c]);
         for (c = 0; c < 9; ++c) whole[9 * (size_t)k + (size_t)c] /= size;
         for (q = 0; q < 9; q += 4)
-            whole[9 * (size_t)k + (size_t)q] += 1e-3; /* lone edges and nodes: as at rest */
+            whole[9 * (size_t)k + (size_t)q] += 1e-3; /* dangling edges and nodes: as at rest */
     }
     for (i = 0; i < b->model->mesh.nodes; ++i) {
         sfem_real f[9];
@@ -25153,7 +25153,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     int k, c, size, members;
     SFEM_ASSERT(b && b->damage && f && x);
     sfemi_workspace_bind(b);
-    sfemi_shards_turn(b);
+    sfemi_fragments_rotate(b);
     for (v = 0; v < f->vertices; ++v) {
         const sfem_int *node = f->simplex + 4 * (size_t)v;
         sfem_real middle[3] = {0, 0, 0}, r[3], *to = x + 3 * (size_t)v;
@@ -25171,7 +25171,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
             for (c = 0; c < 3; ++c) {
                 to[c] += rest[at + (size_t)c] + u[at + (size_t)c];
                 if (f->group[v] != (1 << size) - 1) /* else these parts all but cancel */
-                    to[c] += sfemi_dot3(b->turn.sum + 3 * at + 3 * c, r);
+                    to[c] += sfemi_dot3(b->rotated.sum + 3 * at + 3 * c, r);
             }
         }
         for (c = 0; c < 3; ++c) to[c] /= members;
@@ -25212,7 +25212,7 @@ static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
         const sfemi_handle *h = b->state.handle + k;
         const size_t at = 3 * (size_t)h->node[0];
         for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c)
-            u[at + (size_t)c] = h->hold.target[c] - rest[at + (size_t)c];
+            u[at + (size_t)c] = h->path.target[c] - rest[at + (size_t)c];
     }
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
@@ -25226,7 +25226,7 @@ static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
 static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f, sfem_real *u, int apply,
                                              sfem_error *err)
 {
-    sfemi_grip *g = &b->grip;
+    sfemi_schur *g = &b->schur;
     sfem_status status = SFEM_OK;
     sfem_int k;
     g->count = 0;
@@ -25234,20 +25234,20 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
         const sfemi_handle *h = b->state.handle + k;
         g->ready[k] = 0;
         if (!h->used || sfemi_body_is_node_handle(h)) continue;
-        SFEMI_TRY(sfemi_grip_reserve(b, g, k, err));
-        if (apply) sfemi_grip_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
+        SFEMI_TRY(sfemi_schur_reserve(b, g, k, err));
+        if (apply) sfemi_schur_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
-        sfemi_grip_gather(g, b->state.handle, b->model, 0, f->mask);
+        sfemi_schur_gather(g, b->state.handle, b->model, 0, f->mask);
         for (k = 0; k < g->count; ++k) {
             sfem_real rest[3];
             int c;
-            sfemi_grip_mean(b->state.handle + g->slot[k], b->model->mesh.x, rest);
+            sfemi_schur_mean(b->state.handle + g->slot[k], b->model->mesh.x, rest);
             for (c = 0; c < 3; ++c)
-                g->lambda[3 * k + c] = b->state.handle[g->slot[k]].hold.target[c] - rest[c];
+                g->lambda[3 * k + c] = b->state.handle[g->slot[k]].path.target[c] - rest[c];
         }
-        sfemi_grip_apply(g, b->state.handle, b->model->mesh.nodes, u);
+        sfemi_schur_apply(g, b->state.handle, b->model->mesh.nodes, u);
         for (k = 0; k < g->count; ++k)
             memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
     }
@@ -25280,7 +25280,7 @@ static void sfemi_body_static_forces(sfem_body *b)
 /* The static solution of a nonlinear model, to acc. */
 static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
 {
-    sfemi_grip *g = &b->grip;
+    sfemi_schur *g = &b->schur;
     sfemi_system system;
     sfem_status status = SFEM_OK;
     sfem_int k;
@@ -25368,7 +25368,7 @@ typedef struct sfemi_modes_kernels {
     void (*combine)(int, size_t, size_t, const double *, size_t, const double *, const double *,
                     double *, double *);
     void (*gram)(size_t, const double *, const double *, double *);
-    void (*turn)(size_t, const double *, double *);
+    void (*rotated)(size_t, const double *, double *);
     void (*row)(int, int, int, const sfem_int *, const double *, const double *, const double *, double *);
     void (*project)(int, int, const double *, size_t, double *, double *);
     void (*scale)(const double *, const double *, double *);
@@ -25378,7 +25378,7 @@ static const sfemi_modes_kernels *sfemi_modes_kernels_of(int path)
 {
 #define SFEMI_TABLE(p)                                                                              \
     {sfemi_modes_dots_64_##p, sfemi_modes_combine_64_##p, sfemi_modes_gram_64_##p,                  \
-     sfemi_modes_turn_64_##p, sfemi_modes_row_64_##p,     sfemi_modes_project_64_##p,               \
+     sfemi_modes_rotate_64_##p, sfemi_modes_row_64_##p,     sfemi_modes_project_64_##p,               \
      sfemi_modes_scale_64_##p}
     static const sfemi_modes_kernels table[] = {
         SFEMI_TABLE(0),
@@ -25620,10 +25620,10 @@ static void sfemi_modes_orthonormalise(sfemi_modes_system *s, sfem_real *x, sfem
     const size_t rows = 3 * (size_t)s->n;
     sfem_int *motions = s->motions, i, p;
     size_t r;
-    int k, j, turn;
+    int k, j, rotated;
     for (k = 0; k < 6; ++k) {
         sfem_real *z = s->z + (size_t)k * rows, *mz = s->mz + (size_t)k * rows;
-        for (turn = 0; turn < 3; ++turn) {
+        for (rotated = 0; rotated < 3; ++rotated) {
             memset(s->dot, 0, 24 * (size_t)s->pieces * sizeof *s->dot);
             for (r = 0; r < rows; ++r) x[4 * r] = z[r];
             sfemi_modes_mass(s, x, y);
@@ -25636,9 +25636,9 @@ static void sfemi_modes_orthonormalise(sfemi_modes_system *s, sfem_real *x, sfem
                 const sfem_real *d = s->dot + 24 * (size_t)s->piece[i];
                 if (k >= motions[s->piece[i]]) continue;
                 for (r = 3 * (size_t)i; r < 3 * (size_t)i + 3; ++r) {
-                    for (j = 0; j < k && turn < 2; ++j) z[r] -= d[j] * s->z[(size_t)j * rows + r];
-                    if (turn == 2) z[r] /= sqrt(d[k]);
-                    if (turn == 2) mz[r] /= sqrt(d[k]);
+                    for (j = 0; j < k && rotated < 2; ++j) z[r] -= d[j] * s->z[(size_t)j * rows + r];
+                    if (rotated == 2) z[r] /= sqrt(d[k]);
+                    if (rotated == 2) mz[r] /= sqrt(d[k]);
                 }
             }
         }
@@ -26116,7 +26116,7 @@ static void sfemi_lanczos_solve(sfemi_lanczos *z, const sfem_real *root, const s
     memset(&q, 0, sizeof q);
     q.ldl = z->ldl;
     q.block = 4;
-    q.pace = z->ldl->pace + 2;
+    q.throttle = z->ldl->throttle + 2;
     q.w = z->work;
     q.scratch = z->work + sfemi_solve_rows(y) * q.block;
     q.done = (sfemi_counter *)(void *)(q.scratch + y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH);
@@ -26179,8 +26179,8 @@ static sfem_real sfemi_lanczos_cholesky(sfemi_lanczos *z, sfem_real least, sfem_
             else inverse[4 * i + j] = 0;
         }
     }
-    z->f->turn(z->padded, inverse, z->w);
-    if (z->mw != z->w) z->f->turn(z->padded, inverse, z->mw);
+    z->f->rotated(z->padded, inverse, z->w);
+    if (z->mw != z->w) z->f->rotated(z->padded, inverse, z->mw);
     return far;
 }
 
@@ -26405,9 +26405,9 @@ done:
 static void sfemi_lanczos_begin(sfemi_lanczos *z)
 {
     static const int all[4] = {1, 1, 1, 1};
-    int turn;
+    int rotated;
     sfemi_lanczos_scatter(z, all);
-    for (turn = 0; turn < 2; ++turn) {
+    for (rotated = 0; rotated < 2; ++rotated) {
         sfemi_modes_deflate(z->s, z->w);
         sfemi_lanczos_orthogonalise(z, 0, -1);
     }
@@ -26711,7 +26711,7 @@ static sfem_status sfemi_lanczos_count(sfemi_lanczos *z, sfem_real bound, sfem_e
 
 /* Counts in the gap above what is wanted: info->proved if nothing is missing; info->below stays -1 if
  * there is no gap yet. */
-static sfem_status sfemi_lanczos_prove(sfemi_lanczos *z, sfem_error *err)
+static sfem_status sfemi_lanczos_check_count(sfemi_lanczos *z, sfem_error *err)
 {
     sfem_real bound = 0;
     sfem_status status = SFEM_OK;
@@ -26783,7 +26783,7 @@ static sfem_status sfemi_lanczos_iterate(sfemi_lanczos *z, sfem_error *err)
             if (worst <= def->tolerance) {
                 const int counted = z->info->below >= 0;
                 if (!counted && def->no_proof) return SFEM_OK;
-                if (!counted) status = sfemi_lanczos_prove(z, err);
+                if (!counted) status = sfemi_lanczos_check_count(z, err);
                 else z->info->proved = sfemi_lanczos_below(z, z->info->bound) + z->s->rigid == z->info->below;
                 if (status != SFEM_OK || z->info->proved) return status;
                 if (z->info->below >= 0 && (!searching || full)) {
@@ -26956,7 +26956,7 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
     sfem_status status = sfemi_modes_result(s, z->wanted, out, err);
     sfem_real *lambda = NULL, worst;
     sfem_int i;
-    int turn;
+    int rotated;
     if (status != SFEM_OK) return status;
     if ((z->full || !sfemi_lanczos_some(z)) && !sfemi_lanczos_vectors(z))
         return sfemi_fail(err, SFEM_NOT_CONVERGED, "an eigenvalue of the Lanczos matrix does not converge");
@@ -26968,10 +26968,10 @@ static sfem_status sfemi_lanczos_result(sfemi_lanczos *z, sfem_modes *out, sfem_
     out->info.sigma = z->sigma;
     sfemi_lanczos_output(z, out);
     SFEMI_TRY(sfemi_modes_errors(s, out, err));
-    for (turn = 0; turn < 3; ++turn) {
+    for (rotated = 0; rotated < 3; ++rotated) {
         for (worst = 0, i = 0; i < out->count; ++i) worst = fmax(worst, out->error[i]);
         if (worst <= 0.7 * s->def->tolerance) break;
-        if (turn == 0 && z->info->below >= 0) SFEMI_TRY(sfemi_lanczos_factor(z, z->sigma, 1, err));
+        if (rotated == 0 && z->info->below >= 0) SFEMI_TRY(sfemi_lanczos_factor(z, z->sigma, 1, err));
         SFEMI_TRY(sfemi_lanczos_rayleigh(z, out, err));
     }
 done:
@@ -26980,7 +26980,7 @@ done:
 }
 
 /* How many lie below the frequency asked for; a count that hits an eigenvalue is moved up a little. */
-static sfem_status sfemi_lanczos_census(sfemi_lanczos *z, sfem_int *wanted, sfem_error *err)
+static sfem_status sfemi_lanczos_inertia(sfemi_lanczos *z, sfem_int *wanted, sfem_error *err)
 {
     const sfem_real omega = z->s->def->below_hz * 6.283185307179586;
     sfem_status status = SFEM_OK;
@@ -27001,7 +27001,7 @@ static sfem_status sfemi_modes_lanczos(sfemi_modes_system *s, sfem_modes *out, i
     sfemi_lanczos z;
     out->info.below = out->info.cut = -1;
     SFEMI_TRY(sfemi_lanczos_create(s, &out->info, &z, err));
-    if (s->def->below_hz > 0) SFEMI_TRY(sfemi_lanczos_census(&z, &wanted, err));
+    if (s->def->below_hz > 0) SFEMI_TRY(sfemi_lanczos_inertia(&z, &wanted, err));
     *too_few = sfemi_lanczos_capacity(s->def, wanted) + 16 > s->axes - s->rigid;
     if (*too_few) goto done;
     if (wanted > 0) {
@@ -27164,7 +27164,7 @@ static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
             -1.0 / (a) / (b) / (c) / (d) / (e) / (f) / (g) / (h) / (i) / (j) / (k) / (l) / (m) /   \
                 (n)                                                                                \
     }
-static const sfem_real sfemi_turn_series[3][SFEMI_TURN_TERMS] = {
+static const sfem_real sfemi_rotated_series[3][SFEMI_TURN_TERMS] = {
     SFEMI_SERIES(1, 2.0 * 3, 4.0 * 5, 6.0 * 7, 8.0 * 9, 10.0 * 11, 12.0 * 13, 14.0 * 15, 16.0 * 17,
                  18.0 * 19, 20.0 * 21, 22.0 * 23, 24.0 * 25, 26.0 * 27),
     SFEMI_SERIES(2, 3.0 * 4, 5.0 * 6, 7.0 * 8, 9.0 * 10, 11.0 * 12, 13.0 * 14, 15.0 * 16, 17.0 * 18,
@@ -27174,16 +27174,16 @@ static const sfem_real sfemi_turn_series[3][SFEMI_TURN_TERMS] = {
 #undef SFEMI_SERIES
 
 /* How many terms th^2 = t needs. */
-static int sfemi_turn_terms(sfem_real t) { return t < 0.01 ? 6 : t < 1 ? 10 : SFEMI_TURN_TERMS; }
+static int sfemi_rotated_terms(sfem_real t) { return t < 0.01 ? 6 : t < 1 ? 10 : SFEMI_TURN_TERMS; }
 
 /* The two coefficients of I + a [w]x + b [w]x^2: of the rotation exp [w]x, or of its mean over the
  * path. */
-static void sfemi_turn_coefficients(int kind, const sfem_real w[3], sfem_real *a, sfem_real *b)
+static void sfemi_rotated_coefficients(int kind, const sfem_real w[3], sfem_real *a, sfem_real *b)
 {
     const sfem_real t = sfemi_dot3(w, w);
     if (t < 10) {
-        const sfem_real *c = sfemi_turn_series[kind], *d = sfemi_turn_series[kind + 1];
-        int k = sfemi_turn_terms(t) - 1;
+        const sfem_real *c = sfemi_rotated_series[kind], *d = sfemi_rotated_series[kind + 1];
+        int k = sfemi_rotated_terms(t) - 1;
         *a = c[k];
         *b = d[k];
         for (--k; k >= 0; --k) *a = *a * t + c[k], *b = *b * t + d[k];
@@ -27205,11 +27205,11 @@ static void sfemi_warp_apply(sfem_real a, sfem_real b, const sfem_real w[3], con
     for (c = 0; c < 3; ++c) out[c] = u[c] + a * wu[c] + b * wwu[c];
 }
 
-static void sfemi_turn_matrix(int kind, const sfem_real w[3], sfem_real r[9])
+static void sfemi_rotated_matrix(int kind, const sfem_real w[3], sfem_real r[9])
 {
     sfem_real a, b;
     int i, j;
-    sfemi_turn_coefficients(kind, w, &a, &b);
+    sfemi_rotated_coefficients(kind, w, &a, &b);
     for (i = 0; i < 3; ++i) {
         const int next = (i + 1) % 3, last = (i + 2) % 3;
         for (j = 0; j < 3; ++j) r[3 * i + j] = b * w[i] * w[j];
@@ -27219,14 +27219,14 @@ static void sfemi_turn_matrix(int kind, const sfem_real w[3], sfem_real r[9])
     }
 }
 
-static void sfemi_turn_vector(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
+static void sfemi_rotated_vector(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
 {
     const sfem_real v[3] = {x[0], x[1], x[2]};
     int c;
     for (c = 0; c < 3; ++c) y[c] = sfemi_dot3(m + 3 * c, v);
 }
 
-static void sfemi_turn_back(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
+static void sfemi_rotated_back(const sfem_real m[9], const sfem_real x[3], sfem_real y[3])
 {
     const sfem_real v[3] = {x[0], x[1], x[2]};
     int c;
@@ -27234,13 +27234,13 @@ static void sfemi_turn_back(const sfem_real m[9], const sfem_real x[3], sfem_rea
 }
 
 /* The derivatives of the two coefficients by th^2. */
-static void sfemi_turn_slopes(int kind, sfem_real t, sfem_real *da, sfem_real *db)
+static void sfemi_rotated_slopes(int kind, sfem_real t, sfem_real *da, sfem_real *db)
 {
     *da = *db = 0;
     if (t < 10) {
-        const sfem_real *c = sfemi_turn_series[kind], *d = sfemi_turn_series[kind + 1];
+        const sfem_real *c = sfemi_rotated_series[kind], *d = sfemi_rotated_series[kind + 1];
         int k;
-        for (k = sfemi_turn_terms(t) - 1; k > 0; --k)
+        for (k = sfemi_rotated_terms(t) - 1; k > 0; --k)
             *da = *da * t + k * c[k], *db = *db * t + k * d[k];
     } else {
         const sfem_real th = sqrt(t), sinc = sin(th) / th, dsinc = (cos(th) - sinc) / (2 * t);
@@ -27252,14 +27252,14 @@ static void sfemi_turn_slopes(int kind, sfem_real t, sfem_real *da, sfem_real *d
 
 /* The derivative by w of u + a w x u + b w x (w x u): -a [u]x + b (w.u + w u^T - 2 u w^T)
  * + 2 (da w x u + db w x (w x u)) w^T. */
-static void sfemi_turn_derivative(int kind, const sfem_real w[3], const sfem_real u[3],
+static void sfemi_rotated_derivative(int kind, const sfem_real w[3], const sfem_real u[3],
                                   sfem_real out[9])
 {
     sfem_real a, b, da, db, wu[3], wwu[3];
     const sfem_real dot = sfemi_dot3(w, u);
     int i, j;
-    sfemi_turn_coefficients(kind, w, &a, &b);
-    sfemi_turn_slopes(kind, sfemi_dot3(w, w), &da, &db);
+    sfemi_rotated_coefficients(kind, w, &a, &b);
+    sfemi_rotated_slopes(kind, sfemi_dot3(w, w), &da, &db);
     sfemi_cross(w, u, wu);
     sfemi_cross(w, wu, wwu);
     for (i = 0; i < 3; ++i) {
@@ -27938,7 +27938,7 @@ typedef struct sfemi_modal_head {
 } sfemi_modal_head;
 
 typedef struct sfemi_modal_handle {
-    sfem_real target[3], l[3]; /* m; N, on the hand */
+    sfem_real target[3], l[3]; /* m; N, on the handle */
     sfem_int used, first, count, unused;
 } sfemi_modal_handle;
 
@@ -27980,8 +27980,8 @@ struct sfem_modal {
     sfem_real fit_h;               /* what mass and drag are for */
     sfem_real exact_h;
     sfem_real pose_force[3], pose_torque[3]; /* of the loads at the end of the step */
-    double turn[2 * SFEMI_TURN_TERMS + 1];
-    float turn32[2 * SFEMI_TURN_TERMS32 + 1];
+    double rotated[2 * SFEMI_TURN_TERMS + 1];
+    float rotated32[2 * SFEMI_TURN_TERMS32 + 1];
 };
 
 static int sfemi_modal_path_kind(const sfem_modal *b)
@@ -28010,7 +28010,7 @@ static void sfemi_modal_displace(const sfem_modal *b, sfem_int node, const sfem_
     sfemi_modal_linear(b, node, q, u);
     if (b->def.warp == SFEM_WARP_NONE) return;
     sfemi_modal_rotation(b, node, q, w);
-    sfemi_turn_coefficients(sfemi_modal_path_kind(b), w, &k1, &k2);
+    sfemi_rotated_coefficients(sfemi_modal_path_kind(b), w, &k1, &k2);
     sfemi_warp_apply(k1, k2, w, u, u);
 }
 
@@ -28210,13 +28210,13 @@ static void sfemi_modal_series(sfem_modal *b)
     const int kind = sfemi_modal_path_kind(b);
     int k, j;
     for (j = 0; j < 2; ++j) {
-        const sfem_real *c = sfemi_turn_series[kind + j];
-        for (k = 0; k < SFEMI_TURN_TERMS; ++k) b->turn[SFEMI_TURN_TERMS * j + k] = c[k];
+        const sfem_real *c = sfemi_rotated_series[kind + j];
+        for (k = 0; k < SFEMI_TURN_TERMS; ++k) b->rotated[SFEMI_TURN_TERMS * j + k] = c[k];
         for (k = 0; k < SFEMI_TURN_TERMS32; ++k)
-            b->turn32[SFEMI_TURN_TERMS32 * j + k] = (float)c[k];
+            b->rotated32[SFEMI_TURN_TERMS32 * j + k] = (float)c[k];
     }
-    b->turn[2 * SFEMI_TURN_TERMS] = kind;
-    b->turn32[2 * SFEMI_TURN_TERMS32] = (float)kind;
+    b->rotated[2 * SFEMI_TURN_TERMS] = kind;
+    b->rotated32[2 * SFEMI_TURN_TERMS32] = (float)kind;
 }
 
 SFEM_DEF void sfem_modal_free(sfem_modal *b)
@@ -28363,7 +28363,7 @@ static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_rea
         const size_t at = 3 * b->stride * (size_t)i;
         sfem_real w[3], turned[3], k1, k2;
         b->kernels->dot3(b->stride, r->group_psi + at, q, w);
-        sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+        sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
         sfemi_warp_apply(-k1, k2, w, g, turned);
         b->kernels->add3(b->stride, r->group_phi + at, turned, f);
     }
@@ -28388,14 +28388,14 @@ static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
             sfemi_modal_displace(b, node, q, arm);
             for (c = 0; c < 3; ++c)
                 arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
-            sfemi_turn_vector(frame->r, arm, arm);
+            sfemi_rotated_vector(frame->r, arm, arm);
             sfemi_cross(arm, F, torque);
             for (c = 0; c < 3; ++c) b->pose_force[c] += F[c], b->pose_torque[c] += torque[c];
-            sfemi_turn_back(frame->r, F, local);
+            sfemi_rotated_back(frame->r, F, local);
         }
         if (b->def.warp != SFEM_WARP_NONE) {
             sfemi_modal_rotation(b, node, q, w);
-            sfemi_turn_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+            sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
             sfemi_warp_apply(-k1, k2, w, local, local);
         }
         b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
@@ -28414,25 +28414,25 @@ SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
 static void sfemi_frame_velocity(const sfem_modal *b, const sfem_real r[9],
                                  const sfem_real momentum[3], sfem_real w[3])
 {
-    sfemi_turn_back(r, momentum, w);
-    sfemi_turn_vector(b->reduced->head->inverse, w, w);
-    sfemi_turn_vector(r, w, w);
+    sfemi_rotated_back(r, momentum, w);
+    sfemi_rotated_vector(b->reduced->head->inverse, w, w);
+    sfemi_rotated_vector(r, w, w);
 }
 
 /* r1 = r0 exp [h W]x, I W = (r0 exp [h W/2]x)^T mean: the implicit midpoint rule for the mean
  * angular momentum of the step. */
-static void sfemi_frame_turn(const sfem_modal *b, const sfem_real r0[9], const sfem_real mean[3],
+static void sfemi_frame_rotate(const sfem_modal *b, const sfem_real r0[9], const sfem_real mean[3],
                              sfem_real h, sfem_real r1[9])
 {
-    sfem_real local[3], w[3] = {0, 0, 0}, turn[9], square[9];
+    sfem_real local[3], w[3] = {0, 0, 0}, rotated[9], square[9];
     int k, c;
-    sfemi_turn_back(r0, mean, local);
+    sfemi_rotated_back(r0, mean, local);
     for (k = 0; k < 50; ++k) {
         sfem_real half[3], next[3], change = 0, size = 0;
         for (c = 0; c < 3; ++c) half[c] = h / 2 * w[c];
-        sfemi_turn_matrix(SFEMI_TURN_ROTATION, half, turn);
-        sfemi_turn_back(turn, local, next);
-        sfemi_turn_vector(b->reduced->head->inverse, next, next);
+        sfemi_rotated_matrix(SFEMI_TURN_ROTATION, half, rotated);
+        sfemi_rotated_back(rotated, local, next);
+        sfemi_rotated_vector(b->reduced->head->inverse, next, next);
         for (c = 0; c < 3; ++c) {
             change = fmax(change, fabs(next[c] - w[c]));
             size = fmax(size, fabs(next[c]));
@@ -28441,12 +28441,12 @@ static void sfemi_frame_turn(const sfem_modal *b, const sfem_real r0[9], const s
         if (change <= 1e-16 * size) break;
     }
     for (c = 0; c < 3; ++c) w[c] *= h;
-    sfemi_turn_matrix(SFEMI_TURN_ROTATION, w, turn);
-    sfemi_mul3(r0, turn, r1);
+    sfemi_rotated_matrix(SFEMI_TURN_ROTATION, w, rotated);
+    sfemi_mul3(r0, rotated, r1);
     sfemi_mul3_tn(r1, r1, square); /* R (3 - R^T R)/2: what rounding took from its orthogonality */
     for (c = 0; c < 9; ++c) square[c] = (c % 4 ? 0 : 1.5) - square[c] / 2;
-    sfemi_mul3(r1, square, turn);
-    memcpy(r1, turn, sizeof turn);
+    sfemi_mul3(r1, square, rotated);
+    memcpy(r1, rotated, sizeof rotated);
 }
 
 /* The pose after a step of the frame under force and torque at its end. */
@@ -28468,7 +28468,7 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
         to->accel[c] = a;
         to->torque[c] = torque[c];
     }
-    sfemi_frame_turn(b, from->rigid.r, mean, h, to->rigid.r);
+    sfemi_frame_rotate(b, from->rigid.r, mean, h, to->rigid.r);
 }
 
 /* --- handles ---------------------------------------------------------------------------------
@@ -28477,7 +28477,7 @@ static void sfemi_frame_step(const sfem_modal *b, sfem_real h, sfem_real beta, s
  * Phi_k q Psi_k), T the rotation that displaces node k; of a free body's frame also the identity
  * and -[arm]x, with mass and inertia in A. With those, S = J A^-1 J^T. A step looks for l with x -
  * target + tau x' = C l at its end. Where nothing warps that is linear in l: (wide S + C) l = what
- * the gap would be without hands, wide = beta h^2 + gamma h tau. Warped, see below. With the
+ * the gap would be without handles, wide = beta h^2 + gamma h tau. Warped, see below. With the
  * source's rows, T_k Phi_k alone, dx = G dq with G the J from above: the body feels rows^T l, and
  * Newton's iteration for l has G A^-1 rows^T for S. (With S it converges slowly where Rt warps,
  * and not at all for a bar that R bends far.) */
@@ -28496,9 +28496,9 @@ static void sfemi_handle_add_rows(size_t stride, sfem_real weight, const sfem_re
 }
 
 /* Do the rows contain how the rotations follow q? */
-static int sfemi_handle_turning(const sfem_modal *b)
+static int sfemi_handle_rotating(const sfem_modal *b)
 {
-    return b->def.warp != SFEM_WARP_NONE && !b->def.frozen_turns;
+    return b->def.warp != SFEM_WARP_NONE && !b->def.frozen_rotations;
 }
 
 /* x and, unless NULL, J and (also unless NULL) G at q in the given pose, nodes turned as at
@@ -28507,7 +28507,7 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
                               const sfem_real *q_turn, const sfem_rigid *frame, sfem_real x[3],
                               sfem_real arm[3], sfem_real *rows, sfem_real *exact)
 {
-    const int turning = sfemi_handle_turning(b);
+    const int turning = sfemi_handle_rotating(b);
     const sfem_reduced *r = b->reduced;
     const size_t stride = b->stride;
     const int loose = r->head->free;
@@ -28525,8 +28525,8 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
         memcpy(u, linear, sizeof u);
         if (b->def.warp != SFEM_WARP_NONE) {
             sfemi_modal_rotation(b, node, q_turn, w);
-            sfemi_turn_matrix(sfemi_modal_path_kind(b), w, t);
-            sfemi_turn_vector(t, u, u);
+            sfemi_rotated_matrix(sfemi_modal_path_kind(b), w, t);
+            sfemi_rotated_vector(t, u, u);
         }
         for (c = 0; c < 3; ++c)
             arm[c] += b->weight[p] * (r->x[3 * (size_t)node + (size_t)c] -
@@ -28538,7 +28538,7 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
         }
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, rows);
         if (!exact && !turning) continue;
-        sfemi_turn_derivative(sfemi_modal_path_kind(b), w, linear, d);
+        sfemi_rotated_derivative(sfemi_modal_path_kind(b), w, linear, d);
         if (loose) {
             sfemi_mul3(frame->r, d, turned);
             memcpy(d, turned, sizeof d);
@@ -28548,7 +28548,7 @@ static void sfemi_handle_rows(const sfem_modal *b, const sfemi_modal_handle *h, 
         sfemi_handle_add_rows(stride, b->weight[p], t, phi, exact);
         sfemi_handle_add_rows(stride, b->weight[p], d, psi, exact);
     }
-    if (loose) sfemi_turn_vector(frame->r, arm, arm);
+    if (loose) sfemi_rotated_vector(frame->r, arm, arm);
     for (c = 0; c < 3; ++c) x[c] = arm[c] + (loose ? frame->x[c] : 0);
 }
 
@@ -28562,10 +28562,10 @@ static sfem_int sfemi_handle_next(const sfem_modal *b, sfem_int slot)
 typedef struct sfemi_handle_step {
     sfem_real scale, h, beta, gamma; /* scale: beta h^2; of a static solution 1 */
     sfemi_modal_head *to;
-    sfem_real give, lag;             /* C and tau of the hands, of the present rows */
+    sfem_real give, lag;             /* C and tau of the handles, of the present rows */
 } sfemi_handle_step;
 
-/* C and tau of the hands from means over rows that move: of J A^-1 J^T and of J M^-1 J^T, both with
+/* C and tau of the handles from means over rows that move: of J A^-1 J^T and of J M^-1 J^T, both with
  * the frame, and of J Lambda^-1 J^T. */
 static void sfemi_handle_ease(const sfem_modal *b, const sfem_real mean[3], sfemi_handle_step *step)
 {
@@ -28573,8 +28573,8 @@ static void sfemi_handle_ease(const sfem_modal *b, const sfem_real mean[3], sfem
     step->lag = step->h > 0 && mean[1] > 0 ? 2 * sqrt(step->give / mean[1]) : 0;
 }
 
-/* S over all rows in use, with what the hands give added: J A^-1 J^T, or with `left` = G instead
- * of the rows, G A^-1 J^T. Rows that move nothing become zero. With a step, that of its hands,
+/* S over all rows in use, with what the handles give added: J A^-1 J^T, or with `left` = G instead
+ * of the rows, G A^-1 J^T. Rows that move nothing become zero. With a step, that of its handles,
  * which it sets; else (of velocities and accelerations) compliance times the mean of the diagonal. */
 static void sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const sfem_real *left,
                                 const sfem_real r[9], sfemi_handle_step *step)
@@ -28605,7 +28605,7 @@ static void sfemi_handle_matrix(sfem_modal *b, const sfem_real *inverse, const s
                         e[c] = g[d] = 1;
                         sfemi_cross(b->arm + i, e, p); /* the torque of a unit force along c */
                         sfemi_cross(b->arm + j, g, w);
-                        sfemi_turn_vector(world, w, w);
+                        sfemi_rotated_vector(world, w, w);
                         frame = (c == d ? 1 / head->mass : 0) + sfemi_dot3(p, w);
                     }
                     s[(i + c) * n + j + d] = sum + frame;
@@ -28734,13 +28734,13 @@ static void sfemi_handle_project(sfem_modal *b, sfem_int from, int accelerations
     if (loose) sfemi_frame_velocity(b, head->rigid.r, angular, w);
     for (hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
          hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        sfem_real turn[3] = {0, 0, 0};
+        sfem_real rotated[3] = {0, 0, 0};
         for (c = 0; c < 3; ++c) b->l[i + c] = 0;
         if (from >= 0 && hi != from) continue;
         b->kernels->dot3(b->stride, b->rows + 3 * (size_t)hi * b->stride, y, b->l + i);
         if (!loose) continue;
-        sfemi_cross(w, b->arm + i, turn);
-        for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + turn[c];
+        sfemi_cross(w, b->arm + i, rotated);
+        for (c = 0; c < 3; ++c) b->l[i + c] += linear[c] + rotated[c];
     }
     sfemi_small_solve(b->s, n, n, b->l, 1);
     memset(b->b, 0, b->stride * sizeof *b->b);
@@ -28941,16 +28941,16 @@ static void sfemi_modal_coefficients(sfem_modal *b, sfem_real h, sfem_real beta,
 static void sfemi_handle_velocity(const sfem_modal *b, sfem_int handle, sfem_int row,
                                   const sfemi_modal_head *to, sfem_real v[3])
 {
-    sfem_real w[3], turn[3];
+    sfem_real w[3], rotated[3];
     int c;
     b->kernels->dot3(b->stride, b->rows + 3 * (size_t)handle * b->stride, b->v, v);
     if (!b->reduced->head->free) return;
     sfemi_frame_velocity(b, to->rigid.r, to->momentum, w);
-    sfemi_cross(w, b->arm + row, turn);
-    for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + turn[c];
+    sfemi_cross(w, b->arm + row, rotated);
+    for (c = 0; c < 3; ++c) v[c] += to->rigid.v[c] + rotated[c];
 }
 
-/* Distance of the handles from where their hands let them be: b->residual, over what an
+/* Distance of the handles from where their handles let them be: b->residual, over what an
  * acceleration changes of it; returns the largest, m. */
 static sfem_real sfemi_handle_gaps(sfem_modal *b, const sfemi_handle_step *step,
                                    const sfem_real *q_turn)
@@ -29018,7 +29018,7 @@ static void sfemi_handle_linear(sfem_modal *b, sfemi_handle_step *step)
 static sfem_real sfemi_handle_correct(sfem_modal *b, sfemi_handle_step *step)
 {
     const sfem_int n = 3 * b->head->handles;
-    sfem_real *exact = b->def.warp != SFEM_WARP_NONE && b->def.frozen_turns ? b->exact : NULL, x[3];
+    sfem_real *exact = b->def.warp != SFEM_WARP_NONE && b->def.frozen_rotations ? b->exact : NULL, x[3];
     sfem_int hi, i;
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3)
         sfemi_handle_rows(b, b->handle + hi, b->q, b->q, &step->to->rigid, x, b->arm + i,
@@ -29113,12 +29113,12 @@ static void sfemi_handle_aim(sfem_modal *b, sfemi_handle_step *step, const sfem_
     int c;
     for (k = 0; k < b->m; ++k) b->way[k] = b->inverse[k] * b->pull[k];
     for (i = 0, hi = sfemi_handle_next(b, 0); i < n; hi = sfemi_handle_next(b, hi + 1), i += 3) {
-        sfem_real back[3], w[3], turn[3];
+        sfem_real back[3], w[3], rotated[3];
         b->kernels->dot3(b->stride, b->rows + 3 * (size_t)hi * b->stride, b->way, back);
         if (b->reduced->head->free) {
             sfemi_frame_velocity(b, pose->r, frame + 3, w);
-            sfemi_cross(w, b->arm + i, turn);
-            for (c = 0; c < 3; ++c) back[c] += frame[c] / b->reduced->head->mass + turn[c];
+            sfemi_cross(w, b->arm + i, rotated);
+            for (c = 0; c < 3; ++c) back[c] += frame[c] / b->reduced->head->mass + rotated[c];
         }
         for (c = 0; c < 3; ++c) b->l_trial[i + c] = b->residual[i + c] / wide + back[c];
     }
@@ -29189,7 +29189,7 @@ static sfem_real sfemi_handle_descend(sfem_modal *b, sfem_int most, sfem_real si
 }
 
 /* From the place where the step begins; and where that has not come to an end, but to more than
- * the hands' letting go would leave, as with nodes wound up beyond pi, from there. Returns the
+ * the handles' letting go would leave, as with nodes wound up beyond pi, from there. Returns the
  * number of solves. */
 static sfem_int sfemi_handle_spring(sfem_modal *b, sfem_int most, sfem_real size,
                                     sfemi_handle_step *step)
@@ -29221,7 +29221,7 @@ static void sfemi_handle_solve(sfem_modal *b, sfem_int most, sfemi_handle_step *
     sfem_int hi, i;
     int c;
     memcpy(b->from, b->q, b->stride * sizeof *b->q);
-    step->to->iterations = sfemi_handle_turning(b) ? sfemi_handle_spring(b, most, size, step)
+    step->to->iterations = sfemi_handle_rotating(b) ? sfemi_handle_spring(b, most, size, step)
                                                    : sfemi_handle_frozen(b, most, size, step);
     step->to->residual = 0;
     for (i = 0, hi = sfemi_handle_next(b, 0); hi < b->def.max_handles;
@@ -29292,7 +29292,7 @@ static void sfemi_modal_exact(sfem_modal *b, sfem_real h, sfemi_modal_head *to)
 }
 
 /* Wakes the modes whose load has changed by more than their share of the tolerance bears. */
-static void sfemi_modal_rouse(sfem_modal *b)
+static void sfemi_modal_wake_up(sfem_modal *b)
 {
     const sfem_reduced *r = b->reduced;
     const sfem_real share = b->def.tolerance / (sfem_real)(b->m + !b->m);
@@ -29306,7 +29306,7 @@ static void sfemi_modal_rouse(sfem_modal *b)
     }
 }
 
-static void sfemi_modal_settle(sfem_modal *b)
+static void sfemi_modal_correct_momentum(sfem_modal *b)
 {
     const sfem_reduced *r = b->reduced;
     const sfem_real share = b->def.tolerance / (sfem_real)(b->m + !b->m);
@@ -29388,7 +29388,7 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     if (held)
         sfemi_modal_wake(b);
     else
-        sfemi_modal_rouse(b);
+        sfemi_modal_wake_up(b);
     to = *b->head;
     if (exact)
         sfemi_modal_exact(b, h, &to);
@@ -29410,7 +29410,7 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     *b->head = to;
     memcpy(b->f, b->next, b->stride * sizeof *b->f);
     for (k = 0; k < b->m; ++k) b->mean[k] = (b->q[k] - before[k]) / h;
-    if (!held) sfemi_modal_settle(b);
+    if (!held) sfemi_modal_correct_momentum(b);
     sfemi_modal_pack(b);
     return SFEM_OK;
 }
@@ -29620,12 +29620,12 @@ static void sfemi_view_run(const sfemi_view_job *j, size_t tile, size_t tiles, v
         b->kernels->tiles32(tiles, b->m, (const float *)v->phi + at,
                             warp ? (const float *)v->psi + at : NULL,
                             rest ? (const float *)v->rest + row : NULL, (size_t)b->drawn_count,
-                            b->drawn, b->drawn_q32, b->turn32, loose ? r : NULL, (float *)out);
+                            b->drawn, b->drawn_q32, b->rotated32, loose ? r : NULL, (float *)out);
     } else {
         b->kernels->tiles(
             tiles, b->m, (const double *)v->phi + at, warp ? (const double *)v->psi + at : NULL,
             rest ? (const double *)v->rest + row : NULL, (size_t)b->drawn_count, b->drawn,
-            b->drawn_q, b->turn, loose ? b->head->rigid.r : NULL, (double *)out);
+            b->drawn_q, b->rotated, loose ? b->head->rigid.r : NULL, (double *)out);
     }
 }
 
@@ -29740,26 +29740,26 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
     sfemi_modal_rotation(b, node, b->q, rotation);
     for (c = 0; c < 3; ++c)
         arm[c] += r->x[3 * (size_t)node + (size_t)c] - (r->head->free ? r->head->centre[c] : 0);
-    if (r->head->free) sfemi_turn_vector(frame->r, arm, arm);
+    if (r->head->free) sfemi_rotated_vector(frame->r, arm, arm);
     for (c = 0; c < 3; ++c) x[c] = arm[c] + (r->head->free ? frame->x[c] : 0);
     if (w) memcpy(w, rotation, sizeof rotation);
     if (v) {
-        sfem_real u[3], wdot[3], spin[3], turn[3], change[9], k1, k2;
+        sfem_real u[3], wdot[3], spin[3], rotated[3], change[9], k1, k2;
         sfemi_modal_linear(b, node, b->v, v);
         if (b->def.warp != SFEM_WARP_NONE) {
             sfemi_modal_linear(b, node, b->q, u);
             sfemi_modal_rotation(b, node, b->v, wdot);
-            sfemi_turn_coefficients(sfemi_modal_path_kind(b), rotation, &k1, &k2);
+            sfemi_rotated_coefficients(sfemi_modal_path_kind(b), rotation, &k1, &k2);
             sfemi_warp_apply(k1, k2, rotation, v, v);
-            sfemi_turn_derivative(sfemi_modal_path_kind(b), rotation, u, change);
-            sfemi_turn_vector(change, wdot, wdot);
+            sfemi_rotated_derivative(sfemi_modal_path_kind(b), rotation, u, change);
+            sfemi_rotated_vector(change, wdot, wdot);
             for (c = 0; c < 3; ++c) v[c] += wdot[c];
         }
         if (!r->head->free) return;
-        sfemi_turn_vector(frame->r, v, v);
+        sfemi_rotated_vector(frame->r, v, v);
         sfemi_frame_velocity(b, frame->r, b->head->momentum, spin);
-        sfemi_cross(spin, arm, turn);
-        for (c = 0; c < 3; ++c) v[c] += frame->v[c] + turn[c];
+        sfemi_cross(spin, arm, rotated);
+        for (c = 0; c < 3; ++c) v[c] += frame->v[c] + rotated[c];
     }
 }
 
@@ -29787,9 +29787,9 @@ SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *b, const sfem_rigid *rigid
     h->rigid = *rigid;
     memcpy(h->rigid.r, proper, sizeof proper);
     memset(h->rigid.w, 0, sizeof h->rigid.w);
-    sfemi_turn_back(proper, rigid->w, local);
-    sfemi_turn_vector(b->reduced->head->inertia, local, local);
-    sfemi_turn_vector(proper, local, h->momentum);
+    sfemi_rotated_back(proper, rigid->w, local);
+    sfemi_rotated_vector(b->reduced->head->inertia, local, local);
+    sfemi_rotated_vector(proper, local, h->momentum);
     h->started = 0;
     return SFEM_OK;
 }
@@ -31563,29 +31563,29 @@ static void SFEMI_KERNEL(sfemi_modal_far)(const SFEMI_R *t, int path, SFEMI_R *a
     }
 }
 
-/* W nodes: u + a w x u + b w x (w x u), the place at rest added, turned with the frame. Components are
+/* W nodes: u + a w x u + b w x (w x u), the place at rest added, rotated with the frame. Components are
  * 8 numbers apart. */
 static SFEMI_INLINE SFEMI_TARGET void
 SFEMI_KERNEL(sfemi_modal_finish)(SFEMI_V u0, SFEMI_V u1, SFEMI_V u2, int warp, SFEMI_V w0, SFEMI_V w1,
-                                 SFEMI_V w2, const SFEMI_R *rest, const SFEMI_R *turn,
+                                 SFEMI_V w2, const SFEMI_R *rest, const SFEMI_R *rotated,
                                  const SFEMI_R *frame, SFEMI_R *out)
 {
     if (warp) {
         const SFEMI_V t = SFEMI_FMA(w0, w0, SFEMI_FMA(w1, w1, SFEMI_MUL(w2, w2)));
-        SFEMI_V a = SFEMI_DUP(turn[SFEMI_TERMS - 1]), b = SFEMI_DUP(turn[2 * SFEMI_TERMS - 1]);
+        SFEMI_V a = SFEMI_DUP(rotated[SFEMI_TERMS - 1]), b = SFEMI_DUP(rotated[2 * SFEMI_TERMS - 1]);
         SFEMI_V c0, c1, c2, d0, d1, d2;
         SFEMI_R part[SFEMI_W], exact[2][SFEMI_W];
         int k, beyond = 0;
         for (k = SFEMI_TERMS - 2; k >= 0; --k) {
-            a = SFEMI_FMA(a, t, SFEMI_DUP(turn[k]));
-            b = SFEMI_FMA(b, t, SFEMI_DUP(turn[SFEMI_TERMS + k]));
+            a = SFEMI_FMA(a, t, SFEMI_DUP(rotated[k]));
+            b = SFEMI_FMA(b, t, SFEMI_DUP(rotated[SFEMI_TERMS + k]));
         }
         SFEMI_ST(part, t);
         for (k = 0; k < SFEMI_W; ++k) beyond |= part[k] >= 10;
         if (beyond) {
             SFEMI_ST(exact[0], a);
             SFEMI_ST(exact[1], b);
-            SFEMI_KERNEL(sfemi_modal_far)(part, turn[2 * SFEMI_TERMS] != 0, exact[0], exact[1]);
+            SFEMI_KERNEL(sfemi_modal_far)(part, rotated[2 * SFEMI_TERMS] != 0, exact[0], exact[1]);
             a = SFEMI_LD(exact[0]);
             b = SFEMI_LD(exact[1]);
         }
@@ -31623,7 +31623,7 @@ SFEMI_KERNEL(sfemi_modal_finish)(SFEMI_V u0, SFEMI_V u1, SFEMI_V u2, int warp, S
 static SFEMI_TARGET void
 SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, const SFEMI_R *psi,
                                 const SFEMI_R *rest, size_t count, const sfem_int *index,
-                                const SFEMI_R *q, const SFEMI_R *turn, const SFEMI_R *frame, SFEMI_R *out)
+                                const SFEMI_R *q, const SFEMI_R *rotated, const SFEMI_R *frame, SFEMI_R *out)
 {
     const size_t strips = tiles * 8 / SFEMI_W;
     size_t s, k;
@@ -31655,8 +31655,8 @@ SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, 
                 d1 = SFEMI_FMA(SFEMI_LD(y1 + at + 8), x, d1);
                 d2 = SFEMI_FMA(SFEMI_LD(y1 + at + 16), x, d2);
             }
-            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 1, c0, c1, c2, r0, turn, frame, o0);
-            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 1, d0, d1, d2, r1, turn, frame, o1);
+            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 1, c0, c1, c2, r0, rotated, frame, o0);
+            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 1, d0, d1, d2, r1, rotated, frame, o1);
         } else {
             for (k = 0; k < count; ++k) {
                 const size_t at = 24 * (size_t)index[k];
@@ -31668,8 +31668,8 @@ SFEMI_KERNEL(sfemi_modal_tiles)(size_t tiles, size_t modes, const SFEMI_R *phi, 
                 b1 = SFEMI_FMA(SFEMI_LD(p1 + at + 8), x, b1);
                 b2 = SFEMI_FMA(SFEMI_LD(p1 + at + 16), x, b2);
             }
-            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 0, a0, a1, a2, r0, turn, frame, o0);
-            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 0, b0, b1, b2, r1, turn, frame, o1);
+            SFEMI_KERNEL(sfemi_modal_finish)(a0, a1, a2, 0, a0, a1, a2, r0, rotated, frame, o0);
+            SFEMI_KERNEL(sfemi_modal_finish)(b0, b1, b2, 0, b0, b1, b2, r1, rotated, frame, o1);
         }
     }
 }
@@ -31875,7 +31875,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_gram)(size_t rows, const doubl
 }
 
 /* W = W c, c [4][4] */
-static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_turn)(size_t rows, const double *c, double *w)
+static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_rotate)(size_t rows, const double *c, double *w)
 {
     size_t r;
     for (r = 0; r < rows; r += 12)
@@ -31994,8 +31994,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
  *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
- *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal hands as springs, fitted
- *           oscillators; redone steps by Newton; states saved by 0.2.0 are refused
+ *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
+ *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
  *           factors; states saved by 0.1.0 are refused
  *   0.1.0   meshes, sparse solver, linear and nonlinear bodies, (p,q,r), Newmark and its kin, handles

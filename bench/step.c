@@ -357,15 +357,15 @@ typedef struct parts {
 static void time_parts(sfem_body *b, parts *p)
 {
     double t = now(), next;
-    (void)sfemi_guard_forces(b, b->state.u, b->guard.f);
+    (void)sfemi_safeguard_forces(b, b->state.u, b->safeguard.f);
     take(&p->force, (next = now()) - t);
-    sfemi_turn_frames(b, b->guard.frame);
+    sfemi_rotated_frames(b, b->safeguard.frame);
     take(&p->frames, (t = now()) - next);
     memcpy(b->zm, b->state.f, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zm);
     next = now();
-    sfemi_turn_solve(b, b->factor, b->state.u, b->state.frame, b->zm);
+    sfemi_rotated_solve_system(b, b->factor, b->state.u, b->state.frame, b->zm);
     take(&p->solve, (t = now()) - next);
-    (void)sfemi_guard_measure(b, b->state.u, b->state.w, b->guard.f, 0, STEP);
+    (void)sfemi_safeguard_measure(b, b->state.u, b->state.w, b->safeguard.f, 0, STEP);
     take(&p->energies, now() - t);
 }
 

@@ -425,7 +425,7 @@ STRESS_STATIC sfem_body_def stress_def(const stress_body *s, stress_form form, d
         def.p = 0.25;
         break;
     case STRESS_FORM_MAJORANT:
-        def.frame = SFEM_FRAME_MAJORANT;
+        def.frame = SFEM_FRAME_ISOTROPIC;
         break;
     case STRESS_FORM_KR:
         def.integrator = SFEM_KR_ALPHA;

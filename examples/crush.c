@@ -4,7 +4,7 @@
  *       rest                 a full turn        let go         a point     as it was
  *
  * A corotational body under the default step, which no violence makes explode: (p,q,r) with a factor
- * rotated node by node, corrected, with an energy safeguard [softfem.h, >>guard]. A contact sheet is left in the
+ * rotated node by node, corrected, with an energy safeguard [softfem.h, >>safeguard]. A contact sheet is left in the
  * --out directory.
  *
  *     cc -O2 -c -DSOFTFEM_IMPLEMENTATION -x c softfem.h && cc -O2 -I. examples/crush.c softfem.o -lm

@@ -170,7 +170,7 @@ static void write_vtu(const run *r)
         field[k].values = r->modes.phi + (size_t)k * 3 * (size_t)r->mesh.nodes;
         field[k].components = 3;
     }
-    must(sfem_write_vtu(ex_path(ex_text(&r->o, "--out"), "modes.vtu"), &r->mesh, NULL, field,
+    must(sfem_mesh_write_vtu(ex_path(ex_text(&r->o, "--out"), "modes.vtu"), &r->mesh, NULL, field,
                         r->modes.count, &err),
          &err);
     free(field);

@@ -469,7 +469,7 @@ static void write_step(run *r, const char *path)
     field[1].values = stress;
     field[1].components = 1;
     field[1].per_tet = 1;
-    must(sfem_write_vtu(path, &r->mesh, x, field, 2, &err), &err);
+    must(sfem_mesh_write_vtu(path, &r->mesh, x, field, 2, &err), &err);
     free(stress);
     free(x);
 }
@@ -506,7 +506,7 @@ static void simulate(run *r)
         ex_progress("simulate", i, r->steps);
     }
     if (files)
-        must(sfem_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err),
+        must(sfem_mesh_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err),
              &err);
     free(when);
     free(file);

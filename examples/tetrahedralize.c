@@ -78,11 +78,11 @@ static void write_mesh(const char *path, const sfem_mesh *m)
     const char *tail = strrchr(path, '.');
     sfem_error err;
     if (tail && !strcmp(tail, ".vtu"))
-        must(sfem_write_vtu(path, m, NULL, NULL, 0, &err), &err);
+        must(sfem_mesh_write_vtu(path, m, NULL, NULL, 0, &err), &err);
     else if (tail && !strcmp(tail, ".veg"))
         write_veg(path, m);
     else if (tail && !strcmp(tail, ".msh"))
-        must(sfem_write_msh(path, m, &err), &err);
+        must(sfem_mesh_write_msh(path, m, &err), &err);
     else
         ex_fail("%s: the name has to end in .msh, .vtu or .veg", path);
 }

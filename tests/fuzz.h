@@ -640,7 +640,7 @@ static sfem_modal *fuzz_modal(sfem_reduced *reduced, int scene)
     def.warp = warp[scene];
     def.max_handles = 3;
     def.max_handle_nodes = 6;
-    def.frozen_turns = scene == 2;
+    def.frozen_rotations = scene == 2;
     def.tolerance = scene % 2 ? 1e-6 : 0;
     def.gravity[1] = -9.81;
     fuzz_require_ok(sfem_modal_create(reduced, &def, &b, &err), &err);

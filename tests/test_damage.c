@@ -433,7 +433,7 @@ static void an_inverted_damaged_tet_is_pushed_back_by_a_gradient(void **state)
         one_tet o;
         double u[12], f[12], phi;
         make_one(n % 4, mask, 0, &r, &o);
-        assert_int_equal(o.kind, SFEMI_HURT);
+        assert_int_equal(o.kind, SFEMI_DAMAGED);
         for (i = 0; i < 12; ++i) u[i] = random_uniform(&r, -.02, .02);
         phi = random_uniform(&r, -1, 1);
         for (i = 0; i < 4; ++i) u[3 * i + 2] += (phi - 1) * o.tet.x[3 * i + 2];
@@ -445,7 +445,7 @@ static void an_inverted_damaged_tet_is_pushed_back_by_a_gradient(void **state)
         one_tet o;
         double u[12] = {0, 0, 0, 9, -5, 3, 100, 0, 0, -40, 80, 0}, f[12];
         make_one(REGULAR, 1, 0, &r, &o);
-        assert_int_equal(o.kind, SFEMI_LOOSE);
+        assert_int_equal(o.kind, SFEMI_DISCONNECTED);
         assert_true(one_energy(&o, SFEM_COROTATIONAL, u, f) == 0);
         for (i = 0; i < 12; ++i) assert_true(f[i] == 0);
     }
@@ -553,7 +553,7 @@ static void a_closed_crack_carries_compression(void **state)
         open = o;
         open.bonds.def.closure = 0;
         open.damage.bonds = &open.bonds;
-        open.kind = SFEMI_HURT;
+        open.kind = SFEMI_DAMAGED;
         random_fill(&r, u, 12, -.05, .05);
         check_gradient(&o, SFEM_LINEAR, u);
         energy = one_energy(&o, SFEM_LINEAR, u, f);
@@ -819,7 +819,7 @@ static void the_short_way_through_upright_tets_is_the_long_one(void **state)
     test_random r = {41};
     sfem_mesh mesh;
     scene s;
-    sfem_int i, hurt = 0, shorter = 0;
+    sfem_int i, damaged = 0, shorter = 0;
     double *u;
     (void)state;
     make_mesh(3, 3, 3, 1, SFEM_CELL_6_TETS, .1, 2, &mesh);
@@ -831,14 +831,14 @@ static void the_short_way_through_upright_tets_is_the_long_one(void **state)
         const sfem_int e = s.damage->tet[i];
         double local[12], f[2][12], psi[2];
         sfemi_damage_gather(u, mesh.tet + 4 * e, local);
-        hurt += s.damage->kind[e] == SFEMI_HURT;
+        damaged += s.damage->kind[e] == SFEMI_DAMAGED;
         if (!sfemi_damage_upright(s.damage, e, local, &psi[0], f[0])) continue;
         psi[1] = sfemi_damage_other(s.damage, e, local, f[1]);
         ++shorter;
         assert_near(psi[0], psi[1], 1e-12, 1e-14);
         assert_all_near(f[0], f[1], 12, 1e-12, 1e-13);
     }
-    assert_true(shorter > hurt / 4 && shorter < hurt); /* some are not upright */
+    assert_true(shorter > damaged / 4 && shorter < damaged); /* some are not upright */
     free(u);
     free_scene(&s);
 }
@@ -1555,9 +1555,9 @@ static void tets_that_are_passed_over_would_not_have_broken(void **state)
                              : .02 * pow(mesh.x[i] / 1.2, 16) * mesh.x[i] +
                                    random_uniform(&r, -1e-5, 1e-5);
             step_at(&step, u, u, NULL, NULL);
-            for (i = 0; pass && i < mesh.tets; ++i) s.bonds->quiet[i] = -1;
+            for (i = 0; pass && i < mesh.tets; ++i) s.bonds->threshold[i] = -1;
             sfemi_damage_round(s.damage, &step, &change);
-            for (i = 0; i < mesh.tets; ++i) hot[pass] += s.damage->hot[i];
+            for (i = 0; i < mesh.tets; ++i) hot[pass] += s.damage->candidate[i];
             ratio[pass] = reals(edges);
             memcpy(ratio[pass], s.damage->peak ? s.damage->zeta : s.damage->ratio,
                    (size_t)edges * sizeof(double));
@@ -1714,7 +1714,7 @@ static void a_stray_fibre_is_broken_with_the_last_crack_round_it(void **state)
     for (i = 0; i < s.n; ++i) u[i] = i % 3 == 0 && mesh.x[i] > .15 ? 1e-6 : 0;
     step_at(&step, u, u, NULL, NULL);
     sfemi_damage_round(s.damage, &step, &change);
-    for (i = 0; i < s.damage->events; ++i) lone += s.damage->event[i].reason == SFEM_BROKE_LONE;
+    for (i = 0; i < s.damage->events; ++i) lone += s.damage->event[i].reason == SFEM_BROKE_DANGLING;
     assert_int_equal(lone, 1);
     assert_int_equal(s.damage->event_edge[0], kept);
     assert_int_equal(s.damage->pieces, 2);
@@ -1786,7 +1786,7 @@ static void come_to_rest(scene *s, double *u)
 
 static void a_crushed_and_broken_block_gets_its_tets_back_upright(void **state)
 {
-    int guarded, hurt = 0;
+    int guarded, damaged = 0;
     (void)state;
     for (guarded = 0; guarded < 2; ++guarded) {
         sfem_int before = 0, after = 0;
@@ -1805,7 +1805,7 @@ static void a_crushed_and_broken_block_gets_its_tets_back_upright(void **state)
             break_some(&s, &r, .08);
             u = reals(s.n);
             for (i = 0; i < s.n; ++i) u[i] = -.7 * mesh.x[i] + random_uniform(&r, -.6, .6);
-            for (e = hurt = 0; e < mesh.tets; ++e) hurt += s.damage->kind[e] == SFEMI_HURT;
+            for (e = damaged = 0; e < mesh.tets; ++e) damaged += s.damage->kind[e] == SFEMI_DAMAGED;
             before += count_inverted(&s, u);
             come_to_rest(&s, u);
             after += count_inverted(&s, u);
@@ -1814,7 +1814,7 @@ static void a_crushed_and_broken_block_gets_its_tets_back_upright(void **state)
         }
         print_message("%s: %d of about %d damaged tets inverted when crushed, %d at rest\n",
                       guarded ? "with the corotational law below J = .25" : "edge lengths alone",
-                      (int)before, 5 * hurt, (int)after);
+                      (int)before, 5 * damaged, (int)after);
         if (guarded)
             assert_int_equal(after, 0);
         else

@@ -281,8 +281,8 @@ static double inertia(scene *s, const double *w)
     for (j = 0; j < n; ++j) {
         memset(x, 0, sizeof x);
         x[j] = 1;
-        sfemi_turn_locate(s->body, s->body->state.u);
-        sfemi_turn_solve(s->body, s->body->factor, s->body->state.u, s->body->state.frame, x);
+        sfemi_rotated_locate(s->body, s->body->state.u);
+        sfemi_rotated_solve_system(s->body, s->body->factor, s->body->state.u, s->body->state.frame, x);
         for (i = 0; i < n; ++i) inverse[i * n + j] = x[i];
     }
     memcpy(x, w, (size_t)n * sizeof *x);
@@ -324,11 +324,11 @@ static void new_pieces_take_energy_out_of_the_stale_factor(void **state)
             released += fallen;
             if (i == 0)
                 first = now;
-            else if (s.body->turn.pieces == pieces)
+            else if (s.body->rotated.pieces == pieces)
                 assert_near(now, before - fallen, 0, 1e-9 * first);
             else
                 sum += now - before + fallen, raised += fmax(0, now - before + fallen);
-            pieces = s.body->turn.pieces;
+            pieces = s.body->rotated.pieces;
             before = now;
         }
         printf("omega h %g: broken %d pieces %d, invariant %g -> %g\n", omega[k],
@@ -420,7 +420,7 @@ static void mean_momenta(const scene *s, double p[3], double l[3])
     for (i = 0; i < s->n; ++i) {
         double x[3], t[3], w[3];
         for (c = 0; c < 3; ++c) {
-            x[c] = s->mesh.x[3 * i + c] + (s->model->turns ? u[3 * i + c] : 0);
+            x[c] = s->mesh.x[3 * i + c] + (s->model->rotates ? u[3 * i + c] : 0);
             w[c] = mass[i] * s->body->state.w[3 * i + c];
             p[c] += w[c];
         }
@@ -470,7 +470,7 @@ static void a_thrown_body_that_breaks_in_flight_keeps_both_momenta(void **state)
         assert_near(released, s.body->damage->account[SFEMI_RELEASED], 1e-12, 0);
         assert_true(sfem_body_get_info(s.body).rejected <= 3);
         assert_true(dp < 1e-12 && dl < 1e-12);
-        /* a step done again ends within a hundredth of the scale above the ledger */
+        /* a step done again ends within a hundredth of the scale above the energy budget */
         assert_true(fabs(f.error) <
                     (2e-3 + 0.01 * (double)sfem_body_get_info(s.body).rejected) * f.scale);
         drop(&s);
@@ -573,7 +573,7 @@ static void forces_after_breaks_are_those_of_the_damaged_body(void **state)
         for (i = 0; i < 100; ++i) {
             double psi, size;
             step(s.body, 1e-3);
-            psi = sfemi_guard_forces(s.body, s.body->state.u, f);
+            psi = sfemi_safeguard_forces(s.body, s.body->state.u, f);
             size = sqrt(dot(f, f, 3 * (size_t)s.n));
             assert_near(s.body->state.head->psi, psi, 1e-9, 1e-9);
             assert_all_near(f, s.body->state.f, 3 * s.n, 0, 1e-9 * size + 1e-7);
@@ -666,7 +666,7 @@ static int inverted_damaged(const scene *s, int *damaged)
     for (i = 0; i < s->body->damage->tets; ++i) {
         const sfem_int *t = s->mesh.tet + 4 * s->body->damage->tet[i];
         double d[3][3];
-        if (s->body->damage->kind[s->body->damage->tet[i]] != SFEMI_HURT)
+        if (s->body->damage->kind[s->body->damage->tet[i]] != SFEMI_DAMAGED)
             continue; /* loose ones carry nothing */
         for (a = 0; a < 3; ++a)
             for (c = 0; c < 3; ++c)

@@ -187,7 +187,7 @@ static void a_body_block_with_a_number_out_of_its_range_is_refused(void **state)
     refuse_body(&m, "a handle");
     v->handle[0].node[3] = 12;
     refuse_body(&m, "a handle");
-    v->handle[0].hold.age = -1;
+    v->handle[0].path.age = -1;
     refuse_body(&m, "a handle");
     v->handle[0].used = 2147483647; /* they are counted by adding these up */
     refuse_body(&m, "a handle");

@@ -1354,7 +1354,7 @@ static void assert_round_trip(void)
     m.x[0] = -0.0;
     m.x[1] = 1e-310;
     m.x[2] = -1.2345678901234567e-7;
-    assert_ok(sfem_write_msh(path, &m, &err), err);
+    assert_ok(sfem_mesh_write_msh(path, &m, &err), err);
     assert_ok(sfem_mesh_read(path, NULL, &back, &err), err);
     assert_int_equal(back.nodes, m.nodes);
     assert_int_equal(back.tets, m.tets);
@@ -1387,7 +1387,7 @@ static void the_locale_changes_nothing(void **state)
     assert_round_trip();
     the_same_mesh_comes_from_each_format(state);
     m = test_ball();
-    assert_status(sfem_write_obj(path, &m, NULL, NULL, NULL), SFEM_OK);
+    assert_status(sfem_mesh_write_obj(path, &m, NULL, NULL, NULL), SFEM_OK);
     text = contents(path, &bytes);
     assert_null(strchr(text, ','));
     free(text);
@@ -1435,7 +1435,7 @@ static void vtu_holds_positions_cells_and_fields(void **state)
     field[0].name = "a<b&\"c\"", field[0].values = heat;
     field[0].components = 1, field[0].per_tet = 1;
     field[1].name = "u", field[1].values = m.x, field[1].components = 3;
-    assert_ok(sfem_write_vtu(path, &m, x, field, 2, &err), err);
+    assert_ok(sfem_mesh_write_vtu(path, &m, x, field, 2, &err), err);
     text = contents(path, &bytes);
     snprintf(wanted, sizeof wanted, "<Piece NumberOfPoints=\"%d\" NumberOfCells=\"%d\">", m.nodes,
              m.tets);
@@ -1467,9 +1467,9 @@ static void vtu_holds_positions_cells_and_fields(void **state)
     assert_memory_equal(data, m.region, n);
     assert_string_equal(data + n, "\n</AppendedData>\n</VTKFile>\n"); /* the last array */
     field[1].components = 0;
-    assert_status(sfem_write_vtu(path, &m, x, field, 2, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_mesh_write_vtu(path, &m, x, field, 2, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "field 1");
-    assert_ok(sfem_write_vtu(path, &m, NULL, NULL, 0, &err), err);
+    assert_ok(sfem_mesh_write_vtu(path, &m, NULL, NULL, 0, &err), err);
     free(text);
     free(x);
     free(heat);
@@ -1486,7 +1486,7 @@ static void pvd_lists_files_and_times(void **state)
     size_t bytes;
     char *text;
     (void)state;
-    assert_ok(sfem_write_pvd(path, files, times, 2, &err), err);
+    assert_ok(sfem_mesh_write_pvd(path, files, times, 2, &err), err);
     text = contents(path, &bytes);
     assert_string_equal(text,
                         "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\">\n"
@@ -1494,7 +1494,7 @@ static void pvd_lists_files_and_times(void **state)
                         "<DataSet timestep=\"0.1\" part=\"0\" file=\"a&amp;b.vtu\"/>\n"
                         "</Collection>\n</VTKFile>\n");
     free(text);
-    assert_status(sfem_write_pvd(path, files, never, 2, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_mesh_write_pvd(path, files, never, 2, &err), SFEM_BAD_ARGUMENT);
     remove(path);
 }
 
@@ -1513,14 +1513,14 @@ static void obj_holds_the_surface_at_the_given_positions(void **state)
     memset(&m, 0, sizeof m);
     m.nodes = 6, m.tets = 1, m.x = x, m.tet = tet;
     for (i = 0; i < 18; ++i) moved[i] = x[i] / 10;
-    assert_ok(sfem_write_obj(path, &m, NULL, moved, &err), err);
+    assert_ok(sfem_mesh_write_obj(path, &m, NULL, moved, &err), err);
     text = contents(path, &bytes);
     assert_string_equal(text, "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\n"
                               "f 2 3 4\nf 1 4 3\nf 1 2 4\nf 1 3 2\n");
     free(text);
     assert_ok(sfem_mesh_surface(&m, NULL, &s, &err), err);
     s.triangles = 1;
-    assert_ok(sfem_write_obj(path, &m, &s, NULL, &err), err);
+    assert_ok(sfem_mesh_write_obj(path, &m, &s, NULL, &err), err);
     text = contents(path, &bytes);
     assert_string_equal(text, "v 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\n");
     free(text);
@@ -1539,17 +1539,17 @@ static void files_that_cannot_be_used_are_reported(void **state)
     assert_status(sfem_mesh_read(missing, NULL, &out, &err), SFEM_IO);
     assert_names(err, "/nonexistent directory/x.msh: cannot be opened (No such file");
     assert_status(sfem_mesh_read(".", NULL, &out, &err), SFEM_IO);
-    assert_status(sfem_write_msh(missing, &m, &err), SFEM_IO);
+    assert_status(sfem_mesh_write_msh(missing, &m, &err), SFEM_IO);
     assert_names(err, "cannot be opened for writing");
-    assert_status(sfem_write_vtu(missing, &m, NULL, NULL, 0, &err), SFEM_IO);
-    assert_status(sfem_write_pvd(missing, files, times, 1, &err), SFEM_IO);
-    assert_status(sfem_write_obj(missing, &m, NULL, NULL, &err), SFEM_IO);
+    assert_status(sfem_mesh_write_vtu(missing, &m, NULL, NULL, 0, &err), SFEM_IO);
+    assert_status(sfem_mesh_write_pvd(missing, files, times, 1, &err), SFEM_IO);
+    assert_status(sfem_mesh_write_obj(missing, &m, NULL, NULL, &err), SFEM_IO);
     if (access("/dev/full", W_OK) == 0) { /* a disk without room */
-        assert_status(sfem_write_msh("/dev/full", &m, &err), SFEM_IO);
+        assert_status(sfem_mesh_write_msh("/dev/full", &m, &err), SFEM_IO);
         assert_names(err, "cannot be written (No space");
-        assert_status(sfem_write_vtu("/dev/full", &m, NULL, NULL, 0, &err), SFEM_IO);
-        assert_status(sfem_write_pvd("/dev/full", files, times, 1, &err), SFEM_IO);
-        assert_status(sfem_write_obj("/dev/full", &m, NULL, NULL, &err), SFEM_IO);
+        assert_status(sfem_mesh_write_vtu("/dev/full", &m, NULL, NULL, 0, &err), SFEM_IO);
+        assert_status(sfem_mesh_write_pvd("/dev/full", files, times, 1, &err), SFEM_IO);
+        assert_status(sfem_mesh_write_obj("/dev/full", &m, NULL, NULL, &err), SFEM_IO);
     }
     free_ball(&m);
 }
@@ -1567,12 +1567,12 @@ static void a_mesh_of_negative_counts_is_not_written(void **state)
     for (k = 0; k < 2; ++k) {
         memset(&m, 0, sizeof m);
         *(k ? &m.tets : &m.nodes) = -3;
-        assert_status(sfem_write_msh(path, &m, &err), SFEM_BAD_MESH);
+        assert_status(sfem_mesh_write_msh(path, &m, &err), SFEM_BAD_MESH);
         assert_names(err, k ? "0 nodes and -3 tets" : "-3 nodes and 0 tets");
-        assert_status(sfem_write_vtu(path, &m, NULL, NULL, 0, &err), SFEM_BAD_MESH);
+        assert_status(sfem_mesh_write_vtu(path, &m, NULL, NULL, 0, &err), SFEM_BAD_MESH);
         assert_names(err, k ? "0 nodes and -3 tets" : "-3 nodes and 0 tets");
-        assert_status(sfem_write_obj(path, &m, NULL, NULL, &err), SFEM_BAD_MESH);
-        assert_status(sfem_write_obj(path, &m, &surface, NULL, &err), SFEM_BAD_MESH);
+        assert_status(sfem_mesh_write_obj(path, &m, NULL, NULL, &err), SFEM_BAD_MESH);
+        assert_status(sfem_mesh_write_obj(path, &m, &surface, NULL, &err), SFEM_BAD_MESH);
         assert_int_not_equal(access(path, F_OK), 0);
     }
 }
@@ -1614,7 +1614,7 @@ static sfem_status do_each(sfem_allocator allocator, void *user, sfem_error *err
     } else {
         m = test_ball();
         m.allocator = allocator;
-        status = sfem_write_obj(scratch_path("test_meshio_memory.obj"), &m, NULL, NULL, err);
+        status = sfem_mesh_write_obj(scratch_path("test_meshio_memory.obj"), &m, NULL, NULL, err);
         memset(&m.allocator, 0, sizeof m.allocator);
         free_ball(&m);
         return status;
@@ -1630,7 +1630,7 @@ static void every_allocation_may_fail(void **state)
     int which;
     (void)state;
     assert_ok(sfem_mesh_ball(1, 12, NULL, &m, &err), err); /* its file outgrows the first buffer */
-    assert_ok(sfem_write_msh(scratch_path("test_meshio_memory.msh"), &m, &err), err);
+    assert_ok(sfem_mesh_write_msh(scratch_path("test_meshio_memory.msh"), &m, &err), err);
     sfem_mesh_free(&m);
     write_parts("2");
     for (which = 0; which < SAMPLES + 4; ++which)

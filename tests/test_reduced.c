@@ -1030,7 +1030,7 @@ static void the_force_of_a_frozen_handle_is_that_of_the_turned_nodes(void **stat
         sfem_int handle[2];
         sfem_error err;
         def.warp = (sfem_warp)warp;
-        def.frozen_turns = 1;
+        def.frozen_rotations = 1;
         b = make_modal(&s, &def);
         /* turned loads would have to be known at the end of the step */
         if (!warp) assert_ok(sfem_modal_set_gravity(b, g, &err), err);

@@ -363,7 +363,7 @@ static int solves(const scene *s, sfem_int rhs)
     key.ck = 0.01;
     key.cm = 1.5;
     key.cd = 0.1;
-    key.majorant = 1;
+    key.upper_bound = 1;
     key.mask = s->mask;
     assert_ok(sfemi_factor_get(s->model, &key, &exec, &f, &made, &err), err);
     work = (sfem_real *)malloc(sfemi_factor_work_size(f, rhs) * sizeof *work);
@@ -376,7 +376,7 @@ static int solves(const scene *s, sfem_int rhs)
             assert_true(x[i] == b[i]); /* left alone */
             x[i] = 0;
         }
-    sfemi_factor_multiply_majorant(s->model, x, y);
+    sfemi_factor_multiply_upper_bound(s->model, x, y);
     for (i = 0; i < n; ++i) y[i] = key.ck * y[i] + key.cm * s->model->node_mass[i / 3] * x[i];
     if (s->model->damping) {
         memcpy(b + 3 * n, x, n * sizeof *x);
@@ -428,7 +428,7 @@ static void factors_of_both_kinds_live_in_one_model(void **state)
     key.cm = 1;
     for (k = 0; k < 3; ++k) { /* blocks, scalar, scalar on the analysis of the one before */
         key.ck = 0.01 * (k + 1);
-        key.majorant = k > 0;
+        key.upper_bound = k > 0;
         key.mask = s.mask;
         assert_ok(sfemi_factor_get(s.model, &key, &exec, &f[k], &made, &err), err);
         assert_int_equal(f[k]->scalar, k > 0);

@@ -637,7 +637,7 @@ static void the_majorant_is_a_frame(void **state)
     sfem_body_info info;
     int kind;
     (void)state;
-    def.frame = SFEM_FRAME_MAJORANT;
+    def.frame = SFEM_FRAME_ISOTROPIC;
     for (kind = 0; kind < SCENES; ++kind)
         assert_true(excess(kind, 1e5, 0.3, 1.0 / 60, 1, def, SFEM_COROTATIONAL, &info) < 1);
     def.no_guard = 1;
@@ -755,7 +755,7 @@ static double stand(scene *s, double h)
     return sum;
 }
 
-/* The ledger counts the work of the caller's forces as it counts energies, without the fall of the centre, and
+/* The energy budget counts the work of the caller's forces as it counts energies, without the fall of the centre, and
  * along the way that a step put in place of a rejected one has taken: only the impact is worth a few. */
 static void a_body_on_a_floor_of_the_callers_is_left_alone(void **state)
 {
@@ -1363,7 +1363,7 @@ static void a_handle_that_follows_another_is_held_in_steps_done_again(void **sta
     drop(&s);
 }
 
-/* Not in the ledger either, though it is of another length than the next one. */
+/* Not in the energy budget either, though it is of another length than the next one. */
 static void a_step_that_fails_or_is_given_up_leaves_no_trace(void **state)
 {
     const sfem_real gravity[2][3] = {{0, 0, -98.1}, {0, 98.1, 0}};
