@@ -186,6 +186,11 @@ extern "C" {
 typedef double sfem_real; /* one real type */
 typedef int32_t sfem_int; /* one signed index type; offsets into factors are size_t */
 
+/* How numbers are kept. SFEM_MIXED keeps a factor, the arithmetic inside a tet, the rows of a view, or the numbers of a
+ * packet in float and everything else in double: half the memory traffic. The residual of a solve is then about 4e-7
+ * on good meshes; forces are off by about 1e-7 of the modulus, which is 1e-4 of the force at a strain of 1e-3. */
+typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
+
 /* What can go wrong at run time. A function that returns anything but SFEM_OK has left its objects
  * as they were and its outputs unset. What only a wrong program can do (a NULL object, an object that
  * was freed) trips SFEM_ASSERT instead. */
@@ -521,6 +526,7 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
 typedef enum sfem_mesher_mode { SFEM_FITTED, SFEM_CAGE } sfem_mesher_mode;
 
 typedef struct sfem_mesher_def {
+    uint32_t cookie; /* set by sfem_default_mesher_def; a definition made otherwise is refused */
     sfem_mesher_mode mode; /* default fitted */
     sfem_real size;        /* the longer edges of the lattice, m; 0: as many tets as stated next */
     sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The number
@@ -595,6 +601,7 @@ typedef struct sfem_matrix {
     const sfem_int *col;                    /* [row[n]] */
     sfem_real *val;                         /* [row[n]][3][3], row-major blocks */
     const struct sfem_matrix_upper *upper;  /* where the columns are, or NULL: see below */
+    sfem_allocator allocator;               /* of row, col and val, for sfem_matrix_free */
 } sfem_matrix;
 
 /* The upper half of a pattern, seen by rows: the blocks k in (start[j], start[j+1]) of row i = row[.]
@@ -617,7 +624,7 @@ SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_i
                                         const sfem_int *j, const sfem_real *block /* [count][3][3] */,
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err);
-SFEM_DEF void sfem_matrix_free(sfem_matrix *a, const sfem_allocator *allocator); /* not a->upper */
+SFEM_DEF void sfem_matrix_free(sfem_matrix *a); /* NULL allowed; not a->upper */
 
 /* Is it what the struct says, and every number finite? SFEM_BAD_ARGUMENT or SFEM_NOT_FINITE with the
  * node (block row). */
@@ -657,10 +664,11 @@ typedef enum sfem_ordering {
 typedef struct sfem_ldl sfem_ldl; /* immutable once made, but for sfem_ldl_refactor */
 
 typedef struct sfem_ldl_def {
+    uint32_t cookie; /* set by sfem_default_ldl_def; a definition made otherwise is refused */
     sfem_ordering ordering;
     const sfem_real *x; /* [n][3] coordinates of the nodes, only read while creating, or NULL */
     int positive;       /* every pivot must be > 0, else SFEM_NOT_SPD */
-    int mixed;          /* keep a float copy of L, which the solves use: half the memory traffic */
+    sfem_precision precision; /* SFEM_MIXED: solves use a float copy of L, half the memory traffic */
     int keep;           /* keep the update matrices, so that a part can be refactored */
     int scalar;         /* A is n x n: a->val holds one number a block, right sides [n]; needs positive */
     sfem_allocator allocator;
@@ -748,6 +756,7 @@ SFEM_DEF sfem_status sfem_dense_eigen(sfem_int n, sfem_real *a, sfem_real *b, sf
 /* --- conjugate gradients [Hestenes and Stiefel 1952] ------------------------------------------ */
 
 typedef struct sfem_cg_def {
+    uint32_t cookie; /* set by sfem_default_cg_def; a definition made otherwise is refused */
     sfem_real tolerance;            /* stop at |b - A x| <= tolerance |b|; 1e-8 */
     sfem_int max_iterations;        /* 0: 3n */
     const sfem_ldl *preconditioner; /* NULL: the inverse diagonal blocks */
@@ -806,12 +815,6 @@ typedef enum sfem_tangent {
     SFEM_TANGENT_PSD,
     SFEM_TANGENT_FROZEN
 } sfem_tangent;
-
-/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in
- * float and everything else in double: half the memory traffic, a residual of a solve of about
- * 4e-7 on good meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a
- * strain of 1e-3. */
-typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
 
 /* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
@@ -902,18 +905,19 @@ typedef struct sfem_material {
     sfem_real young;   /* Young's modulus, Pa, > 0 */
     sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5 */
     sfem_real density; /* kg/m^3, > 0 */
-    sfem_real alpha;   /* mass damping, 1/s, >= 0 */
-    sfem_real beta;    /* stiffness damping, s, >= 0 */
+    sfem_real mass_damping;      /* alpha, 1/s, >= 0 */
+    sfem_real stiffness_damping; /* beta, s, >= 0 */
     sfem_law law;      /* >>api-element; K, M, D are the same for all */
 } sfem_material;
 
-SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped, linear */
+SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped, corotational */
 
 /* What never changes while bodies move: mesh, materials, K, M, D. Shared by any number of bodies and
  * threads; reference-counted, each body holds one. */
 typedef struct sfem_model sfem_model;
 
 typedef struct sfem_model_def {
+    uint32_t cookie; /* set by sfem_default_model_def; a definition made otherwise is refused */
     const sfem_mesh *mesh;          /* copied */
     sfem_material material;         /* of every tet, where materials is NULL */
     const sfem_material *materials; /* [material_count] or NULL */
@@ -980,8 +984,8 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
 
 /* Cauchy stress of the displacement u [nodes][3], constant in a tet, by the law of each: of linear ones that of
  * the small strain, of others P F^T / J, where J = det F below .1 counts as .1, for flat and inverted tets have
- * none. Of the undamaged body. stress [tets][6] in the order xx yy zz xy xz yz (a file wants yz before xz, see
- * sfem_field), von_mises [tets], Pa; either may be NULL. Costs one sfem_law_stress a tet; allocates nothing. */
+ * none. Of the undamaged body. stress [tets][6] in the order xx yy zz xy yz xz of sfem_field and of VTK's
+ * files, von_mises [tets], Pa; either may be NULL. Costs one sfem_law_stress a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
 /* 1/2 u.K u, J, summed from the tets' own strains. */
@@ -1035,6 +1039,7 @@ typedef sfem_real (*sfem_toughness)(const sfem_real x[3], const sfem_real n[3], 
                                     sfem_int j, void *user);
 
 typedef struct sfem_damage_def {
+    uint32_t cookie; /* set by sfem_default_damage_def; a definition made otherwise is refused */
     sfem_damage_law law;
     sfem_damage_criterion criterion;
     sfem_real toughness;   /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
@@ -1078,7 +1083,7 @@ typedef struct sfem_damage_tet {
     sfem_real length[6];     /* L_k */
     sfem_real n[6][3];       /* (X_i - X_j)/L_k */
     sfem_real gradient[4][3]; /* of the shape functions */
-    sfem_real t[36];         /* T [6][6]: e = T eps; eps xx yy zz xy xz yz with engineering shear */
+    sfem_real t[36];         /* T [6][6]: e = T eps; eps xx yy zz xy yz xz with engineering shear */
     sfem_real t_inverse[36]; /* [6][6] */
     sfem_real s[36];         /* S [6][6], Pa; (S^-1)_kk = 1/Young for every edge of every tet */
 } sfem_damage_tet;
@@ -1226,7 +1231,7 @@ typedef struct sfem_newton_def {
                            * or where the residual is what rounding of positions makes; >= 0, 1e-8 */
     sfem_tangent tangent; /* SFEM_TANGENT_EXACT; another is always taken, in D, too, but converges
                            * linearly: three times as many iterations */
-    int no_line_search;
+    int line_search;      /* 1, the default: lengths of directions by Armijo's rule; 0: full steps */
     int accept_best;      /* where it does not converge, take the iterate of least residual and go
                            * on; by default the step fails with SFEM_NOT_CONVERGED, the state as it
                            * was */
@@ -1269,6 +1274,7 @@ SFEM_DEF size_t sfem_workspace_bytes(const sfem_workspace *workspace); /* that i
 SFEM_DEF void sfem_workspace_free(sfem_workspace *workspace); /* after its bodies; NULL allowed */
 
 typedef struct sfem_body_def {
+    uint32_t cookie; /* set by sfem_default_body_def; a definition made otherwise is refused */
     sfem_integrator integrator;
     sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
                                * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
@@ -1281,7 +1287,8 @@ typedef struct sfem_body_def {
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next one: */
-    int no_guard;             /* no energy safeguard: every step is taken as it comes, even if it makes energy */
+    int safeguard;            /* 1, the default: a step that would make energy is rejected; 0: every step is taken as it
+                               * comes, even if it makes energy */
     const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
                                * NULL, the default: it does not, and pays nothing for it. Read by create only */
     sfem_real accuracy;       /* (p,q,r) of nonlinear laws, above 0, at most 1: a step is corrected, by further solves
@@ -1298,9 +1305,9 @@ typedef struct sfem_body_def {
     int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
                                * of p F+ + (1-2p) F + p F-, which makes it equal Newmark. KR-alpha takes
                                * (F + rho_inf F-)/(1 + rho_inf) */
-    sfem_real alpha, beta_k;  /* Rayleigh damping of the whole body, added to the model's: 1/s, s. In
+    sfem_real mass_damping, stiffness_damping; /* alpha, 1/s, and beta, s, added to the model's, >= 0. In
                                * the implicit methods K is the current K(u), which brakes a rotation
-                               * at the rate beta_k omega^2; what the tets of a model do not share of
+                               * at the rate beta omega^2; what the tets of a model do not share of
                                * alpha and beta acts as at rest */
     sfem_real gravity[3];     /* m/s^2 */
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
@@ -1312,7 +1319,7 @@ typedef struct sfem_body_def {
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
-    int no_allocation;        /* a step that would have to allocate returns SFEM_NOT_PREPARED instead */
+    int may_allocate;         /* 1, the default: a step prepares what it lacks; 0: it returns SFEM_NOT_PREPARED instead */
     sfem_workspace *workspace; /* shared with other bodies, which it has to outlive; NULL, the default: its own */
     sfem_allocator allocator;
     sfem_exec exec;
@@ -1329,7 +1336,7 @@ SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 
 /* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
  * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
- * a loop, the only function that allocates; set_pins and solve_static do, too, and, unless no_allocation
+ * a loop, the only function that allocates; set_pins and solve_static do, too, and, unless may_allocate = 0
  * has it all made here, the first rejected step of a strongly distorted body. sfem_body_step calls it where it has to. Where
  * Newton's matrix changes, what is made serves steps of any length.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
@@ -1337,7 +1344,7 @@ SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
 
 /* One step of h seconds: predict, solve, finish. On failure the state is as it was.
- *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with no_allocation; SFEM_NOT_FINITE;
+ *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with may_allocate = 0; SFEM_NOT_FINITE;
  *           where Newton iterates SFEM_NOT_CONVERGED ("the step did not converge: residual 3e-05
  *           after 20 iterations") and SFEM_NOT_SPD
  *   cost    linear: one product with K and one solve, O(nnz(L)). Nonlinear (p,q,r): 1 to 41 solves, and as many
@@ -1549,7 +1556,7 @@ typedef struct sfem_fracture {
     sfem_real error;     /* kinetic_elastic - start - work + damped + released: what lies in the inertia of an
                           * old factor (< 0 as it builds up), turning by finite steps, and what steps that were
                           * done again have taken, */
-    sfem_real guarded;   /* which is this */
+    sfem_real rejected;  /* which is this */
     sfem_real scale;     /* the largest of the terms so far: error/scale is the relative error */
     sfem_real surface;   /* share Gc a of all edges broken since the body was whole */
     sfem_real least_p;   /* that the damage asks for; 0: no more than any body */
@@ -1608,6 +1615,7 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  * below tau [Sylvester 1852]. With tau in the gap above the last mode asked for, a mode that Lanczos
  * missed is noticed; a new random block, orthogonal to all that is known, then finds it. */
 typedef struct sfem_modes_def {
+    uint32_t cookie; /* set by sfem_default_modes_def; a definition made otherwise is refused */
     sfem_int modes;           /* so many of the lowest, rigid ones not counted; >= 0, 20 */
     sfem_real below_hz;       /* > 0: instead, all below this frequency, as many as there are */
     int rigid;                /* return the rigid modes too, first; else they are only kept out */
@@ -1617,7 +1625,8 @@ typedef struct sfem_modes_def {
     sfem_real tolerance;      /* of the backward error, see below; 1e-13, from 1e-15 to 1e-2 */
     int dense;                /* by sfem_dense_eigen: O(n^3), 72 n^2 bytes, n free nodes. Bodies of so few
                                * axes that Lanczos has no room for its basis are solved so anyway */
-    int no_proof;             /* spare the count, and the factorisation that it needs */
+    int verify;               /* 1, the default: count the eigenvalues, so that none is missing; 0: spare the count and
+                               * the factorisation that it needs */
     sfem_int max_basis;       /* Lanczos vectors at most; 0: 3 modes + 100 or 1.5 modes + 250, the less */
     sfem_int max_restarts;    /* 0: 40 */
     uint32_t seed;            /* of the random start */
@@ -1628,7 +1637,8 @@ typedef struct sfem_modes_def {
 
 typedef struct sfem_modes_info {
     int dense;                /* by the dense solver */
-    int proved;               /* no mode below the last is missing: counted */
+    int free;                 /* the body is one piece that no pin holds: sfem_reduced_create gives it a frame */
+    int verified;             /* no mode below the last is missing: counted */
     sfem_int converged;       /* elastic modes within the tolerance: all, or it is an error */
     sfem_int solves;          /* right sides solved for */
     sfem_int steps;           /* passes of four of them, but for those of polishing */
@@ -1710,12 +1720,13 @@ typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sf
 typedef struct sfem_reduced sfem_reduced;
 
 typedef struct sfem_reduced_def {
-    sfem_real alpha, beta;   /* Rayleigh damping, >= 0: c = alpha + beta lambda, 1/s, s */
+    uint32_t cookie; /* set by sfem_default_reduced_def; a definition made otherwise is refused */
+    sfem_real mass_damping, stiffness_damping; /* alpha, 1/s, and beta, s, >= 0: c = alpha + beta lambda */
     const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or
                               * NULL. A mode of lambda = 0 has no ratio: its c is alpha */
     int free;                /* 1: the body is free: a rigid frame takes the place of its rigid
-                              * modes; 0: it is held; -1: free if six of the modes are rigid. Say 1
-                              * where they were left out of the modes */
+                              * modes; 0: it is held; -1, the default: free where modes->info.free says so or
+                              * six of the modes are rigid */
     sfem_int gravity_groups; /* >= 1. Gravity on a warped body: its nodes turn in so many groups,
                               * each as the mean of its nodes; as many as nodes, or more: each node
                               * for itself */
@@ -1800,6 +1811,7 @@ typedef enum sfem_modal_integrator {
 typedef struct sfem_modal sfem_modal;
 
 typedef struct sfem_modal_def {
+    uint32_t cookie; /* set by sfem_default_modal_def; a definition made otherwise is refused */
     sfem_modal_integrator integrator;
     sfem_warp warp;
     sfem_real beta, gamma;  /* > 0, >= 1/2 */
@@ -1856,8 +1868,8 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *modal, const sfem_real *ac
  * it lives; they stay in place. Before the first step q'' is that of the loads, once
  * sfem_modal_start has been called. */
 SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *modal);
-SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *modal);
-SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *modal);
+SFEM_DEF const sfem_real *sfem_modal_coordinate_velocities(const sfem_modal *modal);
+SFEM_DEF const sfem_real *sfem_modal_coordinate_accelerations(const sfem_modal *modal);
 SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *modal); /* s */
 /* New ones; NULL leaves as it is. Where q'' is given, it is taken, and the body counts as started;
  * else it follows from the loads when the next step begins. Errors: SFEM_NOT_FINITE. */
@@ -2036,6 +2048,7 @@ typedef enum sfem_lost {
 } sfem_lost;
 
 typedef struct sfem_link_def {
+    uint32_t cookie; /* set by sfem_default_link_def; a definition made otherwise is refused */
     sfem_int modes;      /* m >= 1; both sides: modes, h, stream, betas and gammas alike */
     sfem_real h;         /* s, > 0 */
     sfem_real beta, gamma; /* >= 0; 1/4, 1/2 */
@@ -2044,12 +2057,12 @@ typedef struct sfem_link_def {
     /* the sender's */
     sfem_int key_every;  /* one of so many packets is a key frame, beginning with the first; 0: the
                           * first alone; 30 */
-    int single;          /* numbers travel as floats, half the bytes: accelerations are then off by
+    sfem_precision precision; /* SFEM_MIXED: numbers travel as floats, half the bytes: accelerations are then off by
                           * up to 6e-8 of their size, which adds up between key frames */
     uint32_t first;      /* sequence number of the first packet; 0 */
     /* the receiver's */
     sfem_lost lost;      /* SFEM_LOST_ZERO */
-    int drop_late;       /* do not take late packets into account */
+    int keep_late;       /* 1, the default: late packets correct the motion; 0: they are dropped */
     sfem_int window;     /* steps that a packet may come early or late, 4 to 32768; 32. Memory: 48
                           * bytes a step and mode */
     const sfem_real *stiffness, *damping; /* [m] k = omega^2, c = 2 xi omega of mass-normalised
@@ -2096,7 +2109,7 @@ typedef enum sfem_arrival {
     SFEM_ARRIVAL_TAKEN,     /* waits for its step; or a key frame that the receiver began at */
     SFEM_ARRIVAL_LATE,      /* its step was over: corrected exactly, as if it had come in time */
     SFEM_ARRIVAL_DROPPED,   /* late, and: beyond the window, or older than the last key frame, which
-                             * knows better, or drop_late */
+                             * knows better, or keep_late = 0 */
     SFEM_ARRIVAL_REPEATED,
     SFEM_ARRIVAL_CORRUPTED, /* not a packet, damaged, or with numbers that are not finite */
     SFEM_ARRIVAL_FOREIGN,   /* a sound packet of another version, stream, m or h */
@@ -2123,9 +2136,9 @@ SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver);
 SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver);
 
 /* q, q' and q'' in the present step, [m]; q'' as used. They stay where they are. */
-SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver);
-SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver);
-SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_coordinates(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_coordinate_velocities(const sfem_receiver *receiver);
+SFEM_DEF const sfem_real *sfem_receiver_coordinate_accelerations(const sfem_receiver *receiver);
 
 /* As created, waiting for the first key frame of this stream: when the sender has begun anew. The
  * counts go on. */
@@ -2241,6 +2254,20 @@ static sfem_status sfemi_fail_at(sfem_error *err, sfem_status status, sfem_int n
 }
 
 #define sfemi_fail(err, status, ...) sfemi_fail_at(err, status, -1, -1, __VA_ARGS__)
+
+/* Each kind of definition has a number that its sfem_default_ function puts there: a struct that is all zero, or not
+ * set, is told apart from one with odd values. */
+enum {
+    SFEMI_COOKIE_MESHER = 0x5fe30, SFEMI_COOKIE_LDL, SFEMI_COOKIE_CG, SFEMI_COOKIE_MODEL, SFEMI_COOKIE_DAMAGE,
+    SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK
+};
+
+static int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
+{
+    if (cookie == kind) return 1;
+    (void)sfemi_fail(err, SFEM_BAD_ARGUMENT, "the definition was not made by %s: start from what that returns", function);
+    return 0;
+}
 
 /* Finite? From the bits, because -ffast-math lets a compiler drop x != x and isfinite(x). */
 static int sfemi_finite(sfem_real x)
@@ -8637,12 +8664,14 @@ SFEM_DEF sfem_mesher_def sfem_default_mesher_def(void)
 {
     sfem_mesher_def def;
     memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_MESHER;
     def.tets = 5000;
     return def;
 }
 
 static sfem_status sfemi_mesher_check(const sfem_mesher_def *def, sfem_error *err)
 {
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MESHER, "sfem_default_mesher_def", err)) return SFEM_BAD_ARGUMENT;
     if (def->mode != SFEM_FITTED && def->mode != SFEM_CAGE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode is %d, neither SFEM_FITTED nor SFEM_CAGE", (int)def->mode);
     if (!sfemi_finite(def->size) || def->size < 0)
@@ -8927,14 +8956,12 @@ SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_
  * each row is summed by one thread, blocks in the order of its columns, so that the number of threads changes no bit.
  * ============================================================================================ */
 
-SFEM_DEF void sfem_matrix_free(sfem_matrix *a, const sfem_allocator *allocator)
+SFEM_DEF void sfem_matrix_free(sfem_matrix *a)
 {
-    static const sfem_allocator standard = {0, 0, 0};
-    const sfem_allocator *m = allocator ? allocator : &standard;
     if (!a) return;
-    sfemi_delete(m, (void *)(uintptr_t)a->row);
-    sfemi_delete(m, (void *)(uintptr_t)a->col);
-    sfemi_delete(m, a->val);
+    sfemi_delete(&a->allocator, (void *)(uintptr_t)a->row);
+    sfemi_delete(&a->allocator, (void *)(uintptr_t)a->col);
+    sfemi_delete(&a->allocator, a->val);
     memset(a, 0, sizeof *a);
 }
 
@@ -9005,6 +9032,7 @@ SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_i
     out->row = row;
     out->col = col;
     out->val = val;
+    out->allocator = *m;
     row = col = NULL;
     val = NULL;
 done:
@@ -12009,6 +12037,7 @@ SFEM_DEF sfem_ldl_def sfem_default_ldl_def(void)
 {
     sfem_ldl_def def;
     memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_LDL;
     def.ordering = SFEM_ORDER_BEST;
     def.positive = 1;
     return def;
@@ -12021,6 +12050,7 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
     sfemi_symbolic *y = NULL;
     sfem_ldl like;
     SFEM_ASSERT(def && a && out);
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_LDL, "sfem_default_ldl_def", err)) return SFEM_BAD_ARGUMENT;
     if (def->scalar && !def->positive)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a scalar matrix has to be positive definite");
     status = sfemi_matrix_check_pattern(a, err);
@@ -12029,7 +12059,7 @@ SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix 
     memset(&like, 0, sizeof like);
     like.allocator = def->allocator;
     like.positive = def->positive;
-    like.mixed = def->mixed;
+    like.mixed = def->precision == SFEM_MIXED;
     like.keep = def->keep;
     return sfemi_ldl_make(&like, y, a, &def->exec, out, err);
 }
@@ -12606,6 +12636,7 @@ SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
 {
     sfem_cg_def def;
     memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_CG;
     def.tolerance = 1e-8;
     return def;
 }
@@ -12678,6 +12709,7 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
     const sfem_int limit = def->max_iterations > 0 ? def->max_iterations : 3 * a->n;
     size_t i;
     int restarted = 0;
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_CG, "sfem_default_cg_def", err)) return SFEM_BAD_ARGUMENT;
     c.def = def;
     c.a = a;
     c.n = 3 * (size_t)a->n;
@@ -12801,7 +12833,7 @@ static void sfemi_element_block(const sfem_real *ga, const sfem_real *gb, sfem_r
             k[3 * i + j] = lambda_v * ga[i] * gb[j] + mu_v * gb[i] * ga[j] + (i == j ? d : 0);
 }
 
-/* Small-strain tensor of the nodal displacements u, order xx yy zz xy xz yz, engineering shear. */
+/* Small-strain tensor of the nodal displacements u, order xx yy zz xy yz xz, engineering shear. */
 static void sfemi_element_strain(const sfem_int *t, sfem_real g[4][3], const sfem_real *u,
                                  sfem_real strain[6])
 {
@@ -12817,8 +12849,8 @@ static void sfemi_element_strain(const sfem_int *t, sfem_real g[4][3], const sfe
     strain[1] = grad[1][1];
     strain[2] = grad[2][2];
     strain[3] = grad[0][1] + grad[1][0];
-    strain[4] = grad[0][2] + grad[2][0];
-    strain[5] = grad[1][2] + grad[2][1];
+    strain[4] = grad[1][2] + grad[2][1];
+    strain[5] = grad[0][2] + grad[2][0];
 }
 
 /* Hooke's law. */
@@ -14171,8 +14203,8 @@ SFEM_DEF sfem_material sfem_default_material(void)
     m.young = 1e6;
     m.poisson = 0.3;
     m.density = 1000;
-    m.alpha = m.beta = 0;
-    m.law = SFEM_LINEAR;
+    m.mass_damping = m.stiffness_damping = 0;
+    m.law = SFEM_COROTATIONAL;
     return m;
 }
 
@@ -14180,6 +14212,7 @@ SFEM_DEF sfem_model_def sfem_default_model_def(void)
 {
     sfem_model_def d;
     memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_MODEL;
     d.material = sfem_default_material();
     d.mass = SFEM_MASS_LUMPED;
     return d;
@@ -14197,9 +14230,9 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
     if (!(sfemi_finite(m->density) && m->density > 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: density is %g kg/m^3, must be > 0",
                           (int)index, m->density);
-    if (!(sfemi_finite(m->alpha) && m->alpha >= 0 && sfemi_finite(m->beta) && m->beta >= 0))
+    if (!(sfemi_finite(m->mass_damping) && m->mass_damping >= 0 && sfemi_finite(m->stiffness_damping) && m->stiffness_damping >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: damping (%g, %g) must be >= 0",
-                          (int)index, m->alpha, m->beta);
+                          (int)index, m->mass_damping, m->stiffness_damping);
     if ((unsigned)m->law > SFEM_NEOHOOKEAN)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no law %d", (int)index,
                           (int)m->law);
@@ -14219,6 +14252,7 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     const sfem_int count = def->materials ? def->material_count : 1;
     sfem_status status;
     sfem_int i;
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODEL, "sfem_default_model_def", err)) return SFEM_BAD_ARGUMENT;
     status = sfem_mesh_check(def->mesh, NULL, err);
     if (status != SFEM_OK) return status;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
@@ -14481,7 +14515,7 @@ static void sfemi_fem_add_tet(sfem_model *model, sfem_int e, const sfem_material
 {
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
     sfem_int *place = model->chunks.place + 10 * (size_t)e;
-    const sfem_real da = m->alpha - model->alpha, db = m->beta - model->beta;
+    const sfem_real da = m->mass_damping - model->alpha, db = m->stiffness_damping - model->beta;
     sfem_real g[4][3], k[9], node;
     int a, b, i;
     const sfem_real v = model->volume[e] = sfemi_element_gradients(&model->mesh, e, g);
@@ -14517,8 +14551,8 @@ static int sfemi_fem_damping_varies(const sfem_model_def *def)
 {
     sfem_int i;
     for (i = 1; def->materials && i < def->material_count; ++i)
-        if (def->materials[i].alpha != def->materials[0].alpha ||
-            def->materials[i].beta != def->materials[0].beta)
+        if (def->materials[i].mass_damping != def->materials[0].mass_damping ||
+            def->materials[i].stiffness_damping != def->materials[0].stiffness_damping)
             return 1;
     return 0;
 }
@@ -14607,8 +14641,8 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     model->mass = def->mass;
     SFEMI_TRY(sfemi_fem_allocate(model, def, err));
     if (!sfemi_fem_damping_varies(def)) {
-        model->alpha = materials->alpha;
-        model->beta = materials->beta;
+        model->alpha = materials->mass_damping;
+        model->beta = materials->stiffness_damping;
     }
     for (i = 0; i < model->mesh.tets; ++i)
         sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
@@ -14666,6 +14700,7 @@ static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, size_t size, 
     sfem_status status = SFEM_OK;
     memset(a, 0, sizeof *a);
     a->n = n;
+    a->allocator = *al;
     SFEMI_NEW(sfem_int, *row, al, (size_t)n + 1);
     a->row = *row;
     SFEMI_NEW(sfem_int, *col, al, blocks + 1);
@@ -14695,7 +14730,7 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
     *out = a;
     return SFEM_OK;
 done:
-    sfem_matrix_free(&a, al);
+    sfem_matrix_free(&a);
     return status;
 }
 
@@ -14988,7 +15023,7 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
 static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
                              sfem_real s[6])
 {
-    static const int row[6] = {0, 1, 2, 0, 0, 1}, col[6] = {0, 1, 2, 1, 2, 2};
+    static const int row[6] = {0, 1, 2, 0, 1, 0}, col[6] = {0, 1, 2, 1, 2, 2};
     const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
     sfem_real f[9], p[9], n[3], j;
     int a, i, k;
@@ -15160,10 +15195,10 @@ SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_
             t[i] = n[i] * n[i];
             out->t_inverse[6 * i + k] = p * a[i] * b[i];
         }
-        t[3] = n[0] * n[1], t[4] = n[0] * n[2], t[5] = n[1] * n[2];
+        t[3] = n[0] * n[1], t[4] = n[1] * n[2], t[5] = n[0] * n[2];
         out->t_inverse[18 + k] = p * (a[0] * b[1] + a[1] * b[0]);
-        out->t_inverse[24 + k] = p * (a[0] * b[2] + a[2] * b[0]);
-        out->t_inverse[30 + k] = p * (a[1] * b[2] + a[2] * b[1]);
+        out->t_inverse[24 + k] = p * (a[1] * b[2] + a[2] * b[1]);
+        out->t_inverse[30 + k] = p * (a[0] * b[2] + a[2] * b[0]);
         for (l = 0; l < 6; ++l) out->s[6 * k + l] = sfemi_damage_entry(out, k, l);
     }
 }
@@ -15488,6 +15523,7 @@ SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
 {
     sfem_damage_def d;
     memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_DAMAGE;
     d.toughness = 100;
     return d;
 }
@@ -15521,6 +15557,7 @@ static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage
     const sfem_mesh *mesh = &model->mesh;
     const sfem_int tets = mesh->tets;
     sfem_int e;
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_DAMAGE, "sfem_default_damage_def", err)) return SFEM_BAD_ARGUMENT;
     if ((unsigned)d->law > SFEM_DAMAGE_ZSZ || (unsigned)d->criterion > SFEM_BREAK_DUCTILE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no damage law %d or no criterion %d",
                           (int)d->law, (int)d->criterion);
@@ -17413,7 +17450,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
     }
     *out = a;
 done:
-    if (status != SFEM_OK) sfem_matrix_free(&a, al);
+    if (status != SFEM_OK) sfem_matrix_free(&a);
     sfemi_delete(al, upper_bound);
     sfemi_delete(al, number);
     return status;
@@ -17432,7 +17469,7 @@ static sfem_status sfemi_factor_analyse(sfem_model *model, sfem_factor *f, const
     for (k = 0; k < f->free_nodes; ++k)
         memcpy(x + 3 * (size_t)k, model->mesh.x + 3 * (size_t)f->node[k], 3 * sizeof *x);
     def.ordering = f->key.ordering;
-    def.mixed = f->key.precision == SFEM_MIXED;
+    def.precision = f->key.precision;
     def.scalar = f->scalar;
     def.allocator = model->allocator;
     def.exec = *exec;
@@ -17455,7 +17492,7 @@ static sfem_status sfemi_factor_compute(sfem_model *model, sfem_factor *f, const
     status = like ? sfem_ldl_create_like(like->ldl, &a, exec, &f->ldl, &place)
                   : sfemi_factor_analyse(model, f, &a, exec, &place);
     sfemi_factor_release(model, like);
-    sfem_matrix_free(&a, &model->allocator);
+    sfem_matrix_free(&a);
     if (status == SFEM_NOT_SPD && place.node >= 0)
         return sfemi_fail_at(err, status, f->node[place.node], -1, "node %d is held by nothing",
                              (int)f->node[place.node]);
@@ -17603,7 +17640,7 @@ enum { SFEMI_NOT_STARTED, SFEMI_LOAD_FIXED, SFEMI_RESTARTED, SFEMI_RUNNING };
 /* What has come and gone of the energy of a body that may break. */
 typedef struct sfemi_energy_balance {
     sfem_real start, now;   /* kinetic and elastic energy in the middle of the first step and the last, J */
-    sfem_real work, damped, released, guarded; /* since then */
+    sfem_real work, damped, released, rejected; /* since then */
     sfem_real scale;        /* the largest of all of these so far */
     int64_t open;           /* start is known */
 } sfemi_energy_balance;
@@ -17814,7 +17851,7 @@ typedef struct sfemi_scheme {
     int pqr;        /* SFEM_PQR: p, q and r are the caller's */
     int central;    /* central difference */
     int lagging;    /* >>alpha: KR-alpha */
-    int guarded;    /* the energy safeguard may reject steps */
+    int safeguarded; /* the energy safeguard may reject steps */
     int refactors;  /* >>refactor */
     sfem_real q, r; /* of A = r M + (q/2) h D + p h^2 K */
     sfem_real beta, gamma, am, af; /* of generalized-alpha's equation: of a Newton method, or of Newmark */
@@ -18682,7 +18719,7 @@ done:
 
 static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
 {
-    sfem_matrix_free(&s->matrix, &b->model->allocator);
+    sfem_matrix_free(&s->matrix);
     sfemi_delete(&b->model->allocator, s->source);
     memset(s, 0, sizeof *s);
 }
@@ -19235,7 +19272,7 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
 {
     sfemi_implicit *m = &b->implicit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int check = t->feasible && !b->def.newton.no_line_search;
+    const int check = t->feasible && b->def.newton.line_search;
     const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
     const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
     const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
@@ -20430,7 +20467,7 @@ static sfem_status sfemi_schur_reserve(sfem_body *b, sfemi_schur *g, sfem_int sl
 {
     const sfemi_handle *h = b->state.handle + slot;
     sfem_status status = SFEM_OK;
-    sfem_int parts = b->def.no_allocation ? (b->scheme.rotates ? 4 : 1) : 0, k, used = 0;
+    sfem_int parts = !b->def.may_allocate ? (b->scheme.rotates ? 4 : 1) : 0, k, used = 0;
     sfem_real *y;
     for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
     if (used > 0 && !b->scheme.rotates) used = 1;
@@ -20501,7 +20538,7 @@ static int sfemi_resume_inertia_is_unknown(const sfem_body *b)
 /* Is backward Euler's step taken in place of one of h for that reason? */
 static int sfemi_resume_falls_back(const sfem_body *b, sfem_real h)
 {
-    return b->scheme.resumes && b->scheme.pqr && !b->def.no_guard &&
+    return b->scheme.resumes && b->scheme.pqr && b->def.safeguard &&
            b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_inertia_is_unknown(b);
 }
 
@@ -22607,7 +22644,7 @@ static sfem_status sfemi_safeguard_judge_step(sfem_body *b, sfem_error *err)
     const int other = sfemi_resume_falls_back(b, b->step.h);
     g->rejected = g->measured = 0;
     if (other) head->budget = head->last;
-    if (b->scheme.guarded || other) {
+    if (b->scheme.safeguarded || other) {
         g->rejected = other || !sfemi_safeguard_accepts(b, &g->energies, &budget);
         g->measured = !g->rejected;
         if (!g->rejected) head->budget = budget;
@@ -22804,7 +22841,7 @@ static void sfemi_fracture_account(sfem_body *b)
     if (k->open) {
         const sfem_real work = sfemi_fracture_work(b);
         k->work += work;
-        if (b->safeguard.rejected) k->guarded += k->now + work - energy;
+        if (b->safeguard.rejected) k->rejected += k->now + work - energy;
         else k->damped += b->safeguard.damped = sfemi_fracture_damping(b);
     } else {
         k->start = energy;
@@ -23025,7 +23062,7 @@ static void sfemi_refactor_destroy(sfem_body *b)
         sfem_ldl_free(r->ldl[k]);
         sfemi_delete(&b->allocator, r->k[k].val);
     }
-    sfem_matrix_free(&r->a, &b->model->allocator);
+    sfem_matrix_free(&r->a);
     sfemi_delete(&b->allocator, r->source);
     sfemi_delete(&b->allocator, r->u);
     memset(r, 0, sizeof *r);
@@ -23590,7 +23627,7 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)))
         s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked) ? SFEMI_CORRECTS : SFEMI_ROTATES;
     s->resumes = !nonlinear && s->rotates != SFEMI_CORRECTS && !s->newton;
-    s->guarded = !d->no_guard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
+    s->safeguarded = d->safeguard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
     s->refactors = s->rotates && d->refactorise > 0 && s->pqr && d->frame != SFEM_FRAME_ISOTROPIC;
     s->q = s->pqr ? d->q : 1;
     s->r = s->pqr ? d->r : 1;
@@ -23608,6 +23645,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
 {
     sfem_body_def d;
     memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_BODY;
     d.integrator = SFEM_PQR;
     d.p = SFEM_P_SAFE;
     d.beta = 0.25;
@@ -23618,6 +23656,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.rho_inf = 0.8;
     d.gui_lambda = 4;
     d.hht_alpha = 0.1;
+    d.safeguard = d.may_allocate = d.newton.line_search = 1;
     d.newton.iterations = 20;
     d.newton.tolerance = 1e-8;
     d.newton.load_steps = 1;
@@ -23628,6 +23667,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
 
 static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
 {
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_BODY, "sfem_default_body_def", err)) return SFEM_BAD_ARGUMENT;
     if ((unsigned)d->integrator > SFEM_CHANG)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no integrator %d", (int)d->integrator);
     if (!(sfemi_finite(d->p) && (d->p >= 0 || d->p == SFEM_P_AUTO || d->p == SFEM_P_SAFE)))
@@ -23654,9 +23694,9 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (!(sfemi_finite(d->gamma) && d->gamma >= 0.5))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
-    if (!(sfemi_finite(d->alpha) && d->alpha >= 0 && sfemi_finite(d->beta_k) && d->beta_k >= 0))
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->alpha,
-                          d->beta_k);
+    if (!(sfemi_finite(d->mass_damping) && d->mass_damping >= 0 && sfemi_finite(d->stiffness_damping) && d->stiffness_damping >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->mass_damping,
+                          d->stiffness_damping);
     if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     if (!(sfemi_finite(d->sleep_tolerance) && d->sleep_tolerance >= 0 && sfemi_finite(d->sleep_time) &&
           d->sleep_time >= 0))
@@ -23906,8 +23946,8 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->own.allocator = def->allocator;
     b->workspace = def->workspace ? def->workspace : &b->own;
     sfemi_alpha_translate(&b->def);
-    b->alpha = model->alpha + def->alpha;
-    b->beta = model->beta + def->beta_k;
+    b->alpha = model->alpha + def->mass_damping;
+    b->beta = model->beta + def->stiffness_damping;
     b->model = model;
     sfemi_method_choose(b, def);
     b->sleeps = def->sleep_tolerance > 0;
@@ -23965,7 +24005,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         SFEMI_TRY(sfemi_schur_reserve(b, g, i, err));
         count += b->state.handle[i].used;
     }
-    if (count || b->def.no_allocation) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
+    if (count || !b->def.may_allocate) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
@@ -23977,7 +24017,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     }
     sfemi_schur_gather(g, b->state.handle, b->model, b->scheme.rotates, b->mask);
     if (b->scheme.rotates && (b->model->rotates || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
-        b->def.no_allocation && !b->def.no_guard) {
+        !b->def.may_allocate && b->def.safeguard) {
         SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
         SFEMI_TRY(sfemi_safeguard_open_system(b, err));
     }
@@ -24138,7 +24178,7 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     if (status != SFEM_OK) return status;
     sfemi_workspace_bind(b);
     if (!sfemi_body_is_prepared(b, h)) {
-        if (b->def.no_allocation && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
+        if (!b->def.may_allocate && !sfemi_body_has_factor(b, h)) /* handles have had their room since */
             return sfemi_fail(err, SFEM_NOT_PREPARED, "the body is not prepared for a step of %g s", h);
         status = sfem_body_prepare(b, h, err);
         if (status != SFEM_OK) return status;
@@ -24787,7 +24827,7 @@ SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
     f.work = k->work;
     f.damped = k->damped;
     f.released = k->released;
-    f.guarded = k->guarded;
+    f.rejected = k->rejected;
     f.error = k->now - k->start - k->work + k->damped + k->released;
     f.scale = k->scale;
     f.surface = b->damage->account[SFEMI_PRICE];
@@ -25417,7 +25457,7 @@ typedef struct sfemi_modes_system {
 
 static void sfemi_modes_system_free(sfemi_modes_system *s)
 {
-    sfem_matrix_free(&s->k, s->al);
+    sfem_matrix_free(&s->k);
     sfemi_pool_free(&s->pool);
 }
 
@@ -25926,7 +25966,7 @@ static sfem_status sfemi_modes_dense(const sfemi_modes_system *s, sfem_modes *ou
     }
     sfemi_modes_refine(s, out);
     SFEMI_TRY(sfemi_modes_errors(s, out, err));
-    out->info.dense = out->info.proved = 1;
+    out->info.dense = out->info.verified = 1;
     out->info.converged = take;
     out->info.cut = sfemi_modes_cut(lambda, take, elastic);
     out->info.below = s->rigid + take + out->info.cut;
@@ -26709,7 +26749,7 @@ static sfem_status sfemi_lanczos_count(sfemi_lanczos *z, sfem_real bound, sfem_e
     return SFEM_OK;
 }
 
-/* Counts in the gap above what is wanted: info->proved if nothing is missing; info->below stays -1 if
+/* Counts in the gap above what is wanted: info->verified if nothing is missing; info->below stays -1 if
  * there is no gap yet. */
 static sfem_status sfemi_lanczos_check_count(sfemi_lanczos *z, sfem_error *err)
 {
@@ -26726,7 +26766,7 @@ static sfem_status sfemi_lanczos_check_count(sfemi_lanczos *z, sfem_error *err)
     if (attempt == 5)
         return sfemi_fail(err, SFEM_SINGULAR, "eigenvalues below %g 1/s^2 cannot be counted: digits run out",
                           bound);
-    z->info->proved = z->info->below == z->s->rigid + end;
+    z->info->verified = z->info->below == z->s->rigid + end;
     return SFEM_OK;
 }
 
@@ -26782,10 +26822,10 @@ static sfem_status sfemi_lanczos_iterate(sfemi_lanczos *z, sfem_error *err)
             before = z->m;
             if (worst <= def->tolerance) {
                 const int counted = z->info->below >= 0;
-                if (!counted && def->no_proof) return SFEM_OK;
+                if (!counted && !def->verify) return SFEM_OK;
                 if (!counted) status = sfemi_lanczos_check_count(z, err);
-                else z->info->proved = sfemi_lanczos_below(z, z->info->bound) + z->s->rigid == z->info->below;
-                if (status != SFEM_OK || z->info->proved) return status;
+                else z->info->verified = sfemi_lanczos_below(z, z->info->bound) + z->s->rigid == z->info->below;
+                if (status != SFEM_OK || z->info->verified) return status;
                 if (z->info->below >= 0 && (!searching || full)) {
                     if (z->info->restarts >= restarts) break;
                     z->info->recovered =
@@ -27012,7 +27052,7 @@ static sfem_status sfemi_modes_lanczos(sfemi_modes_system *s, sfem_modes *out, i
     } else {
         SFEMI_TRY(sfemi_modes_result(s, 0, out, err));
         SFEMI_TRY(sfemi_modes_errors(s, out, err));
-        out->info.proved = s->def->below_hz > 0;
+        out->info.verified = s->def->below_hz > 0;
         out->info.cut = -1;
     }
 done:
@@ -27026,6 +27066,8 @@ SFEM_DEF sfem_modes_def sfem_default_modes_def(void)
 {
     sfem_modes_def def;
     memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_MODES;
+    def.verify = 1;
     def.modes = 20;
     def.tolerance = 1e-13;
     return def;
@@ -27033,6 +27075,7 @@ SFEM_DEF sfem_modes_def sfem_default_modes_def(void)
 
 static sfem_status sfemi_modes_check(const sfem_modes_def *def, sfem_error *err)
 {
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODES, "sfem_default_modes_def", err)) return SFEM_BAD_ARGUMENT;
     if (!sfemi_finite(def->below_hz) || def->below_hz < 0)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "below_hz is %g, must be 0 or a frequency",
                           def->below_hz);
@@ -27069,6 +27112,7 @@ SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *
     }
     if (!dense) SFEMI_TRY(sfemi_modes_lanczos(&s, &result, &dense, err));
     if (dense) SFEMI_TRY(sfemi_modes_dense(&s, &result, err));
+    result.info.free = s.pieces == 1 && s.rigid == 6;
     *out = result;
 done:
     sfemi_modes_system_free(&s);
@@ -27365,6 +27409,7 @@ SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
 {
     sfem_reduced_def def;
     memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_REDUCED;
     def.free = -1;
     def.gravity_groups = 16;
     return def;
@@ -27507,7 +27552,7 @@ static void sfemi_reduced_constants(sfem_reduced *r, const sfem_reduced_def *def
     for (k = 0; k < r->head->modes; ++k) {
         const sfem_real omega = sqrt(r->lambda[k]);
         sfem_real xi, s;
-        r->damping[k] = def->alpha + def->beta * r->lambda[k];
+        r->damping[k] = def->mass_damping + def->stiffness_damping * r->lambda[k];
         if (def->ratio && omega > 0) r->damping[k] = 2 * def->ratio[skipped + k] * omega;
         xi = omega > 0 ? r->damping[k] / (2 * omega) : 0;
         s = xi < 1 ? tanh(acos(-1.0) / 2 * xi / sqrt(1 - xi * xi)) : 1;
@@ -27584,6 +27629,7 @@ static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes
                                        const sfem_reduced_def *def, sfem_error *err)
 {
     sfem_int k;
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_REDUCED, "sfem_default_reduced_def", err)) return SFEM_BAD_ARGUMENT;
     if (modes->nodes != model->mesh.nodes)
         return sfemi_fail(err, SFEM_MISMATCH, "modes of %d nodes, a model of %d", (int)modes->nodes,
                           (int)model->mesh.nodes);
@@ -27591,10 +27637,10 @@ static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "gravity_groups %d must be above 0, free %d in -1..1",
                           (int)def->gravity_groups, def->free);
-    if (!(def->alpha >= 0) || !(def->beta >= 0) || !sfemi_finite(def->alpha) ||
-        !sfemi_finite(def->beta))
+    if (!(def->mass_damping >= 0) || !(def->stiffness_damping >= 0) || !sfemi_finite(def->mass_damping) ||
+        !sfemi_finite(def->stiffness_damping))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping %g, %g must be 0 or more",
-                          def->alpha, def->beta);
+                          def->mass_damping, def->stiffness_damping);
     for (k = 0; k < modes->count; ++k) {
         if (!sfemi_finite(modes->lambda[k]) ||
             !sfemi_all_finite(modes->phi + 3 * (size_t)k * (size_t)modes->nodes,
@@ -27627,7 +27673,7 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
     memset(&surface, 0, sizeof surface);
     memset(&head, 0, sizeof head);
     head.nodes = mesh->nodes;
-    head.free = def->free >= 0 ? def->free : modes->rigid == 6;
+    head.free = def->free >= 0 ? def->free : modes->rigid == 6 || modes->info.free;
     skipped = head.free ? modes->rigid : 0;
     head.modes = modes->count - skipped;
     head.stride = (head.modes + 7) / 8 * 8;
@@ -28034,6 +28080,7 @@ SFEM_DEF sfem_modal_def sfem_default_modal_def(void)
 {
     sfem_modal_def def;
     memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_MODAL;
     def.integrator = SFEM_MODAL_FITTED;
     def.warp = SFEM_WARP_PATH;
     def.beta = 0.25;
@@ -28053,6 +28100,7 @@ static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
                                   d->handle_gamma, d->compliance, d->tolerance,
                                   d->gravity[0],   d->gravity[1], d->gravity[2],
                                   d->h};
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_MODAL, "sfem_default_modal_def", err)) return SFEM_BAD_ARGUMENT;
     if (!sfemi_all_finite(number, 10))
         return sfemi_fail(err, SFEM_NOT_FINITE,
                           "a number of the definition of a modal body is not finite");
@@ -29467,8 +29515,8 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *accele
 }
 
 SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *b) { return b->q; }
-SFEM_DEF const sfem_real *sfem_modal_velocities(const sfem_modal *b) { return b->v; }
-SFEM_DEF const sfem_real *sfem_modal_accelerations(const sfem_modal *b) { return b->a; }
+SFEM_DEF const sfem_real *sfem_modal_coordinate_velocities(const sfem_modal *b) { return b->v; }
+SFEM_DEF const sfem_real *sfem_modal_coordinate_accelerations(const sfem_modal *b) { return b->a; }
 SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *b) { return b->head->time; }
 
 SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *q,
@@ -29950,7 +29998,9 @@ SFEM_DEF sfem_link_def sfem_default_link_def(void)
 {
     sfem_link_def d;
     memset(&d, 0, sizeof d);
+    d.cookie = SFEMI_COOKIE_LINK;
     d.h = 1 / 60.0;
+    d.keep_late = 1;
     d.beta = 0.25;
     d.gamma = 0.5;
     d.held_beta = 0.3025;
@@ -29963,6 +30013,7 @@ SFEM_DEF sfem_link_def sfem_default_link_def(void)
 static sfem_status sfemi_link_check(const sfem_link_def *d, sfem_error *err)
 {
     const size_t slot = 3 * sizeof(sfem_real), most = (size_t)-1 / 4;
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_LINK, "sfem_default_link_def", err)) return SFEM_BAD_ARGUMENT;
     if (d->modes < 1)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a link needs 1 mode at least, not %d",
                           (int)d->modes);
@@ -30033,7 +30084,7 @@ SFEM_DEF void sfem_sender_free(sfem_sender *sender)
 SFEM_DEF size_t sfem_sender_packet_size(const sfem_sender *sender)
 {
     SFEM_ASSERT(sender);
-    return sfemi_link_size(sender->def.modes, 1, sender->def.single ? 4 : 8);
+    return sfemi_link_size(sender->def.modes, 1, sender->def.precision == SFEM_MIXED ? 4 : 8);
 }
 
 SFEM_DEF void sfem_sender_request_key(sfem_sender *sender)
@@ -30058,12 +30109,12 @@ SFEM_DEF void sfem_sender_set_held(sfem_sender *sender, int held)
 static sfem_status sfemi_link_write(const sfem_sender *s, const char *name, const sfem_real *x,
                                     unsigned char *p, sfem_error *err)
 {
-    const int number = s->def.single ? 4 : 8;
+    const int number = s->def.precision == SFEM_MIXED ? 4 : 8;
     sfem_int i;
     for (i = 0; i < s->def.modes; ++i) {
-        if (!sfemi_finite(x[i]) || (s->def.single && fabs(x[i]) > 3.4028234663852886e38))
+        if (!sfemi_finite(x[i]) || (s->def.precision == SFEM_MIXED && fabs(x[i]) > 3.4028234663852886e38))
             return sfemi_fail(err, SFEM_NOT_FINITE, "mode %d: %s = %g cannot be sent%s", (int)i,
-                              name, x[i], s->def.single ? " as a float" : "");
+                              name, x[i], s->def.precision == SFEM_MIXED ? " as a float" : "");
         sfemi_link_put_real(p + (size_t)i * (size_t)number, x[i], number);
     }
     return SFEM_OK;
@@ -30081,7 +30132,7 @@ SFEM_DEF sfem_status sfem_sender_write(sfem_sender *sender, const sfem_real *q, 
     SFEM_ASSERT(sender && a && packet && bytes);
     d = &sender->def;
     key = sender->until_key == 0;
-    number = d->single ? 4 : 8;
+    number = d->precision ? 4 : 8;
     size = sfemi_link_size(d->modes, key, number);
     block = (size_t)d->modes * (size_t)number;
     if (key && (!q || !v)) {
@@ -30494,7 +30545,7 @@ static sfem_arrival sfemi_link_place(sfem_receiver *r, int key, int held, uint32
         return SFEM_ARRIVAL_TAKEN;
     }
     if (step <= r->key ||
-        r->def.drop_late || /* or the step before it, of another method, is gone */
+        !r->def.keep_late || /* or the step before it, of another method, is gone */
         (!key && held != r->held[sfemi_link_slot(r, step)] &&
          step - 1 <= r->step - r->def.window)) {
         *known = SFEMI_STEP_DONE;
@@ -30533,19 +30584,19 @@ SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver)
     return (sfem_int)(lead > -INT32_MAX ? lead : -INT32_MAX); /* below 2^31: see sfemi_link_place */
 }
 
-SFEM_DEF const sfem_real *sfem_receiver_displacement(const sfem_receiver *receiver)
+SFEM_DEF const sfem_real *sfem_receiver_coordinates(const sfem_receiver *receiver)
 {
     SFEM_ASSERT(receiver);
     return receiver->q;
 }
 
-SFEM_DEF const sfem_real *sfem_receiver_velocity(const sfem_receiver *receiver)
+SFEM_DEF const sfem_real *sfem_receiver_coordinate_velocities(const sfem_receiver *receiver)
 {
     SFEM_ASSERT(receiver);
     return receiver->v;
 }
 
-SFEM_DEF const sfem_real *sfem_receiver_acceleration(const sfem_receiver *receiver)
+SFEM_DEF const sfem_real *sfem_receiver_coordinate_accelerations(const sfem_receiver *receiver)
 {
     SFEM_ASSERT(receiver);
     return receiver->a;

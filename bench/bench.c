@@ -9,6 +9,7 @@
  */
 #include "../examples/support.h"
 #include "bench.h"
+#include "../tests/linear.h"
 
 enum { REPEATS = 31 };
 
@@ -79,7 +80,7 @@ static result measure(const sfem_int cells[3], int repeats)
     const double h = 1 / 60.0;
     double t[4][REPEATS], part[3];
     size_t model_bytes = 0;
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_body_info info;
     sfem_body *body = NULL, *other;
     sfem_model *model = NULL;

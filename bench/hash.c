@@ -9,6 +9,7 @@
  */
 #define _DEFAULT_SOURCE
 #include "stress.h"
+#include "../tests/linear.h"
 
 static uint64_t hash_of(uint64_t hash, const void *data, size_t bytes)
 {
@@ -158,7 +159,7 @@ static sfem_status hash_build(hash_rig *g, sfem_law law, hash_option option, sfe
 {
     static const sfem_int cells[3] = {8, 3, 3};
     static const double size[3] = {0.8, 0.3, 0.3};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_body_def body = sfem_default_body_def();
     uint64_t random = 3;
     sfem_status status = sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &g->mesh, err);
@@ -168,7 +169,7 @@ static sfem_status hash_build(hash_rig *g, sfem_law law, hash_option option, sfe
         if (g->mesh.x[3 * i] < 1e-9) g->pin[g->pins++] = i;
     for (i = 0; i < 3 * g->mesh.nodes; ++i) g->mesh.x[i] += stress_uniform(&random, -0.02, 0.02);
     def.mesh = &g->mesh;
-    def.material = sfem_default_material();
+    def.material = linear_material();
     def.material.young = 2e5;
     def.material.law = law;
     if (option == HASH_LUMPED_NOT) def.mass = SFEM_MASS_CONSISTENT;
@@ -186,19 +187,19 @@ static sfem_status hash_build(hash_rig *g, sfem_law law, hash_option option, sfe
         body.refactorise = 4;
         break;
     case HASH_DAMPED:
-        body.alpha = 0.3, body.beta_k = 1e-3;
+        body.mass_damping = 0.3, body.stiffness_damping = 1e-3;
         break;
     case HASH_DRAG:
         body.damping_force.force = hash_drag, body.damping_force.user = &g->mesh.nodes;
         break;
     case HASH_PLAIN:
-        body.plain_load = 1, body.q = 1.2, body.alpha = 1;
+        body.plain_load = 1, body.q = 1.2, body.mass_damping = 1;
         break;
     case HASH_FLOATS:
         body.precision = SFEM_MIXED;
         break;
     case HASH_SLEEP:
-        body.sleep_tolerance = 1, body.sleep_time = 0.1, body.alpha = 20;
+        body.sleep_tolerance = 1, body.sleep_time = 0.1, body.mass_damping = 20;
         break;
     case HASH_FOURTH:
         body.start = SFEM_START_FOURTH_ORDER, body.p = 1.0 / 12;

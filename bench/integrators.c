@@ -28,6 +28,7 @@
  * band is the Pareto front.
  */
 #include "reference.h"
+#include "../tests/linear.h"
 
 enum { SAMPLES_MOST = REFERENCE_SAMPLES, STEPS_MOST = 12, BARS = 18, REALS_MOST = 20 };
 enum { SCENES = BARS + REALS_MOST, QUICK_REALS = 2, METHODS = 23, LEVELS = 4, FRONT_LEVELS = 3 };
@@ -184,7 +185,7 @@ static void create_bar(scene *s, const sfem_int cells[3], int quick)
 {
     static const sfem_real size[3] = {1, 0.25, 0.25}, omega[3] = {2, 10, 3};
     const sfem_real center[3] = {0.5, 0.125, 0.125};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_mesh mesh;
     sfem_error err;
     sfem_int i;
@@ -210,8 +211,8 @@ static void create_bar(scene *s, const sfem_int cells[3], int quick)
     def.material.young = s->stiff ? 3e7 : 3e5;
     def.material.poisson = 0.4;
     def.material.law = s->neo_hookean ? SFEM_NEOHOOKEAN : SFEM_COROTATIONAL;
-    def.material.alpha = s->alpha;
-    def.material.beta = s->beta;
+    def.material.mass_damping = s->alpha;
+    def.material.stiffness_damping = s->beta;
     bench_must(sfem_model_create(&def, &s->model, &err), &err);
     sfem_mesh_free(&mesh);
 }
@@ -268,7 +269,7 @@ static sfem_body *make_body(const scene *s, const method *m, sfem_error *err)
     if (m->p > 0) def.p = m->p;
     if (m->accuracy > 0) def.accuracy = m->accuracy;
     if (m->conservative) def.dissipation = 0;
-    def.no_guard = m->no_safeguard;
+    def.safeguard = !m->no_safeguard;
     if (m->source) def.frame = SFEM_FRAME_REST;
     def.plain_load = m->source;
     def.precision = m->precision;
@@ -277,7 +278,7 @@ static sfem_body *make_body(const scene *s, const method *m, sfem_error *err)
     if (m->tolerance > 0) def.newton.tolerance = m->tolerance;
     if (m->iterations) {
         def.newton.iterations = m->iterations;
-        def.newton.no_line_search = m->iterations == 1;
+        def.newton.line_search = !(m->iterations == 1);
     }
     def.pins = s->pins;
     def.pin_count = s->pin_count;

@@ -98,7 +98,7 @@ static double distortion(const setting *o, double h, int steps, double *bytes_a_
     def.modes = s.m;
     def.h = h;
     def.key_every = o->key_every;
-    def.single = o->single;
+    def.precision = o->single ? SFEM_MIXED : SFEM_DOUBLE;
     def.lost = o->lost;
     def.stiffness = s.k;
     def.damping = s.c;
@@ -119,7 +119,7 @@ static double distortion(const setting *o, double h, int steps, double *bytes_a_
             sfem_receiver_read(receiver, old->byte, old->bytes);
         if (i) sfem_receiver_step(receiver);
         for (k = 0; k < s.m; ++k) {
-            const double d = sfem_receiver_displacement(receiver)[k] - s.q[k];
+            const double d = sfem_receiver_coordinates(receiver)[k] - s.q[k];
             off += d * d;
             all += s.q[k] * s.q[k];
         }
@@ -187,7 +187,7 @@ static void costs(void)
             int run, i;
             def.modes = s.m;
             def.key_every = 0;
-            def.single = single;
+            def.precision = single ? SFEM_MIXED : SFEM_DOUBLE;
             def.lost = SFEM_LOST_PREDICTED;
             def.stiffness = s.k;
             def.damping = s.c;

@@ -297,7 +297,7 @@ static void pencil_factor(pencil *a)
                 m.val[9 * (size_t)k + (size_t)c] = i == m.col[k] && c % 4 == 0;
     def.x = a->s->mesh.x;
     bench_must(sfem_ldl_create(&def, &m, &a->factor, &err), &err);
-    sfem_matrix_free(&m, NULL);
+    sfem_matrix_free(&m);
     a->work = (double *)ex_new(sfem_ldl_work_size(a->factor, 1), sizeof *a->work);
 }
 
@@ -411,7 +411,7 @@ static void table_of_eigenvalues(const real_scene *s, const settings *o)
             sfem_ldl_free(a.factor);
             free(a.work);
         }
-    sfem_matrix_free(&a.k, NULL);
+    sfem_matrix_free(&a.k);
     free(a.held);
     free(a.frame);
     free(a.z);

@@ -15,6 +15,7 @@
 #define SFEM_BENCH_REAL_H
 
 #include "../tests/bodies.h"
+#include "../tests/linear.h"
 
 #define REAL_STATIC static __attribute__((unused))
 #define REAL_TIPS   20
@@ -175,7 +176,7 @@ REAL_STATIC void real_close(real_scene *s)
 REAL_STATIC sfem_status real_open(const real_def *d, sfem_law law, double poisson, real_scene *s,
                                   sfem_error *err)
 {
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_status status;
     memset(s, 0, sizeof *s);
     s->def = d;

@@ -8,6 +8,7 @@
  */
 #include "../examples/support.h"
 #include "bench.h"
+#include "../tests/linear.h"
 
 enum { MAKE = 5, SOLVE = 101 };
 
@@ -47,7 +48,7 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
             const double t = ex_seconds();
             def.x = mesh->x;
             def.scalar = which == 0;
-            def.mixed = mixed;
+            def.precision = mixed ? SFEM_MIXED : SFEM_DOUBLE;
             sfem_ldl_free(ldl[which]);
             bench_must(sfem_ldl_create(&def, &a[which], &ldl[which], &err), &err);
             make[which][r] = ex_seconds() - t;
@@ -87,8 +88,8 @@ static void measure(const sfem_mesh *mesh, sfem_model *model, int mixed)
         free(work[which]);
         free(a[which].val);
     }
-    sfem_matrix_free(&k, NULL);
-    sfem_matrix_free(&m, NULL);
+    sfem_matrix_free(&k);
+    sfem_matrix_free(&m);
 }
 
 int main(int argc, char **argv)
@@ -109,7 +110,7 @@ int main(int argc, char **argv)
     for (size = 0; size < (quick ? 2 : 6); ++size) {
         const sfem_int count[3] = {3 * cells[size], cells[size], cells[size]};
         const sfem_real length[3] = {3, 1, 1};
-        sfem_model_def def = sfem_default_model_def();
+        sfem_model_def def = linear_model_def();
         sfem_mesh mesh;
         sfem_model *model;
         sfem_error err;

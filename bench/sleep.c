@@ -9,6 +9,7 @@
  */
 #include "../examples/support.h"
 #include "bench.h"
+#include "../tests/linear.h"
 
 enum { STEPS = 301 };
 
@@ -71,7 +72,7 @@ int main(int argc, char **argv)
         for (size = 0; size < (quick ? 1 : 3); ++size) {
             const sfem_int count[3] = {3 * cells[size], cells[size], cells[size]};
             const sfem_real length[3] = {3, 1, 1};
-            sfem_model_def model_def = sfem_default_model_def();
+            sfem_model_def model_def = linear_model_def();
             sfem_body_def def = sfem_default_body_def();
             sfem_int pins[512], i;
             sfem_mesh mesh;

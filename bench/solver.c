@@ -175,7 +175,7 @@ static double metis_flops(const block_fem *f)
     sfem_ldl_create(&def, &permuted, &ldl, NULL);
     flops = sfem_ldl_get_info(ldl).flops;
     sfem_ldl_free(ldl);
-    sfem_matrix_free(&permuted, NULL);
+    sfem_matrix_free(&permuted);
     free(bi);
     free(bj);
     free(bv);
@@ -260,7 +260,7 @@ static void row_one(const char *name, const block_fem *f, int passes)
         if (k == 0 || t < analyse) analyse = t;
     }
     memset(&def.allocator, 0, sizeof def.allocator);
-    def.mixed = 1;
+    def.precision = SFEM_MIXED;
     if (sfem_ldl_create(&def, &f->a, &ldl32, &err) != SFEM_OK) goto done;
     info = sfem_ldl_get_info(ldl);
     work = (double *)malloc(sfem_ldl_work_size(ldl, 8) * sizeof *work);

@@ -17,6 +17,7 @@
  */
 #include "../examples/support.h"
 #include "softfem.h"
+#include "../tests/linear.h"
 
 enum { RATIOS = 3, POINTS = 100, SIZES = 6, STEPS = 100 };
 
@@ -81,7 +82,7 @@ static oscillator make_oscillator(void)
 {
     static sfem_real x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
     static sfem_int tet[4] = {0, 1, 2, 3};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     oscillator o;
     sfem_mesh mesh;
     sfem_error err;
@@ -116,7 +117,7 @@ static sfem_body *oscillator_body(const oscillator *o, const rule *m, double xi)
     } else if (m->integrator == SFEM_KR_ALPHA || m->integrator == SFEM_GENERALIZED_ALPHA) {
         def.rho_inf = m->r;
     }
-    def.alpha = 2 * xi * o->omega;
+    def.mass_damping = 2 * xi * o->omega;
     def.pins = pins;
     def.pin_axes = axes;
     def.pin_count = 4;
@@ -354,7 +355,7 @@ enum { ONE, THREE, FIVE, PROPOSED, DEFAULT, WAYS };
 static sfem_model *make_block(const sfem_int cells[3], sfem_block_cells kind, sfem_law law)
 {
     const sfem_real box[3] = {.05 * cells[0], .05 * cells[1], .05 * cells[2]};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_model *model;
     sfem_mesh mesh;
     sfem_error err;
@@ -377,12 +378,12 @@ static sfem_body *make_body(sfem_model *model, int way, sfem_body_def def)
         def.integrator = SFEM_NEWMARK;
         def.newton.iterations = iterations[way];
         def.newton.tolerance = 0; /* all of them */
-        def.newton.accept_best = def.newton.no_line_search = 1;
+        def.newton.accept_best = 1, def.newton.line_search = 0;
     } else if (way == PROPOSED) {
         def.p = .25;
         def.frame = SFEM_FRAME_REST;
         def.accuracy = 1; /* one solve */
-        def.no_guard = def.plain_load = 1;
+        def.safeguard = 0, def.plain_load = 1;
     }
     for (i = 0; i < mesh->nodes; ++i)
         if (mesh->x[3 * i] == 0) pins[def.pin_count++] = i;
@@ -498,8 +499,8 @@ static void pull(sfem_model *model, int way, double scale, double *x)
     sfem_body *body;
     sfem_error err;
     int k;
-    def.alpha = 1;
-    def.beta_k = 2e-3;
+    def.mass_damping = 1;
+    def.stiffness_damping = 2e-3;
     def.p = 0.25;
     def.accuracy = 1; /* one solve a step */
     def.plain_load = way == AS_PRINTED;

@@ -28,6 +28,7 @@
 #endif
 #include "../examples/support.h"
 #include "real.h"
+#include "../tests/linear.h"
 
 #ifndef SFEM_BENCH_FLAGS
 #define SFEM_BENCH_FLAGS "not stated"
@@ -300,7 +301,7 @@ static void rival_free(rival *r)
     cholmod_free_factor(&r->l, &r->c);
     cholmod_free_sparse(&r->a, &r->c);
     cholmod_finish(&r->c);
-    sfem_matrix_free(&r->k, NULL);
+    sfem_matrix_free(&r->k);
     free(r->free_of);
     free(r->u);
     free(r);
@@ -325,7 +326,7 @@ static sfem_body *make_body(const subject *s, int kind)
         def.integrator = SFEM_NEWMARK;
         def.newton.iterations = 1;
         def.newton.tangent = SFEM_TANGENT_FROZEN;
-        def.newton.no_line_search = 1;
+        def.newton.line_search = 0;
     }
     must(sfem_body_create(s->model, &def, &body, &err), &err);
     must(sfem_body_prepare(body, STEP, &err), &err);
@@ -464,7 +465,7 @@ static int rounds_of(sfem_int tets, int quick)
 /* Held at the lower end of its longest side; gravity along -z. */
 static void run_mesh(const char *name, const sfem_mesh *mesh, int quick)
 {
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_int *pins = (sfem_int *)ex_new((size_t)mesh->nodes, sizeof *pins), i, count = 0;
     double low[3], high[3];
     subject s = {NULL, NULL, 0, {0, 0, -9.81}};

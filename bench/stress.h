@@ -45,6 +45,7 @@
 
 #include "softfem.h"
 #include "../tests/bodies.h"
+#include "../tests/linear.h"
 
 #if defined(__GNUC__)
 #define STRESS_STATIC static __attribute__((unused))
@@ -344,10 +345,10 @@ STRESS_STATIC sfem_status stress_mesh(stress_body *s, uint64_t *random, sfem_err
 STRESS_STATIC sfem_status stress_model(stress_body *s, uint64_t *random, sfem_error *err)
 {
     const stress_scene *scene = s->scene;
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_material material[2];
     sfem_int index[4 * STRESS_NODES], i;
-    material[0] = sfem_default_material();
+    material[0] = linear_material();
     material[0].law = scene->law;
     material[0].young = scene->young;
     material[0].poisson = scene->poisson;
@@ -416,11 +417,11 @@ STRESS_STATIC sfem_body_def stress_def(const stress_body *s, stress_form form, d
         break;
     case STRESS_FORM_UNGUARDED:
         def.accuracy = 1;
-        def.no_guard = 1;
+        def.safeguard = 0;
         break;
     case STRESS_FORM_REST:
         def.accuracy = 1;
-        def.no_guard = 1;
+        def.safeguard = 0;
         def.frame = SFEM_FRAME_REST;
         def.p = 0.25;
         break;
@@ -1140,8 +1141,8 @@ STRESS_STATIC void stress_come_back(stress_body *s, stress_form form, double h, 
     s->gravity = 0;
     if (form >= STRESS_FORM_CENTRAL) form = STRESS_FORM_DEFAULT, step = s->period / 40;
     def = stress_def(s, form, h);
-    def.alpha = fmin(1 / s->period, 0.5 / step);
-    def.beta_k = fmax(step, s->period / 10);
+    def.mass_damping = fmin(1 / s->period, 0.5 / step);
+    def.stiffness_damping = fmax(step, s->period / 10);
     if (sfem_body_create(s->model, &def, &s->body, &err) ||
         sfem_body_set_state(s->body, u, v, &err)) {
         stress_failed(r, &err);
@@ -1413,7 +1414,7 @@ STRESS_STATIC sfem_status stress_modal_build(const stress_scene *scene, stress_f
     def.max_handle_nodes = 64;
     for (k = 0; k < 2 && !status; ++k) {
         sfem_reduced_def reduced = sfem_default_reduced_def();
-        if (k) reduced.alpha = 0.2 * m->lowest, reduced.beta = 0.1 / m->lowest;
+        if (k) reduced.mass_damping = 0.2 * m->lowest, reduced.stiffness_damping = 0.1 / m->lowest;
         status = sfem_reduced_create(m->full.model, &modes, &reduced, &m->reduced[k], err);
         if (!status) status = sfem_modal_create(m->reduced[k], &def, &m->body[k], err);
     }
@@ -1615,12 +1616,12 @@ STRESS_STATIC void stress_modal_settle(stress_modal *m, double h, int steps, str
     memset(&err, 0, sizeof err);
     for (k = 0; k < STRESS_MODES; ++k) {
         whole +=
-            pow(sfem_modal_coordinates(b)[k], 2) + pow(sfem_modal_velocities(b)[k] / m->lowest, 2);
+            pow(sfem_modal_coordinates(b)[k], 2) + pow(sfem_modal_coordinate_velocities(b)[k] / m->lowest, 2);
         pluck[k] = 0.1 / (1 + k);
     }
     if (whole == 0) sfem_modal_set_coordinates(m->body[0], pluck, zero, NULL, &err);
     whole = 0;
-    if (sfem_modal_set_coordinates(m->body[1], sfem_modal_coordinates(b), sfem_modal_velocities(b),
+    if (sfem_modal_set_coordinates(m->body[1], sfem_modal_coordinates(b), sfem_modal_coordinate_velocities(b),
                                    NULL, &err))
         stress_failed(r, &err);
     for (k = 0; k < STRESS_MODES; ++k) whole += pow(sfem_modal_coordinates(b)[k], 2);
@@ -1766,8 +1767,8 @@ STRESS_STATIC void stress_run_stream(const stress_scene *scene, stress_form form
         if (!status && k > 0) status = sfem_modal_step(m.body[0], scene->h, &err);
         if (!status)
             status = sfem_sender_write(
-                sender, sfem_modal_coordinates(m.body[0]), sfem_modal_velocities(m.body[0]),
-                sfem_modal_accelerations(m.body[0]), p.byte, sizeof p.byte, &p.bytes, &err);
+                sender, sfem_modal_coordinates(m.body[0]), sfem_modal_coordinate_velocities(m.body[0]),
+                sfem_modal_coordinate_accelerations(m.body[0]), p.byte, sizeof p.byte, &p.bytes, &err);
         if (status) break;
         r->steps = k + 1;
         for (i = 0; i < 2; ++i) { /* once, and perhaps again */
@@ -1795,7 +1796,7 @@ STRESS_STATIC void stress_run_stream(const stress_scene *scene, stress_form form
         last = 0;
         for (i = 0; i < STRESS_MODES; ++i) {
             const double q = sfem_modal_coordinates(m.body[0])[i];
-            const double d = fabs(sfem_receiver_displacement(receiver)[i] - q);
+            const double d = fabs(sfem_receiver_coordinates(receiver)[i] - q);
             swing = fmax(swing, fabs(q));
             if (!(d <= last)) last = d;
         }
@@ -1890,7 +1891,7 @@ STRESS_STATIC void stress_run_eigen(const stress_scene *scene, stress_form form,
 {
     uint64_t random = scene->seed * 0x9e3779b97f4a7c15u + 5;
     sfem_modes_def def = sfem_default_modes_def();
-    sfem_model_def odd = sfem_default_model_def();
+    sfem_model_def odd = linear_model_def();
     sfem_material material[2];
     stress_scene mean = *scene; /* the body of a family that has the faults */
     static const stress_family of[3] = {STRESS_SLIVER, STRESS_SPIN, STRESS_SPIN};
@@ -1912,7 +1913,7 @@ STRESS_STATIC void stress_run_eigen(const stress_scene *scene, stress_form form,
     ratio = stress_below(&random, 3);
     pinned = stress_below(&random, 5); /* 0 free; a node, two, three; 4 an axis of one */
     for (i = 0; i < mesh.tets; ++i) index[i] = stress_below(&random, 2);
-    material[0] = sfem_default_material();
+    material[0] = linear_material();
     material[0].young = scene->young;
     material[0].poisson = scene->poisson;
     material[1] = material[0];

@@ -9,6 +9,7 @@
  */
 #include "../examples/support.h"
 #include "bench.h"
+#include "../tests/linear.h"
 
 enum { REPEATS = 2001, MODES = 60, CLAMPED = 16 };
 
@@ -25,14 +26,14 @@ static bar make_bar(void)
 {
     const sfem_int cells[3] = {24, 3, 3};
     const sfem_real size[3] = {10, 1, 1};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_error err;
     bar b;
     int i;
     bench_must(sfem_mesh_block(cells, size, SFEM_CELL_6_TETS, NULL, &b.mesh, &err), &err);
     def.mesh = &b.mesh;
     def.material.law = SFEM_STVK;
-    def.material.beta = 0.002;
+    def.material.stiffness_damping = 0.002;
     bench_must(sfem_model_create(&def, &b.model, &err), &err);
     for (i = 0; i < CLAMPED; ++i) b.pins[i] = i;
     b.force = (double *)ex_new(9 * (size_t)b.mesh.nodes, sizeof(double));
@@ -52,7 +53,7 @@ static sfem_reduced *reduce(const bar *b, sfem_int count, sfem_reduced_view **vi
     modes_def.tolerance = 1e-11; /* the highest of 60 take many restarts to 1e-13 */
     modes_def.pins = b->pins;
     modes_def.pin_count = CLAMPED;
-    def.beta = 0.002;
+    def.stiffness_damping = 0.002;
     bench_must(sfem_modes_create(b->model, &modes_def, &modes, &err), &err);
     bench_must(sfem_reduced_create(b->model, &modes, &def, &reduced, &err), &err);
     bench_must(sfem_reduced_view_create(reduced, 0, NULL, SFEM_DOUBLE, view, &err), &err);
@@ -238,7 +239,7 @@ static void speed(FILE *csv)
     const sfem_int cells[3] = {40, 10, 10};
     const sfem_real size[3] = {4, 1, 1}, g[3] = {0, 0, -9.81}, f[3] = {0, 0, -1000};
     static double t[3][REPEATS];
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_modes_def modes_def = sfem_default_modes_def();
     sfem_reduced_def reduced_def = sfem_default_reduced_def();
     sfem_int pins[121], i;

@@ -67,8 +67,8 @@ static void make(run *r)
     model.material.law = SFEM_COROTATIONAL;
     model.material.young = ex_real(&r->o, "--young");
     model.material.poisson = ex_real(&r->o, "--poisson");
-    model.material.alpha = 0.5;
-    model.material.beta = 0.004;
+    model.material.mass_damping = 0.5;
+    model.material.stiffness_damping = 0.004;
     must(sfem_model_create(&model, &r->model, &err), &err);
     body.accuracy = ex_real(&r->o, "--accuracy");
     body.dissipation = ex_real(&r->o, "--dissipation");

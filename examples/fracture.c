@@ -125,8 +125,8 @@ static void make_model(run *r)
                          : r->scene == TENSILE ? 1e6
                          : r->scene == PLATE   ? 5e6
                                                : 2e5;
-    def.material.alpha = r->scene == BEND ? 4 : r->scene == TENSILE ? 1 : 0.1;
-    def.material.beta = r->scene == TENSILE ? 0.004 : 0;
+    def.material.mass_damping = r->scene == BEND ? 4 : r->scene == TENSILE ? 1 : 0.1;
+    def.material.stiffness_damping = r->scene == TENSILE ? 0.004 : 0;
     must(sfem_model_create(&def, &r->model, &err), &err);
     r->damage = sfem_default_damage_def();
     r->damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
@@ -404,7 +404,7 @@ static void play(const ex_options *o, int scene)
            name[scene], (int)r.mesh.nodes, (int)r.mesh.tets, (int)r.steps, (int)info.rejected,
            (long)info.solves, (int)info.factors_made, start);
     printf("work %.4g\nreleased %.4g\nsurface %.4g\ndamped %.4g\nsafeguard %.4g\n", f.work,
-           f.released, f.surface, f.damped, f.guarded);
+           f.released, f.surface, f.damped, f.rejected);
     printf("pieces %d\nbroken_edges %d\nenergy_error %.3g\n", (int)f.pieces, (int)f.broken,
            f.scale > 0 ? fabs(f.error) / f.scale : 0.0);
     for (k = 0; k < FRAMES; ++k) {

@@ -196,7 +196,7 @@ int main(int argc, char **argv)
         printf("mode %d %.15g %.3g\n", (int)k + 1, sfem_modes_hz(&r.modes, k), r.modes.error[k]);
     printf("nodes %d\ntets %d\nmodes %d\nseconds %.3f\nsolves %d\nproved %d\n", (int)r.mesh.nodes,
            (int)r.mesh.tets, (int)r.modes.count, start, (int)r.modes.info.solves,
-           r.modes.info.proved);
+           r.modes.info.verified);
     if (r.modes.info.cut > 0) printf("more copies of the last mode: %d\n", (int)r.modes.info.cut);
     sfem_modes_free(&r.modes);
     sfem_surface_free(&r.surface);

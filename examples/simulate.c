@@ -133,8 +133,8 @@ static void make_model(run *r)
     def.material.young = ex_real(&r->o, "--young");
     def.material.poisson = ex_real(&r->o, "--poisson");
     def.material.density = ex_real(&r->o, "--density");
-    def.material.alpha = rayleigh[0];
-    def.material.beta = rayleigh[1];
+    def.material.mass_damping = rayleigh[0];
+    def.material.stiffness_damping = rayleigh[1];
     def.material.law =
         (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
     def.mass = ex_choice(&r->o, "--mass") ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED;
@@ -164,8 +164,8 @@ static void make_modal(run *r, const sfem_body_def *body)
     modes.pin_count = body->pin_count;
     modes.exec = body->exec;
     must(sfem_modes_create(r->model, &modes, &r->modes, &err), &err);
-    reduced.alpha = rayleigh[0];
-    reduced.beta = rayleigh[1];
+    reduced.mass_damping = rayleigh[0];
+    reduced.stiffness_damping = rayleigh[1];
     reduced.free = body->pin_count == 0;
     must(sfem_reduced_create(r->model, &r->modes, &reduced, &r->reduced, &err), &err);
     must(sfem_reduced_view_create(r->reduced, 0, NULL, SFEM_DOUBLE, &r->view, &err), &err);
@@ -212,7 +212,7 @@ static void make_body(run *r)
     def.p = ex_real(&r->o, "--p");
     if (def.integrator == SFEM_NEWMARK && def.p > 0) def.beta = def.p;
     def.frame = (sfem_frame)ex_choice(&r->o, "--frame");
-    def.no_guard = ex_choice(&r->o, "--safeguard");
+    def.safeguard = !ex_choice(&r->o, "--safeguard");
     def.accuracy = ex_real(&r->o, "--accuracy");
     def.dissipation = ex_real(&r->o, "--dissipation");
     def.newton.iterations = (sfem_int)ex_integer(&r->o, "--newton");

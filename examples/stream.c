@@ -134,8 +134,8 @@ static body body_new(const ex_options *o)
     must(sfem_modal_create(b.reduced, &def, &b.modal, &err), &err);
     must(sfem_modal_create(b.reduced, &def, &b.mirror, &err), &err);
     b.q = sfem_modal_coordinates(b.modal);
-    b.v = sfem_modal_velocities(b.modal);
-    b.a = sfem_modal_accelerations(b.modal);
+    b.v = sfem_modal_coordinate_velocities(b.modal);
+    b.a = sfem_modal_coordinate_accelerations(b.modal);
     b.force = (double *)ex_new(3 * (size_t)b.mesh.nodes, sizeof *b.force);
     for (i = 0; i < b.mesh.nodes; ++i) b.tip += b.mesh.x[3 * i] > 1 - 1e-9;
     b.h = ex_positive(o, "--dt");
@@ -289,7 +289,7 @@ static sfem_link_def link_def(const ex_options *o, const body *b, int way)
     d.modes = b->modes;
     d.h = b->h; /* beta and gamma are those of a modal body by default */
     d.key_every = way == 4 ? 0 : (sfem_int)ex_integer(o, "--key");
-    d.single = !ex_given(o, "--double");
+    d.precision = !ex_given(o, "--double") ? SFEM_MIXED : SFEM_DOUBLE;
     d.lost = (sfem_lost)(way % 4);
     d.stiffness = b->stiffness;
     d.damping = b->damping;
@@ -313,7 +313,7 @@ static void go(const ex_options *o, body *b, wire *w, int way, double percent, l
     must(sfem_receiver_create(&def, &receiver, &err), &err);
     body_rest(b);
     for (i = 0; i <= steps; ++i) {
-        const double *q = sfem_receiver_displacement(receiver);
+        const double *q = sfem_receiver_coordinates(receiver);
         double here = 0;
         size_t bytes;
         if (i) body_step(b);

@@ -142,8 +142,8 @@ static __attribute__((unused)) block_fem block_fem_create(sfem_int nx, sfem_int 
 
 static void block_fem_free(block_fem *f)
 {
-    sfem_matrix_free(&f->a, NULL);
-    sfem_matrix_free(&f->m, NULL);
+    sfem_matrix_free(&f->a);
+    sfem_matrix_free(&f->m);
     free(f->x);
     memset(f, 0, sizeof *f);
 }

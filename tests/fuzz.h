@@ -21,6 +21,7 @@
 #include <string.h>
 
 #include "softfem.h"
+#include "linear.h"
 
 enum { FUZZ_LARGEST = 8192 };
 
@@ -379,7 +380,7 @@ static sfem_model *fuzz_model(sfem_law law, sfem_mass mass)
 {
     const sfem_int cells[3] = {2, 1, 1};
     const sfem_real size[3] = {0.2, 0.1, 0.1};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_model *model = NULL;
     sfem_mesh mesh;
     sfem_error err;
@@ -387,7 +388,7 @@ static sfem_model *fuzz_model(sfem_law law, sfem_mass mass)
     def.mesh = &mesh;
     def.material.law = law;
     def.material.young = 1e5;
-    def.material.alpha = 0.1;
+    def.material.mass_damping = 0.1;
     def.mass = mass;
     fuzz_require_ok(sfem_model_create(&def, &model, &err), &err);
     sfem_mesh_free(&mesh);
@@ -619,7 +620,7 @@ static sfem_reduced *fuzz_reduced(int loose)
     if (!loose) wanted.pins = fuzz_pins, wanted.pin_count = 4;
     fuzz_require_ok(sfem_modes_create(model, &wanted, &modes, &err), &err);
     def.gravity_groups = 3;
-    def.beta = 1e-3;
+    def.stiffness_damping = 1e-3;
     def.free = loose;
     fuzz_require_ok(sfem_reduced_create(model, &modes, &def, &reduced[loose], &err), &err);
     sfem_modes_free(&modes);
@@ -854,8 +855,8 @@ static void fuzz_run_link(const unsigned char *data, size_t size)
     def.window = 4;
     def.key_every = 5;
     def.lost = (sfem_lost)(kind % 4);
-    def.single = kind >> 2 & 1;
-    def.drop_late = kind >> 3 & 1;
+    def.precision = kind >> 2 & 1 ? SFEM_MIXED : SFEM_DOUBLE;
+    def.keep_late = !(kind >> 3 & 1);
     def.first = kind >> 4 & 1 ? 0xfffffffeu : 3;
     def.stiffness = stiffness;
     fuzz_require_ok(sfem_sender_create(&def, &sender, &err), &err);
@@ -883,8 +884,8 @@ static void fuzz_run_link(const unsigned char *data, size_t size)
     (void)sfem_receiver_lead(r);
     (void)sfem_receiver_get_info(r);
     for (k = 0; k < FUZZ_LINK_MODES; ++k) {
-        fuzz_require(isfinite(sfem_receiver_displacement(r)[k]) && isfinite(sfem_receiver_velocity(r)[k]));
-        fuzz_require(isfinite(sfem_receiver_acceleration(r)[k]));
+        fuzz_require(isfinite(sfem_receiver_coordinates(r)[k]) && isfinite(sfem_receiver_coordinate_velocities(r)[k]));
+        fuzz_require(isfinite(sfem_receiver_coordinate_accelerations(r)[k]));
     }
     sfem_receiver_free(r);
     sfem_sender_free(sender);

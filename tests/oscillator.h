@@ -3,6 +3,7 @@
 #define OSCILLATOR_H
 
 #include "support.h"
+#include "linear.h"
 
 /* One tet of which node 1 may move along x only: k u + d u' + m u'' = F with the entries of K, D, M. */
 typedef struct oscillator {
@@ -14,7 +15,7 @@ static inline oscillator make_oscillator(double young, sfem_mass mass)
 {
     static sfem_real x[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
     static sfem_int tet[4] = {0, 1, 2, 3};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     oscillator o;
     sfem_mesh mesh;
     sfem_error err;
@@ -31,7 +32,7 @@ static inline oscillator make_oscillator(double young, sfem_mass mass)
     assert_ok(sfem_model_combine(o.model, 0, 1, 0, NULL, &m, &err), err);
     o.k = sfem_model_stiffness(o.model)->val[9 * 2]; /* block (1,1), row-wise the third */
     o.m = m.val[9 * 2];
-    sfem_matrix_free(&m, NULL);
+    sfem_matrix_free(&m);
     return o;
 }
 

@@ -5,6 +5,7 @@
 #define SFEM_TESTS_SCENE_H
 
 #include "support.h"
+#include "linear.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
@@ -23,7 +24,7 @@ typedef struct scene {
 
 TEST_STATIC sfem_material rubber(double young)
 {
-    sfem_material m = sfem_default_material();
+    sfem_material m = linear_material();
     m.young = young;
     m.law = SFEM_COROTATIONAL;
     return m;
@@ -34,7 +35,7 @@ TEST_STATIC scene bar(sfem_int nx, sfem_int ny, sfem_material material)
 {
     const sfem_int cells[3] = {nx, ny, ny};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * ny};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     test_random random = {11};
     sfem_error err;
     sfem_int i;

@@ -1,6 +1,7 @@
 /* Dissipation on demand (KR-alpha, CR, Gui-lambda, Chang), and what stability and accuracy are claimed of the
  * explicit methods on one factor: springs and dampers that change, corrections, a swinging bar. */
 #include "oscillator.h"
+#include "linear.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
@@ -177,8 +178,8 @@ static void kr_alpha_has_the_spectrum_of_generalized_alpha(void **state)
                     double c[3], x[4] = {0, 0, 0, 0};
                     sfem_body *body;
                     int n;
-                    def.alpha = xi[k] * w;
-                    def.beta_k = xi[k] / w;
+                    def.mass_damping = xi[k] * w;
+                    def.stiffness_damping = xi[k] / w;
                     body = oscillator_body(&o, def);
                     set_node1(body, 0.01, 0.02 * w);
                     characteristic(rho[j], omega_h[i], xi[k], c);
@@ -242,8 +243,8 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     sfem_body *body;
     sfem_error err;
     int i;
-    def.alpha = xi * w;
-    def.beta_k = xi / w;
+    def.mass_damping = xi * w;
+    def.stiffness_damping = xi / w;
     body = oscillator_body(o, def);
     set_node1(body, u0, v0);
     f[3] = load * o->k;
@@ -307,7 +308,7 @@ static void steps_that_change_stay_bounded(void **state)
             sfem_body *body;
             double most = 0, h = 10;
             int k;
-            if (j % 2) def.beta_k = 0.3 / w;
+            if (j % 2) def.stiffness_damping = 0.3 / w;
             body = oscillator_body(&o, def);
             set_node1(body, 0.01, 0.01 * w);
             for (k = 0; k < 3000; ++k) {
@@ -363,7 +364,7 @@ static double paper_difference(sfem_body_def def, double lambda, double damping,
     sfem_error err;
     paper s;
     int k;
-    def.alpha = damping * w;
+    def.mass_damping = damping * w;
     body = oscillator_body(&o, def);
     s.u = 0.03;
     s.v = 0.01 * w;
@@ -440,7 +441,7 @@ static bar make_bar(sfem_int nx, double young, sfem_law law)
 {
     const sfem_int cells[3] = {nx, 2, 2};
     const sfem_real size[3] = {0.1 * nx, 0.2, 0.2};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     test_random random = {11};
     sfem_error err;
     sfem_int i;
@@ -527,7 +528,7 @@ static void free_bodies_keep_exact_momenta(void **state)
         sfem_body *body;
         sfem_error err;
         int i, c;
-        def.beta_k = 1e-3;
+        def.stiffness_damping = 1e-3;
         body = bar_body(&b, def, 0);
         set_motion(&b, body, velocity, spin);
         for (i = 0; i < 1000; ++i) {
@@ -645,10 +646,10 @@ static void tiny_motions_are_those_of_the_linear_law(void **state)
         sfem_body *body;
         sfem_error err;
         sfem_int node;
-        def.alpha = 0.5;
-        def.beta_k = 1e-3;
+        def.mass_damping = 0.5;
+        def.stiffness_damping = 1e-3;
         def.gravity[1] = -1e-7;
-        def.no_guard = 1; /* energies of 1e-15 J are rounding */
+        def.safeguard = 0; /* energies of 1e-15 J are rounding */
         body = bar_body(&b, def, 1);
         n = 3 * (size_t)b.n;
         random.state = 5;
@@ -778,7 +779,7 @@ static void a_saved_state_continues_bit_for_bit(void **state)
             sfem_error err;
             void *memory;
             size_t bytes;
-            def.beta_k = 1e-3;
+            def.stiffness_damping = 1e-3;
             one = bar_body(&b, def, 0);
             two = bar_body(&b, def, 0);
             set_motion(&b, one, zero, spin);
@@ -823,7 +824,7 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
 static sfem_status make_and_run(sfem_allocator allocator, void *user, sfem_error *err)
 {
     const bar *b = (const bar *)user;
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_body_def body_def = method(SFEM_KR_ALPHA, 0.5);
     sfem_model *model = NULL;
     sfem_body *body = NULL;
@@ -860,14 +861,14 @@ static void a_prepared_body_allocates_nothing(void **state)
     for (law = SFEM_LINEAR; law <= SFEM_COROTATIONAL; ++law) {
         bar b = make_bar(4, 1e6, (sfem_law)law);
         sfem_body_def def = method(SFEM_KR_ALPHA, 0.8);
-        sfem_model_def model = sfem_default_model_def();
+        sfem_model_def model = linear_model_def();
         test_memory memory = {0};
         sfem_body *body;
         sfem_error err;
         size_t calls;
         int k;
         def.allocator = model.allocator = test_allocator(&memory); /* the model's: a body's own factor */
-        def.no_allocation = 1;
+        def.may_allocate = 0;
         sfem_model_free(b.model);
         model.mesh = &b.mesh;
         model.material.young = 1e6;

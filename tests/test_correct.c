@@ -2,6 +2,7 @@
  * unstructured bodies. */
 #include "scene.h"
 #include "bodies.h"
+#include "linear.h"
 
 static const sfem_law laws[3] = {SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
 
@@ -136,8 +137,8 @@ static void without_dissipation_it_is_newmark(void **state)
             int k, j;
             def.dissipation = 0;
             def.accuracy = 1e-20;
-            def.alpha = 0.5;
-            def.no_guard = 1;
+            def.mass_damping = 0.5;
+            def.safeguard = 0;
             def.newton.tolerance = 1e-12;
             def.newton.iterations = 50;
             for (j = 0; j < 2; ++j) {
@@ -245,7 +246,7 @@ static void corrections_keep_the_momenta_of_free_bodies(void **state)
             scene s = bar_of(5, laws[law], 3e5);
             int64_t corrections = 0;
             int k;
-            def.beta_k = way == 2 ? 2e-3 : 0;
+            def.stiffness_damping = way == 2 ? 2e-3 : 0;
             def.accuracy = way ? 1e-10 : def.accuracy;
             add_body(&s, def, 0);
             set_motion(&s, v, spin);
@@ -262,7 +263,7 @@ static void corrections_keep_the_momenta_of_free_bodies(void **state)
             }
             print_message("    law %d, damping %g, accuracy %g: %.2f corrections a step, P off by "
                           "%.1e, L by %.1e\n",
-                          law, def.beta_k, def.accuracy, (double)corrections / 300, off[0], off[1]);
+                          law, def.stiffness_damping, def.accuracy, (double)corrections / 300, off[0], off[1]);
             assert_int_equal(sfem_body_get_info(s.body).rejected, 0);
             assert_true(corrections > (way ? 300 : 30));
             assert_true(off[0] < 1e-12 && off[1] < 1e-12);
@@ -317,8 +318,8 @@ static void damped_swing(sfem_law law, int kind, int handle, int form, int steps
     def.newton.tolerance = 1e-10;
     if (form == EXACT) def.accuracy = 1e-20;
     if (form == EXACT) def.dissipation = 0;
-    if (kind == MASS_DAMPING) def.alpha = 2;
-    if (kind == STIFFNESS_DAMPING) def.beta_k = 4e-3;
+    if (kind == MASS_DAMPING) def.mass_damping = 2;
+    if (kind == STIFFNESS_DAMPING) def.stiffness_damping = 4e-3;
     if (kind == DRAG) {
         def.damping_force.force = drag_force;
         def.damping_force.user = &d;
@@ -465,11 +466,11 @@ static uint64_t in_units(sfem_law law, int kind, double unit, sfem_body_info *in
     scene s;
     int k;
     m.law = law;
-    m.beta = 1e-4 * unit;
+    m.stiffness_damping = 1e-4 * unit;
     s = bar(5, 2, m);
     def.gravity[1] = -9.81 / (unit * unit);
-    def.alpha = 0.1 / unit;
-    def.beta_k = 1e-3 * unit;
+    def.mass_damping = 0.1 / unit;
+    def.stiffness_damping = 1e-3 * unit;
     add_body(&s, def, kind != KICKED);
     for (i = 0; i < 3 * s.n; ++i) {
         if (kind == KICKED) v[i] = 10 * random_normal(&random) / unit;
@@ -517,7 +518,7 @@ static void the_unit_of_time_changes_no_bit(void **state)
 static double live(const sfem_mesh *mesh, double young, int free_body, double h, int good)
 {
     const size_t n = 3 * (size_t)mesh->nodes;
-    sfem_model_def model_def = sfem_default_model_def();
+    sfem_model_def model_def = linear_model_def();
     sfem_body_def def = sfem_default_body_def();
     double *v = (double *)calloc(n, sizeof *v), centre[3] = {0, 0, 0}, peak = 0, first, last,
            low = 0;
@@ -597,7 +598,7 @@ static void nodes_rotate_with_the_stiff_parts(void **state)
 {
     const sfem_int cells[3] = {12, 3, 3};
     const double size[3] = {2, 0.3, 0.3};
-    sfem_model_def model_def = sfem_default_model_def();
+    sfem_model_def model_def = linear_model_def();
     sfem_body_def def = sfem_default_body_def();
     sfem_material material[2];
     sfem_int pins[16], region[12 * 3 * 3 * 6], e, i;

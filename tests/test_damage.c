@@ -2,6 +2,7 @@
 #define SFEM_STATIC
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
+#include "linear.h"
 
 /* --------------------------------------------------------------------------------------------
  * tets
@@ -604,7 +605,7 @@ static void make_mesh(sfem_int nx, sfem_int ny, sfem_int nz, double size, int ki
 static void make_scene(const sfem_mesh *mesh, sfem_law law, double young,
                        const sfem_damage_def *def, scene *s)
 {
-    sfem_model_def md = sfem_default_model_def();
+    sfem_model_def md = linear_model_def();
     static const sfem_allocator plain = {0, 0, 0};
     sfem_error err;
     s->mesh = *mesh;
@@ -879,7 +880,7 @@ static void the_tangent_of_a_damaged_body_is_the_slope_of_its_forces(void **stat
             for (i = 0; i < s.n; ++i)
                 assert_near(full[s.n * i + j], (f[0][i] - f[1][i]) / (2 * h), 1e-5, 1e-5);
         }
-        sfem_matrix_free(&k, NULL);
+        sfem_matrix_free(&k);
         free(u), free(v), free(f[0]), free(f[1]), free(full);
         free_scene(&s);
     }
@@ -1029,7 +1030,7 @@ static void start_stepper(scene *s, double p, double h, stepper *t)
 static void end_stepper(stepper *t)
 {
     sfem_ldl_free(t->ldl);
-    sfem_matrix_free(&t->a, NULL);
+    sfem_matrix_free(&t->a);
     free(t->u0), free(t->u), free(t->w), free(t->r), free(t->f0), free(t->f), free(t->load);
     free(t->work);
 }
@@ -1272,7 +1273,7 @@ static void pull_apart(sfem_int n, double jitter, double notch, sfem_damage_crit
         }
         memcpy(u, f, (size_t)s.n * sizeof *u);
         sfem_ldl_solve(ldl, 1, u, work, NULL);
-        sfem_matrix_free(&k, NULL);
+        sfem_matrix_free(&k);
         /* the potential energy at rest is -f.u/2, but for a constant at the same pull */
         if (!pulled) out[RELAXED] += (left + dot(f, u, s.n) / 2) / area;
         if (s.damage->pieces == 2) break;
@@ -1780,7 +1781,7 @@ static void come_to_rest(scene *s, double *u)
         memcpy(f, g, (size_t)s->n * sizeof *f);
     }
     sfem_ldl_free(ldl);
-    sfem_matrix_free(&k, NULL);
+    sfem_matrix_free(&k);
     free(work), free(f), free(d), free(v), free(g);
 }
 

@@ -2,6 +2,7 @@
 #define SFEM_STATIC
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
+#include "linear.h"
 
 #define LAWS 4
 static const sfem_law laws[LAWS] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN};
@@ -781,7 +782,7 @@ static body make_body_of(sfem_int nx, sfem_int ny, sfem_int nz, int law, int sta
 {
     const sfem_int cells[3] = {nx, ny, nz};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * nz};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     test_random r = {seed};
     sfem_mesh mesh;
     sfem_error err;
@@ -793,7 +794,7 @@ static body make_body_of(sfem_int nx, sfem_int ny, sfem_int nz, int law, int sta
     b.tet_material = (sfem_int *)calloc((size_t)mesh.tets, sizeof *b.tet_material);
     for (i = 0; i < mesh.tets; ++i) b.tet_material[i] = law < LAWS ? law : random_below(&r, LAWS);
     for (i = 0; i < LAWS; ++i) {
-        b.material[i] = sfem_default_material();
+        b.material[i] = linear_material();
         b.material[i].young = 1000.0 * (1 + i);
         b.material[i].poisson = 0.2 + 0.08 * i;
         b.material[i].law = laws[i];
@@ -988,7 +989,7 @@ static void model_tangent_is_the_derivative_of_forces(void **state)
             assert_all_near(tangent.val, stiffness->val, 9 * stiffness->row[stiffness->n], 1e-13,
                             0);
         }
-        sfem_matrix_free(&tangent, NULL);
+        sfem_matrix_free(&tangent);
         free(du), free(want), free(got), free(u);
         free_body(&b);
     }
@@ -1008,7 +1009,7 @@ static void model_tangents_at_rest_are_the_stiffness(void **state)
         sfem_model_tangent(b.model, b.u, (sfem_tangent)kind, &tangent, NULL);
         assert_all_near(tangent.val, stiffness->val, 9 * stiffness->row[stiffness->n], 1e-12, 0);
     }
-    sfem_matrix_free(&tangent, NULL);
+    sfem_matrix_free(&tangent);
     free_body(&b);
 }
 
@@ -1092,7 +1093,7 @@ static void forces_and_tangents_have_the_same_bits_for_any_threads(void **state)
         if (threads == 1) want_tangent = hash;
         assert_true(hash == want_tangent);
     }
-    sfem_matrix_free(&tangent, NULL);
+    sfem_matrix_free(&tangent);
     free_body(&b);
 }
 
@@ -1189,7 +1190,7 @@ static sfem_status create_attempt(sfem_allocator allocator, void *user, sfem_err
 static void model_survives_failing_allocations(void **state)
 {
     body b = make_body_of(2, 2, 2, LAWS, ORDINARY, 57);
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     (void)state;
     def.mesh = b.mesh;
     def.materials = b.material;
@@ -1202,7 +1203,7 @@ static void model_survives_failing_allocations(void **state)
 static void unknown_laws_are_refused(void **state)
 {
     body b = make_body_of(1, 1, 1, 0, ORDINARY, 59);
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_model *model;
     sfem_error err;
     (void)state;

@@ -1,6 +1,7 @@
 /* The energy of linear bodies whose pins, handles, steps and damage change never rises above its start plus the
  * work put in. */
 #include "support.h"
+#include "linear.h"
 
 typedef struct scheme {
     const char *name;
@@ -50,7 +51,7 @@ static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double 
 {
     const sfem_int cells[3] = {6, 2, 2};
     const double size[3] = {4, 1, 1};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_body_def body = sfem_default_body_def();
     sfem_mesh mesh;
     sfem_error err;
@@ -75,8 +76,8 @@ static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double 
     if (k->p > 0) body.beta = k->p;
     body.rho_inf = k->rho;
     if (k->lambda > 0) body.gui_lambda = k->lambda;
-    body.alpha = k->alpha;
-    body.beta_k = k->beta_k;
+    body.mass_damping = k->alpha;
+    body.stiffness_damping = k->beta_k;
     body.damage = damage;
     body.damping_force = test_damping;
     body.pins = s->end[0];

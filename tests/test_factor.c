@@ -5,12 +5,13 @@
 
 #include <signal.h>
 #include <sys/mman.h>
+#include "linear.h"
 
 static sfem_model *make_model(void)
 {
     const sfem_int cells[3] = {3, 2, 2};
     const sfem_real size[3] = {0.3, 0.2, 0.2};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_model *model = NULL;
     sfem_mesh mesh;
     sfem_error err;

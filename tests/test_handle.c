@@ -1,5 +1,6 @@
 /* Pins and handles that are set, moved and released while a body runs. */
 #include "support.h"
+#include "linear.h"
 
 typedef struct scheme {
     const char *name;
@@ -44,7 +45,7 @@ static sfem_model *make_beam(sfem_mass mass, sfem_allocator allocator)
 {
     const sfem_int cells[3] = {4, 1, 1};
     const double size[3] = {4, 1, 1};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_model *model = NULL;
     sfem_mesh mesh;
     sfem_error err;
@@ -72,8 +73,8 @@ static sfem_body_def body_def_of(const scheme *s, sfem_int pin_count)
     def.p = s->p;
     def.beta = s->beta;
     def.gamma = s->gamma;
-    def.alpha = s->alpha;
-    def.beta_k = s->beta_k;
+    def.mass_damping = s->alpha;
+    def.stiffness_damping = s->beta_k;
     def.pins = clamp;
     def.pin_count = pin_count;
     return def;
@@ -960,7 +961,7 @@ static void a_forged_state_is_refused_or_harmless(void **state)
     const sfem_int cells[3] = {1, 1, 1}, pin = 0;
     const sfem_real size[3] = {1, 1, 1};
     const uint64_t wrong[3] = {0x7fffffff7fffffffu, 0x4000000000000040u, 0xffffffffffffffffu};
-    sfem_model_def md = sfem_default_model_def();
+    sfem_model_def md = linear_model_def();
     sfem_body_def def = sfem_default_body_def();
     sfem_mesh mesh;
     sfem_model *model;
@@ -1019,7 +1020,7 @@ static void without_allocation_only_a_new_step_size_asks_to_be_prepared(void **s
     size_t calls;
     int i;
     (void)state;
-    def.no_allocation = 1;
+    def.may_allocate = 0;
     def.allocator = test_allocator(&memory);
     def.gravity[2] = -9.81;
     body = make_body(model, &def);

@@ -1,5 +1,6 @@
 /* Implicit integrators and Newton's iteration: linear and nonlinear bodies, damping forces, statics. */
 #include "oscillator.h"
+#include "linear.h"
 
 /* --------------------------------------------------------------------------------------------
  * one degree of freedom
@@ -153,8 +154,8 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     sfem_error err;
     double error;
     int i;
-    def.alpha = xi * w;
-    def.beta_k = xi / w;
+    def.mass_damping = xi * w;
+    def.stiffness_damping = xi / w;
     body = oscillator_body(o, def);
     set_node1(body, u0, v0);
     f[3] = load * o->k;
@@ -284,7 +285,7 @@ static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, d
 {
     const sfem_int cells[3] = {nx, ny, nz};
     const sfem_real size[3] = {0.1 * nx, 0.1 * ny, 0.1 * nz};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     test_random random = {7};
     sfem_mesh mesh;
     sfem_error err;
@@ -297,8 +298,8 @@ static block make_block(sfem_int nx, sfem_int ny, sfem_int nz, sfem_mass mass, d
     def.mesh = &mesh;
     def.mass = mass;
     def.material.young = 1e5;
-    def.material.alpha = alpha;
-    def.material.beta = beta;
+    def.material.mass_damping = alpha;
+    def.material.stiffness_damping = beta;
     assert_ok(sfem_model_create(&def, &b.model, &err), err);
     b.nodes = mesh.nodes;
     sfem_mesh_free(&mesh);
@@ -341,8 +342,8 @@ static void newton_on_a_linear_body_is_linear_newmark(void **state)
             d.nodes = b.nodes;
             def.integrator = SFEM_NEWMARK;
             def.gravity[1] = -3;
-            def.alpha = 0.2;
-            def.beta_k = 0.001;
+            def.mass_damping = 0.2;
+            def.stiffness_damping = 0.001;
             def.pins = b.pins;
             def.pin_axes = axes;
             def.pin_count = b.pin_count;
@@ -419,7 +420,7 @@ static beam make_beam(sfem_law law, double young, double alpha, double beta, con
 {
     const sfem_int cells[3] = {6, 1, 2};
     const sfem_real size[3] = {0.6, 0.1, 0.15};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     test_random random = {11};
     sfem_mesh mesh;
     sfem_error err;
@@ -436,8 +437,8 @@ static beam make_beam(sfem_law law, double young, double alpha, double beta, con
     def.mesh = &mesh;
     def.material.young = young;
     def.material.law = law;
-    def.material.alpha = alpha;
-    def.material.beta = beta;
+    def.material.mass_damping = alpha;
+    def.material.stiffness_damping = beta;
     def.allocator = allocator;
     assert_ok(sfem_model_create(&def, &b.model, &err), err);
     b.nodes = mesh.nodes;
@@ -744,7 +745,7 @@ static void one_iteration_is_the_semi_implicit_step(void **state)
             assert_int_equal(sfem_body_newton(body).factorisations, 1);
             memcpy(u, sfem_body_displacement(body), n * sizeof *u);
             sfem_body_velocities(body, v);
-            sfem_matrix_free(&k, NULL);
+            sfem_matrix_free(&k);
             free(work);
         }
         sfem_body_free(body);
@@ -1091,7 +1092,7 @@ static uint64_t run_on_threads(sfem_exec exec, sfem_law law, sfem_integrator met
     int s;
     def.exec = exec;
     def.gravity[2] = -9.81;
-    def.beta_k = 0.003;
+    def.stiffness_damping = 0.003;
     body = make_body(b.model, &def);
     for (s = 0; s < 8; ++s) {
         step(body, 0.02);
@@ -1192,7 +1193,7 @@ static void steps_allocate_nothing_once_prepared(void **state)
             size_t calls;
             int s;
             def.allocator = test_allocator(&memory);
-            def.no_allocation = 1;
+            def.may_allocate = 0;
             def.gravity[2] = -9.81;
             body = make_body(b.model, &def);
             assert_status(sfem_body_step(body, 0.01, &err), SFEM_NOT_PREPARED);

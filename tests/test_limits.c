@@ -1,6 +1,7 @@
 /* How far (p,q,r) goes: springs and dampers that change under a constant factor, corrections up to the implicit
  * solution, a soft bar that swings. */
 #include "support.h"
+#include "linear.h"
 
 static void step(sfem_body *body, double h)
 {
@@ -25,7 +26,7 @@ static oscillator make_oscillator(sfem_body_def def)
     static sfem_int tet[4] = {0, 1, 2, 3};
     static const sfem_int pins[4] = {0, 2, 3, 1};
     static const unsigned char axes[4] = {7, 7, 7, SFEM_AXIS_Y | SFEM_AXIS_Z};
-    sfem_model_def model = sfem_default_model_def();
+    sfem_model_def model = linear_model_def();
     oscillator o;
     sfem_mesh mesh;
     sfem_error err;
@@ -73,7 +74,7 @@ static double growth(double p, double q, double omega_h, double damping, double 
     o = make_oscillator(def);
     h = omega_h * sqrt(o.m / o.k);
     drop_oscillator(&o);
-    def.alpha = damping / h;
+    def.mass_damping = damping / h;
     o = make_oscillator(def);
     u[3] = 1;
     assert_ok(sfem_body_set_state(o.body, u, NULL, &err), err);
@@ -82,7 +83,7 @@ static double growth(double p, double q, double omega_h, double damping, double 
         const double now = sfem_body_displacement(o.body)[3], w = (now - before) / h;
         assert_ok(sfem_body_predict(o.body, h, &err), err);
         sfem_body_rhs(o.body)[3] -= o.k * (bent(now, spring, knee) - now) +
-                                    def.alpha * o.m * (bent(w, damper, knee / h) - w);
+                                    def.mass_damping * o.m * (bent(w, damper, knee / h) - w);
         assert_ok(sfem_body_solve(o.body, &err), err);
         assert_ok(sfem_body_finish(o.body, &err), err);
         before = now;
@@ -164,7 +165,7 @@ static bar make_bar(sfem_int nx, sfem_int ny, double young, double alpha)
 {
     const sfem_int cells[3] = {nx, ny, ny};
     const sfem_real size[3] = {1, 0.2, 0.2};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_error err;
     sfem_int i;
     bar b;
@@ -177,7 +178,7 @@ static bar make_bar(sfem_int nx, sfem_int ny, double young, double alpha)
     def.mesh = &b.mesh;
     def.material.young = young;
     def.material.law = SFEM_COROTATIONAL;
-    def.material.alpha = alpha;
+    def.material.mass_damping = alpha;
     assert_ok(sfem_model_create(&def, &b.model, &err), err);
     return b;
 }
@@ -213,7 +214,7 @@ static void corrected_to_convergence_it_is_implicit_newmark(void **state)
     int k, j;
     (void)state;
     def.gravity[2] = -9.81;
-    def.no_guard = 1;
+    def.safeguard = 0;
     def.accuracy = 1e-20;
     def.dissipation = 0;
     def.newton.tolerance = 1e-13;

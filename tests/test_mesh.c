@@ -1,5 +1,6 @@
 /* Meshes: generators, checks, surface, parts, numbering, picking. */
 #include "support.h"
+#include "linear.h"
 
 /* ---- what the tests share ---- */
 
@@ -399,7 +400,7 @@ static void negative_counts_are_a_fault(void **state)
     size_t k;
     (void)state;
     for (k = 0; k < TEST_COUNT(counts); ++k) {
-        sfem_model_def def = sfem_default_model_def();
+        sfem_model_def def = linear_model_def();
         sfem_model *model = NULL;
         sfem_mesh_report r;
         sfem_surface surface;

@@ -5,6 +5,7 @@
 #define SFEM_ENABLE_MESHIO
 #define SFEM_ENABLE_MESHER
 #include "support.h"
+#include "linear.h"
 
 /* ---- surfaces of our own ---- */
 
@@ -556,8 +557,8 @@ static void a_cage_contains_the_surface_and_its_thin_parts(void **state)
 static void a_cage_has_the_mass_of_what_it_holds(void **state)
 {
     sfem_surface s = tube(0, 100, 24, 0.3);
-    sfem_material base = sfem_default_material(), materials[SFEM_CAGE_LEVELS + 1];
-    sfem_model_def def = sfem_default_model_def();
+    sfem_material base = linear_material(), materials[SFEM_CAGE_LEVELS + 1];
+    sfem_model_def def = linear_model_def();
     sfem_model *model = NULL;
     sfem_error err;
     sfem_mesh m = mesh_of(&s, SFEM_CAGE, 0.12, 0, NULL);

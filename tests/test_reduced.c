@@ -1,5 +1,6 @@
 /* Modal bodies: the reduced model, oscillators, warping, handles, frames, views, blocks. */
 #include "support.h"
+#include "linear.h"
 
 #define BEAM_MODES 20
 
@@ -16,7 +17,7 @@ static scene make_bar(const sfem_int cells[3], sfem_real length, int clamped, sf
                       sfem_law law, const sfem_reduced_def *given)
 {
     const sfem_real size[3] = {length, 1, 1};
-    sfem_model_def model_def = sfem_default_model_def();
+    sfem_model_def model_def = linear_model_def();
     sfem_modes_def modes_def = sfem_default_modes_def();
     sfem_reduced_def def = sfem_default_reduced_def();
     sfem_int pins[64], i;
@@ -105,7 +106,7 @@ static void psi_is_half_the_curl_of_linear_fields(void **state)
     sfem_modes_def modes_def = sfem_default_modes_def();
     sfem_reduced_def def = sfem_default_reduced_def();
     test_random random = {3};
-    sfem_model_def model_def = sfem_default_model_def();
+    sfem_model_def model_def = linear_model_def();
     const sfem_real size[3] = {1.5, 1, 0.7};
     sfem_reduced *reduced;
     sfem_model *model;
@@ -172,9 +173,9 @@ static void what_does_not_belong_together_is_refused(void **state)
     assert_status(sfem_reduced_create(s.model, &s.modes, &def, &reduced, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "mode 2");
     def.ratio = NULL;
-    def.alpha = -1;
+    def.mass_damping = -1;
     assert_status(sfem_reduced_create(s.model, &s.modes, &def, &reduced, &err), SFEM_BAD_ARGUMENT);
-    def.alpha = 0;
+    def.mass_damping = 0;
     keep = s.modes.phi[3 * s.nodes + 20];
     s.modes.phi[3 * s.nodes + 20] = NAN;
     assert_status(sfem_reduced_create(s.model, &s.modes, &def, &reduced, &err), SFEM_NOT_FINITE);
@@ -281,8 +282,8 @@ static void newmark_in_all_modes_is_newmark_in_full_space(void **state)
     sfem_error err;
     int k, i;
     (void)state;
-    reduced_def.alpha = 0.3;
-    reduced_def.beta = 0.002;
+    reduced_def.mass_damping = 0.3;
+    reduced_def.stiffness_damping = 0.002;
     s = make_bar(cells, 4, 1, -1, SFEM_LINEAR, &reduced_def);
     for (k = 0; k < 2; ++k) {
         sfem_body_def body_def = sfem_default_body_def();
@@ -293,8 +294,8 @@ static void newmark_in_all_modes_is_newmark_in_full_space(void **state)
         def.integrator = SFEM_MODAL_NEWMARK;
         body_def.beta = def.beta = parameter[k][0];
         body_def.gamma = def.gamma = parameter[k][1];
-        body_def.alpha = 0.3;
-        body_def.beta_k = 0.002;
+        body_def.mass_damping = 0.3;
+        body_def.stiffness_damping = 0.002;
         body_def.pins = pins;
         body_def.pin_count = 4;
         body_def.gravity[2] = def.gravity[2] = -9.81;
@@ -356,7 +357,7 @@ static sfem_reduced *one_oscillator(const scene *s, double lambda, double c)
     sfem_error err;
     modes.count = 1;
     modes.lambda = &lambda;
-    def.alpha = c;
+    def.mass_damping = c;
     def.free = 0;
     assert_ok(sfem_reduced_create(s->model, &modes, &def, &r, &err), err);
     return r;
@@ -404,7 +405,7 @@ static void the_exact_oscillator_is_exact_at_any_step(void **state)
                     step(b, h);
                     size = 0.7 + 0.4 * fmin(h, 1 / fmax(omega, 1e-9)) + fabs(phi[1]) * h * h;
                     assert_near(sfem_modal_coordinates(b)[0], y[0], 1e-12, 3e-13 * size);
-                    assert_near(sfem_modal_velocities(b)[0], y[1], 1e-12,
+                    assert_near(sfem_modal_coordinate_velocities(b)[0], y[1], 1e-12,
                                 3e-13 * (0.4 + 0.7 * omega + fabs(phi[1]) * h));
                 }
                 sfem_modal_free(b);
@@ -592,12 +593,12 @@ static void a_receiver_integrates_accelerations(void **state)
     assert_ok(sfem_modal_set_gravity(sender, g, &err), err);
     sfem_modal_start(sender);
     assert_ok(
-        sfem_modal_set_coordinates(receiver, NULL, NULL, sfem_modal_accelerations(sender), &err),
+        sfem_modal_set_coordinates(receiver, NULL, NULL, sfem_modal_coordinate_accelerations(sender), &err),
         err);
-    assert_ok(sfem_modal_set_coordinates(lossy, NULL, NULL, sfem_modal_accelerations(sender), &err),
+    assert_ok(sfem_modal_set_coordinates(lossy, NULL, NULL, sfem_modal_coordinate_accelerations(sender), &err),
               err);
     for (i = 0; i < 60; ++i) {
-        const double *a = sfem_modal_accelerations(sender);
+        const double *a = sfem_modal_coordinate_accelerations(sender);
         const sfem_modal_info info = sfem_modal_get_info(sender);
         step(sender, h);
         assert_ok(sfem_modal_step_with(receiver, a, h, info.beta, info.gamma, &err), err);
@@ -606,15 +607,15 @@ static void a_receiver_integrates_accelerations(void **state)
         if (i == 20) memcpy(lost, a, sizeof lost);
         for (k = 0; k < BEAM_MODES; ++k) {
             const double q = sfem_modal_coordinates(sender)[k],
-                         v = sfem_modal_velocities(sender)[k];
+                         v = sfem_modal_coordinate_velocities(sender)[k];
             const double dv = i < 20 ? 0 : i == 20 ? h / 2 * lost[k] : h * lost[k];
             const double dq = i < 20    ? 0
                               : i == 20 ? h * h / 4 * lost[k]
                                         : (i - 20) * h * h * lost[k];
             assert_near(sfem_modal_coordinates(receiver)[k], q, 1e-13, 1e-13);
-            assert_near(sfem_modal_velocities(receiver)[k], v, 1e-13, 1e-12);
+            assert_near(sfem_modal_coordinate_velocities(receiver)[k], v, 1e-13, 1e-12);
             assert_near(q - sfem_modal_coordinates(lossy)[k], dq, 1e-12, 2e-13 * 30);
-            assert_near(v - sfem_modal_velocities(lossy)[k], dv, 1e-12, 2e-12 * 30);
+            assert_near(v - sfem_modal_coordinate_velocities(lossy)[k], dv, 1e-12, 2e-12 * 30);
         }
     }
     sfem_modal_free(sender);
@@ -1046,7 +1047,7 @@ static void the_force_of_a_frozen_handle_is_that_of_the_turned_nodes(void **stat
             sfem_modal_load(b, load);
             step(b, 0.01);
             for (k = 0; k < BEAM_MODES; ++k) { /* A q'' + ... = load + sum of handles */
-                const double left = sfem_modal_accelerations(b)[k] +
+                const double left = sfem_modal_coordinate_accelerations(b)[k] +
                                     s.modes.lambda[k] * sfem_modal_coordinates(b)[k];
                 double sum = load[k];
                 sfem_modal_handle_modal_force(b, handle[0], got[0]);
@@ -1103,7 +1104,7 @@ static void the_force_of_a_handle_is_work_conjugate(void **state)
             step(b, 0.01);
             sfem_modal_handle_modal_force(b, handle, got);
             for (k = 0; k < BEAM_MODES; ++k)
-                assert_near(sfem_modal_accelerations(b)[k] +
+                assert_near(sfem_modal_coordinate_accelerations(b)[k] +
                                 s.modes.lambda[k] * sfem_modal_coordinates(b)[k],
                             got[k], 1e-9, 1e-9);
         }
@@ -1372,7 +1373,7 @@ static double ringing(const scene *s, double beta, double gamma, double complian
         step(b, 0.01);
         for (c = 0; c < 3; ++c)
             for (a[c] = 0, k = 0; k < BEAM_MODES; ++k)
-                a[c] += phi[BEAM_MODES * c + k] * sfem_modal_accelerations(b)[k];
+                a[c] += phi[BEAM_MODES * c + k] * sfem_modal_coordinate_accelerations(b)[k];
         if (i < 10) early = fmax(early, sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]));
         if (i >= 800) late = fmax(late, sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]));
     }

@@ -3,6 +3,7 @@
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "bodies.h"
+#include "linear.h"
 
 #define H (1.0 / 60)
 
@@ -21,7 +22,7 @@ static scene bar(sfem_int nx, sfem_int ny, sfem_law law, double young, int both_
 {
     const sfem_int cells[3] = {nx, ny, ny};
     const sfem_real size[3] = {2, 2.0 * ny / nx, 2.0 * ny / nx};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_error err;
     sfem_int i;
     scene s;
@@ -131,7 +132,7 @@ static void slices_have_the_bits_of_one_stroke(void **state)
                                     sizeof *ldl->l32);
         assert_true(ldl->pivot_min == whole->pivot_min && ldl->pivot_max == whole->pivot_max);
         sfem_ldl_free(ldl);
-        sfem_matrix_free(&a, NULL);
+        sfem_matrix_free(&a);
         drop(&s);
     }
 }
@@ -233,7 +234,7 @@ static void a_matrix_of_the_callers_is_taken(void **state)
     assert_ok(sfem_model_combine(s.model, 1, 0, 0, NULL, &k, &err), err);
     sfem_model_tangent(s.model, other.body->state.u, SFEM_TANGENT_PSD, &k, NULL);
     assert_ok(sfem_body_refactorise(other.body, &k, &err), err);
-    sfem_matrix_free(&k, NULL); /* it was copied */
+    sfem_matrix_free(&k); /* it was copied */
     run(s.body, 30);
     run(other.body, 30);
     assert_int_equal(sfem_body_get_refactorisation(other.body).made, 1);
@@ -356,7 +357,7 @@ static sfem_body_info fall(const scene *s, double work, double *u, sfem_refactor
 static void costly_corrections_call_for_a_factor(void **state)
 {
     scene s;
-    sfem_model_def model = sfem_default_model_def();
+    sfem_model_def model = linear_model_def();
     sfem_refactorisation by[2];
     sfem_body_info info[2];
     sfem_error err;
@@ -420,8 +421,8 @@ static void violence_makes_no_energy_through_new_factors(void **state)
                 sfem_int i;
                 def.refactorise = 1;
                 if (kind != 2) def.accuracy = 1;
-                def.alpha = kind == 2 ? 0.1 : 0;
-                def.beta_k = kind == 2 ? 1e-3 : 0;
+                def.mass_damping = kind == 2 ? 0.1 : 0;
+                def.stiffness_damping = kind == 2 ? 1e-3 : 0;
                 add_body(&s, def, held);
                 for (i = 0; i < s.mesh.nodes; ++i) {
                     const double x = s.mesh.x[3 * i];
@@ -504,7 +505,7 @@ static void steps_and_new_factors_allocate_nothing(void **state)
 {
     scene s = bar(6, 2, SFEM_COROTATIONAL, 1e5, 0);
     test_memory memory = {0};
-    sfem_model_def model = sfem_default_model_def();
+    sfem_model_def model = linear_model_def();
     sfem_body_def def = soft(0.5);
     sfem_int handle = -1;
     sfem_error err;
@@ -517,7 +518,7 @@ static void steps_and_new_factors_allocate_nothing(void **state)
     model.material.young = 1e5;
     model.allocator = test_allocator(&memory);
     assert_ok(sfem_model_create(&model, &s.model, &err), err);
-    def.no_allocation = 1;
+    def.may_allocate = 0;
     def.max_handles = 2;
     def.allocator = test_allocator(&memory);
     add_body(&s, def, 1);
@@ -537,7 +538,7 @@ static void steps_and_new_factors_allocate_nothing(void **state)
 static sfem_status prepare_and_refactorise(sfem_allocator allocator, void *user, sfem_error *err)
 {
     const sfem_mesh *mesh = (const sfem_mesh *)user;
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_body_def body = soft(1e12);
     sfem_model *model = NULL;
     sfem_body *b = NULL;
@@ -661,7 +662,7 @@ static void what_cannot_be_refactorised_is_refused(void **state)
     add_body(&s, def, 1);
     run(s.body, 14);
     assert_true(bits(s.body) == before); /* nothing was changed by all that */
-    sfem_matrix_free(&k, NULL);
+    sfem_matrix_free(&k);
     drop(&linear);
     drop(&other);
     drop(&s);

@@ -2,6 +2,7 @@
 #define SFEM_STATIC
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
+#include "linear.h"
 
 /* --------------------------------------------------------------------------------------------
  * matrices
@@ -66,7 +67,7 @@ static pair grid(sfem_int nx, sfem_int ny, sfem_int nz, uint64_t seed)
 static void drop_pair(pair *p)
 {
     free(p->scalar.val);
-    sfem_matrix_free(&p->block, NULL);
+    sfem_matrix_free(&p->block);
     free(p->x);
 }
 
@@ -79,7 +80,7 @@ static sfem_ldl *make(const pair *p, int scalar, sfem_ordering ordering, int mix
     def.x = p->x;
     def.scalar = scalar;
     def.ordering = ordering;
-    def.mixed = mixed;
+    def.precision = mixed ? SFEM_MIXED : SFEM_DOUBLE;
     def.keep = keep;
     if (threads > 1) def.exec = thread_exec(threads);
     assert_ok(sfem_ldl_create(&def, scalar ? &p->scalar : &p->block, &ldl, &err), err);
@@ -283,7 +284,7 @@ static sfem_status attempt(sfem_allocator allocator, void *user, sfem_error *err
     sfem_ldl_def def = sfem_default_ldl_def();
     sfem_ldl *ldl = NULL;
     sfem_status status;
-    def.scalar = def.mixed = 1;
+    def.scalar = def.precision = SFEM_MIXED;
     def.x = p->x;
     def.allocator = allocator;
     status = sfem_ldl_create(&def, &p->scalar, &ldl, err);
@@ -312,7 +313,7 @@ typedef struct scene {
 static scene block(const sfem_int *cells, int damped)
 {
     const sfem_real size[3] = {0.4, 0.2, 0.2}, rest[2] = {0, 1e-3};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_int i, *region;
     sfem_material material[2];
     sfem_error err;
@@ -322,10 +323,10 @@ static scene block(const sfem_int *cells, int damped)
     region = (sfem_int *)calloc((size_t)s.mesh.tets, sizeof *region);
     for (i = 0; i < s.mesh.tets; ++i) region[i] = i % 2;
     for (i = 0; i < 2; ++i) {
-        material[i] = sfem_default_material();
+        material[i] = linear_material();
         material[i].young = 1e5;
         material[i].law = SFEM_COROTATIONAL;
-        if (damped) material[i].beta = rest[i];
+        if (damped) material[i].stiffness_damping = rest[i];
     }
     def.mesh = &s.mesh;
     def.materials = material;

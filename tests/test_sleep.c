@@ -1,5 +1,6 @@
 /* Bodies that fall asleep, sleep and wake. */
 #include "support.h"
+#include "linear.h"
 
 /* --------------------------------------------------------------------------------------------
  * scenes
@@ -18,7 +19,7 @@ static scene bar(sfem_law law, double young)
 {
     const sfem_int cells[3] = {4, 1, 1};
     const sfem_real size[3] = {0.4, 0.1, 0.1};
-    sfem_model_def def = sfem_default_model_def();
+    sfem_model_def def = linear_model_def();
     sfem_error err;
     scene s;
     sfem_int i;
@@ -49,7 +50,7 @@ static sfem_body_def hanging(const scene *s)
     d.pins = s->pins;
     d.pin_count = s->pin_count;
     d.gravity[1] = -9.8;
-    d.alpha = 4;
+    d.mass_damping = 4;
     d.sleep_tolerance = TOLERANCE;
     return d;
 }
@@ -207,7 +208,7 @@ static void a_swing_does_not_fall_asleep_at_its_turning_points(void **state)
         int k, crossings = 0;
         sfem_body *body;
         sfem_error err;
-        def.sleep_tolerance = def.alpha = 0;
+        def.sleep_tolerance = def.mass_damping = 0;
         def.gravity[1] = -0.2;
         body = make(&s, def);
         assert_ok(sfem_body_solve_static(body, &err), err);
@@ -260,7 +261,7 @@ static void a_falling_body_does_not_sleep_at_the_top_of_its_flight(void **state)
     int k;
     (void)state;
     def.pin_count = 0;
-    def.alpha = 0;
+    def.mass_damping = 0;
     def.gravity[1] = -1;
     def.sleep_tolerance = 0.5; /* below it for 1 s */
     for (i = 1; i < n; i += 3) v[i] = 2;
@@ -285,7 +286,7 @@ static void a_slow_ring_of_high_frequency_does_not_keep_a_body_awake(void **stat
     sfem_body *body;
     sfem_error err;
     (void)state;
-    def.alpha = def.gravity[1] = 0; /* it never stops */
+    def.mass_damping = def.gravity[1] = 0; /* it never stops */
     random_fill(&random, v, n, -TOLERANCE / 40, TOLERANCE / 40);
     body = make(&s, def);
     assert_ok(sfem_body_set_state(body, NULL, v, &err), err);

@@ -263,7 +263,7 @@ static void a_matrix_adds_its_blocks_and_keeps_the_lower_half(void **state)
         assert_true(full[r * 9 + c] == v[18 + k]);
         assert_true(full[(3 + r) * 9 + 3 + c] == 0);
     }
-    sfem_matrix_free(&a, NULL);
+    sfem_matrix_free(&a);
 }
 
 static void products_agree_with_the_dense_and_csr_forms(void **state)
@@ -307,7 +307,7 @@ static void products_agree_with_the_dense_and_csr_forms(void **state)
         assert_memory_equal(w, y, n * sizeof *y);
     }
     sfem_matrix_upper_free(&upper);
-    sfem_matrix_free(&a, NULL);
+    sfem_matrix_free(&a);
     free(row);
     free(col);
     free(val);
@@ -374,10 +374,10 @@ static void random_definite_matrices_are_solved_to_rounding(void **state)
             assert_true(solve_error(&def, &a, 1, &info) < 1e-15);
             assert_int_equal(info.negative, 0);
             assert_true(solve_error(&def, &a, 11, NULL) < 1e-15);
-            def.mixed = 1;
+            def.precision = SFEM_MIXED;
             assert_true(solve_error(&def, &a, 1, NULL) < 3e-7);
             assert_true(solve_error(&def, &a, 9, NULL) < 3e-7);
-            sfem_matrix_free(&a, NULL);
+            sfem_matrix_free(&a);
         }
     }
 }
@@ -403,9 +403,9 @@ static void quasi_definite_matrices_give_their_inertia(void **state)
         assert_int_equal(info.negative, negative);
         assert_true(info.residual < 1e-13);
         assert_true(solve_error(&def, &a, 8, &info) < 1e-14);
-        def.mixed = 1;
+        def.precision = SFEM_MIXED;
         assert_true(solve_error(&def, &a, 1, &info) < 1e-5);
-        sfem_matrix_free(&a, NULL);
+        sfem_matrix_free(&a);
     }
 }
 
@@ -474,7 +474,7 @@ static void indefinite_matrices_that_need_pivoting_are_refused(void **state)
         assert_int_equal(sfem_ldl_create(&def, &a, &ldl, &err), SFEM_SINGULAR);
         assert_true(err.node == 0 || err.node == 1);
         assert_null(ldl);
-        sfem_matrix_free(&a, NULL);
+        sfem_matrix_free(&a);
     }
 }
 
@@ -522,7 +522,7 @@ static void graphs_of_every_shape_are_solved(void **state)
             def.x = x;
             if (!(solve_error(&def, &a, 1, NULL) < 1e-15)) fail_msg("%s, %d", shape[s], ordering);
         }
-        sfem_matrix_free(&a, NULL);
+        sfem_matrix_free(&a);
     }
 }
 
@@ -540,7 +540,7 @@ static void a_star_is_ordered_from_its_tips(void **state)
     a = edges_matrix(3001, 3000, ei, ej, NULL, 5);
     assert_true(solve_error(&def, &a, 1, &info) < 1e-15);
     assert_true(info.nnz < 3001 * 24); /* the hub first would fill all of it */
-    sfem_matrix_free(&a, NULL);
+    sfem_matrix_free(&a);
 }
 
 static void the_empty_matrix_is_allowed(void **state)
@@ -555,7 +555,7 @@ static void the_empty_matrix_is_allowed(void **state)
     assert_int_equal(info.n, 0);
     def.positive = 0;
     (void)solve_error(&def, &a, 9, &info);
-    sfem_matrix_free(&a, NULL);
+    sfem_matrix_free(&a);
 }
 
 /* Every ordering on both kinds of blocks, and as much fill as is known to be needed. */
@@ -671,7 +671,7 @@ static void the_solution_does_not_depend_on_the_numbering(void **state)
             assert_true(fabs(c[3 * to[i] + k] - b[3 * i + k]) < 1e-12 * largest(n, b));
     sfem_ldl_free(one);
     sfem_ldl_free(two);
-    sfem_matrix_free(&p, NULL);
+    sfem_matrix_free(&p);
     block_fem_free(&f);
     free(to);
     free(bi);
@@ -710,7 +710,7 @@ static void slivers_leave_a_small_backward_error(void **state)
     assert_true(most / least > 1e11);
     assert_true(solve_error(&def, &g.a, 1, NULL) < 1e-15);
     assert_true(solve_error(&def, &g.a, 8, NULL) < 1e-15);
-    def.mixed = 1;
+    def.precision = SFEM_MIXED;
     assert_true(solve_error(&def, &g.a, 1, NULL) < 1e-5);
     free(g.a.val);
     free(x);
@@ -925,7 +925,7 @@ static void every_failing_allocation_is_survived(void **state)
                                    : SFEM_ORDER_AMD;
         def.x = f.x;
         def.positive = kind != 2;
-        def.mixed = kind == 2;
+        def.precision = kind == 2 ? SFEM_MIXED : SFEM_DOUBLE;
         if (kind == 1) { /* small, natural: fills little time */
             block_fem_free(&f);
             f = block_fem_create(6, 3, 3, 1);
@@ -956,11 +956,11 @@ static void every_failing_allocation_is_survived(void **state)
         if (sfem_matrix_create(2, 1, i, j, NULL, &m, &a, NULL) == SFEM_OK) {
             if (sfem_matrix_upper_create(&a, &m, &u, NULL) == SFEM_OK) {
                 sfem_matrix_upper_free(&u);
-                sfem_matrix_free(&a, &m);
+                sfem_matrix_free(&a);
                 assert_int_equal(b.live, 0);
                 break;
             }
-            sfem_matrix_free(&a, &m);
+            sfem_matrix_free(&a);
         }
         assert_int_equal(b.live, 0);
     }
@@ -985,7 +985,7 @@ static void any_number_of_threads_gives_the_same_bits(void **state)
             size_t i;
             int round;
             def.x = f.x;
-            def.mixed = kind == 1;
+            def.precision = kind == 1 ? SFEM_MIXED : SFEM_DOUBLE;
             def.positive = kind != 0;
             def.exec.threads = threads;
             def.exec.parallel_for = crew_for;
@@ -1060,7 +1060,7 @@ static void the_float_copy_survives_extreme_units(void **state)
         sfem_ldl *ldl = NULL;
         double *x = (double *)malloc(2 * n * sizeof *x), *b = x + n, *work;
         for (i = 0; i < nnz; ++i) f.a.val[i] *= unit[k];
-        def.mixed = 1;
+        def.precision = SFEM_MIXED;
         assert_int_equal(sfem_ldl_create(&def, &f.a, &ldl, NULL), SFEM_OK);
         work = (double *)malloc(sfem_ldl_work_size(ldl, 1) * sizeof *work);
         for (i = 0; i < n; ++i) x[i] = b[i] = 1e-100 * cos((double)i);
@@ -1134,7 +1134,7 @@ static void solve_mesh(const char *name, const sfem_mesh *m)
     def.ordering = SFEM_ORDER_AMD;
     if (!(solve_error(&def, &f.a, 8, &amd) < 1e-14)) fail_msg("%s", name);
     assert_true(best.flops <= 1.5 * amd.flops);
-    def.mixed = 1;
+    def.precision = SFEM_MIXED;
     if (!(solve_error(&def, &f.a, 1, NULL) < 1e-4)) fail_msg("%s", name);
     block_fem_free(&f);
     free(clamp);
@@ -1243,7 +1243,7 @@ static void conjugate_gradients_report_what_they_did(void **state)
     (void)state;
     for (kind = 0; kind < 3; ++kind) { /* Jacobi, the float factor, the double factor */
         if (kind) {
-            how.mixed = kind == 1;
+            how.precision = kind == 1 ? SFEM_MIXED : SFEM_DOUBLE;
             assert_int_equal(sfem_ldl_create(&how, &f.a, &ldl, &err), SFEM_OK);
         }
         def.preconditioner = ldl;

@@ -1,5 +1,6 @@
 /* Bodies that share a workspace: the same bits as alone, little memory, clear errors. */
 #include "support.h"
+#include "linear.h"
 
 enum { KINDS = 7, STEPS = 40 };
 
@@ -24,11 +25,11 @@ static void build(scene *s)
     for (i = 0; i < 3 * s->mesh.nodes; ++i) s->mesh.x[i] += random_uniform(&random, -0.01, 0.01);
     s->end = s->mesh.nodes - 1;
     for (i = 0; i < 3; ++i) {
-        sfem_model_def def = sfem_default_model_def();
+        sfem_model_def def = linear_model_def();
         def.mesh = &s->mesh;
         def.material.young = 2e5;
         def.material.law = i == 1 ? SFEM_COROTATIONAL : SFEM_LINEAR;
-        def.material.beta = 1e-3;
+        def.material.stiffness_damping = 1e-3;
         if (i == 2) def.mass = SFEM_MASS_CONSISTENT;
         assert_ok(sfem_model_create(&def, &s->model[i], &err), err);
     }
@@ -206,7 +207,7 @@ static void a_rotating_body_that_shares_takes_150_bytes_a_node_beyond_its_state(
     static const sfem_int cells[3] = {20, 6, 7};
     static const sfem_real size[3] = {2, 0.6, 0.7};
     counter count = {0};
-    sfem_model_def model_def = sfem_default_model_def();
+    sfem_model_def model_def = linear_model_def();
     sfem_body_def def = sfem_default_body_def();
     sfem_workspace *workspace = NULL;
     sfem_body *body[10];
