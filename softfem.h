@@ -9086,6 +9086,7 @@ static sfem_status sfemi_matrix_check_values(const sfem_matrix *a, size_t size, 
 
 SFEM_DEF sfem_status sfem_matrix_check(const sfem_matrix *a, sfem_error *err)
 {
+    SFEM_ASSERT(a);
     const sfem_status status = sfemi_matrix_check_pattern(a, err);
     return status != SFEM_OK ? status : sfemi_matrix_check_values(a, 9, err);
 }
@@ -9093,6 +9094,7 @@ SFEM_DEF sfem_status sfem_matrix_check(const sfem_matrix *a, sfem_error *err)
 SFEM_DEF sfem_status sfem_matrix_upper_create(const sfem_matrix *a, const sfem_allocator *allocator,
                                               sfem_matrix_upper *out, sfem_error *err)
 {
+    SFEM_ASSERT(a && out);
     static const sfem_allocator standard = {0, 0, 0};
     const sfem_allocator *m = allocator ? allocator : &standard;
     sfem_status status = SFEM_OK;
@@ -9208,12 +9210,14 @@ SFEM_DEF void sfem_matrix_multiply(const sfem_matrix *a, const sfem_real *x, sfe
 
 SFEM_DEF size_t sfem_matrix_csr_count(const sfem_matrix *a)
 {
+    SFEM_ASSERT(a);
     return a->n ? 9 * (2 * (size_t)a->row[a->n] - (size_t)a->n) : 0;
 }
 
 SFEM_DEF sfem_status sfem_matrix_to_csr(const sfem_matrix *a, sfem_int *row, sfem_int *col,
                                         sfem_real *val, sfem_error *err)
 {
+    SFEM_ASSERT(a && row && col && val);
     sfem_int i, k, at = 0;
     int r, c;
     if (sfem_matrix_csr_count(a) > (size_t)INT32_MAX)
@@ -9250,6 +9254,7 @@ SFEM_DEF sfem_status sfem_matrix_to_csr(const sfem_matrix *a, sfem_int *row, sfe
 
 SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full)
 {
+    SFEM_ASSERT(a && full);
     const size_t n = 3 * (size_t)a->n;
     sfem_int i, k;
     size_t r, c;
@@ -11131,6 +11136,7 @@ static size_t sfemi_solve_rows(const sfemi_symbolic *y)
 
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs)
 {
+    SFEM_ASSERT(ldl);
     const sfemi_symbolic *y = ldl->symbolic;
     return sfemi_solve_rows(y) * (rhs > SFEMI_SOLVE_ALONE ? SFEMI_SOLVE_BLOCK : 1) +
            y->scratch[y->tasks] * SFEMI_SOLVE_SCRATCH + 2 * (size_t)y->tasks + 64;
@@ -12078,6 +12084,7 @@ static sfem_status sfemi_ldl_matches(const sfem_ldl *ldl, const sfem_matrix *a, 
 SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, const sfem_exec *exec,
                                           sfem_ldl **out, sfem_error *err)
 {
+    SFEM_ASSERT(like && a && out);
     const sfem_status status = sfemi_ldl_matches(like, a, err);
     if (status != SFEM_OK) return status;
     (void)SFEMI_ATOMIC_ADD(&like->symbolic->references, 1);
@@ -12086,6 +12093,7 @@ SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matri
 
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err)
 {
+    SFEM_ASSERT(ldl && a);
     const sfem_status status = sfemi_ldl_matches(ldl, a, err);
     if (status != SFEM_OK) return status;
     memset(ldl->stale, 1, (size_t)ldl->symbolic->supernodes);
@@ -12095,6 +12103,7 @@ SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem
 SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
                                              const sfem_int *node, sfem_error *err)
 {
+    SFEM_ASSERT(ldl && a);
     const sfemi_symbolic *y = ldl->symbolic;
     const sfem_status status = sfemi_ldl_matches(ldl, a, err);
     sfem_int i, low, high;
@@ -12120,6 +12129,7 @@ SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a
 
 SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
 {
+    SFEM_ASSERT(ldl);
     const sfemi_symbolic *y = ldl->symbolic;
     const size_t ns = (size_t)y->supernodes, n = y->per * (size_t)y->n;
     sfem_ldl_info info;
@@ -12285,11 +12295,13 @@ static void sfemi_dense_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem
 
 SFEM_DEF void sfem_dense_cholesky_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x)
 {
+    SFEM_ASSERT(a && x);
     sfemi_dense_solve(n, a, rhs, x, 0);
 }
 
 SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs, sfem_real *x)
 {
+    SFEM_ASSERT(a && x);
     sfemi_dense_solve(n, a, rhs, x, 1);
 }
 
@@ -12643,6 +12655,7 @@ SFEM_DEF sfem_cg_def sfem_default_cg_def(void)
 
 SFEM_DEF size_t sfem_cg_work_size(const sfem_cg_def *def, const sfem_matrix *a)
 {
+    SFEM_ASSERT(def && a);
     return 13 * (size_t)a->n +
            (def->preconditioner ? sfem_ldl_work_size(def->preconditioner, 1) : 9 * (size_t)a->n) +
            8;
@@ -12703,6 +12716,7 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
                                    sfem_real *x, sfem_real *work, sfem_cg_info *info,
                                    sfem_error *err)
 {
+    SFEM_ASSERT(def && a && b && x && work);
     sfemi_cg c;
     sfem_int it = 0, node;
     sfem_real rz = 0, norm, goal, *ap;
@@ -12990,6 +13004,7 @@ SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
 SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
                                    const sfem_real f[9])
 {
+    SFEM_ASSERT(f);
     sfem_real p[9];
     return sfem_law_stress(law, lambda, mu, f, p);
 }
@@ -13385,6 +13400,7 @@ static void sfemi_edge_tensor(const sfem_edge_shape *shape, const sfem_real *d2,
 SFEM_DEF void sfem_edge_invariants(const sfem_edge_shape *shape, const sfem_real *d2,
                                    const sfem_real *fibre, sfem_real invariants[5])
 {
+    SFEM_ASSERT(shape);
     const int dim = shape->dim;
     sfem_real c[9], cof[9], ca;
     int i, j;
@@ -13452,6 +13468,7 @@ SFEM_DEF sfem_real sfem_edge_energy(const sfem_edge_shape *shape, sfem_law law, 
 SFEM_DEF void sfem_edge_forces(const sfem_edge_shape *shape, const sfem_real *x,
                                const sfem_real *slope, sfem_real *force)
 {
+    SFEM_ASSERT(shape);
     const int dim = shape->dim;
     int k, i;
     SFEM_ASSERT(x && slope && force);
@@ -14670,11 +14687,31 @@ SFEM_DEF void sfem_model_free(sfem_model *model)
     if (left == 0) sfemi_fem_destroy(model);
 }
 
-SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model) { return &model->mesh; }
-SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model) { return &model->stiffness; }
-SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model) { return model->node_mass; }
-SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model) { return model->volume; }
-SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model) { return model->total_mass; }
+SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return &model->mesh;
+}
+SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return &model->stiffness;
+}
+SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return model->node_mass;
+}
+SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return model->volume;
+}
+SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model)
+{
+    SFEM_ASSERT(model);
+    return model->total_mass;
+}
 
 /* block = k K + m M + d D at place `at` of the pattern, (i, j) its row and column. D is resolved into
  * K, M and the rest by the caller: ck, cm, cd multiply K, M and model->damping. */
@@ -14714,6 +14751,7 @@ SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sf
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err)
 {
+    SFEM_ASSERT(model && out);
     static const sfem_allocator standard = {0, 0, 0};
     const sfem_allocator *al = allocator ? allocator : &standard;
     const sfem_int n = model->mesh.nodes;
@@ -14737,6 +14775,7 @@ done:
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                             const sfem_exec *exec)
 {
+    SFEM_ASSERT(model && x && y);
     sfem_matrix_multiply(&model->stiffness, x, y, exec);
 }
 
@@ -14766,6 +14805,7 @@ static void sfemi_fem_add_mass(const sfem_model *model, sfem_real scale, const s
 SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                        const sfem_exec *exec)
 {
+    SFEM_ASSERT(model && x && y);
     (void)exec;
     memset(y, 0, 3 * (size_t)model->mesh.nodes * sizeof *y);
     sfemi_fem_add_mass(model, 1, x, y);
@@ -14795,6 +14835,7 @@ static void sfemi_fem_add_damping_rest(const sfem_model *model, const sfem_real 
 SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                           const sfem_exec *exec)
 {
+    SFEM_ASSERT(model && x && y);
     const size_t n = 3 * (size_t)model->mesh.nodes;
     size_t i;
     sfem_matrix_multiply(&model->stiffness, x, y, exec);
@@ -14894,6 +14935,7 @@ static sfem_int sfemi_forces_tasks(const sfemi_chunks *c) { return (c->count - 1
 /* copies, energy and inverted, moved */
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model)
 {
+    SFEM_ASSERT(model);
     const sfemi_chunks *c = &model->chunks;
     return 4 * (size_t)c->copies + 2 * (size_t)c->count + 4 * (size_t)c->most * (size_t)sfemi_forces_tasks(c);
 }
@@ -14930,6 +14972,7 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
                                      sfem_real *rotation, sfem_int *inverted, sfem_real *work,
                                      const sfem_exec *exec)
 {
+    SFEM_ASSERT(model);
     sfemi_forces ask;
     SFEM_ASSERT(u && force && work);
     memset(&ask, 0, sizeof ask);
@@ -15016,6 +15059,7 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec)
 {
+    SFEM_ASSERT(model && u && tangent);
     sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
@@ -15039,6 +15083,7 @@ static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4]
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises)
 {
+    SFEM_ASSERT(model && u);
     sfem_int e;
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6];
@@ -15060,6 +15105,7 @@ SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfe
 
 SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem_real *u)
 {
+    SFEM_ASSERT(model && u);
     sfem_real energy = 0;
     sfem_int e;
     int i;
@@ -15076,6 +15122,7 @@ SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem
 
 SFEM_DEF void sfem_add_gravity(const sfem_model *model, const sfem_real g[3], sfem_real *force)
 {
+    SFEM_ASSERT(model && g && force);
     size_t i;
     for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) force[i] += model->node_mass[i / 3] * g[i % 3];
 }
@@ -15094,6 +15141,7 @@ static void sfemi_fem_area2(const sfem_mesh *mesh, const sfem_real *x, const sfe
 SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, const sfem_real t[3], sfem_real *force)
 {
+    SFEM_ASSERT(mesh && t && force);
     sfem_int k;
     int a, c;
     for (k = 0; k < count; ++k) {
@@ -15109,6 +15157,7 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force)
 {
+    SFEM_ASSERT(mesh && force);
     sfem_int k;
     int a, c;
     for (k = 0; k < count; ++k) {
@@ -23302,6 +23351,7 @@ static void sfemi_refactor_follow(sfem_body *b)
 
 SFEM_DEF sfem_status sfem_body_refactorise(sfem_body *b, const sfem_matrix *k, sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const sfem_model *model = b->model;
     sfem_int i;
     if (!b->scheme.refactors)
@@ -23319,10 +23369,15 @@ SFEM_DEF sfem_status sfem_body_refactorise(sfem_body *b, const sfem_matrix *k, s
     return SFEM_OK;
 }
 
-SFEM_DEF void sfem_body_drop_refactorisation(sfem_body *b) { sfemi_refactor_drop(b); }
+SFEM_DEF void sfem_body_drop_refactorisation(sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    sfemi_refactor_drop(b);
+}
 
 SFEM_DEF sfem_refactorisation sfem_body_get_refactorisation(const sfem_body *b)
 {
+    SFEM_ASSERT(b);
     const sfemi_refactor *r = &b->refactor;
     sfem_refactorisation info;
     info.in_use = r->live > 0;
@@ -24300,13 +24355,22 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     return status;
 }
 
-SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *b) { return b->rhs; }
-SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *b) { return b->acc; }
+SFEM_DEF sfem_real *sfem_body_rhs(sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->rhs;
+}
+SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->acc;
+}
 
 /* ---- loads and state ---- */
 
 SFEM_DEF void sfem_body_start(sfem_body *b)
 {
+    SFEM_ASSERT(b);
     if (b->state.head->started == SFEMI_NOT_STARTED) b->state.head->started = SFEMI_LOAD_FIXED;
 }
 
@@ -24373,6 +24437,7 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sf
 
 SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const sfem_int nodes = b->model->mesh.nodes;
     const sfem_status status = sfemi_body_check_nodes(force, nodes, "force", err);
     if (status != SFEM_OK) return status;
@@ -24385,6 +24450,7 @@ SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, s
 SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const sfem_real f[3],
                                               sfem_error *err)
 {
+    SFEM_ASSERT(b && f);
     const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
     sfem_real *at, sum[3];
     int c;
@@ -24399,6 +24465,7 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
 
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], sfem_error *err)
 {
+    SFEM_ASSERT(b && g);
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     if (memcmp(b->state.head->gravity, g, 3 * sizeof *g) == 0) return SFEM_OK;
     sfemi_sleep_wake_up(b);
@@ -24407,11 +24474,20 @@ SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *b, const sfem_real g[3], s
     return SFEM_OK;
 }
 
-SFEM_DEF const sfem_real *sfem_body_displacement(const sfem_body *b) { return b->state.u; }
-SFEM_DEF sfem_real sfem_body_time(const sfem_body *b) { return b->state.head->time; }
+SFEM_DEF const sfem_real *sfem_body_displacement(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->state.u;
+}
+SFEM_DEF sfem_real sfem_body_time(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return b->state.head->time;
+}
 
 SFEM_DEF void sfem_body_positions(const sfem_body *b, sfem_real *x)
 {
+    SFEM_ASSERT(b && x);
     size_t i;
     for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) x[i] = b->model->mesh.x[i] + b->state.u[i];
 }
@@ -24419,6 +24495,7 @@ SFEM_DEF void sfem_body_positions(const sfem_body *b, sfem_real *x)
 /* (p,q,r) keeps the mean velocity over a step: half a step of acceleration is missing from it. */
 SFEM_DEF void sfem_body_velocities(const sfem_body *b, sfem_real *v)
 {
+    SFEM_ASSERT(b && v);
     const sfemi_state *s = &b->state;
     const int mean = b->scheme.mean && s->head->started == SFEMI_RUNNING;
     const sfem_real half = mean ? s->head->h / 2 : 0;
@@ -24478,6 +24555,7 @@ static void sfemi_body_restart(sfem_body *b)
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const sfem_int nodes = b->model->mesh.nodes;
     size_t i;
     sfem_status status = sfemi_body_check_nodes(u, nodes, "displacement", err);
@@ -24492,10 +24570,15 @@ SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const
     return SFEM_OK;
 }
 
-SFEM_DEF size_t sfem_body_state_size(const sfem_body *b) { return (size_t)b->state.head->saved.size; }
+SFEM_DEF size_t sfem_body_state_size(const sfem_body *b)
+{
+    SFEM_ASSERT(b);
+    return (size_t)b->state.head->saved.size;
+}
 
 SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
 {
+    SFEM_ASSERT(b && memory);
     const size_t bytes = sfem_body_state_size(b);
     sfemi_state_head head = *b->state.head;
     sfemi_body_take_back(b, &head);
@@ -24510,6 +24593,7 @@ SFEM_DEF void sfem_body_save_state(const sfem_body *b, void *memory)
 SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size_t bytes,
                                           sfem_error *err)
 {
+    SFEM_ASSERT(b && memory);
     const sfemi_state_shape shape = sfemi_body_state_shape(b, b->pin_count);
     sfem_status status = sfemi_saved_open(&sfemi_state_kind, &b->state.head->saved, memory, bytes, err);
     if (status == SFEM_OK) status = sfemi_saved_fault(&sfemi_state_kind, &shape, memory, bytes, err);
@@ -24532,6 +24616,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
 SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem_int *pins,
                                         const unsigned char *axes, sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const sfem_allocator *al = &b->allocator;
     const sfem_int nodes = b->model->mesh.nodes;
     sfemi_state fresh, old = b->state;
@@ -24582,6 +24667,7 @@ done:
 SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_real position[3],
                                         sfem_error *err)
 {
+    SFEM_ASSERT(b && position);
     sfem_int k;
     sfem_status status = sfemi_body_check_node(b, node, position, "position", err);
     if (status != SFEM_OK) return status;
@@ -24624,6 +24710,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const s
 
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *b, sfem_int node, sfem_int *handle, sfem_error *err)
 {
+    SFEM_ASSERT(b && handle);
     sfem_int nodes[4];
     const sfem_real weight[4] = {1, 0, 0, 0};
     const sfem_status status = sfemi_body_check_node(b, node, NULL, "", err);
@@ -24635,6 +24722,7 @@ SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *b, sfem_int node, sfem_int *
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem_real bary[4],
                                           sfem_int *handle, sfem_error *err)
 {
+    SFEM_ASSERT(b && bary && handle);
     if (tet < 0 || tet >= b->model->mesh.tets)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no tet %d, the mesh has %d", (int)tet,
                           (int)b->model->mesh.tets);
@@ -24727,6 +24815,7 @@ static void sfemi_body_find_reactions(sfem_body *b, sfem_real *force)
 
 SFEM_DEF void sfem_body_reactions(sfem_body *b, sfem_real *force)
 {
+    SFEM_ASSERT(b && force);
     const sfemi_scratch own = sfemi_body_look_aside(b);
     sfemi_body_find_reactions(b, force);
     sfemi_body_use(b, &own);
@@ -24756,6 +24845,7 @@ static sfem_energy sfemi_body_find_energy(sfem_body *b)
 
 SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
 {
+    SFEM_ASSERT(b);
     const sfemi_scratch own = sfemi_body_look_aside(b);
     const sfem_energy e = sfemi_body_find_energy(b);
     sfemi_body_use(b, &own);
@@ -24764,6 +24854,7 @@ SFEM_DEF sfem_energy sfem_body_energy(sfem_body *b)
 
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 {
+    SFEM_ASSERT(b);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_body_info info;
     sfem_int i;
@@ -24811,6 +24902,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
 
 SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
 {
+    SFEM_ASSERT(b);
     const sfemi_energy_balance *k = b->state.balance;
     sfem_fracture f;
     sfem_int i;
@@ -27658,6 +27750,7 @@ SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *mo
                                          const sfem_reduced_def *def, sfem_reduced **out,
                                          sfem_error *err)
 {
+    SFEM_ASSERT(model && modes && def && out);
     const sfem_allocator *al = &def->allocator;
     const sfem_mesh *mesh = &model->mesh;
     const size_t n = (size_t)mesh->nodes;
@@ -27712,6 +27805,7 @@ done:
 
 SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
 {
+    SFEM_ASSERT(r);
     sfem_reduced_info info;
     memset(&info, 0, sizeof info);
     info.nodes = r->head->nodes;
@@ -27745,10 +27839,15 @@ SFEM_DEF void sfem_reduced_node_modes(const sfem_reduced *r, sfem_int node, sfem
     }
 }
 
-SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r) { return (size_t)r->head->saved.size; }
+SFEM_DEF size_t sfem_reduced_size(const sfem_reduced *r)
+{
+    SFEM_ASSERT(r);
+    return (size_t)r->head->saved.size;
+}
 
 SFEM_DEF void sfem_reduced_save(const sfem_reduced *r, void *memory)
 {
+    SFEM_ASSERT(r && memory);
     memcpy(memory, r->head, (size_t)r->head->saved.size);
 }
 
@@ -27756,6 +27855,7 @@ SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
                                        const sfem_allocator *allocator, sfem_reduced **out,
                                        sfem_error *err)
 {
+    SFEM_ASSERT(memory && out);
     const sfem_allocator plain = {NULL, NULL, NULL};
     const sfem_allocator *al = allocator ? allocator : &plain;
     sfemi_reduced_head h;
@@ -27821,6 +27921,7 @@ SFEM_DEF sfem_status sfem_reduced_view_create(sfem_reduced *r, sfem_int count, c
                                               sfem_precision precision, sfem_reduced_view **out,
                                               sfem_error *err)
 {
+    SFEM_ASSERT(r && out);
     const sfem_allocator *al = &r->pool.allocator;
     const size_t m = (size_t)r->head->modes,
                  real = precision == SFEM_MIXED ? sizeof(float) : sizeof(double);
@@ -27861,11 +27962,16 @@ done:
 SFEM_DEF sfem_status sfem_reduced_view_surface(sfem_reduced *r, sfem_precision precision,
                                                sfem_reduced_view **out, sfem_error *err)
 {
+    SFEM_ASSERT(r && out);
     return sfem_reduced_view_create(r, r->head->surface_nodes, r->surface_node, precision, out,
                                     err);
 }
 
-SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *v) { return v->count; }
+SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *v)
+{
+    SFEM_ASSERT(v);
+    return v->count;
+}
 
 /* --- oscillators ------------------------------------------------------------------------------
  *
@@ -28277,6 +28383,7 @@ SFEM_DEF void sfem_modal_free(sfem_modal *b)
 SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_def *def,
                                        sfem_modal **out, sfem_error *err)
 {
+    SFEM_ASSERT(reduced && def && out);
     const sfem_allocator *al = &def->allocator;
     const size_t rows = 3 * (size_t)(def->max_handles > 0 ? def->max_handles : 0);
     sfem_modal *b = NULL;
@@ -28344,6 +28451,7 @@ done:
 
 SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const sfem_int n = b->reduced->head->nodes;
     sfem_int i;
     for (i = 0; force && i < n; ++i)
@@ -28365,6 +28473,7 @@ SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force,
 SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
                                                sfem_error *err)
 {
+    SFEM_ASSERT(b && f);
     sfem_int at;
     int c;
     if (node < 0 || node >= b->reduced->head->nodes)
@@ -28391,6 +28500,7 @@ SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, con
 
 SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *b, const sfem_real g[3], sfem_error *err)
 {
+    SFEM_ASSERT(b && g);
     if (!sfemi_all_finite(g, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
     memcpy(b->head->gravity, g, 3 * sizeof *g);
     return SFEM_OK;
@@ -28453,6 +28563,7 @@ static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
 
 SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
 {
+    SFEM_ASSERT(b && load);
     sfemi_modal_load_at(b, b->q, b->b);
     memcpy(load, b->b, b->m * sizeof *load);
 }
@@ -28835,6 +28946,7 @@ static void sfemi_modal_accelerate(sfem_modal *b)
 
 SFEM_DEF void sfem_modal_start(sfem_modal *b)
 {
+    SFEM_ASSERT(b);
     if (!(b->head->h > 0)) b->head->h = b->def.h;
     sfemi_modal_fit(b, b->head->h);
     sfemi_modal_load_at(b, b->q, b->f);
@@ -28892,6 +29004,7 @@ static sfem_status sfemi_handle_grab(sfem_modal *b, sfem_int count, const sfem_i
 SFEM_DEF sfem_status sfem_modal_grab_node(sfem_modal *b, sfem_int node, sfem_int *handle,
                                           sfem_error *err)
 {
+    SFEM_ASSERT(b && handle);
     return sfemi_handle_grab(b, 1, &node, NULL, handle, err);
 }
 
@@ -28899,6 +29012,7 @@ SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *b, sfem_int count, const
                                             const sfem_real *weight, sfem_int *handle,
                                             sfem_error *err)
 {
+    SFEM_ASSERT(b && handle);
     sfem_real sum = 0;
     sfem_int k;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a region of %d nodes", (int)count);
@@ -29412,6 +29526,7 @@ static void sfemi_modal_refit(sfem_modal *b, sfem_real h)
 
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const int held = b->head->handles > 0;
     const int exact = b->def.integrator == SFEM_MODAL_EXACT && !held;
     const sfem_real beta = held ? b->def.handle_beta : b->def.beta;
@@ -29466,6 +29581,7 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
 SFEM_DEF void sfem_modal_oscillators(const sfem_modal *b, sfem_real h, sfem_real *stiffness,
                                      sfem_real *damping)
 {
+    SFEM_ASSERT(b);
     const sfem_reduced *r = b->reduced;
     size_t k;
     SFEM_ASSERT(h > 0);
@@ -29481,6 +29597,7 @@ SFEM_DEF void sfem_modal_oscillators(const sfem_modal *b, sfem_real h, sfem_real
 SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *acceleration, sfem_real h,
                                           sfem_real beta, sfem_real gamma, sfem_error *err)
 {
+    SFEM_ASSERT(b && acceleration);
     const sfem_real none[3] = {0, 0, 0};
     size_t k;
     if (!(h > 0 && sfemi_finite(h)) ||
@@ -29514,15 +29631,32 @@ SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *b, const sfem_real *accele
     return SFEM_OK;
 }
 
-SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *b) { return b->q; }
-SFEM_DEF const sfem_real *sfem_modal_coordinate_velocities(const sfem_modal *b) { return b->v; }
-SFEM_DEF const sfem_real *sfem_modal_coordinate_accelerations(const sfem_modal *b) { return b->a; }
-SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *b) { return b->head->time; }
+SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *b)
+{
+    SFEM_ASSERT(b);
+    return b->q;
+}
+SFEM_DEF const sfem_real *sfem_modal_coordinate_velocities(const sfem_modal *b)
+{
+    SFEM_ASSERT(b);
+    return b->v;
+}
+SFEM_DEF const sfem_real *sfem_modal_coordinate_accelerations(const sfem_modal *b)
+{
+    SFEM_ASSERT(b);
+    return b->a;
+}
+SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *b)
+{
+    SFEM_ASSERT(b);
+    return b->head->time;
+}
 
 SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *b, const sfem_real *q,
                                                 const sfem_real *v, const sfem_real *a,
                                                 sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const size_t bytes = b->m * sizeof *q;
     if ((q && !sfemi_all_finite(q, b->m)) || (v && !sfemi_all_finite(v, b->m)) ||
         (a && !sfemi_all_finite(a, b->m)))
@@ -29592,6 +29726,7 @@ static sfem_real sfemi_modal_static_round(sfem_modal *b, sfem_real *part, sfemi_
 SFEM_DEF sfem_status sfem_modal_solve_static(sfem_modal *b, sfem_modal_static_info *info,
                                              sfem_error *err)
 {
+    SFEM_ASSERT(b);
     const sfem_reduced *r = b->reduced;
     sfem_modal_static_info got;
     sfemi_modal_head to = *b->head;
@@ -29761,24 +29896,28 @@ static void sfemi_view_reconstruct(const sfem_modal *b, const sfem_reduced_view 
 
 SFEM_DEF void sfem_modal_positions(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *x)
 {
+    SFEM_ASSERT(b && view && x);
     sfemi_view_reconstruct(b, view, 0, x, NULL, 0);
 }
 
 SFEM_DEF void sfem_modal_displacements(const sfem_modal *b, const sfem_reduced_view *view,
                                        sfem_real *u)
 {
+    SFEM_ASSERT(b && view && u);
     sfemi_view_reconstruct(b, view, 1, u, NULL, 0);
 }
 
 SFEM_DEF void sfem_modal_to_floats(const sfem_modal *b, const sfem_reduced_view *view, float *x,
                                    size_t stride)
 {
+    SFEM_ASSERT(b && view && x);
     sfemi_view_reconstruct(b, view, 0, NULL, x, stride);
 }
 
 SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3], sfem_real v[3],
                               sfem_real w[3])
 {
+    SFEM_ASSERT(b && x);
     const sfem_reduced *r = b->reduced;
     const sfem_rigid *frame = &b->head->rigid;
     sfem_real arm[3], rotation[3] = {0, 0, 0};
@@ -29813,6 +29952,7 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
 
 SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *b)
 {
+    SFEM_ASSERT(b);
     sfem_rigid rigid = b->head->rigid;
     sfemi_frame_velocity(b, rigid.r, b->head->momentum, rigid.w);
     return rigid;
@@ -29820,6 +29960,7 @@ SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *b)
 
 SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *b, const sfem_rigid *rigid, sfem_error *err)
 {
+    SFEM_ASSERT(b && rigid);
     sfemi_modal_head *h = b->head;
     sfem_real local[3], proper[9];
     if (!b->reduced->head->free)
@@ -29844,6 +29985,7 @@ SFEM_DEF sfem_status sfem_modal_set_rigid(sfem_modal *b, const sfem_rigid *rigid
 
 SFEM_DEF void sfem_modal_momentum(const sfem_modal *b, sfem_real linear[3], sfem_real angular[3])
 {
+    SFEM_ASSERT(b);
     int c;
     for (c = 0; c < 3; ++c) {
         linear[c] = b->reduced->head->mass * b->head->rigid.v[c];
@@ -29853,10 +29995,15 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *b, sfem_real linear[3], sfem
 
 /* --- state and figures ----------------------------------------------------------------------- */
 
-SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b) { return (size_t)b->head->saved.size; }
+SFEM_DEF size_t sfem_modal_state_size(const sfem_modal *b)
+{
+    SFEM_ASSERT(b);
+    return (size_t)b->head->saved.size;
+}
 
 SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
 {
+    SFEM_ASSERT(b && memory);
     memcpy(memory, b->head, sfem_modal_state_size(b));
     sfemi_saved_seal(memory);
 }
@@ -29864,6 +30011,7 @@ SFEM_DEF void sfem_modal_save_state(const sfem_modal *b, void *memory)
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, size_t bytes,
                                            sfem_error *err)
 {
+    SFEM_ASSERT(b && memory);
     sfemi_modal_shape shape = sfemi_modal_shape_of(b);
     sfem_int i;
     sfem_status status = sfemi_saved_open(&sfemi_modal_kind, &b->head->saved, memory, bytes, err);
@@ -29880,6 +30028,7 @@ SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *b, const void *memory, si
 
 SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *b)
 {
+    SFEM_ASSERT(b);
     const sfemi_modal_head *h = b->head;
     sfem_modal_info info;
     sfem_real w[3];
