@@ -6,16 +6,15 @@
  *     #define SOFTFEM_IMPLEMENTATION
  *     #include "softfem.h"
  *
- * Every other file includes it without the define. It needs a C99 or C++11 compiler and libm, and
- * nothing else; OpenMP is used where it is compiled in. Public domain or MIT, at your choice: see the
- * end of the file.
+ * All other files include it without the define. It needs a C99 or C++11 compiler and libm, nothing else.
+ * OpenMP is used where the compiler has it switched on. Public domain or MIT, at your choice: see the end of the file.
  *
- * THE PIPELINE, which is also the order of the implementation below
+ * THE PIPELINE, in the order of the implementation below
  *
  *     sfem_mesh    nodes and tets: generated, read from a file, or given as arrays
  *     sfem_model   mesh + materials -> K, M, D on one sparsity pattern; never changes, shared
- *     sfem_factor  L D L^T of A = r M + (q/2) h D + p h^2 K: made when first needed, shared, counted
- *     sfem_body    what moves: state, pins, handles, integrator; one block of it can be saved
+ *     sfem_factor  L D L^T of A = r M + (q/2) h D + p h^2 K: made when first needed, shared by bodies that step alike
+ *     sfem_body    what moves: state, pins, handles, integrator; its state is one block that can be saved
  *
  * A whole program is examples/hello.c.
  *
@@ -75,16 +74,16 @@
  *
  * UNITS are the caller's, as long as they are consistent; the comments say SI (m, kg, s, N, Pa).
  *
- * SWITCHES, all to be defined the same way in every file that includes the header
+ * SWITCHES. Define them the same way in every file that includes the header.
  *
  *     SFEM_STATIC        every function static: the whole library inside one source file
- *     SFEM_ASSERT(x)     what to do about misuse of the interface; default assert(x)
- *     SFEM_NO_STDIO      leave out what takes a file path; sfem_mesh_parse stays
+ *     SFEM_ASSERT(x)     called with x = 0 on misuse of the interface (a NULL body); default assert(x)
+ *     SFEM_NO_STDIO      leaves out the functions that take a file path; sfem_mesh_parse stays
  *     SFEM_NO_DISPATCH   portable kernels only, whatever the processor offers
  *     SFEM_FORCE_PATH    0 portable, 1 AVX2, 2 AVX-512: that one, whatever the processor offers
  *     SFEM_SELF          the name by which this file can include itself; default "softfem.h"
- *     SFEM_DEF           what stands before every public function, instead of extern: a visibility, dllexport
- *                        where the implementation is compiled and dllimport elsewhere. It may differ between files
+ *     SFEM_DEF           stands before every public function, in place of extern: a visibility, or dllexport where the
+ *                        implementation is compiled and dllimport elsewhere. It may differ between files
  *
  * PARTS that a program does not use can be left out, which makes the object smaller and compiles faster. What is left
  * out is not declared either. A file that uses a part which the implementation was compiled without does not link.
@@ -191,9 +190,8 @@ typedef int32_t sfem_int; /* one signed index type; offsets into factors are siz
  * on good meshes; forces are off by about 1e-7 of the modulus, which is 1e-4 of the force at a strain of 1e-3. */
 typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
 
-/* What can go wrong at run time. A function that returns anything but SFEM_OK has left its objects
- * as they were and its outputs unset. What only a wrong program can do (a NULL object, an object that
- * was freed) trips SFEM_ASSERT instead. */
+/* What can go wrong at run time. A function that returns anything but SFEM_OK leaves its objects as they were and does
+ * not write its outputs. Errors of the program itself (a NULL object, an object that was freed) trip SFEM_ASSERT. */
 #define SFEM_STATUS_LIST(X)                                                                          \
     X(SFEM_OK, "ok")                                                                                 \
     X(SFEM_BAD_ARGUMENT, "an argument is out of its range")                                          \
@@ -220,16 +218,16 @@ typedef enum sfem_status {
 
 SFEM_DEF const char *sfem_status_text(sfem_status status); /* a constant sentence, never NULL */
 
-/* Where it went wrong. Functions that can fail take a pointer to one, or NULL; it is written only on
- * failure. The text is one sentence that names the thing. */
+/* What went wrong, and where. Functions that can fail take a pointer to one, or NULL. It is written on failure only.
+ * The text is one sentence that names the thing. */
 typedef struct sfem_error {
     sfem_status status;
-    sfem_int node, tet, line; /* the place, 0-based (lines 1-based); -1 where it does not apply */
+    sfem_int node, tet, line; /* the place: nodes and tets from 0, lines from 1; -1: none */
     char text[240];
 } sfem_error;
 
-/* Memory. All zero means malloc and free. The functions may be called from the thread that calls the
- * library, never from its parallel tasks.
+/* Memory. All zero means malloc and free. The functions are called by the thread that calls the library, never by its
+ * parallel tasks.
  * Stack: a step, the making of its factor included, takes at most 16 kB of it in optimised builds (measured, all
  * integrators and laws: gcc 12 13 kB, clang 14 15.7 kB), in unoptimised ones up to 55 kB. Bodies of any size take
  * the same. */
@@ -239,13 +237,12 @@ typedef struct sfem_allocator {
     void *user;
 } sfem_allocator;
 
-/* Threads. All zero means the calling thread alone. With threads > 1, loops are split with OpenMP
- * where it is compiled in, or with parallel_for where that is given: it has to call
- * task(data, i) once for each i in [0, count), in any order, on any threads, and return when all are
- * done. Results have the same bits for any number of threads. Small bodies take one
- * thread whatever is asked for. OpenMP's threads spin while they wait: where processors have other work to do
- * a step may take a hundred times as long, unless OMP_WAIT_POLICY=passive is set. Many bodies are better
- * stepped in parallel, each by one thread. */
+/* Threads. All zero means the calling thread alone. With threads > 1, loops are split by parallel_for where that is
+ * given, else by OpenMP where it is compiled in. parallel_for calls task(data, i) once for each i in [0, count), in any
+ * order, on any threads, and returns when all are done. Results have the same bits for any number of threads. A small
+ * body always takes one thread. Many bodies are better stepped in parallel, one thread each.
+ * The threads of OpenMP spin while they wait. On a machine with other work to do, set OMP_WAIT_POLICY=passive: without
+ * it a step may take a hundred times as long. */
 typedef void (*sfem_task)(void *data, sfem_int index);
 typedef struct sfem_exec {
     sfem_int threads;
@@ -257,8 +254,8 @@ typedef struct sfem_exec {
  * >>api-mesh   tetrahedral meshes
  * ============================================================================================ */
 
-/* A mesh owns its arrays; sfem_mesh_free releases them. A mesh may also point at the caller's
- * arrays (fill the fields, do not free it). Tets a b c d are right-handed: (b-a)x(c-a).(d-a) > 0 */
+/* A mesh owns its arrays, and sfem_mesh_free releases them. A mesh may also point at arrays of the caller: fill in the
+ * fields, and do not free it. Tets a b c d are right-handed: (b-a) x (c-a) . (d-a) > 0. */
 typedef struct sfem_mesh {
     sfem_int nodes, tets; /* >= 0, else SFEM_BAD_MESH */
     sfem_real *x;     /* [nodes][3] rest positions, m */
@@ -267,15 +264,15 @@ typedef struct sfem_mesh {
     sfem_allocator allocator;
 } sfem_mesh;
 
-/* MAKING ONE. All of these fill *out, whatever it held; sfem_mesh_free it afterwards. They allocate
- * through `allocator` (NULL = malloc), which the mesh remembers.
+/* GENERATORS. They overwrite *out; free it with sfem_mesh_free. They allocate through `allocator` (NULL: malloc), which
+ * the mesh keeps.
  *   errors  SFEM_BAD_ARGUMENT   a count below 1, a length that is not above 0 and finite
  *           SFEM_TOO_LARGE      more nodes or tets than an sfem_int can number
  *           SFEM_OUT_OF_MEMORY */
 
 typedef enum sfem_block_cells {
-    SFEM_CELL_5_TETS, /* cells and their mirror images alternate; quality .77 and 1 on cubes */
-    SFEM_CELL_6_TETS  /* Kuhn 1960: six equal tets round one diagonal; quality .65 on cubes */
+    SFEM_CELL_5_TETS, /* each cell is the mirror image of its neighbours; quality 0.77 and 1 on cubes */
+    SFEM_CELL_6_TETS  /* Kuhn 1960: six equal tets around one diagonal; quality 0.65 on cubes */
 } sfem_block_cells;
 
 /* A box with one corner at the origin, cells[0] x cells[1] x cells[2] cells of 5 or 6 tets each.
@@ -286,33 +283,30 @@ SFEM_DEF sfem_status sfem_mesh_block(const sfem_int cells[3], const sfem_real si
 
 /* A cylinder round the x axis, from x = 0 to x = length: 3 rings (rings+1) + 1 nodes in each of
  * layers+1 cross-sections, 18 rings^2 layers tets; the rim is a polygon of 6 rings sides. Nodes are
- * numbered section by section. Quality > .55 where length/layers = radius/rings. */
+ * numbered section by section. Quality is above 0.55 where length/layers = radius/rings. */
 SFEM_DEF sfem_status sfem_mesh_cylinder(sfem_real radius, sfem_real length, sfem_int rings,
                                         sfem_int layers, const sfem_allocator *allocator,
                                         sfem_mesh *out, sfem_error *err);
 
 /* A ball about the origin in 20 rings^3 tets: concentric icosahedral shells of 10 r^2 + 2 nodes,
- * r = 1 .. rings, round node 0; the surface is a geodesic sphere, its nodes on the sphere.
- * Quality > .53, .82 in the mean. */
+ * r = 1 .. rings, around node 0; the surface nodes lie on the sphere. Quality is above 0.53, 0.82 in the mean. */
 SFEM_DEF sfem_status sfem_mesh_ball(sfem_real radius, sfem_int rings,
                                     const sfem_allocator *allocator, sfem_mesh *out,
                                     sfem_error *err);
 
-/* A copy of arrays: x [nodes][3], m; tet [tets][4], node numbers from 0. Left-handed tets are
- * turned as by sfem_mesh_orient; anything else that sfem_mesh_check objects to is refused with its
- * status. */
+/* A mesh from a copy of arrays: x [nodes][3], m; tet [tets][4], node numbers from 0. Left-handed tets are reversed, as
+ * by sfem_mesh_orient. All else that sfem_mesh_check finds is an error, with its status. */
 SFEM_DEF sfem_status sfem_mesh_copy(sfem_int nodes, const sfem_real *x, sfem_int tets,
                                     const sfem_int *tet, const sfem_allocator *allocator,
                                     sfem_mesh *out, sfem_error *err);
 
-/* Releases the arrays; all zero afterwards. NULL, an all-zero mesh and a second call do nothing. */
+/* Releases the arrays and sets all fields to zero. NULL, an all-zero mesh and a second call do nothing. */
 SFEM_DEF void sfem_mesh_free(sfem_mesh *mesh);
 
 /* CHECKING. The quality of a tet is q = 6 sqrt(2) V / l^3, V its signed volume and l the root mean
  * square of its six edges [Parthasarathy, Graichen, Hathaway 1994; the 3/2nd power of the mean
  * ratio of Liu, Joe 1994]: 1 for the regular tet, 0 for a flat one, negative for an inverted one,
- * the same at any scale. A tet counts as flat where |q| < 1e-12: its stiffness would be rounding
- * error. */
+ * the same at any scale. A tet is flat where |q| < 1e-12: its stiffness would be rounding error. */
 typedef struct sfem_mesh_report {
     /* faults: a mesh with one of these cannot be used */
     sfem_int not_finite;   /* nodes with a NaN or infinite coordinate */
@@ -336,15 +330,15 @@ typedef struct sfem_mesh_report {
     sfem_int euler; /* surface nodes - edges + triangles: 2 for a ball, 0 for a ring */
 } sfem_mesh_report;
 
-/* Can this mesh be used? SFEM_OK, or the first fault, by number, in a sentence: a negative count, an empty mesh, a
- * coordinate that is not finite, then the lowest tet with any of the faults above.
- *   report  NULL, or filled in, also for a mesh with faults; not where memory ran out
+/* Checks whether a mesh can be used: SFEM_OK, or the first fault. Faults are looked for in this order: a negative
+ * count, an empty mesh, a coordinate that is not finite, the lowest tet with one of the faults above.
+ *   report  or NULL; filled in for a mesh with faults, too, but not where memory ran out
  *   errors  SFEM_BAD_MESH, SFEM_NOT_FINITE; with a report also SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
  *   cost    O(nodes + tets); allocates only for the report */
 SFEM_DEF sfem_status sfem_mesh_check(const sfem_mesh *mesh, sfem_mesh_report *report,
                                      sfem_error *err);
 
-/* Swaps the last two nodes of every left-handed tet; returns how many. Allocates nothing. */
+/* Swaps the last two nodes of every left-handed tet; returns how many there were. Allocates nothing. */
 SFEM_DEF sfem_int sfem_mesh_orient(sfem_mesh *mesh);
 
 /* The boundary: the faces with a tet on one side only, counterclockwise seen from outside (for
@@ -365,8 +359,8 @@ SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocat
                                        sfem_surface *out, sfem_error *err);
 SFEM_DEF void sfem_surface_free(sfem_surface *surface); /* as sfem_mesh_free */
 
-/* Parts that share no node with one another, numbered from 0 by their lowest nodes: label[i] is the
- * part of node i, -1 if no tet uses it. count may be NULL. SFEM_BAD_MESH for a node number out of
+/* Connected components by shared nodes, numbered from 0 by their lowest nodes: label[i] is that of node i, -1 if no tet
+ * uses it. count may be NULL. SFEM_BAD_MESH for a node number out of
  * range. O(nodes + tets) in practice [union-find with path halving, Tarjan, van Leeuwen 1984];
  * allocates nothing. */
 SFEM_DEF sfem_status sfem_mesh_components(const sfem_mesh *mesh, sfem_int *label, sfem_int *count,
@@ -383,16 +377,16 @@ SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, s
 /* The largest difference of two node numbers in one tet. */
 SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh);
 
-/* Takes the nodes out that no tet uses; the others keep their order, the arrays their place.
+/* Removes the nodes that no tet uses. The others keep their order, the arrays their place.
  *   new_of_old  [nodes before], or NULL: the new number of each node, -1 if it is gone
  *   errors      SFEM_BAD_MESH, SFEM_OUT_OF_MEMORY; the mesh is then as it was */
 SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old,
                                              sfem_error *err);
 
 /* PICKING, in a mesh that passed sfem_mesh_check, at current positions x [nodes][3] (NULL = rest).
- * Both return 1 and fill the outputs (any may be NULL), or return 0 and leave them. bary [4] is
- * >= 0 and sums to 1: the point is sum_i bary[i] x[tet[i]]. Tets that are flat in x are passed
- * over, inverted ones are not. O(tets); nothing is allocated. */
+ * Both return 1 and fill the outputs (any may be NULL), or return 0 and do not write them. bary [4] is >= 0 and sums to
+ * 1: the point is sum_i bary[i] x[tet[i]]. Tets that are flat in x are skipped, inverted ones are not. O(tets);
+ * allocates nothing. */
 
 /* The first tet that a ray enters, or the one that it starts in (distance 0). The direction is of
  * any length above 0; the point is origin + distance direction/|direction|. */
@@ -457,7 +451,8 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
  * Polygons are cut into fans from their first vertex. Holes, doubled or flipped triangles and the like are left for
  * sfem_mesh_from_surface to repair. Fills x, nodes, tri, triangles.
  *   errors  as sfem_mesh_parse; SFEM_BAD_MESH: no faces
- *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it claims. */
+ *   cost    O(bytes), of STL O(bytes log bytes). Memory follows the data that is there, not the counts that it
+ *   claims. */
 SFEM_DEF sfem_status sfem_surface_parse(const void *data, size_t bytes, const sfem_allocator *allocator,
                                         sfem_surface *out, sfem_error *err);
 
@@ -514,15 +509,16 @@ SFEM_DEF sfem_status sfem_mesh_write_obj(const char *path, const sfem_mesh *mesh
  * number, |w| > 1/2 [Jacobson, Kavan, Sorkine-Hornung 2013], from a tree of dipoles [Barill et al. 2018], so that the
  * triangles need not be closed, nor oriented alike, nor free of intersections.
  *
- * SFEM_FITTED  the lattice cut along the surface: isosurface stuffing [Labelle, Shewchuk 2007]. Dihedral angles are 10.7
- *              to 164.8 degrees. Nodes of the boundary lie on the surface, but for a few that had to move for the sake
- *              of the angles. Parts thinner than a cell may get lost; edges and corners are cut off within one cell.
+ * SFEM_FITTED  the lattice cut along the surface: isosurface stuffing [Labelle, Shewchuk 2007]. Dihedral angles are
+ *              10.7 to 164.8 degrees. Nodes of the boundary lie on the surface, but for a few that had to move for the
+ *              sake of the angles. Parts thinner than a cell may get lost; edges and corners are cut off within one
+ *              cell.
  * SFEM_CAGE    every tet of the lattice that meets the body: the cage contains the whole surface, thin parts too. Its
  *              tets are filled in part. mesh->region of each is its filled share in SFEM_CAGE_LEVELS parts, by as many
  *              points in it, from 0 to SFEM_CAGE_LEVELS: the index into what sfem_cage_materials makes.
  *
- * Every edge of the mesh's surface is in two triangles. Where parts would meet in a node only, it is duplicated. Where they
- * would meet in an edge only, tets at it are left out (fitted) or added (cage). */
+ * Every edge of the mesh's surface is in two triangles. Where parts would meet in a node only, it is duplicated. Where
+ * they would meet in an edge only, tets at it are left out (fitted) or added (cage). */
 typedef enum sfem_mesher_mode { SFEM_FITTED, SFEM_CAGE } sfem_mesher_mode;
 
 typedef struct sfem_mesher_def {
@@ -592,9 +588,9 @@ SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
  * ============================================================================================ */
 
-/* A symmetric matrix of n x n blocks of 3x3, of which the lower half is stored by rows: block k,
- * row[i] <= k < row[i+1], stands in block row i and block column col[k] <= i; columns ascend, so the
- * diagonal block, which is always there, is the last of its row. A diagonal block is stored whole. */
+/* A symmetric matrix of n x n blocks of 3x3. The lower half is stored by rows: block k, row[i] <= k < row[i+1], is in
+ * block row i and block column col[k] <= i. Columns ascend. The diagonal block is always stored, whole, as the last of
+ * its row. */
 typedef struct sfem_matrix {
     sfem_int n;
     const sfem_int *row;                    /* [n+1] */
@@ -604,8 +600,8 @@ typedef struct sfem_matrix {
     sfem_allocator allocator;               /* of row, col and val, for sfem_matrix_free */
 } sfem_matrix;
 
-/* The upper half of a pattern, seen by rows: the blocks k in (start[j], start[j+1]) of row i = row[.]
- * stand in column j < i and are val[entry[.]]. Only a product on several threads needs it. */
+/* The upper half of a pattern: column j < i of the lower half has the blocks val[entry[k]] in rows row[k], start[j] <=
+ * k < start[j+1]. Only a product on several threads needs it. */
 typedef struct sfem_matrix_upper {
     sfem_int n;
     sfem_int *start; /* [n+1] */
@@ -614,10 +610,9 @@ typedef struct sfem_matrix_upper {
     sfem_allocator allocator;
 } sfem_matrix_upper;
 
-/* A matrix that owns its arrays, the sum of count blocks: block[e] is added at (i[e], j[e]), and
- * transposed at (j[e], i[e]) where that is the lower half. The diagonal blocks need not be named.
- * block may be NULL: then the pattern is made and the values are 0. Duplicates are added in the order
- * in which they are given.
+/* A matrix that owns its arrays: the sum of `count` blocks. block[e] is added at (i[e], j[e]), or transposed at (j[e],
+ * i[e]) where that is in the lower half. Diagonal blocks need not be given. block may be NULL: the pattern is made, and
+ * the values are 0. Duplicates are added in the order given.
  *   errors  SFEM_BAD_ARGUMENT (an index outside [0, n)), SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
  *   cost    O(n + count) */
 SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_int *i,
@@ -626,20 +621,20 @@ SFEM_DEF sfem_status sfem_matrix_create(sfem_int n, sfem_int count, const sfem_i
                                         sfem_error *err);
 SFEM_DEF void sfem_matrix_free(sfem_matrix *a); /* NULL allowed; not a->upper */
 
-/* Is it what the struct says, and every number finite? SFEM_BAD_ARGUMENT or SFEM_NOT_FINITE with the
- * node (block row). */
+/* Checks the pattern and that every number is finite: SFEM_BAD_ARGUMENT, or SFEM_NOT_FINITE with err->node the block
+ * row. */
 SFEM_DEF sfem_status sfem_matrix_check(const sfem_matrix *a, sfem_error *err);
 
 SFEM_DEF sfem_status sfem_matrix_upper_create(const sfem_matrix *a, const sfem_allocator *allocator,
                                               sfem_matrix_upper *out, sfem_error *err);
 SFEM_DEF void sfem_matrix_upper_free(sfem_matrix_upper *upper);
 
-/* y = A x, [3n]. On several threads if a->upper is set (each row is then gathered, lower half first),
- * and else on one: the same bits for any number of threads. x and y must not overlap. */
+/* y = A x, [3n]. It takes several threads only where a->upper is set. The bits do not depend on the number of threads.
+ * x and y must not overlap. */
 SFEM_DEF void sfem_matrix_multiply(const sfem_matrix *a, const sfem_real *x, sfem_real *y,
                                    const sfem_exec *exec);
 
-/* Both halves as scalars, for other libraries: count first, then fill. */
+/* Both halves as scalars, for other libraries. Ask for the count first. */
 SFEM_DEF size_t sfem_matrix_csr_count(const sfem_matrix *a); /* entries, all blocks counted whole */
 SFEM_DEF sfem_status sfem_matrix_to_csr(const sfem_matrix *a, sfem_int *row /* [3n+1] */,
                                         sfem_int *col, sfem_real *val /* [count] each */,
@@ -648,14 +643,14 @@ SFEM_DEF void sfem_matrix_to_dense(const sfem_matrix *a, sfem_real *full /* [3n]
 
 /* --- L D L^T of a sparse matrix --------------------------------------------------------------
  *
- * Multifrontal [Duff and Reid 1983] on 3x3 blocks, without pivoting: A = P^T L S L^T P, L lower
- * triangular with a positive diagonal, S the signs of the pivots, so that L |d|^1/2 of the textbook's
- * L D L^T is what is stored. Positive definite matrices are always safe; of an indefinite one (K -
- * sigma M) the number of negative pivots is its number of negative eigenvalues [Sylvester], and it is
- * refused where a pivot drowns in rounding or a trial solve fails: that number would be a guess. */
+ * Multifrontal [Duff and Reid 1983] on 3x3 blocks, without pivoting: A = P^T L S L^T P, L lower triangular with a
+ * positive diagonal, S the signs of the pivots. (L is the textbook's L times |d|^1/2.) Positive definite matrices are
+ * always safe. Of an indefinite matrix (K - sigma M) the number of negative pivots is the number of negative
+ * eigenvalues [Sylvester]. It is refused where a pivot is as small as rounding, or a trial solve fails, since that
+ * number would be a guess. */
 
 typedef enum sfem_ordering {
-    SFEM_ORDER_BEST,       /* of the following two, what needs fewer operations */
+    SFEM_ORDER_BEST,       /* the one of the next two that needs fewer operations */
     SFEM_ORDER_AMD,        /* approximate minimum degree of the node graph */
     SFEM_ORDER_DISSECTION, /* nested dissection by planes; needs coordinates */
     SFEM_ORDER_NATURAL     /* as the rows stand */
@@ -666,11 +661,11 @@ typedef struct sfem_ldl sfem_ldl; /* immutable once made, but for sfem_ldl_refac
 typedef struct sfem_ldl_def {
     uint32_t cookie; /* set by sfem_default_ldl_def; a definition made otherwise is refused */
     sfem_ordering ordering;
-    const sfem_real *x; /* [n][3] coordinates of the nodes, only read while creating, or NULL */
+    const sfem_real *x; /* [n][3] coordinates of the nodes, or NULL; read by create only */
     int positive;       /* every pivot must be > 0, else SFEM_NOT_SPD */
     sfem_precision precision; /* SFEM_MIXED: solves use a float copy of L, half the memory traffic */
-    int keep;           /* keep the update matrices, so that a part can be refactored */
-    int scalar;         /* A is n x n: a->val holds one number a block, right sides [n]; needs positive */
+    int keep;           /* keep the update matrices: sfem_ldl_refactor_nodes then redoes a part only */
+    int scalar;         /* A is n x n: a->val has one number a block, right sides are [n]; needs positive */
     sfem_allocator allocator;
     sfem_exec exec; /* used by create and refactor */
 } sfem_ldl_def;
@@ -700,26 +695,25 @@ SFEM_DEF sfem_ldl_def sfem_default_ldl_def(void); /* BEST, positive = 1, the res
 SFEM_DEF sfem_status sfem_ldl_create(const sfem_ldl_def *def, const sfem_matrix *a, sfem_ldl **out,
                                      sfem_error *err);
 
-/* The same for another matrix of the same pattern; the analysis is shared (counted atomically), the
- * options are those of `like`, but for the threads: exec (NULL: the calling thread alone) is used by this
- * call and refactor. SFEM_MISMATCH if n or the number of blocks differ; the rest of the pattern is the
- * caller's word. */
+/* The same for another matrix of the same pattern. The analysis is shared, the options are those of `like`. exec (NULL:
+ * the calling thread alone) is used by this call and by refactor. SFEM_MISMATCH if n or the number of blocks differ;
+ * the rest of the pattern is not compared. */
 SFEM_DEF sfem_status sfem_ldl_create_like(const sfem_ldl *like, const sfem_matrix *a, const sfem_exec *exec,
                                           sfem_ldl **out, sfem_error *err);
 
-/* New values on the same pattern; allocates nothing. After a failure the factor is void (there is no
- * room for two) and may only be refactored again or freed. */
+/* New values on the same pattern; allocates nothing. After a failure there is no factor: it may only be refactored
+ * again or freed. */
 SFEM_DEF sfem_status sfem_ldl_refactor(sfem_ldl *ldl, const sfem_matrix *a, sfem_error *err);
 
-/* The same where only blocks (i, j) have changed with both i and j among the given nodes: renews the
- * path from them to the root of the elimination tree, with the very bits of a full refactorisation.
- * Needs def.keep, else does a full one. */
+/* The same where only blocks (i, j) with both i and j among the given nodes have changed. It redoes the path from these
+ * nodes to the root of the elimination tree, with the same bits as a full refactorisation. Without def.keep it does a
+ * full one. */
 SFEM_DEF sfem_status sfem_ldl_refactor_nodes(sfem_ldl *ldl, const sfem_matrix *a, sfem_int count,
                                              const sfem_int *node, sfem_error *err);
 
-/* Solves A x = b in place for rhs right sides. Const: many threads may solve with one factor, each
- * with its own work array. exec may be NULL. Allocates nothing; the bits do not depend on exec, but
- * may differ between a right side alone and among others. */
+/* Solves A x = b in place for rhs right sides. Many threads may solve with one factor, each with its own work array.
+ * exec may be NULL. Allocates nothing. The bits do not depend on exec, but may differ between a right side alone and
+ * the same one among others. */
 SFEM_DEF size_t sfem_ldl_work_size(const sfem_ldl *ldl, sfem_int rhs); /* in sfem_real */
 SFEM_DEF void sfem_ldl_solve(const sfem_ldl *ldl, sfem_int rhs, sfem_real *x /* [rhs][3n]; scalar: [rhs][n] */,
                              sfem_real *work, const sfem_exec *exec);
@@ -729,8 +723,8 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl); /* NULL is allowed */
 
 /* --- dense matrices: lower half, column-major, a[i + j n], in place ---------------------------
  *
- * For matrices that are full. Of a mesh's they beat the sparse factor only below 35 scalars, or 70 if
- * its analysis counts too (measured); O(n^3 / 3), O(n^2) for a solve. */
+ * For full matrices. For matrices of a mesh they are faster than the sparse factor only below 35 scalars, 70 with its
+ * analysis (measured). n^3/3 operations, n^2 for a solve. */
 
 /* A = L L^T. SFEM_NOT_SPD names in err->node the row / 3; a is then partly overwritten. */
 SFEM_DEF sfem_status sfem_dense_cholesky(sfem_int n, sfem_real *a, sfem_error *err);
@@ -792,14 +786,14 @@ SFEM_DEF sfem_status sfem_cg_solve(const sfem_cg_def *def, const sfem_matrix *a,
  *                       rotation [Mueller, Gross 2004; the energy: McAdams et al. 2011]. Small
  *                       strains; any rotation; inverted tets recover.
  *   SFEM_STVK           lambda/2 tr(E)^2 + mu E:E, E = (F^T F - I)/2, St. Venant-Kirchhoff.
- *                       Weak in compression: below .58 of its length the force on a bar falls
- *                       (at nu = 0) and is zero at length 0; it does not feel a mirror image,
- *                       so inverted tets stay inverted. For large rotations and stretches, not
- *                       for crushing.
+ *                       Weak in compression: the force on a bar falls below 0.58 of its length (nu =
+ *                       0) and is zero at length 0. It does not tell a tet from its mirror image, so
+ *                       inverted tets stay inverted. For large rotations and stretches, not for
+ *                       crushing.
  *   SFEM_NEOHOOKEAN     m/2 (I_C - 3) - m/2 log((I_C + 1)/4) + l/2 (J - 1)^2 - 3/4 m (J - 1), m
  *                       = 4/3 mu, l = lambda + 5/6 mu, I_C = tr(F^T F), J = det F: the stable
- *                       neo-Hookean of Smith, de Goes, Kim 2018. Any strain, defined through
- *                       inversion; keeps volume best as nu nears 0.5. */
+ *                       neo-Hookean of Smith, de Goes, Kim 2018. Any strain; defined for inverted
+ *                       tets; keeps the volume best as nu nears 0.5. */
 typedef enum sfem_law { SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_STVK, SFEM_NEOHOOKEAN } sfem_law;
 
 /* Derivatives of the stress.
@@ -819,9 +813,8 @@ typedef enum sfem_tangent {
 /* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
 
-/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. Any F will do, flat,
- * inverted or zero; a number that is not finite gives numbers that are not finite. Tens of ns,
- * 0.7 us where R is all but undetermined. */
+/* Psi, Pa. Matrices are row-major 3x3 everywhere: F[3*i+j] = dx_i/dX_j. F may be flat, inverted or zero. A number that
+ * is not finite gives numbers that are not finite. Tens of ns, 0.7 us where R is almost undetermined. */
 SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
                                    const sfem_real f[9]);
 
@@ -848,9 +841,9 @@ SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, co
 SFEM_DEF int sfem_vector_width(void);
 
 /* F = R S: R the proper rotation nearest to F, S symmetric (NULL: not wanted). With negative
- * det F the smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a
- * double smallest singular value of an inverted F) one of the nearest is given, I for F = 0.
- * Never fails on finite F; R is orthogonal and S symmetric to a few rounding errors (of |F|). */
+ * det F the smallest eigenvalue of S is negative. Where R is not unique (F of rank 1, or a double smallest singular
+ * value of an inverted F) the result is one of the nearest, I for F = 0. It never fails on finite F. R is orthogonal
+ * and S symmetric to a few rounding errors of |F|. */
 SFEM_DEF void sfem_polar(const sfem_real f[9], sfem_real r[9], sfem_real s[9]);
 
 /* F = U diag(s) V^T, U and V proper rotations, s[0] >= s[1] >= |s[2]|, s[2] with the sign of
@@ -912,8 +905,8 @@ typedef struct sfem_material {
 
 SFEM_DEF sfem_material sfem_default_material(void); /* 1e6 Pa, 0.3, 1000 kg/m^3, undamped, corotational */
 
-/* What never changes while bodies move: mesh, materials, K, M, D. Shared by any number of bodies and
- * threads; reference-counted, each body holds one. */
+/* What does not change while bodies move: mesh, materials, K, M, D. Any number of bodies and threads share it; each
+ * body has a reference, and the last one frees it. */
 typedef struct sfem_model sfem_model;
 
 typedef struct sfem_model_def {
@@ -933,11 +926,11 @@ SFEM_DEF sfem_model_def sfem_default_model_def(void);
 /* Builds a model of linear tetrahedra, K_e = V B^T C B.
  *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet), SFEM_NOT_FINITE,
  *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
- *           SFEM_TOO_LARGE; the text names the tet or node. A node in no tet has no mass and
- *           stays where it is.
- *   cost    O(tets), about 0.7 us a tet */
+ *           SFEM_TOO_LARGE; the text names the tet or node
+ *   cost    O(tets), about 0.7 us a tet
+ * A node that no tet uses has no mass and does not move. */
 SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **out, sfem_error *err);
-SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; memory goes with the last body */
+SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; freed with the last body */
 
 SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model);
 SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m */
@@ -945,8 +938,8 @@ SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [n
 SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
 
-/* out = k K + m M + d D as a matrix of its own, on K's pattern, to be freed with sfem_matrix_free:
- * (0,1,0) is M, (0,0,1) is D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
+/* out = k K + m M + d D, a new matrix on K's pattern; free it with sfem_matrix_free. (k,m,d) = (0,1,0) gives M, (0,0,1)
+ * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err);
@@ -959,33 +952,32 @@ SFEM_DEF void sfem_model_multiply_mass(const sfem_model *model, const sfem_real 
 SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                           const sfem_exec *exec);
 
-/* The elastic energy at displacements u [nodes][3], J, by every tet's own law, and its gradient,
- * the internal force [nodes][3], N (what the body pushes back with is its negative). A
- * translation changes nothing but the rounding of u; the forces of a tet sum to zero.
+/* The elastic energy at displacements u [nodes][3], J, by the law of each tet, and its gradient, the internal force
+ * [nodes][3], N (the body pushes back with the negative of it). A translation changes only the rounding of u. The
+ * forces of a tet sum to zero.
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
  *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19;
- *             0.7 us for one whose R is all but undetermined. Any finite u will do; others give
- *             an energy that is not finite.
- * Allocates nothing. Same bits for any number of threads, but not from one vector width (see
- * sfem_vector_width) to another. */
+ *             0.7 us for one whose R is almost undetermined. A u that is not finite gives an
+ *             energy that is not finite.
+ * Allocates nothing. The bits are the same for any number of threads, but differ between vector widths
+ * (sfem_vector_width). */
 SFEM_DEF size_t sfem_model_work_size(const sfem_model *model);
 SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u,
                                      sfem_precision precision, sfem_real *force,
                                      sfem_real *rotation, sfem_int *inverted, sfem_real *work,
                                      const sfem_exec *exec);
 
-/* tangent = the derivative of that force, N/m: overwrites the values of a matrix on K's pattern,
- * such as sfem_model_combine makes. 0.2 (linear) to 0.8 us a tet; allocates nothing; same bits for
- * any number of threads. */
+/* The derivative of that force, N/m. It overwrites the values of a matrix on K's pattern, such as sfem_model_combine
+ * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
-/* Cauchy stress of the displacement u [nodes][3], constant in a tet, by the law of each: of linear ones that of
- * the small strain, of others P F^T / J, where J = det F below .1 counts as .1, for flat and inverted tets have
- * none. Of the undamaged body. stress [tets][6] in the order xx yy zz xy yz xz of sfem_field and of VTK's
- * files, von_mises [tets], Pa; either may be NULL. Costs one sfem_law_stress a tet; allocates nothing. */
+/* Cauchy stress at displacements u [nodes][3], constant in each tet, of the undamaged body. Linear tets: Hooke's law of
+ * the small strain. Others: P F^T / J with J = det F, at least 0.1, since flat and inverted tets have no Cauchy stress.
+ * stress [tets][6] in the order xx yy zz xy yz xz of sfem_field and of VTK's files, von_mises [tets], Pa; either may be
+ * NULL. Costs one sfem_law_stress a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
 /* 1/2 u.K u, J, summed from the tets' own strains. */
@@ -1005,25 +997,24 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
 
-/* A body breaks along the edges of its mesh. Every edge k carries a zeta_k, 1 intact .. 0 broken,
- * and a tet knows of damage by the zeta of its six edges alone: nodes, pattern and factor stay as
- * they are. [after Mandal, Chaudhuri, Chaudhuri 2023, supplement, eqs. 10-20, its edge strains
- * taken along rest directions]. The six edges of a tet: 01 02 03 12 13 23, d_ij = x_i - x_j, strain
- * > 0 is tension. With edge strains e = T eps, S = T^-T Ce T^-1, the energy of an intact tet is V/2
- * e.S e, that of a damaged one V/2 e.S_d e. */
+/* A body breaks along the edges of its mesh. Each edge k has a zeta_k, from 1 (intact) to 0 (broken). The damage of a
+ * tet is given by the zeta of its six edges alone, so nodes, pattern and factor do not change [after Mandal, Chaudhuri,
+ * Chaudhuri 2023, supplement, eqs. 10-20, with edge strains along rest directions]. The six edges of a tet are 01 02 03
+ * 12 13 23, d_ij = x_i - x_j; strain > 0 is tension. With edge strains e = T eps and S = T^-T Ce T^-1 the energy of an
+ * intact tet is V/2 e.S e, that of a damaged one V/2 e.S_d e. */
 typedef enum sfem_damage_law {
     /* A broken edge carries no force: the compliance S^-1 grows by (1-z)/(z S_kk) on its diagonal,
-     * S_d is its inverse, without rows and columns of z = 0. Never stiffer than intact: any p >=
-     * 1/4 and any old factor stay stable. */
+     * S_d is its inverse, without rows and columns of z = 0. A damaged tet is never stiffer than the
+     * intact one: with p >= 1/4 the factor of the intact body stays stable. */
     SFEM_DAMAGE_CONDENSED,
     /* Z S Z, Z = diag(zeta) [eqs. 18-20]: a broken edge feels no strain. Up to lambda times
      * stiffer, see sfem_damage_stiffening: p >= lambda/4. */
     SFEM_DAMAGE_ZSZ
 } sfem_damage_law;
 
-/* What an edge is measured by. w_k = sum_e V_e s_k^2/(2 S_d,kk), s = S_d e, is the energy that its
- * breaking releases at once; a_k = sum_e V_e/(2 L_k) its dual area, the sum of which over the edges
- * that cross a plane is 3/2 of the plane's area (1.1 to 2.1 by orientation and mesh). */
+/* When an edge breaks. w_k = sum_e V_e s_k^2/(2 S_d,kk), s = S_d e, is the energy that breaking it releases at once.
+ * a_k = sum_e V_e/(2 L_k) is its dual area: over the edges that cross a plane these sum to 3/2 of the plane's area (1.1
+ * to 2.1, depending on orientation and mesh). */
 typedef enum sfem_damage_criterion {
     SFEM_BREAK_ENERGY, /* w_k >= share Gc a_k, in tension: independent of mesh size */
     SFEM_BREAK_STRESS, /* mean over its tets of n.sigma n >= strength, Pa; the finer the mesh, the
@@ -1033,8 +1024,8 @@ typedef enum sfem_damage_criterion {
                         * soften[0] to soften[1] */
 } sfem_damage_criterion;
 
-/* A factor > 0 of an edge's toughness and strength; x its midpoint at rest, n its direction. Called
- * when the graph is built, once for each edge i < j. */
+/* A factor > 0 for the toughness and strength of an edge; x is its midpoint at rest, n its direction. Called when the
+ * graph is built, once for each edge i < j. */
 typedef sfem_real (*sfem_toughness)(const sfem_real x[3], const sfem_real n[3], sfem_int i,
                                     sfem_int j, void *user);
 
@@ -1042,14 +1033,14 @@ typedef struct sfem_damage_def {
     uint32_t cookie; /* set by sfem_default_damage_def; a definition made otherwise is refused */
     sfem_damage_law law;
     sfem_damage_criterion criterion;
-    sfem_real toughness;   /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; also the price of an edge that
-                            * breaks for another reason; then it may be 0 */
+    sfem_real toughness;   /* Gc, J/m^2, > 0 with SFEM_BREAK_ENERGY; with other criteria >= 0: the energy booked for
+                            * a broken edge */
     sfem_real share;       /* of Gc that is booked at breaks; 0 means 2/3, the inverse of the 3/2
                             * above. One to two times as much is released as the body relaxes */
     sfem_real strength;    /* Pa, or a strain */
     sfem_real soften[2];   /* strains, 0 <= soften[0] < soften[1] */
-    sfem_real rankine;     /* Pa; > 0: an edge breaks only where the largest principal stress of one
-                            * of its tets is above this, too */
+    sfem_real rankine;     /* Pa; > 0: an edge breaks only if the largest principal stress of one of its
+                            * tets is also above this */
     sfem_real weibull;     /* > 0: factors of mean 1 from a Weibull distribution of this modulus (50
                             * uniform, 10 ceramics, 3 scattered) multiply toughness and strength */
     uint64_t seed;         /* the same seed and mesh give the same factors */
@@ -1065,18 +1056,17 @@ typedef struct sfem_damage_def {
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
     int line_only;               /* no other edges break, except by a blade */
-    int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. One
-                            * at an obtuse angle of its tet opens under pressure, too */
-    sfem_real upright[2];  /* below J = upright[0] a damaged tet that still hangs together resists
-                            * as an intact corotational one, for edge lengths do not tell it from
-                            * its mirror image; between the two the energies are blended; 0, 0
-                            * means .05, .25 */
+    int closure;           /* a broken edge carries compression again: p >= 1/2, condensed only. An edge
+                            * at an obtuse angle of its tet may open under pressure */
+    sfem_real upright[2];  /* edge lengths do not tell a tet from its mirror image. So below J =
+                            * upright[0] a damaged, connected tet resists as an intact corotational
+                            * one; up to upright[1] the energies are blended. 0, 0 means 0.05, 0.25 */
 } sfem_damage_def;
 
 /* Condensed, by energy, Gc 100 J/m^2, share 2/3. */
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void);
 
-/* The edge form of one tet. T is invertible unless the tet is flat: |det T| = (6V)^4/prod L^2. */
+/* One tet by its edges. T is invertible unless the tet is flat: |det T| = (6V)^4 / prod L^2. */
 typedef struct sfem_damage_tet {
     sfem_real volume, lambda, mu;
     sfem_real x[12];         /* [4][3] rest positions */
@@ -1095,28 +1085,27 @@ SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_
  * = (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
 SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
                                     sfem_real *b);
-/* S_d [6][6], Pa, of zeta [6] in [0, 1]; from zeta alone, so that healing is as exact as breaking.
- */
+/* S_d [6][6], Pa, of zeta [6] in [0, 1]. It depends on zeta alone: healing is as exact as breaking. */
 SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
                                   const sfem_real zeta[6], sfem_real s_d[36]);
 /* V/2 e.S_d e, J, at displacements u [4][3], its gradient force [4][3], N, and the gradient of
- * that, k [12][12], N/m (any may be NULL). small: e = n.(u_i - u_j)/L, the source's; else e = (l -
- * L)/L in current lengths, which agrees for small strains, is blind to rotations, has forces along
- * the edges, and so keeps both momenta; k is then its exact tangent, or with SFEM_TANGENT_PSD
- * (FROZEN) the part that is positive semidefinite. Does not see inversion. */
+ * that, k [12][12], N/m (any may be NULL).
+ *   small = 1  e = n.(u_i - u_j)/L, the form of Mandal et al.
+ *   small = 0  e = (l - L)/L in current lengths l: the same for small strains, unchanged by rotations. Forces are along
+ *              the edges, so both momenta are kept. k is the exact tangent, with SFEM_TANGENT_PSD (FROZEN) its positive
+ *              semidefinite part. Inversion is not seen. */
 SFEM_DEF sfem_real sfem_damage_energy(const sfem_damage_tet *tet, const sfem_real s_d[36],
                                       int small, const sfem_real u[12], sfem_tangent kind,
                                       sfem_real *force, sfem_real *k);
 /* The largest eigenvalue lambda of (k_damaged, k_intact) that any zeta gives: 1 if condensed, for
- * SFEM_DAMAGE_ZSZ that of the worst of 62 patterns, at nu = .3 1.13 for a regular tet, 4.8 for
- * Kuhn's. */
+ * SFEM_DAMAGE_ZSZ that of the worst of 62 patterns: at nu = 0.3 it is 1.13 for a regular tet, 4.8 for Kuhn's. */
 SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damage_law law);
 
 /* Why an edge broke. */
 typedef enum sfem_break_reason {
     SFEM_BROKE_CRITERION,
-    SFEM_BROKE_DANGLING, /* a fibre: in every tet around it the only intact link between its nodes, or the tet
-                      * does not hang together */
+    SFEM_BROKE_DANGLING, /* a fibre: in each tet around it, it is the only intact link between its nodes, or the
+                          * intact edges do not connect the tet */
     SFEM_BROKE_BLADE
 } sfem_break_reason;
 
@@ -1124,9 +1113,9 @@ typedef struct sfem_break {
     sfem_int node[2];       /* of the edge */
     sfem_break_reason reason;
     sfem_real x[3];         /* its midpoint, m, at rest */
-    sfem_real area, price;  /* a_k, m^2; share Gc a_k with its factors, J: the surface made */
-    sfem_real released;     /* J, what the integrator's invariant fell by, >= 0; < 0 only where a
-                             * blade that had to wait too long did work */
+    sfem_real area, price;  /* a_k, m^2; share Gc a_k times its factors, J: the energy of the new surface */
+    sfem_real released;     /* J, by which the integrator's invariant fell, >= 0; < 0 only where a blade
+                             * had waited too long and did work */
 } sfem_break;
 
 /* A connected component over intact edges. */
@@ -1143,43 +1132,41 @@ typedef struct sfem_piece {
  * >>api-body   a body that moves
  * ============================================================================================ */
 
-/* M u'' + D u' + K u = F. All three are of the family  A a = rhs, A = r M + (q/2) h D + p h^2 K, and
- * share factors:
- *   SFEM_PQR      linear: one solve with a constant A:  A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w'
- *                 [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for
- *                 finite element method"]. (p,1,1) is Newmark(beta = p, gamma = 1/2).
- *                 Bodies of nonlinear laws, and with a damping force of the caller's: the same solve is a trial,
- *                 with the factor of the rest pose rotated by a frame for each node, and is corrected by L-BFGS with
- *                 that factor towards HHT's equation, as often as def.accuracy asks for, 2 to 3 solves a step on
- *                 good meshes at 1/60 s, 1.1 at 1/240 s. Every step's energy is tested; one that would make
- *                 energy is rejected, and backward Euler's taken in its place
- *   SFEM_NEWMARK  Newmark(beta, gamma) in accelerations [Newmark 1959]
- *   SFEM_CENTRAL  central difference, p = 0; refused beyond its stable step
- *   SFEM_KR_ALPHA [Kolay and Ricles 2014], one solve with a constant A, second order, unconditionally
- *                 stable for linear bodies; it damps the fastest modes by rho_inf a step, the slow ones
- *                 hardly, as generalized-alpha does. rho_inf = 1 is CR [Chen and Ricles 2008]. Where the step,
- *                 pins or handles of a linear body change, one step of an L-stable method with the same
- *                 factor (three solves) is taken, and KR-alpha starts afresh. It may overshoot: 20 times
- *                 (rho_inf = .8) to 50 times (.95) the energy of modes that start displaced and not resolved
- *   SFEM_GUI      [Gui et al. 2014] with gui_lambda: (1/gui_lambda, 1, 1) under the load at the start of the
- *                 step, whatever p, q, r say; unconditionally stable up to 4, which is CR
- *   SFEM_CHANG    [Chang 2002]: its displacements are those of (1/4, 1, 1) under the load at the start of
- *                 the step, and so it is stepped. (D w is D (v + v-)/2 there, the same but where a damped
- *                 body is nonlinear or its load changes.)
- * These three rotate the factor and have the energy safeguard of (p,q,r), and hold pins and handles as it does, but
- * make one solve a step: they are never corrected.
- * In these, and in Newmark's of linear bodies, the momenta of a free piece are changed by its loads alone, to
- * rounding of the velocities: however stiff the body and long the step, internal forces are not asked.
- * The implicit methods solve M a + D(v) + f(u) = F at or within the end of the step by Newton's iteration
- * (see sfem_newton_def), once and with one constant factor where the body is linear. All are
- * unconditionally stable for linear bodies, and second order but for the first:
+/* INTEGRATORS of M u'' + D u' + K u = F, or of M u'' + D(u') + f(u) = F where a law is nonlinear.
+ *
+ * One solve a step with a constant matrix A = r M + (q/2) h D + p h^2 K:
+ *   SFEM_PQR       A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w'  [Yuan et al. 2017, "A novel unconditionally
+ *                  stable explicit integration method for finite element method"]. (p,1,1) is Newmark(beta = p, gamma =
+ *                  1/2). Bodies with a nonlinear law, or with a damping force of the caller, rotate the factor by one
+ *                  frame a node. That solve is the trial step. L-BFGS with the same factor then corrects it towards
+ *                  HHT's equation, as far as def.accuracy asks for: 2 to 3 solves a step on good meshes at 1/60 s, 1.1
+ *                  at 1/240 s. A step that would make energy is rejected, and a step of backward Euler's method is
+ *                  taken in its place.
+ *   SFEM_NEWMARK   Newmark(beta, gamma) in accelerations [Newmark 1959], where the body is linear
+ *   SFEM_CENTRAL   central differences, p = 0; an error beyond its stable step
+ *   SFEM_KR_ALPHA  [Kolay and Ricles 2014], second order. It damps the fastest modes by the factor rho_inf a step and
+ *                  the slow ones hardly, as generalized-alpha does. rho_inf = 1 is the method CR [Chen and Ricles
+ *                  2008]. After a change of step, pins or handles a linear body takes one step of an L-stable method
+ *                  with the same factor (three solves). It may overshoot: modes that start displaced and are not
+ *                  resolved reach 20 times (rho_inf = 0.8) to 50 times (0.95) their energy.
+ *   SFEM_GUI       [Gui et al. 2014], (1/gui_lambda, 1, 1) with the load at the start of the step, whatever p, q, r
+ *                  are; unconditionally stable up to gui_lambda = 4, which is CR
+ *   SFEM_CHANG     [Chang 2002]. Its displacements are those of (1/4, 1, 1) with the load at the start of the step, and
+ *                  it is computed so. (The paper has D (v + v-)/2 for D w: the same unless a damped body is nonlinear
+ *                  or its load changes.)
+ * The last three rotate the factor and test the energy as SFEM_PQR does, but make one solve a step, without
+ * corrections. All of these keep the momenta of a free piece to rounding of its velocities, however stiff the body and
+ * long the step.
+ *
+ * Newton's iteration in each step (see sfem_newton_def) for M a + D(v) + f(u) = F at or within the end of the step. A
+ * linear body takes one solve with a constant factor. All are unconditionally stable for linear bodies, and of second
+ * order but the first:
  *   SFEM_BACKWARD_EULER      first order, damps everything
- *   SFEM_HHT                 [Hilber, Hughes, Taylor 1977], hht_alpha = .1 damps a little at high Omega
- *   SFEM_GENERALIZED_ALPHA   [Chung and Hulbert 1993], by rho_inf, the spectral radius at Omega = infinity
- *   SFEM_BATHE               [Bathe and Baig 2005]: half a step of the trapezoidal rule, then three-point
- *                            backward differences; two systems a step
- *   SFEM_NEWMARK             is one of them where the model or its damping is nonlinear [Yuan et al. 2017,
- *                            algorithm 1] */
+ *   SFEM_HHT                 [Hilber, Hughes, Taylor 1977]; hht_alpha = 0.1 damps fast modes a little
+ *   SFEM_GENERALIZED_ALPHA   [Chung and Hulbert 1993], by rho_inf, the factor a step of the fastest modes
+ *   SFEM_BATHE               [Bathe and Baig 2005]: half a step of the trapezoidal rule, then backward differences over
+ *                            three points; two systems a step
+ *   SFEM_NEWMARK             where the model or its damping is nonlinear [Yuan et al. 2017, algorithm 1] */
 typedef enum sfem_integrator {
     SFEM_PQR,
     SFEM_NEWMARK,
@@ -1193,22 +1180,22 @@ typedef enum sfem_integrator {
     SFEM_CHANG
 } sfem_integrator;
 
-/* How (p,q,r) starts from u0, v0. Newmark's own first step (default), or for p = 1/12 without
- * damping a start of fourth order. */
+/* How (p,q,r) starts from u0, v0: with Newmark's own first step (default), or, for p = 1/12 without damping, with a
+ * start of fourth order. */
 typedef enum sfem_start { SFEM_START_NEWMARK, SFEM_START_FOURTH_ORDER } sfem_start;
 
-/* linear body: 1/12 where every mode is resolved (omega_max h < 2), else 1/4; others as SFEM_P_SAFE */
+/* p of a linear body: 1/12 where every mode is resolved (omega_max h < 2), else 1/4. Of others: SFEM_P_SAFE. */
 #define SFEM_P_AUTO (-1.0)
-/* 1/4 for a linear body. For others, corrected ones: what the equation has that they are corrected towards, (1+a)^2
- * (1-a)/4 with a = dissipation, 0.272. With one solve a step: 0.27 if corotational, 1/2 if it hardens, margins for
- * tangents that outgrow that at rest. More where the law of damage asks for it. */
+/* p of a linear body: 1/4. Of nonlinear ones with corrections: that of HHT's equation, (1+a)^2 (1-a)/4 with a =
+ * dissipation, 0.272 by default. With one solve a step: 0.27 if corotational, 1/2 if it hardens, a margin for tangents
+ * that grow beyond the one at rest. More where the damage law needs it. */
 #define SFEM_P_SAFE (-2.0)
 
-/* The frame in which the constant factor of a body that rotates is used: rotated with each node (default), with
- * each connected piece, or as it is (the source's form, which explodes after a turn of 5 degrees). The last
- * takes in place of K its isotropic upper bound (2 mu + 3 lambda) L (x) I, L the Laplacian: it bounds the
- * corotational stiffness whatever turns, but is far too heavy for slender bodies, and stiffness damping is
- * the isotropic upper bound's, too. */
+/* How the constant factor follows the rotations of the body: with one frame a node (default), with one a connected
+ * piece, or not at all. The last is the form of Yuan et al.; it explodes after a rotation by 5 degrees.
+ * SFEM_FRAME_ISOTROPIC takes in place of K its isotropic upper bound (2 mu + 3 lambda) L (x) I, L the Laplacian. It
+ * bounds the corotational stiffness for any rotation, but is far too heavy for slender bodies, and stiffness damping
+ * uses it, too. */
 typedef enum sfem_frame {
     SFEM_FRAME_NODE,
     SFEM_FRAME_PIECE,
@@ -1218,25 +1205,23 @@ typedef enum sfem_frame {
 
 typedef struct sfem_body sfem_body;
 
-/* Newton's iteration. Each one costs a tangent K(u), a factorisation on the one analysis (nothing is
- * allocated), a solve, and a force for each length that the line search tries. It minimises the
- * incremental potential (Armijo), the work of damping included. An exact tangent that makes no
- * positive definite matrix gets more mass for that iteration, or gives way to the projected one.
- * Bodies at ordinary steps take 2 or 3 iterations; violence takes up to 100, and the trapezoidal
- * rule, which gains energy there, may find no solution at all: SFEM_BACKWARD_EULER does. */
+/* Newton's iteration. Each iteration costs a tangent K(u), a factorisation (without a new analysis, and without
+ * allocation), a solve, and a force for each length that the line search tries. It minimises the incremental potential,
+ * the work of damping included. Where an exact tangent is not positive definite, the iteration adds mass to it or takes
+ * the projected one. Usual steps take 2 or 3 iterations, violent ones up to 100. The trapezoidal rule gains energy in
+ * violent motion and may have no solution at all; SFEM_BACKWARD_EULER always has one. */
 typedef struct sfem_newton_def {
     sfem_int iterations;  /* at most, >= 1; 20. With 1 the step is semi-implicit: one solve with the
-                           * tangent at its start, never refused, its residual not known */
+                           * tangent at its start; it never fails, and its residual is not known */
     sfem_real tolerance;  /* stop at |residual| <= tolerance * the largest of |f|, |F|, |M a|, |D(v)|,
                            * or where the residual is what rounding of positions makes; >= 0, 1e-8 */
-    sfem_tangent tangent; /* SFEM_TANGENT_EXACT; another is always taken, in D, too, but converges
-                           * linearly: three times as many iterations */
+    sfem_tangent tangent; /* SFEM_TANGENT_EXACT. The others are used in D, too, and converge linearly: three
+                           * times as many iterations */
     int line_search;      /* 1, the default: lengths of directions by Armijo's rule; 0: full steps */
-    int accept_best;      /* where it does not converge, take the iterate of least residual and go
-                           * on; by default the step fails with SFEM_NOT_CONVERGED, the state as it
-                           * was */
-    sfem_int load_steps;  /* statics: loads, pins and handles come in at least so many steps, >= 1; 1.
-                           * One that fails is halved, down to 1/1024 */
+    int accept_best;      /* 1: where it does not converge, take the iterate of least residual; 0, the
+                           * default: the step fails with SFEM_NOT_CONVERGED, and the state stays */
+    sfem_int load_steps;  /* statics: loads, pins and handles are applied in at least so many steps, >= 1; 1.
+                           * A step that fails is halved, down to 1/1024 */
 } sfem_newton_def;
 
 typedef struct sfem_newton_info {
@@ -1249,9 +1234,9 @@ typedef struct sfem_newton_info {
     sfem_real residual;      /* relative, see tolerance; the last that was computed */
 } sfem_newton_info;
 
-/* A damping force D(v) of the caller's own, beside Rayleigh's; for the implicit methods, and for SFEM_PQR with an
- * accuracy below 1, which corrects its steps for it: up to 40 solves where h dD/dv exceeds the mass, since its
- * factor does not know it. Called from the thread that steps. */
+/* A damping force D(v) of the caller, in addition to Rayleigh damping. For Newton's methods, and for SFEM_PQR with an
+ * accuracy below 1, which corrects its steps for it: up to 40 solves where h dD/dv exceeds the mass, since the factor
+ * does not contain it. The functions are called by the thread that steps. */
 typedef struct sfem_damping_force {
     /* adds D(v), N, to force [nodes][3]: it is subtracted from the load, so that v.D(v) >= 0 damps */
     void (*force)(void *user, const sfem_real *v /* [nodes][3] */, sfem_real *force);
@@ -1261,11 +1246,11 @@ typedef struct sfem_damping_force {
     void *user;
 } sfem_damping_force;
 
-/* WORKSPACE: what bodies need during a step only, and during calls that compute. By default each body has its own, which
- * is most of its memory: about 2 kB a node of a body that rotates (tests/test_workspace.c prints it). Bodies that are stepped one after the other may share
- * one (def.workspace), of any models: it becomes as large as the most demanding of them needs. Such bodies are to be
- * created, stepped, asked and changed by one thread at a time. While one of them is between sfem_body_predict and
- * _finish, calls to others that compute are errors (SFEM_BAD_ARGUMENT, or trip SFEM_ASSERT where they return no status).
+/* WORKSPACE: the temporary arrays of a step. By default each body has its own, which is most of its memory: about 2 kB
+ * a node of a body that rotates (tests/test_workspace.c prints it). Bodies of any models may share one (def.workspace),
+ * if one thread at a time creates, steps, changes and asks them. It grows to the size that the largest of them needs.
+ * While one of them is between sfem_body_predict and _finish, calls to the others that compute are errors:
+ * SFEM_BAD_ARGUMENT, or SFEM_ASSERT where they return no status.
  *   allocator  NULL: malloc and free. sfem_body_create and _prepare make it larger, nothing else does
  *   errors     SFEM_OUT_OF_MEMORY */
 typedef struct sfem_workspace sfem_workspace;
@@ -1276,50 +1261,49 @@ SFEM_DEF void sfem_workspace_free(sfem_workspace *workspace); /* after its bodie
 typedef struct sfem_body_def {
     uint32_t cookie; /* set by sfem_default_body_def; a definition made otherwise is refused */
     sfem_integrator integrator;
-    sfem_real p, q, r;        /* >= 0 (p also SFEM_P_SAFE, _AUTO), >= 0, > 0. Unconditionally stable for p >= 1/4,
-                               * q >= 1. r multiplies the mass and nothing else: keep it 1, r = 3 is a
-                               * body that falls at g/3. q != 1 adds the mass (q-1) h D/2. */
+    sfem_real p, q, r;        /* of SFEM_PQR: p >= 0 or SFEM_P_SAFE, _AUTO; q >= 0; r > 0. Unconditionally stable for
+                               * p >= 1/4, q >= 1. Leave q and r at 1: r multiplies the mass only (a body with r = 3
+                               * falls at g/3), q adds the mass (q-1) h D/2 */
     sfem_real beta, gamma;    /* of Newmark: beta > 0, gamma >= 1/2 */
-    sfem_real rho_inf;        /* of generalized-alpha and KR-alpha, 0 to 1; .8 */
-    sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Beyond it steps are limited */
-    sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; .1 */
+    sfem_real rho_inf;        /* of generalized-alpha and KR-alpha, 0 to 1; 0.8 */
+    sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Above 4 the step is limited */
+    sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; 0.1 */
     sfem_newton_def newton;
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
-    sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next one: */
+    sfem_frame frame;         /* (p,q,r) of nonlinear laws */
     int safeguard;            /* 1, the default: a step that would make energy is rejected; 0: every step is taken as it
                                * comes, even if it makes energy */
-    const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
-                               * NULL, the default: it does not, and pays nothing for it. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, above 0, at most 1: a step is corrected, by further solves
-                               * with the same factor, until another one is expected to gain less than this part of
-                               * the energy in motion (the largest kinetic energy of late). 1e-6, the default: errors
-                               * of full Newton within a factor of two; 1e-4: a third fewer solves; 1: one solve a
-                               * step, never corrected; 1e-20: as far as rounding goes (it is an energy: velocities
-                               * are off by its square root) */
-    sfem_real dissipation;    /* of that step, 0 to 1/3: the alpha of HHT towards which it is corrected; 0.1
-                               * damps what a step does not resolve. 0: Newmark(1/4, 1/2), conservative */
-    sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: work a step on a factor of the present
-                               * tangent, over that of a step of one solve, see sfem_body_refactorise. 4 saves
-                               * a third of the solves on meshes with slivers; 0, the default: none, no memory */
-    int plain_load;           /* (p,q,r): F at the start of the step alone, as the source has it, instead
-                               * of p F+ + (1-2p) F + p F-, which makes it equal Newmark. KR-alpha takes
+    const sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
+                               * NULL, the default: it cannot, at no cost. Read by create only */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one more correction is
+                               * expected to gain less than this part of the energy in motion (the largest recent
+                               * kinetic energy). 1e-6, the default: within a factor of two of the errors of full
+                               * Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
+                               * rounding (velocities are off by the square root, since it is an energy) */
+    sfem_real dissipation;    /* of corrected steps, 0 to 1/3: HHT's alpha. 0.1, the default, damps what a step does not
+                               * resolve. 0: Newmark(1/4, 1/2), conservative */
+    sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: the work a step on a factor of the present
+                               * tangent, relative to a step of one solve, see sfem_body_refactorise. 4 saves a
+                               * third of the solves on meshes with slivers. 0, the default: none, and no memory */
+    int plain_load;           /* (p,q,r): 1: the load F at the start of the step, as Yuan et al. have it; 0, the default:
+                               * p F+ + (1-2p) F + p F-, which makes it equal to Newmark. KR-alpha always takes
                                * (F + rho_inf F-)/(1 + rho_inf) */
     sfem_real mass_damping, stiffness_damping; /* alpha, 1/s, and beta, s, added to the model's, >= 0. In
-                               * the implicit methods K is the current K(u), which brakes a rotation
-                               * at the rate beta omega^2; what the tets of a model do not share of
-                               * alpha and beta acts as at rest */
+                               * Newton's methods K is the current K(u), which brakes a rotation at the rate beta
+                               * omega^2. Differences of alpha and beta between the tets of a model act as at rest */
     sfem_real gravity[3];     /* m/s^2 */
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
-    sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use; of a body that
-                               * rotates up to 4 times that */
+    sfem_int max_handles;     /* handles at a time; each one in use takes 72 bytes a node, in a body that rotates up
+                               * to 4 times that */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
-    sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
+    sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; 0.5 */
     sfem_precision precision;
     sfem_ordering ordering;   /* of the factorisation */
-    int may_allocate;         /* 1, the default: a step prepares what it lacks; 0: it returns SFEM_NOT_PREPARED instead */
+    int may_allocate;         /* 1, the default: a step prepares what it lacks; 0: it returns SFEM_NOT_PREPARED instead
+                               * */
     sfem_workspace *workspace; /* shared with other bodies, which it has to outlive; NULL, the default: its own */
     sfem_allocator allocator;
     sfem_exec exec;
@@ -1334,11 +1318,11 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
                                       sfem_error *err);
 SFEM_DEF void sfem_body_free(sfem_body *body); /* NULL allowed */
 
-/* Makes whatever a step of h seconds needs and is not there: a factor, unless another body of the model
- * has one with the same matrix and pins; the handles' columns (three solves a handle). Of what runs in
- * a loop, the only function that allocates; set_pins and solve_static do, too, and, unless may_allocate = 0
- * has it all made here, the first rejected step of a strongly distorted body. sfem_body_step calls it where it has to. Where
- * Newton's matrix changes, what is made serves steps of any length.
+/* Makes what a step of h seconds needs and does not have yet: a factor, unless another body of the model has one with
+ * the same matrix and pins, and the columns of the handles (three solves each). sfem_body_step calls it where needed.
+ * Of the functions for a running loop only this one allocates, with three exceptions: sfem_body_set_pins,
+ * sfem_body_solve_static, and, unless may_allocate = 0, the first rejected step of a strongly distorted body. Where
+ * Newton's matrix changes in every step, what is made serves steps of any length.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_UNSTABLE (names the stable step), SFEM_NOT_SPD (names a node that
  *           nothing holds), SFEM_OUT_OF_MEMORY */
 SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error *err);
@@ -1347,21 +1331,20 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *body, sfem_real h, sfem_error 
  *   errors  those of sfem_body_prepare; SFEM_NOT_PREPARED with may_allocate = 0; SFEM_NOT_FINITE;
  *           where Newton iterates SFEM_NOT_CONVERGED ("the step did not converge: residual 3e-05
  *           after 20 iterations") and SFEM_NOT_SPD
- *   cost    linear: one product with K and one solve, O(nnz(L)). Nonlinear (p,q,r): 1 to 41 solves, and as many
- *           evaluations of the forces or more, see sfem_body_info; 100 solves and ten factors where a strongly
- *           distorted body has its step rejected */
+ *   cost    linear: one product with K and one solve, O(nnz(L)). Nonlinear (p,q,r): 1 to 41 solves and at least as
+ *           many evaluations of the forces, see sfem_body_info; up to 100 solves and ten factors where the step of a
+ *           strongly distorted body is rejected */
 SFEM_DEF sfem_status sfem_body_step(sfem_body *body, sfem_real h, sfem_error *err);
 
-/* The same in three parts, for callers who put forces of their own (contact) between them.
- *   predict  fills the right side. sfem_body_rhs points at it until solve: a force added there acts during this
- *            step, as F at its start does. Called again it gives the step up. It wakes a sleeping body: while there
- *            is no contact that changes, give such a body whole steps. (Where a changed load wakes it in a whole
- *            step, that step goes without the caller's forces.)
- *   solve    leaves the step's acceleration where sfem_body_acceleration points, to be read.
- *   finish   takes the step, or in its place the one that the energy safeguard puts there.
- * sfem_body_add_impulse adds j, N s, to a node between predict and finish: M dv = j over the step. After solve the
- * step is solved again, in finish, for all that was added. Forces and impulses act in rejected steps, too, and
- * their work counts in the energy budget.
+/* The same in three parts, for callers with forces of their own between them.
+ *   predict  fills the right side. sfem_body_rhs points at it until solve. A force added there acts during this step,
+ *            as F at its start does. A second predict starts the step again. predict wakes a sleeping body, so give a
+ *            body whole steps while nothing touches it.
+ *   solve    computes the step's acceleration; sfem_body_acceleration points at it, for reading.
+ *   finish   takes the step, or the one that the energy safeguard puts in its place.
+ * sfem_body_add_impulse adds j, N s, to a node between predict and finish: M dv = j over the step. Impulses added after
+ * solve make finish solve again. Forces and impulses act in rejected steps, too, and their work is in the energy
+ * budget.
  *   errors  of add_impulse: SFEM_BAD_ARGUMENT (no such node; not between predict and finish), SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_predict(sfem_body *body, sfem_real h, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_solve(sfem_body *body, sfem_error *err);
@@ -1371,34 +1354,31 @@ SFEM_DEF const sfem_real *sfem_body_acceleration(const sfem_body *body); /* [nod
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const sfem_real j[3],
                                            sfem_error *err);
 
-/* Sleep. With def.sleep_tolerance > 0 a body falls asleep at the end of a step where for sleep_time seconds
- * no node has moved faster than the tolerance and none has changed its velocity by more than a quarter of it
- * from one end of that time to the other, loads, pins and handles unchanged. What is watched is the mean
- * acceleration, so a ringing of high frequency does not keep a body awake, and the turning point of a swing
- * does: one of period up to 2 sleep_time never sleeps while a node reaches the tolerance, one of period
- * up to 40 sleep_time never while a node reaches twice that. Then velocities and accelerations become
- * zero, u stays, and a step only counts the time: below 100 ns whatever the size. Nothing but kinetic
- * energy, at most 1/2 mass tolerance^2, is lost; what little force is out of balance stays, so that a
- * body that is woken goes on from there at the tolerance or slower.
- *   It wakes by what changes a load (compared bit by bit at the next step: setting the same again is
- * no change), gravity, a pin's or handle's target, by a new state or static solution, by pins and handles
- * set, taken or released, by edges broken or healed, by sfem_body_predict, and by sfem_body_wake;
- * all of these, and a change of the load while awake, also begin the calm time anew. Whether it
- * sleeps, and since when it is calm, belongs to the saved state. The tolerance is off by default
- * because its unit is the caller's: for bodies of a metre in a game .02 m/s does. A body without
- * damping of any kind hardly ever comes to rest.
- *   cost   awake, a look at each node's velocity until one is too fast; 3 reals a node of state */
+/* Sleep. With def.sleep_tolerance > 0 a body falls asleep at the end of a step if, for sleep_time seconds, no node has
+ * moved faster than the tolerance, no node has changed its velocity by more than a quarter of it from the start to the
+ * end of that time, and loads, pins and handles have not changed. This looks at the mean acceleration: fast vibrations
+ * do not keep a body awake, the turning point of a swing does. (A swing of period up to 2 sleep_time never sleeps while
+ * a node reaches the tolerance, one of period up to 40 sleep_time never while a node reaches twice the tolerance.)
+ * Velocities and accelerations become zero, u stays, and a step only counts the time: below 100 ns for any size. The
+ * loss is the kinetic energy, at most 1/2 mass tolerance^2. A small force may stay unbalanced; a woken body moves on at
+ * the tolerance or slower.
+ *   A body wakes when a load, gravity, or the target of a pin or handle changes (compared bit by bit: setting the same
+ * value again is no change), by a new state or static solution, when pins or handles are set, taken or released, when
+ * edges break or heal, by sfem_body_predict, and by sfem_body_wake. All of these also restart the calm time of a body
+ * that is awake. Sleep and calm time belong to the saved state. The tolerance is off by default because its unit is the
+ * caller's; 0.02 m/s is good for bodies of a metre in a game. A body without any damping hardly ever comes to rest.
+ *   cost   awake: a look at each node's velocity until one is too fast; 3 reals a node of state */
 SFEM_DEF int sfem_body_is_asleep(const sfem_body *body);
 SFEM_DEF void sfem_body_wake(sfem_body *body);
 
-/* How the last implicit step (SFEM_BATHE: its two systems together) or nonlinear static solution went,
- * also where it failed. All zero before. */
+/* How the last step of a Newton method (SFEM_BATHE: its two systems together) or nonlinear static solution went, failed
+ * ones too. All zero before the first. */
 SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
 
-/* Static equilibrium f(u) = F under the forces, gravity, pins and handles of now; velocity becomes
- * zero. Handles that are nodes count as pins here. Where all laws are linear that is one solve;
- * else Newton's iteration from the present u, in steps of the load that are halved where one fails
- * (sfem_newton_def; sfem_body_newton tells how it went). It may be one equilibrium of several.
+/* Static equilibrium f(u) = F under the present forces, gravity, pins and handles; velocities become zero. Handles that
+ * are nodes count as pins here. Linear bodies take one solve. Others take Newton's iteration from the present u, in
+ * steps of the load that are halved where one fails (sfem_newton_def; sfem_body_newton tells how it went). There may be
+ * several equilibria; the result is one of them.
  *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like; SFEM_NOT_CONVERGED (how much of
  *           the load was reached), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY: the state is as it was */
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
@@ -1412,22 +1392,22 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *body, sfem_int node, co
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *body, const sfem_real g[3], sfem_error *err);
 SFEM_DEF void sfem_body_start(sfem_body *body);
 
-/* State. displacement points at u [nodes][3]; positions and velocities are written to the caller's
- * arrays. A new state starts the integrator afresh at the body's time; NULL means zero. Pinned axes keep
- * their pins' place and no velocity. */
+/* State. sfem_body_displacement points at u [nodes][3]; positions and velocities are written to arrays of the caller.
+ * set_state restarts the integrator at the body's time; NULL means zero. Pinned axes stay at their pins, without
+ * velocity. */
 SFEM_DEF const sfem_real *sfem_body_displacement(const sfem_body *body);
 SFEM_DEF void sfem_body_positions(const sfem_body *body, sfem_real *x);
 SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
-/* The same as floats, for rendering: three for node i at i stride bytes from the first; either may be
- * NULL. Takes no memory and reads nothing but the state. */
+/* The same as floats, for rendering: those of node i are at i stride bytes from the first. Either may be NULL.
+ * Allocates nothing. */
 SFEM_DEF void sfem_body_to_floats(const sfem_body *body, float *x, float *v, size_t stride);
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err);
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
 
-/* The whole state as one block of bytes: save and load it on the same build and machine, into any body of
- * the same model, pins and max_handles. It is checksummed; a block that does not fit is refused, and so is one with
- * a right checksum that holds what no body can: what was loaded is safe to use, wherever it comes from.
+/* The whole state as one block of bytes. Load it with the same build, on a like machine, into any body of the same
+ * model, pins and max_handles. A block that does not fit is an error, and so is one whose checksum is wrong or whose
+ * numbers no body can have: a block that was loaded is safe to use, wherever it comes from.
  *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
 SFEM_DEF size_t sfem_body_state_size(const sfem_body *body);
 SFEM_DEF void sfem_body_save_state(const sfem_body *body, void *memory);
@@ -1437,25 +1417,25 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *body, const void *memory, s
 typedef struct sfem_energy {
     sfem_real kinetic, elastic, load; /* 1/2 v.Mv, Psi(u), -(F + Mg).u; J */
     sfem_real total;                  /* their sum */
-    sfem_real conserved; /* what the integrator conserves exactly, undamped and under constant load, and for a
-                          * nonlinear body nearly, without the motion of free pieces' centres of mass: for
-                          * its steps 1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2
-                          * - F.(u+u-)/2, after a rejected one 1/2 w.r M w + E - F.u; for a linear body
-                          * and (p,q,r) 1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
-                          * for Newmark(beta, 1/2) the total + (beta - 1/4) h^2/2 a.M a */
+    sfem_real conserved; /* J, what the integrator conserves without damping under constant load: exactly for linear
+                          * bodies, nearly for others. Motion of the centres of free pieces does not count.
+                          *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2
+                          *   (p,q,r), nonlinear  1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2 - F.(u+u-)/2;
+                          *                       after a rejected step 1/2 w.r M w + E - F.u
+                          *   Newmark(beta, 1/2)  total + (beta - 1/4) h^2/2 a.M a */
 } sfem_energy;
-/* Two products with K; allocates nothing. This and sfem_body_reactions may be called at any time, also between
- * predict, solve and finish, of which they see the state before the step, and change no later bit. */
+/* Two products with K; allocates nothing. This and sfem_body_reactions may be called at any time. Between predict and
+ * finish they see the state before the step. They change no later bit. */
 SFEM_DEF sfem_energy sfem_body_energy(sfem_body *body);
 
 typedef struct sfem_body_info {
     sfem_int nodes, tets, free_nodes;
     sfem_real p;              /* the p in use, after SFEM_P_AUTO */
-    sfem_real omega_max;      /* 1/s, upper estimate; 0 while nothing has asked for it */
+    sfem_real omega_max;      /* 1/s, upper estimate; 0 while nothing needed it */
     sfem_real stable_step;    /* s; 0 means no limit */
     int diagonal;             /* the step needs no factor */
     size_t factor_nnz;        /* scalars in L */
-    size_t factor_bytes, body_bytes; /* body: its state and its own workspace among it, a shared one not */
+    size_t factor_bytes, body_bytes; /* body: with its state and its own workspace, without a shared one */
     sfem_int factor_users;    /* bodies that share the factor */
     sfem_int factors_made;    /* by this body, since it was created */
     int64_t steps, rejected;  /* since its state was set; rejected by the energy safeguard, replaced by another */
@@ -1465,29 +1445,29 @@ typedef struct sfem_body_info {
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
-/* REFACTORISATION, for (p,q,r) with a nonlinear law or damage and the frames NODE, PIECE or REST, where
- * def.refactorise > 0. The constant factor is that of the rest pose, rotated by the node frames. Where tets rotate
- * otherwise than their nodes (slivers, thin parts), or a body stays stretched, it needs many corrections a step. A
- * factor of the present tangent needs fewer:
+/* REFACTORISATION, for (p,q,r) with a nonlinear law or damage and the frames NODE, PIECE or REST, where def.refactorise
+ * > 0. The constant factor is that of the rest pose, rotated by the node frames. Where tets rotate otherwise than their
+ * nodes (slivers, thin parts), or a body stays stretched, it needs many corrections a step. A factor of the present
+ * tangent needs fewer:
  *
  *     A0 = Q^T (r M + (q/2) h D + p h^2 K(u)) Q     K(u) positive semidefinite, Q the node frames at u
  *
- * From then on A0 is rotated as the first factor was. It is made
- *   - by itself, once the corrections beyond two a step have cost as much as another factor. Calm bodies on good
- *     meshes never get there. One that does not earn its price is dropped, and the next waits for twice as much;
- *   - of a body with damage 8 steps after the last break, of what is left of K at rest; never while edges break;
- *   - on request, by sfem_body_refactorise; of the present tangent, or of k, the caller's own: in space, on the model's
- *     pattern, without negative eigenvalues; it is copied.
+ * It is then rotated as the first factor was. It is made
+ *   - by itself, once the corrections beyond two a step have cost as much as a factor. Calm bodies on good meshes never
+ *     need it. A factor that does not save what it cost is dropped, and the next one waits twice as long;
+ *   - for a body with damage 8 steps after the last break, from what is left of K at rest; never while edges break;
+ *   - on request, by sfem_body_refactorise: of the present tangent, or of k, the caller's own matrix: in space, on the
+ *     model's pattern, without negative eigenvalues; it is copied.
  *
- * A step does def.refactorise times the operations of a step of one solve, counted, never timed, so that runs repeat bit
- * for bit on any number of threads. The finished factor is taken between two steps: w, the forces and the energy
- * budget stay. Handles cost three solves for each of their nodes in that step. Asking again starts over. A matrix that
- * is not positive definite is given up, and counted as failed.
+ * A step does def.refactorise times the operations of a step of one solve. Operations are counted, not timed, so runs
+ * repeat bit for bit on any number of threads. The finished factor is taken over between two steps; w, the forces and
+ * the energy budget stay. Handles then cost three solves for each of their nodes. A second request starts over. A
+ * matrix that is not positive definite is dropped and counted as failed.
  *   cost    of all: that of 10 to 20 corrections
  *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
- *   dropped by sfem_body_set_state and _load, static solutions, steps of another length and other pins: the body goes
- *           on with the rest pose's factor. A saved state holds no factor: to go on from it with the same bits as the
- *           body that saved it, drop that body's, too
+ *   dropped by sfem_body_set_state and _load_state, static solutions, a step of another length and new pins; the body
+ *           goes on with the factor of the rest pose. A saved state has no factor: to continue from it with the bits of
+ *           the body that saved it, drop the factor of that body, too
  *   errors  SFEM_BAD_ARGUMENT (no such body, K of another pattern), SFEM_NOT_FINITE (K: node),
  *           SFEM_NOT_PREPARED */
 SFEM_DEF sfem_status sfem_body_refactorise(sfem_body *body, const sfem_matrix *k, sfem_error *err);
@@ -1497,16 +1477,16 @@ typedef struct sfem_refactorisation {
     int in_use;          /* the factor in use is not that of the rest pose */
     int running;         /* one is being made */
     double flops, done;  /* operations of the one under way, or of the last: all, so far */
-    double spent;        /* on corrections beyond two a step, with the factor in use, over the price of another */
+    double spent;        /* on corrections beyond two a step with the factor in use, relative to the cost of another */
     int64_t made, failed;
 } sfem_refactorisation;
 SFEM_DEF sfem_refactorisation sfem_body_get_refactorisation(const sfem_body *body);
 
-/* Pins hold a node where it was when it was pinned. Those of the definition are eliminated; this call
- * replaces them all, and the next step prepares a new factor. Of a running linear body it is to be called where
- * pins change only: (p,q,r) with p other than 1/4 then solves some 40 times for the velocity. move_pin sets where
- * a pinned node is to be at the end of the next step. A reaction is the force of the support on the body, N, in the present
- * state, by the equation of motion; zero on axes that are not held. */
+/* Pins keep a node where it was when it was pinned. Those of the definition are eliminated from the matrix. set_pins
+ * replaces all of them, and the next step prepares a new factor. Call it only where pins change: a running linear body,
+ * with p other than 1/4, then solves about 40 times for its velocity. move_pin sets where a pinned node is at the end
+ * of the next step. A reaction is the force of the support on the body, N, in the present state, by the equation of
+ * motion; zero on axes that are not held. */
 SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *body, sfem_int count, const sfem_int *pins,
                                         const unsigned char *axes, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *body, sfem_int node, const sfem_real position[3],
@@ -1528,38 +1508,36 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
 
-/* Fracture, of a body made with a damage definition (>>api-damage); on others these trip SFEM_ASSERT, but
- * for sfem_body_fracture. At the end of a step edges are judged at its midpoint, in one round: an edge
- * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
- * whole body stays, and stays stable (see sfem_damage_law for p). What it costs is accuracy: pieces that
- * are held part too slowly at large steps, by the inertia p h^2 K across the crack, until the factor is
- * refactorised (def.refactorise); pieces that nothing holds move, and turn, as they should at once.
- * How a crack runs depends on the mesh and on the step: no more than one round a step, so a crack
- * passes at most about one edge a step. Nothing is allocated after sfem_body_create. set_state
- * keeps what is broken; statics are refused then; a body of linear laws sees small rotations only,
- * and its pieces with it. */
+/* Fracture, of a body made with a damage definition (>>api-damage). On other bodies these functions trip SFEM_ASSERT,
+ * except sfem_body_fracture. At the end of each step edges are tested once, at its midpoint. An edge breaks only where
+ * that does not make energy, so fracture never makes any, whatever the step. The factor of the intact body stays in use
+ * and stays stable (see sfem_damage_law for p). The price is accuracy: at large steps, held pieces part too slowly,
+ * because of the inertia p h^2 K across the crack, until the factor is made anew (def.refactorise). Free pieces move
+ * and rotate correctly at once. The path of a crack depends on the mesh and on the step: it grows by about one edge a
+ * step at most. Nothing is allocated after sfem_body_create. set_state keeps what is broken. Static solutions are then
+ * an error. A body of linear laws, and its pieces, may rotate by small angles only. */
 typedef struct sfem_fracture {
     sfem_int pieces;     /* connected components over intact edges: 1 */
     sfem_int free_pieces; /* those that no pin or handle holds */
     sfem_int broken;     /* edges */
     sfem_int breaks;     /* edges broken in the last step */
-    sfem_int marked;     /* edges that a blade has crossed, or that were told to break, and that wait: they
-                          * would make energy */
+    sfem_int marked;     /* edges that a blade has crossed, or that break_edge named, which wait because breaking
+                          * them would make energy */
     /* Energies since the state was last set, J, taken in the middle of steps: */
-    sfem_real kinetic_elastic; /* T + U of the last step: 1/2 w'.r M w' + (Psi + Psi')/2 + (p-1/2)
-                          * (u'-u).(f'-f)/2, of nodes that are not pinned; at p = 1/4 and linear
+    sfem_real kinetic_elastic; /* of the last step: 1/2 w'.r M w' + (Psi + Psi')/2 + (p-1/2) (u'-u).(f'-f)/2 over
+                          * the nodes that are not pinned; for p = 1/4 and linear laws 1/2 w'.r M w' +
                           * Psi((u+u')/2) */
     sfem_real start;     /* the same of the first step */
     sfem_real work;      /* of loads, handles and moved pins; not of forces added to sfem_body_rhs */
     sfem_real damped;    /* taken by damping */
     sfem_real released;  /* taken by breaks */
-    sfem_real error;     /* kinetic_elastic - start - work + damped + released: what lies in the inertia of an
-                          * old factor (< 0 as it builds up), turning by finite steps, and what steps that were
-                          * done again have taken, */
+    sfem_real error;     /* kinetic_elastic - start - work + damped + released. It contains the energy in the inertia
+                          * of an old factor (< 0 while that builds up), rotation by finite steps, and the loss in
+                          * rejected steps, */
     sfem_real rejected;  /* which is this */
     sfem_real scale;     /* the largest of the terms so far: error/scale is the relative error */
-    sfem_real surface;   /* share Gc a of all edges broken since the body was whole */
-    sfem_real least_p;   /* that the damage asks for; 0: no more than any body */
+    sfem_real surface;   /* sum of share Gc a over all edges broken since the body was whole */
+    sfem_real least_p;   /* the least p that the damage law needs; 0: no more than any body */
 } sfem_fracture;
 SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *body); /* one piece, zeros without damage */
 /* What broke in the last step, in ascending order of edges; good until the next one. */
@@ -1568,22 +1546,23 @@ SFEM_DEF const sfem_break *sfem_body_breaks(const sfem_body *body, sfem_int *cou
  * tet: [nodes], good until the next step. O(nodes). */
 SFEM_DEF void sfem_body_pieces(const sfem_body *body, sfem_piece *out);
 SFEM_DEF const sfem_int *sfem_body_piece_of(const sfem_body *body);
-/* What is left of the edge between two nodes, 1 intact to 0 broken; 0 where the mesh has none. */
+/* zeta of the edge between two nodes, from 1 (intact) to 0 (broken); 0 where the mesh has no such edge. */
 SFEM_DEF sfem_real sfem_body_edge_left(const sfem_body *body, sfem_int i, sfem_int j);
-/* Tells an edge to break, from the next step on as soon as that makes no energy, after 16 steps in any case.
- * Unbreakable edges do not.  errors SFEM_BAD_ARGUMENT: no such edge, or unbreakable */
+/* Breaks an edge as soon as that makes no energy, from the next step on, after 16 steps in any case.
+ *   errors  SFEM_BAD_ARGUMENT: no such edge, or unbreakable */
 SFEM_DEF sfem_status sfem_body_break_edge(sfem_body *body, sfem_int i, sfem_int j, sfem_error *err);
-/* A blade: the same for every edge that the triangle `from` [3][3] crosses on its way to `to`, m, at the
- * positions of now. *marked (or NULL): how many it met. O(edges).  errors SFEM_NOT_FINITE */
+/* A blade: the same for every edge that the triangle `from` [3][3], m, crosses on its way to `to`, at the present
+ * positions. marked: how many edges it met, or NULL. O(edges).
+ *   errors  SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_cut(sfem_body *body, const sfem_real from[9], const sfem_real to[9],
                                    sfem_int *marked, sfem_error *err);
-/* Everything intact again, where it is; energies start afresh. O(tets) */
+/* Makes all edges intact again; positions stay, energies are counted from now on. O(tets). */
 SFEM_DEF void sfem_body_heal(sfem_body *body);
 
-/* The surface of what is left, for display: every node's cell of the barycentric dual, bounded by the outer
- * surface and by the dual areas of broken edges, which appear once for each side. Midpoints of edges,
- * faces and tets have one copy for each group of their nodes that their own intact edges connect, so that
- * pieces, and cracks that end inside a piece, are closed surfaces alike: every edge in two triangles. */
+/* The surface of a broken body, for display. Each node has its cell of the barycentric dual; the surface consists of
+ * the outer surface and, once for each side, of the dual areas of broken edges. The midpoints of edges, faces and tets
+ * have one copy for each group of their nodes that their own intact edges connect. So pieces, and cracks that end
+ * inside a piece, have closed surfaces: every edge is in two triangles. */
 typedef struct sfem_fragments {
     sfem_int vertices, triangles;
     sfem_int *tri;        /* [triangles][3] vertices, counter-clockwise from outside */
@@ -1597,8 +1576,8 @@ typedef struct sfem_fragments {
 SFEM_DEF sfem_status sfem_body_fragments(const sfem_body *body, const sfem_allocator *allocator,
                                          sfem_fragments *out, sfem_error *err);
 SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
-/* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
- * take them, rotated with the intact edges there. Between steps; allocates nothing. */
+/* Present positions of its vertices, x [vertices][3], m: the mean of their nodes, or, where only some of the nodes
+ * belong to them, moved and rotated with the intact edges of these. Call it between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
 
 #endif /* SFEM_NO_BODY */
@@ -1608,23 +1587,23 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments
  * >>api-modes   eigenvalues and modes
  * ============================================================================================ */
 
-/* K phi = lambda M phi: the lowest modes of a model at rest, phi_i.M phi_j = delta_ij, omega =
- * sqrt(lambda). Block Lanczos on (K - sigma M)^-1 M, four right sides a pass [Lanczos 1950; Golub,
- * Underwood 1977; Ericsson, Ruhe 1980], all vectors kept M-orthogonal, restarted from what it has
- * [Wu, Simon 2000]; and a count: of K - tau M = L S L^T as many signs are negative as eigenvalues lie
- * below tau [Sylvester 1852]. With tau in the gap above the last mode asked for, a mode that Lanczos
- * missed is noticed; a new random block, orthogonal to all that is known, then finds it. */
+/* K phi = lambda M phi: the lowest modes of a model at rest, phi_i.M phi_j = delta_ij, omega = sqrt(lambda).
+ * Block Lanczos on (K - sigma M)^-1 M with four right sides a pass [Lanczos 1950; Golub, Underwood 1977; Ericsson, Ruhe
+ * 1980], all vectors kept M-orthogonal, with thick restarts [Wu, Simon 2000]. The result is then verified by a count:
+ * in K - tau M = L S L^T as many signs are negative as eigenvalues are below tau [Sylvester 1852]. With tau in the gap
+ * above the last mode wanted, the count shows whether Lanczos has missed one; a new random block, orthogonal to all
+ * known modes, then finds it. */
 typedef struct sfem_modes_def {
     uint32_t cookie; /* set by sfem_default_modes_def; a definition made otherwise is refused */
-    sfem_int modes;           /* so many of the lowest, rigid ones not counted; >= 0, 20 */
-    sfem_real below_hz;       /* > 0: instead, all below this frequency, as many as there are */
-    int rigid;                /* return the rigid modes too, first; else they are only kept out */
+    sfem_int modes;           /* how many of the lowest, without the rigid ones; >= 0, 20 */
+    sfem_real below_hz;       /* > 0: all modes below this frequency instead */
+    int rigid;                /* 1: the rigid modes are returned, too, and come first; 0: they are left out */
     const sfem_int *pins;     /* [pin_count] nodes held, as in sfem_body_def */
     const unsigned char *pin_axes; /* [pin_count] which axes of them, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
     sfem_real tolerance;      /* of the backward error, see below; 1e-13, from 1e-15 to 1e-2 */
-    int dense;                /* by sfem_dense_eigen: O(n^3), 72 n^2 bytes, n free nodes. Bodies of so few
-                               * axes that Lanczos has no room for its basis are solved so anyway */
+    int dense;                /* 1: by sfem_dense_eigen: O(n^3), 72 n^2 bytes, n free nodes. Always so for bodies
+                               * with too few axes for the basis of Lanczos */
     int verify;               /* 1, the default: count the eigenvalues, so that none is missing; 0: spare the count and
                                * the factorisation that it needs */
     sfem_int max_basis;       /* Lanczos vectors at most; 0: 3 modes + 100 or 1.5 modes + 250, the less */
@@ -1643,13 +1622,13 @@ typedef struct sfem_modes_info {
     sfem_int solves;          /* right sides solved for */
     sfem_int steps;           /* passes of four of them, but for those of polishing */
     sfem_int restarts;        /* thick ones, and those for what was missing */
-    sfem_int recovered;       /* modes that only the count brought to light */
+    sfem_int recovered;       /* modes that were found because of the count */
     sfem_int factorisations;
     sfem_int basis;           /* most vectors at a time */
     sfem_int below;           /* counted eigenvalues below `bound`, rigid ones among them; -1: not */
     sfem_real bound, sigma;   /* 1/s^2, tau and sigma as above */
-    sfem_int cut;             /* further modes that differ from the last by less than 1e-6 of its
-                               * lambda and were not asked for: it splits a multiple one. -1: not known */
+    sfem_int cut;             /* modes that were not asked for and whose lambda differs from the last by less than
+                               * 1e-6 of it: a multiple eigenvalue is split. -1: not known */
 } sfem_modes_info;
 
 typedef struct sfem_modes {
@@ -1666,14 +1645,14 @@ SFEM_DEF sfem_modes_def sfem_default_modes_def(void);
 
 /* Fills *out, whatever it held; sfem_modes_free it afterwards.
  *
- * A piece is what hangs together by its nodes. Its rigid motions are those of six that its pins allow
- * (two held axes of an edge leave a hinge): they are built from the coordinates, exactly, piece by
- * piece, and Lanczos works beside them. Pieces that meet in a node or an edge only move against each
- * other without strain; that shows as elastic modes with lambda near 0. Nodes in no tet stay still.
+ * A piece is a connected component by nodes. Of its six rigid motions it has those that its pins allow (two held axes
+ * of an edge leave a hinge). These are built from the coordinates, exactly, piece by piece, and Lanczos works
+ * orthogonally to them. Pieces that meet in a single node or edge can move against each other without strain; such
+ * motions appear as elastic modes with lambda near 0. Nodes that no tet uses do not move.
  *
- * Of a multiple eigenvalue the vectors are some basis of its space. Where the last of `modes` splits
- * one, so many of its copies are returned as were asked for: info.cut says how many were left out. An
- * eigenvalue within 1e-8 of below_hz may count as below or not.
+ * The vectors of a multiple eigenvalue are some basis of its space. Where the last of `modes` splits one, only as many
+ * of its vectors are returned as were asked for; info.cut says how many are left out. An eigenvalue within 1e-8 of
+ * below_hz may count as below or not.
  *
  *   errors  SFEM_BAD_ARGUMENT   modes < 0 or more than there are, a pin, a tolerance; below_hz not
  *                               finite
@@ -1682,11 +1661,10 @@ SFEM_DEF sfem_modes_def sfem_default_modes_def(void);
  *           SFEM_SINGULAR       no bound in the gap above the last mode could be counted at, or the
  *                               count keeps exceeding what is found
  *           SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
- *   cost    two factorisations and about 5 right sides for each mode, four of them together for the
- *           price of two alone; memory for the factor and max_basis + 30 vectors. Where rounding leaves
- *           an error above the tolerance (slender bodies, many modes), a third factorisation and a
- *           pass over the modes; what is then still above it is to be read in `error`, and no failure.
- *           Same bits for any number of threads. */
+ *   cost    two factorisations and about 5 right sides for each mode; four of them together cost as much as two alone.
+ *           Memory for the factor and max_basis + 30 vectors. Where rounding leaves an error above the tolerance
+ *           (slender bodies, many modes), a third factorisation and one pass over the modes; an error that is still
+ *           above it is reported in `error` and is no failure. The bits are the same for any number of threads. */
 SFEM_DEF sfem_status sfem_modes_create(sfem_model *model, const sfem_modes_def *def, sfem_modes *out,
                                        sfem_error *err);
 SFEM_DEF void sfem_modes_free(sfem_modes *modes); /* all zero afterwards; NULL allowed */
@@ -1699,22 +1677,20 @@ SFEM_DEF sfem_real sfem_modes_hz(const sfem_modes *modes, sfem_int k); /* sqrt(l
  * >>api-reduced   modal bodies: oscillators, warping, handles
  * ============================================================================================ */
 
-/* THE REDUCED MODEL. A body moves in m of its modes, u = Phi q, each an oscillator of its own:
+/* THE REDUCED MODEL. A body moves in m of its modes, u = Phi q, and each mode is an oscillator of its own:
  *     q'' + c q' + lambda q = Phi^T F,   c = alpha + beta lambda or 2 ratio sqrt(lambda)
- * A reduced model holds what that takes, m numbers an axis and node, and nothing of the mesh but
- * rest positions and the surface. It never changes, is shared by any number of bodies and threads,
- * and is reference-counted: each view and each body holds one. It needs the model only while it is
- * created, and can be saved to one block and loaded without it. Numbers [A.7] and the like, here and
- * in >>api-link, are those of its source, the appendix "Deformation and Force Simulation".
+ * A reduced model holds the numbers for that, m for each axis of each node, and of the mesh only the rest positions and
+ * the surface. It never changes; any number of bodies, views and threads share it, and the last user frees it. It needs
+ * the model only while it is created. It can be saved to one block and loaded without the model. Numbers [A.7] and the
+ * like, here and in >>api-link, are those of the appendix "Deformation and Force Simulation".
  *
- * WARPING [Choi and Ko 2005]. Modes turn nodes along straight lines: bent far, a bar grows. With w
- * = Psi q, half the curl of Phi q, the rotation vector of each node, th = |w|,
- *     R  = I + sin th/th [w]x + (1 - cos th)/th^2 [w]x^2              the node's rotation
- *     Rt = I + (1 - cos th)/th^2 [w]x + (1 - sin th/th)/th^2 [w]x^2   int R(s w) ds, its path mean
- * displacements become R Phi q (SFEM_WARP_ROTATION, as the source prints it) or Rt Phi q
- * (SFEM_WARP_PATH, the default: five times closer to the nonlinear body); handles see the same
- * displacement; loads become Phi^T (R^T F) with either. Valid while |w| < pi; what lies beyond is
- * drawn, but means nothing. */
+ * WARPING [Choi and Ko 2005]. Modes move nodes along straight lines, so a bar that bends far becomes longer. With w =
+ * Psi q, half the curl of Phi q, the rotation vector of each node, and th = |w|,
+ *     R  = I + sin th/th [w]x + (1 - cos th)/th^2 [w]x^2              the rotation of the node
+ *     Rt = I + (1 - cos th)/th^2 [w]x + (1 - sin th/th)/th^2 [w]x^2   int_0^1 R(s w) ds, its mean along the path
+ * the displacement becomes R Phi q (SFEM_WARP_ROTATION, the form of the appendix) or Rt Phi q (SFEM_WARP_PATH, the
+ * default: five times closer to the nonlinear body). Handles see the same displacement. Loads become Phi^T (R^T F) with
+ * either. All this is valid while |w| < pi. */
 typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sfem_warp;
 
 typedef struct sfem_reduced sfem_reduced;
@@ -1722,21 +1698,19 @@ typedef struct sfem_reduced sfem_reduced;
 typedef struct sfem_reduced_def {
     uint32_t cookie; /* set by sfem_default_reduced_def; a definition made otherwise is refused */
     sfem_real mass_damping, stiffness_damping; /* alpha, 1/s, and beta, s, >= 0: c = alpha + beta lambda */
-    const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or
-                              * NULL. A mode of lambda = 0 has no ratio: its c is alpha */
-    int free;                /* 1: the body is free: a rigid frame takes the place of its rigid
-                              * modes; 0: it is held; -1, the default: free where modes->info.free says so or
-                              * six of the modes are rigid */
-    sfem_int gravity_groups; /* >= 1. Gravity on a warped body: its nodes turn in so many groups,
-                              * each as the mean of its nodes; as many as nodes, or more: each node
-                              * for itself */
+    const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or NULL. A mode with
+                              * lambda = 0 has no ratio: its c is alpha */
+    int free;                /* 1: the body is free: a rigid frame takes the place of its rigid modes; 0: it is
+                              * held; -1, the default: free where modes->info.free is 1 or six modes are rigid */
+    sfem_int gravity_groups; /* >= 1. Gravity on a warped body is computed for so many groups of nodes, each with the
+                              * mean rotation of its nodes; as many as nodes, or more: node by node */
     sfem_allocator allocator;
 } sfem_reduced_def;
 
 SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 16 groups */
 
-/* Takes over all the modes (rigid ones as the definition says). Psi_i = sum V_e curl_e/2 / sum V_e
- * over the tets of node i.
+/* Makes a reduced model of all the modes (rigid ones as def->free says). Psi_i = sum V_e curl_e/2 / sum V_e over the
+ * tets of node i.
  *   errors  SFEM_MISMATCH (modes of another number of nodes), SFEM_NOT_FINITE (mode),
  *           SFEM_BAD_ARGUMENT (damping; free, but the modes move the body as a whole, or it is in
  *           more pieces than one: the mode is named), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE
@@ -1774,10 +1748,10 @@ SFEM_DEF sfem_status sfem_reduced_load(const void *memory, size_t bytes,
                                        const sfem_allocator *allocator, sfem_reduced **out,
                                        sfem_error *err);
 
-/* VIEWS. The rows of those nodes that are to be drawn, packed for the vector units: what is
- * reconstructed through a view costs what the view holds, and reads nothing else. Immutable and
- * shared, as the model. SFEM_MIXED keeps the rows in float and sums in float: half the memory
- * traffic, errors of 1e-6 of the displacement and 1e-7 of the size of the body.
+/* VIEWS. A view has the rows of those nodes that are drawn, packed for the vector units. Reconstruction through a view
+ * costs what the view holds, and reads nothing else. A view never changes and is shared, as the model is. SFEM_MIXED
+ * keeps the rows in float and sums in float: half the memory traffic, errors of 1e-6 of the displacement and 1e-7 of
+ * the size of the body.
  *   node  [count], in the order of the output, or NULL: all
  *   errors  SFEM_BAD_ARGUMENT (node), SFEM_OUT_OF_MEMORY, SFEM_TOO_LARGE */
 typedef struct sfem_reduced_view sfem_reduced_view;
@@ -1791,17 +1765,16 @@ SFEM_DEF void sfem_reduced_view_free(sfem_reduced_view *view); /* NULL allowed *
 SFEM_DEF sfem_int sfem_reduced_view_count(const sfem_reduced_view *view);
 
 /* A MODAL BODY. Three integrators:
- *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal  [A.7-A.13]. Of modes faster
- *                       than the step it hardly sees the damping: its free motion changes sign at
- *                       each step, and dies by e^(-4 ratio/(omega h)) where the exact one is dead
- *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, the load linear over the step: exact
- *                       at any h and any damping. With handles it steps as the first does, by
- *                       handle_beta and handle_gamma
- *   SFEM_MODAL_FITTED   the same formulas as the first for oscillators whose mass and damping are
- *                       fitted to the step: under (1/4, 1/2) free motion then dies as the exact one
- *                       at any h [Liniger, Willoughby 1970]. Of second order, rests exact, modes
- *                       without damping as the first has them to the bit. Its q'' are those of the
- *                       fitted oscillators: what a link has to send. The default */
+ *   SFEM_MODAL_NEWMARK  Newmark(beta, gamma) in accelerations, diagonal [A.7-A.13]. It hardly damps modes that are
+ *                       faster than the step: their free motion changes sign at each step and decays by e^(-4
+ *                       ratio/(omega h)), where the exact motion has long ended
+ *   SFEM_MODAL_EXACT    (q, q') advanced by the exponential, with a load that is linear over the step: exact at any h
+ *                       and any damping. With handles it steps as SFEM_MODAL_NEWMARK by handle_beta and handle_gamma
+ *   SFEM_MODAL_FITTED   the default: the formulas of SFEM_MODAL_NEWMARK for oscillators whose mass and damping are
+ *                       fitted to the step. With (1/4, 1/2) free motion then decays as the exact one at any h [Liniger,
+ *                       Willoughby 1970]. Second order; rest positions are exact; modes without damping have the same
+ *                       bits as with SFEM_MODAL_NEWMARK. Its q'' belong to the fitted oscillators: these are what a
+ *                       link sends */
 typedef enum sfem_modal_integrator {
     SFEM_MODAL_NEWMARK,
     SFEM_MODAL_EXACT,
@@ -1815,20 +1788,20 @@ typedef struct sfem_modal_def {
     sfem_modal_integrator integrator;
     sfem_warp warp;
     sfem_real beta, gamma;  /* > 0, >= 1/2 */
-    sfem_real handle_beta;  /* while a handle is held: constraints on positions ring under */
-    sfem_real handle_gamma; /* (1/4, 1/2), with growing amplitude */
-    sfem_real compliance;   /* eps >= 0: a handle gives so much of what the body gives at rest, which
-                             * noisy targets and dependent handles need; see HANDLES */
-    int frozen_rotations;           /* handles pull by J = H Rt Phi, as the source has it: without how the
-                                 * nodes' rotations follow q */
-    sfem_int handle_iterations; /* at most so many corrections a step bring warped handles to their
-                                 * targets, >= 1 */
+    sfem_real handle_beta;  /* the same while a handle is held: under (1/4, 1/2) constraints on */
+    sfem_real handle_gamma; /* positions oscillate with growing amplitude */
+    sfem_real compliance;   /* eps >= 0: a handle gives by this part of what the body gives at rest. Noisy
+                             * targets and dependent handles need it; see HANDLES */
+    int frozen_rotations;       /* 1: handles pull by J = H Rt Phi, the form of the appendix, which leaves out how
+                                 * the rotations of the nodes follow q */
+    sfem_int handle_iterations; /* at most so many corrections a step, >= 1, bring warped handles to their
+                                 * targets */
     sfem_int max_handles;       /* at a time, and nodes in all their regions */
     sfem_int max_handle_nodes;
-    sfem_real h;          /* s, >= 0: the steps that sfem_modal_start is to fit q'' to before there
-                           * was one, for whoever sends it; 0: the first step fits it */
-    sfem_real tolerance;  /* m, >= 0: modes that can be left out of a step without moving any node
-                           * by more than this, all together, are; see sfem_modal_info */
+    sfem_real h;          /* s, >= 0: the step for which sfem_modal_start fits q'' before the first step, for those
+                           * who send q''; 0: the first step fits it */
+    sfem_real tolerance;  /* m, >= 0: modes are left out of a step while all of them together would move no node by
+                           * more than this; see sfem_modal_info */
     sfem_real gravity[3]; /* m/s^2 */
     sfem_allocator allocator;
     sfem_exec exec; /* threads for reconstruction */
@@ -1845,21 +1818,21 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
                                        sfem_modal **out, sfem_error *err);
 SFEM_DEF void sfem_modal_free(sfem_modal *modal); /* NULL allowed */
 
-/* One step of h > 0 seconds; h may change from step to step (coefficients are renewed: about 0.1
- * us a mode). Loads are rotated by the rotations that the last step leads on to, which keeps the
- * second order. A free body's frame follows Newmark's formulas with the angular momentum for a
- * velocity; its rotation, exp of the mean angular velocity, by the implicit midpoint rule, is
- * always proper, and both momenta are kept to rounding where no force acts. Approximations: mass
- * and inertia are those of the rest shape, and the frame's accelerations do not act on the modes.
+/* One step of h > 0 seconds. h may change from step to step (new coefficients: about 0.1 us a mode). Loads are rotated
+ * by the rotations that the last step leads on to, which keeps second order. The frame of a free body follows Newmark's
+ * formulas with the angular momentum in place of the velocity. Its rotation, the exponential of the mean angular
+ * velocity by the implicit midpoint rule, is always proper. Both momenta are kept to rounding where no force acts.
+ * Approximations: mass and inertia are those of the rest shape, and the accelerations of the frame do not act on the
+ * modes.
  *   errors  SFEM_BAD_ARGUMENT (h), SFEM_NOT_FINITE (mode): the state is then as it was
  *   cost    O(m) and the nodes that are loaded, 6 m multiply-adds each; a handle O(m) a node, all
  *           together (3 handles)^3; allocates nothing */
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *modal, sfem_real h, sfem_error *err);
 
-/* The step of a receiver: takes accelerations [modes] as given and integrates, by Newmark's
- * formulas alone: q += h q' + h^2 ((1/2 - beta) a + beta a+),  q' += h ((1 - gamma) a + gamma a+).
- * Loads and handles are not asked; a frame moves on with the momenta that it has. What sender and
- * receiver start from must agree, q'' as well (see sfem_modal_set_coordinates). Same errors. */
+/* The step of a receiver: integrates given accelerations [modes] by Newmark's formulas alone,
+ *     q += h q' + h^2 ((1/2 - beta) a + beta a+),  q' += h ((1 - gamma) a + gamma a+).
+ * Loads and handles do not act. A frame moves on with its momenta. Sender and receiver must start alike, with the same
+ * q'' (see sfem_modal_set_coordinates). Errors as sfem_modal_step. */
 SFEM_DEF sfem_status sfem_modal_step_with(sfem_modal *modal, const sfem_real *acceleration,
                                           sfem_real h, sfem_real beta, sfem_real gamma,
                                           sfem_error *err);
@@ -1871,13 +1844,13 @@ SFEM_DEF const sfem_real *sfem_modal_coordinates(const sfem_modal *modal);
 SFEM_DEF const sfem_real *sfem_modal_coordinate_velocities(const sfem_modal *modal);
 SFEM_DEF const sfem_real *sfem_modal_coordinate_accelerations(const sfem_modal *modal);
 SFEM_DEF sfem_real sfem_modal_time(const sfem_modal *modal); /* s */
-/* New ones; NULL leaves as it is. Where q'' is given, it is taken, and the body counts as started;
- * else it follows from the loads when the next step begins. Errors: SFEM_NOT_FINITE. */
+/* Sets the coordinates; NULL leaves one as it is. A given q'' is used, and the body counts as started; else it follows
+ * from the loads when the next step begins. Errors: SFEM_NOT_FINITE. */
 SFEM_DEF sfem_status sfem_modal_set_coordinates(sfem_modal *modal, const sfem_real *q,
                                                 const sfem_real *v, const sfem_real *a,
                                                 sfem_error *err);
-/* Fixes the load, and the acceleration, at time 0: otherwise the first step takes its own load for
- * that. */
+/* Fixes the load, and the acceleration, at time 0. Without it the first step takes its own load for the one at its
+ * start. */
 SFEM_DEF void sfem_modal_start(sfem_modal *modal);
 /* omega^2 and c, [modes], of what Newmark sees in steps of h, per unit of its mass: those of the
  * reduced model, or fitted ones. SFEM_LOST_PREDICTED wants them. h > 0. */
@@ -1896,9 +1869,8 @@ SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g
 /* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
 SFEM_DEF void sfem_modal_load(sfem_modal *modal, sfem_real *load);
 
-/* Rest under the present loads and handles: q = lambda^-1 (Phi^T R(q)^T F - J^T l), iterated from
- * the present q (once where nothing warps). Velocities become zero; a frame stays where it is, as
- * if held at it.
+/* Static equilibrium under the present loads and handles: q = lambda^-1 (Phi^T R(q)^T F - J^T l), iterated from the
+ * present q (once where nothing warps). Velocities become zero. A frame stays where it is.
  *   info    NULL allowed; also written where it does not converge
  *   errors  SFEM_NOT_CONVERGED (200 iterations, or a node rotated by pi: a bar that its
  *           load bends by 80 % of its length and more may have no answer here), SFEM_SINGULAR (a loaded mode of
@@ -1985,11 +1957,10 @@ SFEM_DEF void sfem_modal_save_state(const sfem_modal *modal, void *memory);
 SFEM_DEF sfem_status sfem_modal_load_state(sfem_modal *modal, const void *memory, size_t bytes,
                                            sfem_error *err);
 
-/* A mode sleeps, and is neither stepped nor drawn (unless its rest is not 0), while |load - load
- * when it fell asleep| G/lambda, with G = coth(pi xi/(2 sqrt(1 - xi^2))) the most that any load of
- * that size can make of it, moves no node by more than half its share of the tolerance, and fell
- * asleep when its own swing could not. Undamped modes sleep only as long as their load is what it
- * was. */
+/* A sleeping mode is neither stepped nor drawn (unless its rest is not 0). A mode falls asleep when its own motion
+ * moves no node by more than half its share of the tolerance. It wakes when |load - load when it fell asleep| G/lambda
+ * could move a node by more than the other half, G = coth(pi xi/(2 sqrt(1 - xi^2))) being the largest effect of any
+ * load of that size. Undamped modes sleep only while their load does not change. */
 typedef struct sfem_modal_info {
     sfem_int modes, awake, drawn;
     sfem_int handles;
@@ -2014,17 +1985,14 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  * integrates what arrives, with the same Newmark(beta, gamma):
  *     q'+ = q' + h ((1-gamma) q'' + gamma q''+)
  *     q+  = q + h q' + h^2 ((1/2-beta) q'' + beta q''+)
- * An acceleration that is lost, replaced by zero, at step t leaves the received velocity wrong by
- * -gamma h q'' at t and by -h q'' ever after, the displacement by -h^2 q'' times beta at t and
- * k - 1/2 + gamma at t + k: 1/4, 1, 2, 3, ... for the average acceleration [Lemma, Theorem,
- * A.18-A.25]. So the distortion grows with time, until the next key frame: the
- * whole of q, q' and q'', which puts the receiver where the sender is.
+ * An acceleration that is lost at step t and replaced by zero makes the received velocity wrong by -gamma h q'' at t
+ * and by -h q'' from then on, and the displacement by -h^2 q'' times beta at t and k - 1/2 + gamma at t + k: 1/4, 1, 2,
+ * 3, ... for the average acceleration [Lemma, Theorem, A.18-A.25]. So the distortion grows with time, until the next
+ * key frame. A key frame has q, q' and q'', and puts the receiver where the sender is.
  *
- * The link makes and reads bytes; carrying them is the caller's. A sound packet may come late,
- * twice, out of order or not at all; a damaged one is recognised. For a body whose every step is
- * Newmark's: one whose state jumps (a velocity projected, a state set) has to ask for a key frame;
- * an exact oscillator drifts from its receiver, between key frames, as its integrator differs from
- * Newmark's.
+ * The link makes and reads bytes; the caller carries them. A packet may come late, twice, out of order or not at all. A
+ * damaged packet is recognised. The link is for bodies whose every step is Newmark's. Where the state jumps (handles, a
+ * new state), ask for a key frame. A body with the exact oscillator drifts from its receiver between key frames.
  *
  * A packet, all little-endian, numbers as in IEEE 754:
  *     0  4 bytes "SFLK"           12  u32 stream            24  f64 h
@@ -2032,19 +2000,19 @@ SFEM_DEF sfem_modal_info sfem_modal_get_info(const sfem_modal *modal);
  *        of all from 8 on         20  u32 count                 a key frame 3 count: q, q', q''
  *     8  u8 1, the version; u8 kind, 1 accelerations, 2 key frame; u8 bytes in a number, 4 or 8;
  *        u8 held, 0 or 1: which beta and gamma this step was made with
- * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits, and
- * lets one in 2^32 others pass; it does not keep out who means harm. */
+ * Sequence numbers count steps and wrap. CRC-32 finds every error within 32 successive bits and misses one in 2^32 of
+ * the others. It is no protection against forgery. */
 
-/* What a receiver takes for an acceleration that is not there when its step comes. A mode rotates by
- * omega h a step: below pi/3 held is better than zero and extrapolated better than held, above it
- * is the other way round. Without key frames the distortion of none is bounded. */
+/* What a receiver uses for an acceleration that is missing when its step comes. A mode rotates its phase by omega h a
+ * step: below pi/3 SFEM_LOST_HELD is better than zero and extrapolated better than held; above it is the reverse.
+ * Without key frames the distortion grows without bound in each case. */
 typedef enum sfem_lost {
-    SFEM_LOST_ZERO,         /* the source's: no acceleration */
+    SFEM_LOST_ZERO,         /* no acceleration, as in the appendix */
     SFEM_LOST_HELD,         /* that of the step before */
     SFEM_LOST_EXTRAPOLATED, /* on a line through the last two; in a run of losses held after the
                              * first */
-    SFEM_LOST_PREDICTED     /* as the mode would swing on under a constant load, for which the last
-                             * two are enough; needs its k and c. Wrong by what the load changes */
+    SFEM_LOST_PREDICTED     /* that of the mode under a constant load, which the last two determine; needs its k
+                             * and c. Wrong by the change of the load */
 } sfem_lost;
 
 typedef struct sfem_link_def {
@@ -2117,31 +2085,30 @@ typedef enum sfem_arrival {
     SFEM_ARRIVAL_COUNT
 } sfem_arrival;
 
-/* Takes a packet of any bytes, at any time. A late acceleration is put right by the theorem: both
- * sides being linear, dq = (k - 1/2 + gamma) h^2 (q'' - what was taken for it), and so on; a late
- * key frame by integrating again from it. Substitutes of later steps stay, until their own packets
- * come. A key frame that is ahead by more than the window moves the receiver to its step.
+/* Reads a packet of any bytes, at any time. A late acceleration is corrected by the theorem: both sides are linear, so
+ * dq = (k - 1/2 + gamma) h^2 (q'' - its substitute), and so on. After a late key frame the steps since then are
+ * integrated again. Substitutes of later steps stay until their own packets come. A key frame that is ahead by more
+ * than the window moves the receiver to its step.
  *   cost    O(m), of a late key frame O(m window); allocates nothing */
 SFEM_DEF sfem_arrival sfem_receiver_read(sfem_receiver *receiver, const void *packet, size_t bytes);
 
-/* The next step, h s on. Returns 1 if its packet was there, 0 if it was lost, or if nothing has
- * begun: before the first key frame a receiver stands still at zero. Where a step would overflow,
- * as after a mad packet that is sound, a mode stops where it is. O(m); allocates nothing. */
+/* The next step of h seconds. Returns 1 if its packet was there, 0 if it was lost or if nothing has started: before the
+ * first key frame a receiver stays at zero. Where a step would overflow, a mode stops where it is. O(m); allocates
+ * nothing. */
 SFEM_DEF int sfem_receiver_step(sfem_receiver *receiver);
 
-/* Steps from the receiver's present one to that of the newest packet; negative where even that was
- * late. Whoever steps only while it is larger than some delay gives packets that time to come. A packet
- * beyond the window counts once another one has come within a window of it: one alone may be a stray. 0
- * before the first key frame. */
+/* Steps from the receiver's present one to that of the newest packet; negative where that one was late. Step only while
+ * it is above some delay, to give packets time to come. A packet beyond the window counts only once another one has
+ * come within a window of it. 0 before the first key frame. */
 SFEM_DEF sfem_int sfem_receiver_lead(const sfem_receiver *receiver);
 
-/* q, q' and q'' in the present step, [m]; q'' as used. They stay where they are. */
+/* q, q' and q'' in the present step, [m]; q'' as used. The pointers stay valid while the receiver lives. */
 SFEM_DEF const sfem_real *sfem_receiver_coordinates(const sfem_receiver *receiver);
 SFEM_DEF const sfem_real *sfem_receiver_coordinate_velocities(const sfem_receiver *receiver);
 SFEM_DEF const sfem_real *sfem_receiver_coordinate_accelerations(const sfem_receiver *receiver);
 
-/* As created, waiting for the first key frame of this stream: when the sender has begun anew. The
- * counts go on. */
+/* Waits for the first key frame of this stream, as after create: for a sender that has started again. The counts go
+ * on. */
 SFEM_DEF void sfem_receiver_restart(sfem_receiver *receiver, uint32_t stream);
 
 typedef struct sfem_receiver_info {
@@ -4266,8 +4233,8 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file formats 2.2 and 4.1. Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
- * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
+ * manual, MSH file formats 2.2 and 4.1. Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and
+ * later. Barbic, Sin, Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
  * interactive mesh visualization software, INRIA RT-0253, 2001. */
 
 /* ---- numbers as text, the same in any locale ---- */
@@ -7501,8 +7468,8 @@ typedef struct sfemi_bvh {
 
 enum { SFEMI_BVH_LEAF = 4, SFEMI_BVH_DEEP = 48 };
 
-/* A dipole stands for the triangles of a node from this many of its radii on. tests/test_mesher.c bounds what that does to
- * winding numbers, of which 0.5 decides. */
+/* A dipole stands for the triangles of a node from this many of its radii on. tests/test_mesher.c bounds what that does
+ * to winding numbers, of which 0.5 decides. */
 #define SFEMI_BVH_FAR 2.5
 
 static void sfemi_bvh_box(const sfem_real *corner, sfem_int count, sfem_real box[2][3])
@@ -8252,9 +8219,10 @@ static int sfemi_cage_inside(const sfemi_lattice *l, const sfem_int v[4])
     return n;
 }
 
-/* Points of a tet that are inside, of SFEM_CAGE_LEVELS, those from number `from` on of a sequence that fills the unit cube
- * evenly [Roberts 2018] and is folded into the tet [Rocchini, Cignoni 2000]. Where no triangle lies between a point and
- * the one before, and the winding number there was clear, which it is not in a hole, it is not asked again. */
+/* Points of a tet that are inside, of SFEM_CAGE_LEVELS, those from number `from` on of a sequence that fills the unit
+ * cube evenly [Roberts 2018] and is folded into the tet [Rocchini, Cignoni 2000]. Where no triangle lies between a
+ * point and the one before, and the winding number there was clear, which it is not in a hole, it is not asked
+ * again. */
 static sfem_int sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_t from)
 {
     sfem_real x[3], last[3] = {0, 0, 0}, hit[SFEMI_HITS], value = 0;
@@ -8409,7 +8377,8 @@ typedef struct sfemi_manifold {
     sfem_int *root;   /* [tets][4] corners of one node that are connected by faces: their lowest, by union-find */
     sfem_int *number; /* [tets][4] node of the corner, once these are separated */
     sfem_int nodes;   /* so many then */
-    sfem_int *edge;   /* [edges] corners of faces, 3 (4 tet + face) + side, whose edges are in more than two triangles */
+    sfem_int *edge;   /* [edges] corners of faces, 3 (4 tet + face) + side, whose edges are in more than two triangles
+                       * */
     sfem_int edges;
 } sfemi_manifold;
 
@@ -8600,8 +8569,8 @@ done:
     return status;
 }
 
-/* The lattice's mesh, every edge of whose surface is in two triangles. Each round removes a tet or adds one at least, so
- * the rounds end. */
+/* The lattice's mesh, every edge of whose surface is in two triangles. Each round removes a tet or adds one at least,
+ * so the rounds end. */
 static sfem_status sfemi_lattice_mesh(sfemi_lattice *l, sfem_mesher_info *info)
 {
     sfem_status status;
@@ -10241,8 +10210,8 @@ static double sfemi_seconds(void)
  * for those that it depends on, and does it. These stand before it in the list, so they have been taken. One worker
  * alone can do everything, and nobody waits for a thread that the system has not started.
  *
- * On a busy machine several threads may take longer than one. A throttle compares the two: one call in 64 is done by one
- * thread, and where several were slower, the next calls are, too, more of them each time. */
+ * On a busy machine several threads may take longer than one. A throttle compares the two: one call in 64 is done by
+ * one thread, and where several were slower, the next calls are, too, more of them each time. */
 #define SFEMI_WORKERS 32 /* most workers */
 
 typedef struct sfemi_throttle {
@@ -17886,7 +17855,8 @@ typedef struct sfemi_method {
     void (*finish)(sfem_body *b);                         /* takes the step */
     sfem_real (*elastic)(sfem_body *b);                   /* the elastic energy at u; may use b->zk */
     void (*conserved)(sfem_body *b, sfem_energy *e);      /* sets e->conserved; may use b->zm and b->rhs */
-    void (*balance)(sfem_body *b, sfem_real *v);          /* b->rhs = what the supports do not exert, F - f - .. at u, v */
+    void (*balance)(sfem_body *b, sfem_real *v);          /* b->rhs = what the supports do not exert, F - f - .. at u, v
+                                                           * */
 } sfemi_method;
 
 /* What an integrator comes to, in numbers and properties. Constant from creation on. */
@@ -21742,7 +21712,8 @@ static sfem_real sfemi_safeguard_held_work(const sfem_body *b)
     return work;
 }
 
-/* Impulses are forces over the span of a (p,q,r) step, from the middle of the last one; in a fallback over its length. */
+/* Impulses are forces over the span of a (p,q,r) step, from the middle of the last one; in a fallback over its
+ * length. */
 static void sfemi_safeguard_spread_impulses(sfem_body *b)
 {
     const sfemi_step t = b->step;
@@ -21780,7 +21751,8 @@ static int sfemi_safeguard_accepts(sfem_body *b, sfemi_safeguard_energies *e, sf
     *budget = head->budget + sfemi_safeguard_step_work(b, head->started == SFEMI_RUNNING ? head->h / 2 : 0);
     *e = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h);
     scale = sfemi_safeguard_in_motion(b, e);
-    if (b->scheme.rotates != SFEMI_CORRECTS) scale += (head->psi + g->psi) / 2; /* by one solve Eb is off by parts of Psi */
+    if (b->scheme.rotates != SFEMI_CORRECTS) scale += (head->psi + g->psi) / 2; /* by one solve Eb is off by parts of
+                                                                                 * Psi */
     return sfemi_finite(e->eb) && sfemi_finite(e->ec) && e->eb <= *budget + e->rounding + 0.02 * scale &&
            e->ec <= *budget + sfemi_safeguard_step_work(b, 0) + e->rounding + 0.3 * scale;
 }
@@ -28228,8 +28200,8 @@ static sfem_status sfemi_modal_check(const sfem_modal_def *d, sfem_error *err)
     return SFEM_OK;
 }
 
-/* ---- what is saved, see >>saved. Of handles' forces, rows and residual nothing is made but output: a step that failed may
- * leave any there. ---- */
+/* ---- what is saved, see >>saved. Of handles' forces, rows and residual nothing is made but output: a step that failed
+ * may leave any there. ---- */
 
 typedef struct sfemi_modal_shape {
     const sfem_modal *body;
