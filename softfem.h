@@ -1807,7 +1807,7 @@ typedef struct sfem_modal_def {
     sfem_exec exec; /* threads for reconstruction */
 } sfem_modal_def;
 
-/* Fitted, (1/4, 1/2), with handles (.3025, .6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
+/* Fitted, (1/4, 1/2), with handles (0.3025, 0.6); SFEM_WARP_PATH; compliance 1e-4, 4 iterations; 16
  * handles of 64 nodes in all; tolerance 0; no gravity. */
 SFEM_DEF sfem_modal_def sfem_default_modal_def(void);
 
@@ -1920,7 +1920,7 @@ SFEM_DEF void sfem_modal_momentum(const sfem_modal *modal, sfem_real linear[3],
  *     tau = 2 sqrt(C/mean diag J M^-1 J^T)   critically damped; 0 in statics
  * (a free body's C at least that of A). So what noise, jumps and contradictions make of a body does
  * not grow as steps shrink, and with C the least of q.Lambda q/2 + sum |x - target|^2/2C is where it
- * rests. A handle that moves at v lags by tau v, at most .02 v/omega_1 at eps = 1e-4. With eps = 0 they
+ * rests. A handle that moves at v lags by tau v, at most 0.02 v/omega_1 at eps = 1e-4. With eps = 0 they
  * are the source's constraints: exact, but 1 mm of noise in targets is v = 1 mm/h, times what the modes
  * need to follow it, and on release that is what the body flies with. Under SFEM_WARP_ROTATION and
  * _PATH J contains how the rotations follow q: the handle's work goes into the body (with the source's
@@ -2020,7 +2020,7 @@ typedef struct sfem_link_def {
     sfem_int modes;      /* m >= 1; both sides: modes, h, stream, betas and gammas alike */
     sfem_real h;         /* s, > 0 */
     sfem_real beta, gamma; /* >= 0; 1/4, 1/2 */
-    sfem_real held_beta, held_gamma; /* the same for steps of a body with handles; .3025, .6 */
+    sfem_real held_beta, held_gamma; /* the same for steps of a body with handles; 0.3025, 0.6 */
     uint32_t stream;     /* any number: tells several bodies on one socket apart */
     /* the sender's */
     sfem_int key_every;  /* one of so many packets is a key frame, beginning with the first; 0: the
@@ -2232,7 +2232,8 @@ enum {
 static int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
 {
     if (cookie == kind) return 1;
-    (void)sfemi_fail(err, SFEM_BAD_ARGUMENT, "the definition was not made by %s: start from what that returns", function);
+    (void)sfemi_fail(err, SFEM_BAD_ARGUMENT, "the definition was not made by %s: start from what that returns",
+                     function);
     return 0;
 }
 
@@ -6723,7 +6724,8 @@ static sfem_status sfemi_ply_read(sfemi_soup *r)
     for (e = 0; e < y.elements; ++e) {
         if (y.element[e].kind != 'v') continue;
         for (roles = 0, i = y.element[e].first; i < y.element[e].end; ++i) roles += y.property[i].role != 0;
-        if (roles != 3 || y.nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "expected one element vertex with x, y and z");
+        if (roles != 3 || y.nodes)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "expected one element vertex with x, y and z");
         y.nodes = (sfem_int)y.element[e].rows;
     }
     if (y.order) s->start = start;
@@ -6850,9 +6852,10 @@ static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *
     else if (s.p == s.end)
         status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
     else if (sfemi_soup_find(data, bytes, path))
-        status = sfemi_scan_fail(&s, SFEM_FORMAT,
-                                 "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
-                                 "sfem_mesh_from_surface");
+        status =
+            sfemi_scan_fail(&s, SFEM_FORMAT,
+                            "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
+                            "sfem_mesh_from_surface");
     else
         status = sfemi_scan_fail(&s, SFEM_FORMAT,
                                  "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII and Vega .veg "
@@ -7284,12 +7287,14 @@ static sfem_status sfemi_repair_check(const sfem_surface *s, sfem_error *err)
     sfem_int i;
     int c;
     if (s->nodes < 0 || s->triangles < 0)
-        return sfemi_fail(err, SFEM_BAD_MESH, "the surface has %ld vertices and %ld triangles: counts cannot be negative",
-                          (long)s->nodes, (long)s->triangles);
+        return sfemi_fail(err, SFEM_BAD_MESH,
+                          "the surface has %ld vertices and %ld triangles: counts cannot be negative", (long)s->nodes,
+                          (long)s->triangles);
     if (s->triangles < 1) return sfemi_fail(err, SFEM_BAD_MESH, "the surface has no triangles");
     if (!s->x || !s->tri)
-        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "the surface has no vertices of its own: set x and nodes, in the surface of a mesh to the mesh's");
+        return sfemi_fail(
+            err, SFEM_BAD_ARGUMENT,
+            "the surface has no vertices of its own: set x and nodes, in the surface of a mesh to the mesh's");
     for (k = 0; k < 3 * (size_t)s->triangles; ++k) {
         i = s->tri[k];
         if (i < 0 || i >= s->nodes)
@@ -7798,10 +7803,11 @@ static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h)
         points *= n[c];
     }
     if (!(points <= 268435456.0))
-        return sfemi_fail(err, SFEM_TOO_LARGE,
-                          "edges of %.3g in a box of %.3g x %.3g x %.3g make a lattice of %.2g points, more than 2^28: take "
-                          "longer ones, or is there a stray vertex?",
-                          h, s->box[1][0] - s->box[0][0], s->box[1][1] - s->box[0][1], s->box[1][2] - s->box[0][2], points);
+        return sfemi_fail(
+            err, SFEM_TOO_LARGE,
+            "edges of %.3g in a box of %.3g x %.3g x %.3g make a lattice of %.2g points, more than 2^28: take "
+            "longer ones, or is there a stray vertex?",
+            h, s->box[1][0] - s->box[0][0], s->box[1][1] - s->box[0][1], s->box[1][2] - s->box[0][2], points);
     l->h = h;
     l->points = (sfem_int)(points + 0.5);
     for (c = 0; c < 3; ++c) {
@@ -8238,7 +8244,8 @@ static sfem_int sfemi_cage_share(const sfemi_solid *s, sfem_real p[4][3], size_t
         else if (u + v + w > 1)
             w = u + v + w - 1, u = 1 - v - old;
         for (c = 0; c < 3; ++c) x[c] = (1 - u - v - w) * p[0][c] + u * p[1][c] + v * p[2][c] + w * p[3][c];
-        if (s->f || k == 0 || fabs(value) < 0.25 || sfemi_bvh_hits(&s->tree, last, x, hit)) value = sfemi_solid_value(s, x);
+        if (s->f || k == 0 || fabs(value) < 0.25 || sfemi_bvh_hits(&s->tree, last, x, hit))
+            value = sfemi_solid_value(s, x);
         memcpy(last, x, sizeof x);
         n += value > 0;
     }
@@ -8302,7 +8309,8 @@ static sfem_int sfemi_cage_fill(sfemi_lattice *l, sfem_int a, sfem_int b)
             for (j[1] = from[1]; j[1] <= to[1]; ++j[1])
                 for (j[2] = from[2]; j[2] <= to[2]; ++j[2])
                     for (m = 0; m < 4; ++m)
-                        added += sfemi_cage_fill_tet(l, 2 * ((j[0] * l->n[1] + j[1]) * l->n[2] + j[2]) + 1, axis, m, ends);
+                        added +=
+                            sfemi_cage_fill_tet(l, 2 * ((j[0] * l->n[1] + j[1]) * l->n[2] + j[2]) + 1, axis, m, ends);
     }
     return added;
 }
@@ -8640,7 +8648,8 @@ SFEM_DEF sfem_mesher_def sfem_default_mesher_def(void)
 
 static sfem_status sfemi_mesher_check(const sfem_mesher_def *def, sfem_error *err)
 {
-    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MESHER, "sfem_default_mesher_def", err)) return SFEM_BAD_ARGUMENT;
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MESHER, "sfem_default_mesher_def", err))
+        return SFEM_BAD_ARGUMENT;
     if (def->mode != SFEM_FITTED && def->mode != SFEM_CAGE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "mode is %d, neither SFEM_FITTED nor SFEM_CAGE", (int)def->mode);
     if (!sfemi_finite(def->size) || def->size < 0)
@@ -8800,12 +8809,13 @@ static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def
     }
     sfemi_lattice_measure(&mesh, info);
     if (!mesh.tets || !(info->volume > 0))
-        status = sfemi_fail(err, SFEM_BAD_MESH,
-                            def->mode == SFEM_CAGE
-                                ? "no point of the lattice's tets is inside: an open sheet encloses nothing"
-                                : "nothing is inside at edges of %.3g: an open sheet encloses nothing; parts thinner than a "
-                                  "cell need a shorter size, or SFEM_CAGE",
-                            info->size);
+        status =
+            sfemi_fail(err, SFEM_BAD_MESH,
+                       def->mode == SFEM_CAGE
+                           ? "no point of the lattice's tets is inside: an open sheet encloses nothing"
+                           : "nothing is inside at edges of %.3g: an open sheet encloses nothing; parts thinner than a "
+                             "cell need a shorter size, or SFEM_CAGE",
+                       info->size);
 done:
     if (status == SFEM_OK)
         *out = mesh;
@@ -14216,7 +14226,8 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
     if (!(sfemi_finite(m->density) && m->density > 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: density is %g kg/m^3, must be > 0",
                           (int)index, m->density);
-    if (!(sfemi_finite(m->mass_damping) && m->mass_damping >= 0 && sfemi_finite(m->stiffness_damping) && m->stiffness_damping >= 0))
+    if (!(sfemi_finite(m->mass_damping) && m->mass_damping >= 0 && sfemi_finite(m->stiffness_damping) &&
+          m->stiffness_damping >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: damping (%g, %g) must be >= 0",
                           (int)index, m->mass_damping, m->stiffness_damping);
     if ((unsigned)m->law > SFEM_NEOHOOKEAN)
@@ -14238,7 +14249,8 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     const sfem_int count = def->materials ? def->material_count : 1;
     sfem_status status;
     sfem_int i;
-    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODEL, "sfem_default_model_def", err)) return SFEM_BAD_ARGUMENT;
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODEL, "sfem_default_model_def", err))
+        return SFEM_BAD_ARGUMENT;
     status = sfem_mesh_check(def->mesh, NULL, err);
     if (status != SFEM_OK) return status;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
@@ -15575,7 +15587,8 @@ static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage
     const sfem_mesh *mesh = &model->mesh;
     const sfem_int tets = mesh->tets;
     sfem_int e;
-    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_DAMAGE, "sfem_default_damage_def", err)) return SFEM_BAD_ARGUMENT;
+    if (!sfemi_made_by_default(d->cookie, SFEMI_COOKIE_DAMAGE, "sfem_default_damage_def", err))
+        return SFEM_BAD_ARGUMENT;
     if ((unsigned)d->law > SFEM_DAMAGE_ZSZ || (unsigned)d->criterion > SFEM_BREAK_DUCTILE)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no damage law %d or no criterion %d",
                           (int)d->law, (int)d->criterion);
@@ -17077,7 +17090,8 @@ static int sfemi_damage_roots(const sfem_real c[4], sfem_real root[3])
             r = i ? (q != 0 ? c[1] / q : 0) : (a != 0 ? q / a : 0);
             if (r > 0 && r < 1) breakpoint[breakpoints++] = r;
         }
-        if (breakpoints == 3 && breakpoint[1] > breakpoint[2]) r = breakpoint[1], breakpoint[1] = breakpoint[2], breakpoint[2] = r;
+        if (breakpoints == 3 && breakpoint[1] > breakpoint[2])
+            r = breakpoint[1], breakpoint[1] = breakpoint[2], breakpoint[2] = r;
     }
     breakpoint[breakpoints] = 1;
     for (i = 0; i < breakpoints; ++i) {
@@ -17267,14 +17281,16 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
  *
- * A = ck K + cm M + cd (rest of D) on the nodes that are not pinned on all axes; axes pinned one by one
- * keep their row as ck K_ii + .. on the diagonal and zero elsewhere. In place of K there may be its
- * isotropic upper bound (2 mu + 3 lambda) L (x) I, L the Laplacian sum V g_a.g_b: with e = dx/dX of a vector
- * x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2, whatever the tets' rotations R. Unless
- * axes are pinned one by one, or damping does not share its form, what is factored of it is the n x n
- * matrix: a ninth of the memory, and three right sides in a solve. All bodies of a model with the
- * same coefficients and pins use one factor: it is looked up in the model's list, under its lock, and
- * goes when its last body lets go. A factor never changes after it is made.
+ * 1. The matrix, on the nodes that are not pinned on all axes:
+ *      A = ck K + cm M + cd (rest of D)
+ *    An axis that is pinned alone keeps its row: ck K_ii + .. on the diagonal and zero elsewhere.
+ * 2. In place of K there may be its isotropic upper bound, L being the Laplacian sum V g_a.g_b:
+ *      (2 mu + 3 lambda) L (x) I
+ *    For with e = dx/dX of a vector x, 2 mu |R^T e|^2 + lambda tr(R^T e)^2 <= (2 mu + 3 lambda) |e|^2 for any rotation
+ *    R of a tet. Its factor is of the n x n matrix, a ninth of the memory, with three right sides in a solve, unless
+ *    axes are pinned alone or damping has another form.
+ * 3. Bodies of a model with the same coefficients and pins share a factor. It is found in the model's list, under its
+ *    lock, and freed by its last body. A factor never changes after it is made.
  * ============================================================================================ */
 
 typedef struct sfemi_factor_key {
@@ -18008,7 +18024,8 @@ static int sfemi_state_check_handles(const void *shape, const char *at, size_t c
         sfemi_handle h;
         memcpy(&h, at + i * sizeof h, sizeof h);
         if (h.used == 0) continue;
-        if (h.used != 1 || !sfemi_state_check_targets(shape, (const char *)&h.path, 1) || !sfemi_all_finite(h.weight, 4) ||
+        if (h.used != 1 || !sfemi_state_check_targets(shape, (const char *)&h.path, 1) ||
+            !sfemi_all_finite(h.weight, 4) ||
             !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
             return 0;
         for (c = 0; c < 4; ++c)
@@ -18221,9 +18238,10 @@ done:
 /* ============================================================================================
  * >>handle   pins and handles set, moved and released while the body runs
  *
- * With A^-1 at hand, a constraint H a = c on a = A^-1 (b + H^T l) asks for  (H A^-1 H^T) l = c - H A^-1 b.
- * The columns Y = A^-1 H^T of a handle, three of them, are solved for when it is taken; a step costs one
- * small dense solve and one sum over the columns, whatever moves.
+ * 1. A constraint H a = c on a = A^-1 (b + H^T l) gives the multipliers l:
+ *      (H A^-1 H^T) l = c - H A^-1 b
+ * 2. The three columns Y = A^-1 H^T of a handle are solved for when it is taken. After that a step costs one small
+ *    dense solve and one sum over the columns.
  * ============================================================================================ */
 
 /* (H x) of one handle: the weighted mean over its nodes. */
@@ -18635,20 +18653,17 @@ static void sfemi_newmark_finish_handles(sfem_body *b, const sfem_real *x)
 /* ============================================================================================
  * >>implicit   Newton: nonlinear Newmark, backward Euler, HHT, generalized-alpha, Bathe, statics
  *
- * Every method is one or two stages of one form, in the displacement d = u' - u over the step:
- *
- *   m1 M a' + m0 M a + D(w1 v' + w0 v) + f(u + w1 d) = F_w,    v' = c1 d + V,    a' = c2 d + A
- *
- * with V, A known: they are algorithm 1 of [Yuan et al. 2017] as meant, with other numbers. At a pin d, v'
- * and a' are given (see >>newmark); V and A are set so that the two maps hold there, too. Newton's matrix is
- *
- *   J = (m1 c2 + w1 c1 alpha) M + w1 (1 + c1 beta) K(u + w1 d) + w1 c1 (rest of D),
- *
- * which leaves out how beta K(u) v changes with u. J delta = F - M .. - D - f =: r. Where J is symmetric r is
- * minus the gradient of Psi(u + w1 d)/w1 + a part that is quadratic in d, so that the change of that
- * potential over delta is known without cancellation: the first by the energies, the second as the mean
- * of its slopes at both ends. A nonlinear damping force enters in the same way, to third order.
- * Handles: multipliers l with H (u + d) = target, by the Schur complement on the factor of the moment.
+ * 1. Every method is one or two stages of one form, in the displacement d = u' - u over the step:
+ *      m1 M a' + m0 M a + D(w1 v' + w0 v) + f(u + w1 d) = F_w,    v' = c1 d + V,    a' = c2 d + A
+ *    V and A are known: algorithm 1 of [Yuan et al. 2017] with other numbers. At a pin d, v' and a' are given (see
+ *    >>newmark), and V and A are set so that the last two equations hold there, too.
+ * 2. Newton's matrix, without the change of beta K(u) v with u:
+ *      J = (m1 c2 + w1 c1 alpha) M + w1 (1 + c1 beta) K(u + w1 d) + w1 c1 (rest of D),    J delta = F - M .. - D - f =:
+ *      r
+ * 3. Line search. Where J is symmetric, -r is the gradient of Psi(u + w1 d)/w1 plus a quadratic function of d. The
+ *    change of this potential over delta is computed without cancellation: that of Psi from the energies, that of the
+ *    rest as the mean of its slopes at both ends. A nonlinear damping force enters in the same way, to third order.
+ * 4. Handles: multipliers l with H (u + d) = target, by the Schur complement on the present factor.
  * ============================================================================================ */
 
 /* Do all tets follow Hooke's law in small rotations? */
@@ -19556,27 +19571,27 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
 /* ============================================================================================
  * >>alpha   dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
  *
- * CR and Gui-lambda are A b = F - D w - f(u), w' = w + h b, u' = u + h w' with A = M + h/2 D + h^2 K/lambda,
- * lambda = 4 for CR: (1/lambda, 1, 1). Chang's u' = u + h S^-1 (M + h/2 D) v + h^2/2 S^-1 M a, S being that
- * A with lambda = 4, and v' = v + h/2 (a + a'), M a' = F' - D v' - f(u'), is (1/4, 1, 1), too: the
- * difference of two steps of u is S (w' - w) = h (F - f(u) - D (v + v-)/2) without v of its own. They differ
- * from (p,q,r) by the load, F at the start of the step alone.
- *   KR-alpha, with am = (2 rho - 1)/(1 + rho), af = rho/(1 + rho), gamma = 1/2 - am + af, beta = 1/(1 + rho)^2:
- *   B b = F_a - D v_a - f_a - (am M + af gamma h D + af beta h^2 K) b-,   x_a = (1 - af) x + af x-,
- *   v' = v + h b,  u' = u + h v + (1/2 + gamma) h^2 b,   B = (1 - am) M + (1 - af)(gamma h D + beta h^2 K).
- * f_a is the mean of forces, not the force at a mean of places, which would crush what turns. v lags behind the
- * velocity by gamma h b. With w = (u' - u)/h, the mean over the step, in its place, it is
- *   w' = w - (gamma - 1/2) h b- + (gamma + 1/2) h b,
- * the velocity is w + h/2 b as for (p,q,r), and so is the rest; A = B/(1 - am) is of that family, with p =
- * 1/((1+rho)^2 (2-rho)), q = (3-rho)/((1+rho)(2-rho)), r = 1. b is the acceleration at another time than u,
- * later by s = (am - af) h <= 0, and the weights of b and b- extrapolate to the time of u. With
- * steps of h1, then h2, that is
- *   s = ((am - af) h1 - am s-)/(1 - am),  w' = w - (d - (h1+h2)/2) b- + d b,
- *   d = (h1+h2)/2 (h1 - s-)/(h1 - s- + s).
- * A start of second order is
- *   w' = y + (h2/2) b,  A b = F - D v0 - f,  A y = A v0 - p h2^2 K v0,
- * which is Newmark's own for rho = 1. y in place of v0 lets modes that are not resolved move no
- * farther than they would. In the displacements, undamped, that first step is generalized-alpha's.
+ * 1. CR and Gui-lambda, lambda = 4 for CR, are (1/lambda, 1, 1):
+ *      A b = F - D w - f(u),  w' = w + h b,  u' = u + h w',  A = M + h/2 D + h^2 K/lambda
+ * 2. Chang's method, S being A with lambda = 4, is (1/4, 1, 1), too:
+ *      u' = u + h S^-1 (M + h/2 D) v + h^2/2 S^-1 M a,  v' = v + h/2 (a + a'),  M a' = F' - D v' - f(u')
+ *    since the difference of two steps of u is S (w' - w) = h (F - f(u) - D (v + v-)/2). Both differ from (p,q,r) by
+ *    the load alone: F at the start of the step.
+ * 3. KR-alpha, am = (2 rho - 1)/(1 + rho), af = rho/(1 + rho), gamma = 1/2 - am + af, beta = 1/(1 + rho)^2:
+ *      B b = F_a - D v_a - f_a - (am M + af gamma h D + af beta h^2 K) b-,   x_a = (1 - af) x + af x-
+ *      v' = v + h b,  u' = u + h v + (1/2 + gamma) h^2 b,   B = (1 - am) M + (1 - af)(gamma h D + beta h^2 K)
+ *    f_a is the mean of two forces. (The force at the mean of two places would shrink a rotating body.)
+ * 4. It is computed with w = (u' - u)/h, the mean velocity over a step, in place of v, which is late by gamma h b:
+ *      w' = w - (gamma - 1/2) h b- + (gamma + 1/2) h b
+ *    The velocity is then w + h/2 b, as for (p,q,r), and A = B/(1 - am) belongs to the family: p = 1/((1+rho)^2
+ *    (2-rho)), q = (3-rho)/((1+rho)(2-rho)), r = 1.
+ * 5. b is the acceleration at another time than u, later by s = (am - af) h <= 0. The weights of b and b- extrapolate
+ *    to the time of u. With steps of h1, then h2:
+ *      s = ((am - af) h1 - am s-)/(1 - am),  w' = w - (d - (h1+h2)/2) b- + d b,  d = (h1+h2)/2 (h1 - s-)/(h1 - s- + s)
+ * 6. The first step, of second order, which is Newmark's own for rho = 1:
+ *      w' = y + (h2/2) b,  A b = F - D v0 - f,  A y = A v0 - p h2^2 K v0
+ *    With y in place of v0, modes that are not resolved move no farther than they should. In the displacements, without
+ *    damping, this step is generalized-alpha's.
  * ============================================================================================ */
 
 /* Puts a definition of the methods that are (p,q,r) as one of it. */
@@ -19600,24 +19615,24 @@ static sfem_real sfemi_alpha_p(const sfem_body *b)
 
 /* ============================================================================================
  * >>pqr   the (p,q,r) family, central difference
- *         [Yuan et al. 2017, "A novel unconditionally stable explicit integration method ..."]
  *
- *   A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w',   A = r M + (q/2) h D + p h^2 K
- *
- * with w the mean velocity over a step. (p,1,1) is Newmark(beta = p, gamma = 1/2) in another form, under
- * the load p F+ + (1-2p) F + p F-; p = 0 is central difference. The source starts with w = v0, which is
- * first order; here the first step is Newmark's own,
- *   A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F),
- * but without the part of a0 where D has more than the mass: it makes energy of stiff modes (15 000-fold at p = 1/2,
- * beta = .001 s, h omega = 600), and the order stays. A step of another length, h1 before and h2 now, follows from
- * the same two half-steps,
- *   A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + p h2 (F+ - F) + p1 h1 (F- - F),
- * where p may be another one, p1, too; see >>resume for what is added to it.
- * Both are put as one equation for a = (w' - w)/d, d = (h1 + h2)/2 being the time between the centres of the
- * two means and h1 = 0 the start: A a = b, where every force in b has weight one,
- *   b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p1 (h1/d)(F- - F),
- *   ck = (p1 h1^2 - p h2^2)/d,  cd = (h1 - (q/2)(h1 - h2))/d,  ca = (1/4-p) h2^2/d at the start, else 0.
- * Because positions follow from the mean velocity, a constraint on u' sets w' and leaves nothing to ring.
+ * [Yuan et al. 2017, "A novel unconditionally stable explicit integration method for finite element method"]
+ * 1. One step, w being the mean velocity over a step:
+ *      A a = F - f(u) - D w,  w' = w + h a,  u' = u + h w',   A = r M + (q/2) h D + p h^2 K
+ *    (p,1,1) is Newmark(beta = p, gamma = 1/2) in another form, with the load p F+ + (1-2p) F + p F-. p = 0 is central
+ *    differences.
+ * 2. The first step. Yuan et al. start with w = v0, which is of first order. Here it is Newmark's own:
+ *      A w1 = M v0 + (h/2)(F - f) + (1/4 - p) h^2 D a0 + p h (F+ - F)
+ *    without the part of a0 where D is larger than the mass. That part makes energy of stiff modes (15 000-fold at p =
+ *    1/2, beta = 0.001 s, h omega = 600), and without it the order stays.
+ * 3. A step of another length, h1 before and h2 now, p1 and p:
+ *      A2 w' = (A1 - h1 D) w + ((h1+h2)/2)(F - f) + p h2 (F+ - F) + p1 h1 (F- - F)
+ *    >>resume adds a term to it.
+ * 4. Both are computed as one equation for a = (w' - w)/d. d = (h1 + h2)/2 is the time between the centres of the two
+ *    means; h1 = 0 at the start. Each force in b has weight one:
+ *      A a = b = F - f - D (cd w - ca a) + ck K w + p (h2/d)(F+ - F) + p1 (h1/d)(F- - F)
+ *      ck = (p1 h1^2 - p h2^2)/d,  cd = (h1 - (q/2)(h1 - h2))/d,  ca = (1/4-p) h2^2/d at the start, else 0
+ * 5. Positions follow from the mean velocity. So a constraint on u' determines w', and nothing is left to oscillate.
  * ============================================================================================ */
 
 /* KR-alpha's terms of a step of h2 after one of h1, to b->step. */
@@ -19941,13 +19956,17 @@ static int sfemi_pqr_needs_omega(const sfem_body *b)
 /* ============================================================================================
  * >>rotated   the inverse of A in a body that rotates: frames, rigid projection
  *
- * The factor is of the rest pose, A0. For a body that rotates, A = Q A0 Q^T with one rotation a node,
- * Q_i = polar(sum V_e R_e) over its tets, or one a piece; a lumped M commutes with Q. That does not keep
- * rigid motions free of force, so on pieces that nothing holds
- *   A^-1 b = N (N^T c M N)^-1 N^T b + P Q A0^-1 Q^T P^T b,   P = I - N (N^T M N)^-1 N^T M,
- * N being the six rigid motions at the present positions, cm M the mass part of A0: linear and angular
- * momentum are then exact, and the form is symmetric. Stiffness damping rotates alike, D w = alpha M w +
- * P^T Q (beta K + rest) Q^T P w, which A bounds. A piece that a handle holds counts as held.
+ * 1. The factor is of the rest pose, A0. A body that rotates has one rotation a node, Q_i = polar(sum V_e R_e) over its
+ *    tets, or one a piece:
+ *      A = Q A0 Q^T
+ *    A lumped M commutes with Q.
+ * 2. Rigid motions should meet no force. So on pieces that nothing holds, with N the six rigid motions at the present
+ *    positions and cm M the mass part of A0:
+ *      A^-1 b = N (N^T cm M N)^-1 N^T b + P Q A0^-1 Q^T P^T b,   P = I - N (N^T M N)^-1 N^T M
+ *    Linear and angular momentum are then exact, and the form is symmetric.
+ * 3. Stiffness damping rotates alike:
+ *      D w = alpha M w + P^T Q (beta K + rest) Q^T P w
+ *    A bounds it. A piece that a handle holds counts as held.
  * ============================================================================================ */
 
 /* Inverse of an inertia, kept finite where it is singular; that of a piece crushed to a point, so far below
@@ -20272,7 +20291,8 @@ static void sfemi_rotated_apply(sfem_body *b, const sfem_factor *f, const sfem_r
         at[2 * axis] = q[2] * v0 + q[5] * v1 + q[8] * v2;
     }
     if (f->ldl)
-        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->workspace->work, b->workspace->work + 3 * (size_t)f->free_nodes, &b->exec);
+        sfem_ldl_solve(f->ldl, f->scalar ? 3 : 1, b->workspace->work, b->workspace->work + 3 * (size_t)f->free_nodes,
+                       &b->exec);
     for (i = 0, k = 0, at = b->workspace->work; i < b->model->mesh.nodes; ++i) {
         const sfem_real *q = frame + 9 * (size_t)i;
         sfem_real *to = x + 3 * (size_t)i;
@@ -20504,42 +20524,42 @@ done:
 /* ============================================================================================
  * >>resume   linear bodies whose step, pins or handles change
  *
- * With B = A - h/2 D - h^2/4 K, which is r M + (p - 1/4) h^2 K for q = 1, a step of (p,q,r) is
- *   B (v' - v)/h = F - K (u + u')/2 - D w' + H^T l,   (u' - u)/h = (v + v')/2 = w',
- * v being a velocity at u, and H^T l the forces that hold. So it changes
- *   E = 1/2 v.B v + 1/2 u.K u
- * by the work of F and l, less h w'.D w'. E bounds the elastic energy of every step; the mean energy of
- * sfem_body_energy does not: it is E times (1 + (p - 1/4) W^2)/(1 + p W^2) in a mode of W = h omega. What
- * follows keeps E from rising by itself.
- *   1. What held is let go. The history of (p,q,r), m = A w - h/2 (K u + D w - F) = B v, lacks H^T l: in stiff
- *      bodies most of it is the force that the handle had taken up, and it would become motion. So
- *        v = w + B^-1 (h/2) (F - K (u + u-)/2 - D w + H^T l)
- *      is found, l by H v = the velocity of what held, and the next step starts from it with m = B v.
- *   2. Something is held. The step that follows has a given H w'; what m has of H^T plays no part in it, and
- *      E falls by 1/2 |H v|^2 in the norm of (H B^-1 H^T)^-1: an inelastic impulse. That needs m as it was:
- *      w of new pins is not set to zero before it.
- *   3. The step changes. (p,q,r) keeps m, and so E - 1/2 u.K u changes from 1/2 m.B1^-1 m to 1/2 m.B2^-1 m: by
- *      random steps that grows without bound (p = 1/2, W to 60: 1e135-fold in 1000 steps), but not where B is
- *      M, at p = 1/4, q = 1. To keep it m would have to be multiplied by the root of B2 B1^-1. m is therefore
- *        m - C v/2 - C B1^-1 C v/2,  C = B1 - B2, where B falls: 1 - t/2 - t^2/2 <= (1 - t)^(1/2), 0 <= t <= 1,
- *        m - C B2^-1 m/2,            where B grows: 1 + t/2 <= (1 - t)^(-1/2),
- *      t an eigenvalue of B1^-1 C or -B2^-1 C, so that E does not rise; it falls by O(W^4), of second order.
- *      In a damaged body A has the intact K0, and B - r M = h^2 (p K0 - K/4) is not zero at p = 1/4 either. Where
- *      pieces of it are free, their rigid motion is projected out of A (>>rotated), which this B does not know. There
- *      the first step of another length is backward Euler's, a rejected one (>>safeguard); the motion starts afresh
- *      from it with m = r M v, so that E becomes 1/2 m.B^-1 m + 1/2 u.K u, at most what there is.
- *   4. Newmark(beta, gamma) is (beta, 2 gamma, 1) with m = M v. Its a, M a = F - D v - K u, is stale where
- *      something is let go, and is computed again.
- *   5. KR-alpha has no such energy, and its fast modes overshoot before they decay (18 times the energy of a start
- *      at W = 600, rho_inf = .8). Where its step or what is held changes, v is taken between w and the w that it
- *      would go on with, and one step of another method follows, from which it starts afresh: with y = (u, v),
- *      y' = J y + .., T = (1 - g h J)^-1, g = p^(1/2), which is a solve with the same A,
- *        k1 = T h y', k2 = T k1, k3 = T k2,  y + g k1 + (3 - 2 g - 1/(2 g)) k2 + (1/(2 g) - 2 + g) k3:
- *      of second order, stiff modes gone after one step, and |R(iW)| <= 1 for all W, so that it lowers 1/2 v.M v +
- *      1/2 u.K u whatever the motion. A change every n steps, n to 41, then has spectral radii below .9999 at all
- *      W, rho_inf 0 to .99 (computed; with v = w + h/2 b 1.12, with w - h/2 A^-1 K (u + u-)/2 1.002).
- * Solves with B are by conjugate gradients preconditioned by the factor at hand: B is between (1 - 1/(4p)) A
- * and A, or nearly where the step changes. Some 15 solves at p = 1/2, 40 at p = .28; at p = 1/4, q = 1 none.
+ * The energy that linear bodies conserve when their step, pins or handles change.
+ * 1. With B = A - h/2 D - h^2/4 K, which is r M + (p - 1/4) h^2 K for q = 1, v a velocity at u and H^T l the constraint
+ *    forces, a step of (p,q,r) is
+ *      B (v' - v)/h = F - K (u + u')/2 - D w' + H^T l,   (u' - u)/h = (v + v')/2 = w'
+ * 2. So E changes by the work of F and l, less h w'.D w', and bounds the elastic energy of every step:
+ *      E = 1/2 v.B v + 1/2 u.K u
+ *    (The mean energy of sfem_body_energy does not: in a mode of W = h omega it is E (1 + (p - 1/4) W^2)/(1 + p W^2).)
+ *    The next three steps keep E from rising by itself.
+ * 3. A constraint is released. The history of (p,q,r), m = A w - h/2 (K u + D w - F) = B v, does not contain H^T l. In
+ *    stiff bodies most of m is the force that the handle had taken up; it would become motion. So v is solved for, with
+ *    l by H v = the velocity of the constraint, and the next step starts from it with m = B v:
+ *      v = w + B^-1 (h/2) (F - K (u + u-)/2 - D w + H^T l)
+ * 4. A constraint is added. The next step has a given H w', and E falls by an inelastic impulse:
+ *      1/2 |H v|^2 in the norm of (H B^-1 H^T)^-1
+ *    This needs m as it was: w of new pins is not set to zero before the step.
+ * 5. The step changes. (p,q,r) keeps m, so 1/2 v.B v changes from 1/2 m.B1^-1 m to 1/2 m.B2^-1 m. Random steps let that
+ *    grow without bound (p = 1/2, W to 60: by 1e135 in 1000 steps), except at p = 1/4, q = 1, where B is M. To keep it,
+ *    m would be multiplied by the root of B2 B1^-1. m is therefore
+ *      m - C v/2 - C B1^-1 C v/2,  C = B1 - B2, where B falls: 1 - t/2 - t^2/2 <= (1 - t)^(1/2), 0 <= t <= 1
+ *      m - C B2^-1 m/2,            where B grows: 1 + t/2 <= (1 - t)^(-1/2)
+ *    t being an eigenvalue of B1^-1 C or -B2^-1 C. E does not rise; it falls by O(W^4), of second order.
+ * 6. Damage. A has the intact K0, so B - r M = h^2 (p K0 - K/4) is not zero at p = 1/4 either. Where pieces are free,
+ *    their rigid motion is projected out of A (>>rotated), but not out of this B. There the first step of another
+ *    length is a rejected one, backward Euler's (>>safeguard). The motion restarts from it with m = r M v, at most the
+ *      energy there is: E = 1/2 m.B^-1 m + 1/2 u.K u
+ * 7. Newmark(beta, gamma) is (beta, 2 gamma, 1) with m = M v. Its a is no longer valid where a constraint is released,
+ *    and is computed again from M a = F - D v - K u.
+ * 8. KR-alpha has no such energy, and its fast modes overshoot before they decay (18 times the energy of a start at W =
+ *    600, rho_inf = 0.8). After a change v is taken between w and the next w, and one step of another method follows,
+ *    from which KR-alpha restarts. With y = (u, v), y' = J y + .., T = (1 - g h J)^-1, g = p^(1/2), one solve with the
+ *      same A each: k1 = T h y', k2 = T k1, k3 = T k2,  y + g k1 + (3 - 2 g - 1/(2 g)) k2 + (1/(2 g) - 2 + g) k3
+ *    It is of second order, removes stiff modes in one step, and has |R(iW)| <= 1 for all W, so that it lowers 1/2 v.M
+ *    v + 1/2 u.K u for any motion. With a change every n steps, n to 41, spectral radii are below 0.9999 for all W,
+ *    rho_inf 0 to 0.99 (computed; with v = w + h/2 b 1.12, with w - h/2 A^-1 K (u + u-)/2 1.002).
+ * 9. Solves with B are by conjugate gradients preconditioned with the present factor, since (1 - 1/(4p)) A <= B <= A,
+ *    or nearly so where the step changes: about 15 solves at p = 1/2, 40 at p = 0.28, none at p = 1/4, q = 1.
  * ============================================================================================ */
 
 /* Is what A holds of K another matrix than K? */
@@ -20548,7 +20568,7 @@ static int sfemi_resume_bounded(const sfem_body *b)
     return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
-/* Does the projection of free pieces change B, so that it is not at hand? See 3. */
+/* Does the projection of free pieces change B, so that it is not at hand? See 6. */
 static int sfemi_resume_inertia_is_unknown(const sfem_body *b)
 {
     return sfemi_resume_bounded(b) && sfemi_rotated_projects(b);
@@ -20923,7 +20943,7 @@ static int sfemi_resume_compare(const sfem_body *b, const sfemi_inertia *from, c
     return k > all || to->m - from->m > 1e-12 * from->m || to->d - from->d > 1e-12 * fabs(from->d);
 }
 
-/* What is to be taken from m where B changes, to out, see 3 above. v is overwritten: B1^-1 m where B falls. */
+/* What is to be taken from m where B changes, to out, see 5 above. v is overwritten: B1^-1 m where B falls. */
 static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const sfemi_inertia *to, int change,
                                  sfem_real *v, sfem_real *out)
 {
@@ -21120,21 +21140,24 @@ static void sfemi_resume_bridge_finish(sfem_body *b)
 static void sfemi_resume_lessen(const sfem_body *b, sfem_real *rhs)
 {
     size_t i;
-    for (i = 0; b->step.falls && !b->step.fresh && i < 3 * (size_t)b->model->mesh.nodes; ++i) rhs[i] -= b->velocity[i] / b->step.d;
+    for (i = 0; b->step.falls && !b->step.fresh && i < 3 * (size_t)b->model->mesh.nodes; ++i)
+        rhs[i] -= b->velocity[i] / b->step.d;
 }
 
 /* ============================================================================================
  * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
  *
- * A trial of one solve, corrections of it, an energy safeguard, and a step in place of one that would make energy.
- * The safeguard tests two energies, L being the loads and v_r, L_r the parts of w' and L that do not move a free
- * piece's centre of mass:
- *   Eb = 1/2 v_r.r M v_r + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2 - L_r.(u + u')/2
- *   Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
- * Eb is conserved exactly where the body is linear and undamped, but blind to modes that are not resolved; Ec is
- * not, and is tested loosely. They may exceed a budget B by 0.02 and 0.3 of S, the energy in motion. B is the least
- * Eb so far, forgotten over 32 steps, plus the work of handles, moved pins, changing loads and what the caller adds
- * to the right side. A step that fails the test is rejected. On calm bodies of good meshes none is.
+ * 1. A trial step of one solve (>>rotated), then corrections of it by L-BFGS.
+ * 2. Two energies of the step, v_r and L_r being w' and the loads L without what moves the centre of mass of a free
+ *      piece: Eb = 1/2 v_r.r M v_r + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2 - L_r.(u + u')/2
+ *      Ec = 1/2 v_r.r M v_r + Psi' - L_r.u'
+ *    Eb is conserved exactly by a linear body without damping, but does not see modes that are not resolved. Ec sees
+ *    them, and is tested loosely.
+ * 3. The energy budget B: the least Eb so far, forgotten over 32 steps, plus the work of handles, moved pins, changing
+ *    loads and what the caller adds to the right side. With S, the energy in motion, the test is
+ *      Eb <= B + 0.02 S  and  Ec <= B + 0.3 S
+ * 4. A step that fails the test is rejected: backward Euler's takes its place. On calm bodies of good meshes none
+ * fails. 5. Edges break at the end of the step.
  * ============================================================================================ */
 
 /* Does the rigid part of a free piece's step need corrections? Only where the caller's damping brakes it. */
@@ -21367,7 +21390,7 @@ static void sfemi_safeguard_correct_momentum(sfem_body *b)
 }
 
 /* The centripetal acceleration of free pieces, omega x (omega x r), omega by the momentum of w; of others 0.
- * The rotated K0 takes it for a stretch that p h^2 K0 resists: a stiff body at .2 rad a step then
+ * The rotated K0 takes it for a stretch that p h^2 K0 resists: a stiff body at 0.2 rad a step then
  * stretches until that is a fifth of its energy. So only what differs from it is solved for,
  *   A (a - c) = L - f - D (w + q h c/2) - r M c,
  * which leaves its damping in place (it cancels what w, the way over the last step, has of it) and the momenta
@@ -21529,7 +21552,8 @@ static void sfemi_safeguard_predict(sfem_body *b)
     sfemi_correct_brake(b, &t);
     sfemi_body_take_from_load(b, t.load, b->rhs, b->rhs);
     sfemi_resume_lessen(b, b->rhs);
-    for (i = 0; b->step.starts_from_mass && i < n; ++i) b->rhs[i] += b->scheme.r * model->node_mass[i / 3] * s->w[i] / t.d;
+    for (i = 0; b->step.starts_from_mass && i < n; ++i)
+        b->rhs[i] += b->scheme.r * model->node_mass[i / 3] * s->w[i] / t.d;
     for (i = 0; i < n; ++i) b->safeguard.added[i] = -b->rhs[i];
 }
 
@@ -21559,7 +21583,8 @@ static void sfemi_safeguard_try(sfem_body *b)
         b->safeguard.added[i] += b->rhs[i];
         more |= b->safeguard.added[i] != 0;
     }
-    if (more && !b->base && sfemi_rotated_projects(b)) sfemi_rotated_add_rigid_load(b, b->state.u, b->safeguard.added, 1);
+    if (more && !b->base && sfemi_rotated_projects(b))
+        sfemi_rotated_add_rigid_load(b, b->state.u, b->safeguard.added, 1);
     centripetal = sfemi_safeguard_centripetal(b, b->safeguard.grad);
     for (i = 0; centripetal && i < n; ++i)
         x[i] -= f->key.cm * b->model->node_mass[i / 3] * b->safeguard.grad[i];
@@ -21683,7 +21708,8 @@ static sfem_real sfemi_safeguard_step_work(const sfem_body *b, sfem_real back)
             i = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             /* the internal force as the step weighs it, which is what the support feels */
-            work += (g->end > 0 ? g->end * g->f[i] + g->known[i] : s->f[i]) * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
+            work +=
+                (g->end > 0 ? g->end * g->f[i] + g->known[i] : s->f[i]) * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
         }
     return work;
 }
@@ -21726,7 +21752,8 @@ static void sfemi_safeguard_spread_impulses(sfem_body *b)
 static sfem_real sfemi_safeguard_fallback_work(sfem_body *b)
 {
     const sfem_real h1 = b->state.head->started == SFEMI_RUNNING ? b->state.head->h : 0;
-    sfem_real *added = b->safeguard.added, work = sfemi_safeguard_held_work(b) + sfemi_safeguard_outer_work(b, 1, h1 / 2, 0, 0);
+    sfem_real *added = b->safeguard.added,
+              work = sfemi_safeguard_held_work(b) + sfemi_safeguard_outer_work(b, 1, h1 / 2, 0, 0);
     if (!b->kicked) return work;
     b->safeguard.added = b->kick;
     work -= sfemi_safeguard_outer_work(b, 0, h1 / 2 / b->step.h, 0, 0);
@@ -21921,8 +21948,9 @@ static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
         if (p->held) continue;
         for (c = 0; c < 3; ++c) {
             p->motion[c] /= p->mass;
-            omega[c] = force ? sfemi_dot3(inverse + 3 * c, p->motion + 3)
-                             : inverse[c] * p->motion[3] + inverse[3 + c] * p->motion[4] + inverse[6 + c] * p->motion[5];
+            omega[c] = force
+                           ? sfemi_dot3(inverse + 3 * c, p->motion + 3)
+                           : inverse[c] * p->motion[3] + inverse[3 + c] * p->motion[4] + inverse[6 + c] * p->motion[5];
         }
         memcpy(p->motion + 3, omega, sizeof omega);
     }
@@ -21946,7 +21974,11 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, co
     size_t i;
     if (q->fallback && !upper) sfemi_rotated_locate(b, b->safeguard.u);
     if (frees) sfemi_correct_free(b, 1, x);
-    sfemi_rotated_solve_system(b, f, upper || frees ? NULL : q->fallback ? b->safeguard.u : b->state.u, b->safeguard.frame, x);
+    sfemi_rotated_solve_system(b, f,
+                               upper || frees ? NULL
+                               : q->fallback  ? b->safeguard.u
+                                              : b->state.u,
+                               b->safeguard.frame, x);
     if (frees) sfemi_correct_free(b, 0, x);
     if (q->fallback && !upper) sfemi_rotated_locate(b, b->state.u);
     if (b->schur.count) {
@@ -22266,8 +22298,8 @@ static void sfemi_correct(sfem_body *b)
     }
     head->skipped = 0;
     tolerance = fmax(b->def.accuracy * head->scale, sfemi_correct_rounding(b, &q));
-    first = sfemi_correct_iterate(b, &q, sfemi_body_active(b), head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST,
-                                  tolerance);
+    first = sfemi_correct_iterate(b, &q, sfemi_body_active(b),
+                                  head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST, tolerance);
     if (cheap > 0 && first > 0)
         head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
     if (b->schur.count) sfemi_correct_find_handle_forces(b);
@@ -22437,7 +22469,8 @@ static void sfemi_safeguard_find_columns(sfem_body *b, const sfem_factor *f)
     sfem_int i;
     for (i = 0; i < b->schur.count; ++i) {
         const sfem_int slot = b->schur.slot[i];
-        sfemi_schur_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->schur.y[slot], b->workspace->work, &b->exec);
+        sfemi_schur_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->schur.y[slot], b->workspace->work,
+                            &b->exec);
     }
 }
 
@@ -22603,7 +22636,8 @@ static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
     sfemi_safeguard *g = &b->safeguard;
     sfemi_state_head *head = b->state.head;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfemi_safeguard_energies there = sfemi_safeguard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step.h);
+    const sfemi_safeguard_energies there =
+        sfemi_safeguard_measure(b, b->state.u, b->state.w, b->state.f, head->psi, b->step.h);
     /* what has moved before is no measure where most of it has been lost since */
     const sfem_real tolerance = 0.01 * fmin(head->scale, head->psi + there.kinetic + there.floor);
     sfemi_equation q;
@@ -22768,7 +22802,8 @@ static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) sum += b->model->node_mass[i / 3] * g->w[i] * g->w[i] / 2;
     }
     *kinetic = sum * b->scheme.r;
-    return *kinetic + (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (sfemi_safeguard_weight(b) - 0.5) / 2 * stretch);
+    return *kinetic +
+           (g->rejected ? g->psi : (s->head->psi + g->psi) / 2 + (sfemi_safeguard_weight(b) - 0.5) / 2 * stretch);
 }
 
 /* The way from where the last step's energy was taken to where this one's is. */
@@ -22912,7 +22947,8 @@ static void sfemi_fracture_round(sfem_body *b)
     sfemi_damage_round(b->damage, &step, &change);
     if (!change.broken && !change.softened) return;
     b->refactor.since_break = 0;
-    fallen = g->rejected ? change.psi1 : (change.psi0 + change.psi1) / 2 + (sfemi_safeguard_weight(b) - 0.5) / 2 * change.cross;
+    fallen = g->rejected ? change.psi1
+                         : (change.psi0 + change.psi1) / 2 + (sfemi_safeguard_weight(b) - 0.5) / 2 * change.cross;
     if (!g->rejected) head->psi += change.psi0;
     g->psi += change.psi1;
     head->budget += fallen;
@@ -22932,10 +22968,11 @@ static void sfemi_fracture_round(sfem_body *b)
 /* ============================================================================================
  * >>sleep   bodies at rest, whose steps cost nothing
  *
- * Calm is judged over a window of sleep_time: no |w| above the tolerance in any step, and |w - w before| at
- * most a quarter of it at the end. In a swing of amplitude V and period P the latter is 2 V |cos phi|
- * sin(pi T/P) in a window of length T about phase phi, where speeds reach V |sin phi|: where that is below
- * the tolerance, V twice the tolerance and P < 40 T, the change is above it.
+ * 1. A body is calm over a window of sleep_time if |w| stays below the tolerance in all its steps, and at its end
+ *      |w - w at its start| <= tolerance/4
+ * 2. A swing of amplitude V and period P does not pass: in a window of length T around phase phi the change is 2 V |cos
+ *    phi| sin(pi T/P), and speeds reach V |sin phi|. Where the latter is below the tolerance, V twice the tolerance and
+ *    P < 40 T, the change is above it.
  * ============================================================================================ */
 
 static void sfemi_sleep_wake_up(sfem_body *b)
@@ -23038,14 +23075,15 @@ SFEM_DEF void sfem_body_wake(sfem_body *b)
 /* ============================================================================================
  * >>refactor   a factor of the present tangent, made in slices
  *
- * 1. When: corrections beyond FREE a step are added up by their cost; begun once that exceeds the price of a factor. A
- *    factor that did not earn its price is dropped, and the next one waits for twice as much.
- * 2. What: K(u) by chunks of tets, in one order; its blocks rotated back, Q_i^T K_ij Q_j; the matrix; its factor,
- *    front by front. All in pieces of known cost.
- * 3. How much: each step adds its budget to the credit, and pieces are done until none is left; what the last one
- *    took too much, the next step pays.
- * 4. Taken between two steps: A' (w' - w) = h (F - f - D w) goes on from any w. (A' w' = A w + .. would put the
- *    difference of two stiffnesses into the momentum.)
+ * 1. When. The cost of corrections beyond FREE a step is added up. A factor is started when it exceeds the cost of a
+ *    factor. One that does not save its cost is dropped, and the next one waits twice as long.
+ * 2. What. K(u) by chunks of tets, in one order; its blocks rotated back, Q_i^T K_ij Q_j; the matrix; its factor, front
+ *    by front. All of it is in units of known cost.
+ * 3. How much. Each step adds its budget to the credit, and units are done until the credit is used up. A unit that
+ *    cost more than was left is paid by the next step.
+ * 4. The factor is taken over between two steps. The next one goes on from any w:
+ *      A' (w' - w) = h (F - f - D w)
+ *    (A' w' = A w + .. would add the difference of two stiffnesses to the momentum.)
  * ============================================================================================ */
 
 /* Costs, in operations of the factor's kernels: what takes the same time (one core, AVX2; 1000 to 20 000 tets). */
@@ -23273,7 +23311,8 @@ static void sfemi_refactor_watch(sfem_body *b)
     if (b->damage) return; /* K at rest of what is left: the tangent would not keep the bounds of later breaks */
     if (extra > 0) r->spent += (double)extra * sfemi_refactor_correction(b, b->factor);
     ++r->steps;
-    if (r->stage != SFEMI_REFACTOR_IDLE || (r->spent <= r->patience * r->price && !(r->live && b->safeguard.rejected))) return;
+    if (r->stage != SFEMI_REFACTOR_IDLE || (r->spent <= r->patience * r->price && !(r->live && b->safeguard.rejected)))
+        return;
     if (!r->live) r->rest_rate = r->spent / r->steps;
     else if (b->safeguard.rejected || (r->rest_rate > 0 && r->spent + r->price > r->rest_rate * r->steps)) {
         sfemi_refactor_drop(b);
@@ -23620,8 +23659,9 @@ static const sfemi_method sfemi_method_linear = {sfemi_linear_predict, sfemi_lin
 static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
                                                  sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
                                                  sfemi_newton_balance};
-static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict, sfemi_rotated_solve, sfemi_safeguard_judge_step,
-                                                  sfemi_safeguard_finish, sfemi_rotated_elastic, sfemi_rotated_conserved,
+static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict,      sfemi_rotated_solve,
+                                                  sfemi_safeguard_judge_step, sfemi_safeguard_finish,
+                                                  sfemi_rotated_elastic,      sfemi_rotated_conserved,
                                                   sfemi_rotated_balance};
 
 /* beta, gamma, am and af of the Newton methods as generalized-alpha [Chung, Hulbert 1993]; Newmark has its own. */
@@ -23721,7 +23761,8 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (!(sfemi_finite(d->gamma) && d->gamma >= 0.5))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "Newmark's gamma is %g, must be >= 1/2 (below, it makes energy)", d->gamma);
-    if (!(sfemi_finite(d->mass_damping) && d->mass_damping >= 0 && sfemi_finite(d->stiffness_damping) && d->stiffness_damping >= 0))
+    if (!(sfemi_finite(d->mass_damping) && d->mass_damping >= 0 && sfemi_finite(d->stiffness_damping) &&
+          d->stiffness_damping >= 0))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "Rayleigh damping (%g, %g) must be >= 0", d->mass_damping,
                           d->stiffness_damping);
     if (!sfemi_all_finite(d->gravity, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "gravity is not finite");
@@ -27139,7 +27180,8 @@ SFEM_DEF sfem_modes_def sfem_default_modes_def(void)
 
 static sfem_status sfemi_modes_check(const sfem_modes_def *def, sfem_error *err)
 {
-    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODES, "sfem_default_modes_def", err)) return SFEM_BAD_ARGUMENT;
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODES, "sfem_default_modes_def", err))
+        return SFEM_BAD_ARGUMENT;
     if (!sfemi_finite(def->below_hz) || def->below_hz < 0)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "below_hz is %g, must be 0 or a frequency",
                           def->below_hz);
@@ -27693,7 +27735,8 @@ static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes
                                        const sfem_reduced_def *def, sfem_error *err)
 {
     sfem_int k;
-    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_REDUCED, "sfem_default_reduced_def", err)) return SFEM_BAD_ARGUMENT;
+    if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_REDUCED, "sfem_default_reduced_def", err))
+        return SFEM_BAD_ARGUMENT;
     if (modes->nodes != model->mesh.nodes)
         return sfemi_fail(err, SFEM_MISMATCH, "modes of %d nodes, a model of %d", (int)modes->nodes,
                           (int)model->mesh.nodes);
@@ -28250,8 +28293,9 @@ static int sfemi_modal_check_handles(const void *shape, const char *at, size_t c
     for (i = 0; i < count; ++i) {
         const sfemi_modal_handle h = sfemi_modal_handle_at(at, i);
         if (h.used == 0) continue;
-        if (h.used != 1 || h.first < 0 || h.count < 1 || h.first > head->handle_nodes || h.count > head->handle_nodes - h.first ||
-            h.count > head->handle_nodes - places || !sfemi_all_finite(h.target, 3))
+        if (h.used != 1 || h.first < 0 || h.count < 1 || h.first > head->handle_nodes ||
+            h.count > head->handle_nodes - h.first || h.count > head->handle_nodes - places ||
+            !sfemi_all_finite(h.target, 3))
             return 0;
         for (j = 0; j < i; ++j) {
             const sfemi_modal_handle o = sfemi_modal_handle_at(at, j);
@@ -28302,12 +28346,14 @@ static const sfemi_saved_array sfemi_modal_array[] = {
     SFEMI_ROW(handle, 1, handles, sfemi_modal_check_handles, "a handle"),
     SFEMI_ROW(weight, 1, handle_nodes, sfemi_saved_finite, "a handle"),
     SFEMI_ROW(handle_node, 1, handle_nodes, sfemi_modal_check_nodes, "a handle"),
-    SFEMI_SAVED(sfem_modal, rows, 3, offsetof(sfemi_modal_shape, handles), offsetof(sfemi_modal_shape, stride), NULL, NULL),
+    SFEMI_SAVED(sfem_modal, rows, 3, offsetof(sfemi_modal_shape, handles), offsetof(sfemi_modal_shape, stride), NULL,
+                NULL),
     SFEMI_ROW(force, 3, nodes, sfemi_saved_finite, "a force"),
     SFEMI_ROW(force_node, 1, nodes, sfemi_modal_check_force_nodes, "a force")};
 #undef SFEMI_ROW
 
-static const sfemi_saved_kind sfemi_modal_kind = SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 3, sfemi_modal_array);
+static const sfemi_saved_kind sfemi_modal_kind =
+    SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 3, sfemi_modal_array);
 
 static uint64_t sfemi_modal_key(const sfem_modal *b)
 {
