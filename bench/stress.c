@@ -167,7 +167,7 @@ static void print_table(const board *b)
         ++count[b->job[k].form][b->job[k].scene.family]
                [b->job[k].done ? (int)b->job[k].result.verdict : STRESS_IS_ERROR];
     printf(
-        "\nSurvival: passed of all; after a slash those that are locked (k) or refused (r)\n%-12s",
+        "\nSurvival: passed of all; after a slash those in another minimum (k) or refused (r)\n%-12s",
         "");
     for (k = 0; k < STRESS_FAMILY_COUNT; ++k) printf(" %8s", stress_family_name(k));
     printf("      all  failed  seconds\n");
@@ -183,12 +183,12 @@ static void print_table(const board *b)
             int sum = 0;
             for (v = 0; v < STRESS_VERDICT_COUNT; ++v) sum += c[v];
             snprintf(cell, sizeof cell, sum ? "%d/%d" : "-", c[STRESS_IS_PASSED], sum);
-            if (c[STRESS_IS_LOCKED]) snprintf(cell + strlen(cell), 8, "k%d", c[STRESS_IS_LOCKED]);
+            if (c[STRESS_IS_MINIMUM]) snprintf(cell + strlen(cell), 8, "k%d", c[STRESS_IS_MINIMUM]);
             if (c[STRESS_IS_REFUSED]) snprintf(cell + strlen(cell), 8, "r%d", c[STRESS_IS_REFUSED]);
             printf(" %8s", cell);
             all += sum;
             passed += c[STRESS_IS_PASSED];
-            other += c[STRESS_IS_LOCKED] + c[STRESS_IS_REFUSED];
+            other += c[STRESS_IS_MINIMUM] + c[STRESS_IS_REFUSED];
         }
         printf("  %3d/%-3d %4d %10.1f\n", passed, all, all - passed - other, seconds);
     }
@@ -251,7 +251,7 @@ static int print_default(const board *b)
         rejected[f] += r->rejected;
         ++count[f];
         failed +=
-            !b->job[k].done || (r->verdict != STRESS_IS_PASSED && r->verdict != STRESS_IS_LOCKED);
+            !b->job[k].done || (r->verdict != STRESS_IS_PASSED && r->verdict != STRESS_IS_MINIMUM);
     }
     printf("\nThe default: worst in each family (linear: change of what linear bodies conserve; "
            "modal: of\n"

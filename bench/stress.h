@@ -19,12 +19,12 @@
  *              linear law does by the same method; a linear one, half as far as by the trapezoidal rule. (Where
  *              a step spans periods, so does the method's inertia: a mode of frequency omega that is kicked
  *              by v swings by v/omega / sqrt(1 + (p - 1/4) h^2 omega^2), of (p,1,1).) What starts in
- *              equilibrium, all at one point, or as its own mirror image by StVK, which cannot tell, is LOCKED.
+ *              equilibrium, all at one point, or as its own mirror image by StVK, which cannot tell, counts as MINIMUM.
  * Then damped, with a fortieth of the slowest period for a step or the scene's own where that is larger, and
  * without gravity:
  *   shape      back at rest within a hundredth of the body's length, wherever it is by then. What has hardly any
- *              speed, and a proved minimum of its own energy (a knot, a tet that stays inverted) within that distance,
- *              is LOCKED, for which no integrator is to blame: see stress_has_minimum.
+ *              speed, and a verified local minimum of its own energy (tets that stay inverted) within that distance,
+ *              counts as MINIMUM, for which no integrator is to blame: see stress_has_minimum.
  * Calm scenes also say how much energy a swing loses, and how many steps were rejected: at most a hundredth.
  *
  * The families from FALL on go through 6 s of their own steps, in which what others would hide has time to grow:
@@ -121,7 +121,7 @@ typedef enum stress_form {
 #define STRESS_VERDICTS(X)                                                                         \
     X(PASSED, '+', "passed")                                                                       \
     X(REFUSED, 'r', "refused: the step is beyond the stability limit")                             \
-    X(LOCKED, 'k', "locked: at rest in another minimum of its own energy")                         \
+    X(MINIMUM, 'k', "in another minimum of its own energy, at rest")                         \
     X(NOT_FINITE, 'N', "not finite")                                                               \
     X(ENERGY, 'E', "energy above its start")                                                       \
     X(MOMENTUM, 'M', "momentum lost")                                                              \
@@ -952,7 +952,7 @@ STRESS_STATIC void stress_ask_motion(const stress_body *s, stress_form form, con
     if (!w->still) least = fmin(far, 0.5 * stress_twin(s, form, s->scene->h, r->steps));
     snprintf(why, sizeof why, "moved by %.3g m, at least %.3g wanted%s", w->moved, least,
              w->still ? ", of a body that starts in equilibrium" : "");
-    if (!(w->moved >= least)) stress_note(r, w->still ? STRESS_IS_LOCKED : STRESS_IS_STILL, why);
+    if (!(w->moved >= least)) stress_note(r, w->still ? STRESS_IS_MINIMUM : STRESS_IS_STILL, why);
 }
 
 /* Work in all is bounded, by the forces that it takes: a run of the implicit methods, or one that does all its
@@ -1133,7 +1133,7 @@ STRESS_STATIC void stress_come_back(stress_body *s, stress_form form, double h, 
     sfem_error err;
     sfem_int inverted = 0;
     char why[160];
-    int locked = 0, round;
+    int in_minimum = 0, round;
     memcpy(u, sfem_body_displacement(s->body), 3 * (size_t)s->mesh.nodes * sizeof(double));
     sfem_body_velocities(s->body, v);
     sfem_body_free(s->body);
@@ -1148,10 +1148,10 @@ STRESS_STATIC void stress_come_back(stress_body *s, stress_form form, double h, 
         stress_failed(r, &err);
         return;
     }
-    for (round = 0; round < 4 && !locked; ++round) { /* knots take their time */
+    for (round = 0; round < 4 && !in_minimum; ++round) { /* strongly distorted bars take their time */
         r->shape = stress_settle(s, step, stress_is_newton(form) ? 400 : 3000, r);
         if (r->shape < STRESS_SHAPE_TOLERANCE || r->verdict != STRESS_IS_PASSED) return;
-        locked = s->scene->law != SFEM_LINEAR && stress_has_minimum(s, &far);
+        in_minimum = s->scene->law != SFEM_LINEAR && stress_has_minimum(s, &far);
     }
     (void)sfem_model_forces(s->model, sfem_body_displacement(s->body), SFEM_DOUBLE, s->f, NULL,
                             &inverted, s->work, NULL);
@@ -1159,8 +1159,8 @@ STRESS_STATIC void stress_come_back(stress_body *s, stress_form form, double h, 
     snprintf(why, sizeof why,
              "off by %.3g of its length after %d damped steps, %d tets inverted; %s %.1g m away",
              r->shape, r->damped_steps, (int)inverted,
-             locked ? "a minimum" : "no minimum seen up to", far);
-    stress_note(r, locked ? STRESS_IS_LOCKED : STRESS_IS_SHAPE, why);
+             in_minimum ? "a minimum" : "no minimum seen up to", far);
+    stress_note(r, in_minimum ? STRESS_IS_MINIMUM : STRESS_IS_SHAPE, why);
 }
 
 /* ---- six seconds ---- */

@@ -7,7 +7,7 @@
  *
  *     fracture --scene bend      a notched bar on two supports, pressed in the middle
  *     fracture --scene tensile   a bar pulled until it necks and breaks: ductile
- *     fracture --scene plate     a held plate, struck; its shards fly
+ *     fracture --scene plate     a held plate, struck; its fragments fly
  *     fracture --scene blade     a spinning ball, cut in two
  *
  * One factor of the intact body serves from beginning to end [softfem.h, >>damage]. Leaves pictures, energies
@@ -334,7 +334,7 @@ static void draw(run *r)
         {{0, 0, -0.02}, {1, 0.12, 0.25}},
         {{0, 0, 0}, {1.42, 0.2, 0.2}},
         {{0, 0, -0.25}, {1, 1, 0.1}},
-        {{-0.65, -0.55, -0.5}, {0.65, 0.55, 0.5}}}; /* shards may leave it */
+        {{-0.65, -0.55, -0.5}, {0.65, 0.55, 0.5}}}; /* fragments may leave it */
     char file[32];
     int k;
     for (k = 0; k < FRAMES; ++k) {
