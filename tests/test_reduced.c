@@ -1717,9 +1717,53 @@ static void reconstruction_has_the_same_bits_for_any_number_of_threads(void **st
     free_scene(&s);
 }
 
+/* Modes without pins, rigid ones left out as by default: the body is free, and falls. With pins it is held. */
+static void a_body_of_modes_without_pins_is_free(void **state)
+{
+    const sfem_int cells[3] = {4, 1, 1}, pins[4] = {0, 1, 2, 3};
+    const sfem_real size[3] = {4, 1, 1};
+    int pinned, k;
+    (void)state;
+    for (pinned = 0; pinned < 2; ++pinned) {
+        sfem_model_def model_def = linear_model_def();
+        sfem_modes_def modes_def = sfem_default_modes_def();
+        sfem_reduced_def reduced_def = sfem_default_reduced_def();
+        sfem_modal_def def = sfem_default_modal_def();
+        sfem_mesh mesh;
+        sfem_model *model;
+        sfem_modes modes;
+        sfem_reduced *reduced;
+        sfem_modal *modal;
+        sfem_error err;
+        sfem_real x[3];
+        assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
+        model_def.mesh = &mesh;
+        assert_ok(sfem_model_create(&model_def, &model, &err), err);
+        modes_def.modes = 4;
+        if (pinned) modes_def.pins = pins, modes_def.pin_count = 4;
+        assert_ok(sfem_modes_create(model, &modes_def, &modes, &err), err);
+        assert_int_equal(modes.info.free, !pinned);
+        assert_int_equal(modes.rigid, 0);
+        assert_ok(sfem_reduced_create(model, &modes, &reduced_def, &reduced, &err), err);
+        assert_int_equal(sfem_reduced_get_info(reduced).free, !pinned);
+        def.gravity[2] = -10;
+        assert_ok(sfem_modal_create(reduced, &def, &modal, &err), err);
+        for (k = 0; k < 100; ++k) assert_ok(sfem_modal_step(modal, 0.01, &err), err);
+        sfem_modal_node(modal, 0, x, NULL, NULL);
+        if (pinned) assert_near(x[2], 0, 0, 1e-12);
+        else assert_near(x[2], -5, 0.05, 0);
+        sfem_modal_free(modal);
+        sfem_reduced_free(reduced);
+        sfem_modes_free(&modes);
+        sfem_model_free(model);
+        sfem_mesh_free(&mesh);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(a_body_of_modes_without_pins_is_free),
         cmocka_unit_test(psi_is_half_the_curl_of_linear_fields),
         cmocka_unit_test(what_does_not_belong_together_is_refused),
         cmocka_unit_test(a_saved_model_moves_as_the_one_it_was_saved_from),
