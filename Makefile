@@ -7,6 +7,7 @@
 #   MESHES=DIR      meshes from elsewhere, passed to tests and benches as SFEM_MESHES; none by default
 #   TESTS=test_mesh only these test programs            FILTER='*patch*'  only these tests in them
 #   JOBS=N          compilers and test programs at a time, all processors by default
+#   QUICK=1         a small `bench`
 #   BUILD=DIR       where products go: DIR/examples/NAME, DIR/tests/NAME, DIR/bench/NAME
 #
 # Sources are found by pattern: examples/NAME.c, tests/test_NAME.c and bench/NAME.c are programs of
@@ -83,8 +84,32 @@ $(RUN:%=$(BUILD)/run/%): %: %.o $$(BUILD)/run/part_$$(call part_of,$$(@F)).o
 test: check check-examples ## build and run every test, and every example once; how far it is, and its time
 	@echo "make test: everything passed in $$(($$(date +%s) - $(BEGIN))) s, compilation included"
 
-bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
+# What the report is made of, in this order; text goes to $(BUILD)/bench/NAME.txt. QUICK=1: fewer sizes, scenes and
+# repetitions, within a minute once all is built.
+REPORT = integrators solver eigen needs bench
+QUICK ?=
+ARGUMENTS_integrators = $(if $(QUICK),--quick) --out $(BUILD)/bench-integrators --references $(BUILD)/bench-real
+ARGUMENTS_solver      = $(if $(QUICK),7000 10)
+ARGUMENTS_eigen       = $(if $(QUICK),2500 3,20000)
+ARGUMENTS_needs       = $(if $(QUICK),--quick) --out $(BUILD)/bench
+ARGUMENTS_bench       = $(if $(QUICK),20000)
+
+bench: $(REPORT:%=$(BUILD)/bench/%) ## all that the page build/bench/report.html shows; QUICK=1: within a minute
+	@begin=$$(date +%s); k=0; export OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1; \
+	$(foreach x,$(REPORT),k=$$((k + 1)); echo "== $$k of $(words $(REPORT)): bench/$(x)"; \
+	    { $(ENVIRONMENT) $(BUILD)/bench/$(x) $(ARGUMENTS_$(x)) || echo >$(BUILD)/bench/$(x).failed; } | \
+	        tee $(BUILD)/bench/$(x).txt; \
+	    if [ -e $(BUILD)/bench/$(x).failed ]; then rm $(BUILD)/bench/$(x).failed; echo 'FAILED: $(x)'; exit 1; fi;) \
+	echo "measured in $$(($$(date +%s) - begin)) s"
+	@if command -v python3 >/dev/null; \
+	then python3 bench/report.py $(BUILD)/bench $(BUILD)/bench-integrators/integrators.csv $(if $(QUICK),quick); \
+	else echo 'python3, which makes $(BUILD)/bench/report.html of these figures, is not installed'; fi
+
+bench-body: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
+
+bench-needs: $(BUILD)/bench/needs ## bodies without and with one thing: what a scene pays for what it asks for
+	OMP_THREAD_LIMIT=1 $(BUILD)/bench/needs --out $(BUILD)/bench
 
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
