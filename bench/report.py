@@ -30,7 +30,7 @@ h1 { font-size: 26px; margin: 0 0 2px; } h2 { font-size: 19px; margin: 42px 0 4p
 p { margin: 4px 0 12px; max-width: 78ch; color: var(--soft); } p b, td b { color: var(--ink); }
 .tiles, .plots { display: grid; gap: 12px; }
 .tiles { grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); margin: 18px 0 0; }
-.plots { grid-template-columns: repeat(auto-fit, minmax(min(100%, 370px), 1fr)); }
+.plots { grid-template-columns: repeat(auto-fill, minmax(min(100%, 370px), 1fr)); }
 .card { background: var(--card); border: 1px solid var(--line); border-radius: 8px; padding: 12px 14px; min-width: 0; }
 .tile b { display: block; font-size: 20px; font-variant-numeric: tabular-nums; line-height: 1.3; }
 .tile span { color: var(--soft); font-size: 13px; }
@@ -162,7 +162,7 @@ def parse_csv(path):
 
 class Axes:
     """Logarithmic axes in a box of W x H; y upward."""
-    W, H, LEFT, RIGHT, TOP, BOTTOM = 460, 330, 56, 12, 10, 44
+    W, H, LEFT, RIGHT, TOP, BOTTOM = 460, 330, 66, 12, 10, 44
 
     def __init__(self, xs, ys, x_label, y_label):
         self.range = []
@@ -222,8 +222,11 @@ class Axes:
 
 
 def legend(entries):
+    """Of (name, color) or (name, color, dashes)."""
+    look = {True: 'repeating-linear-gradient(90deg,var(--%s) 0 5px,transparent 5px 8px)', False: 'var(--%s)'}
     return '<div class="legend">%s</div>' % ''.join(
-        '<span><i style="background:var(--%s)"></i>%s</span>' % (color, text(name)) for name, color in entries)
+        '<span><i style="background:%s"></i>%s</span>' % (look[bool(dash)] % color, text(name))
+        for name, color, dash in ((*e, '')[:3] for e in entries))
 
 
 def table(head, rows, css=''):
@@ -362,7 +365,7 @@ def integrators(rows):
     return ('<h2>Run time against error</h2><p>Each point is one step length of one method: lower is more accurate, further '
             'left is faster. The pale band is the Pareto front. The error is the distance from a solution converged in time, '
             'over the motion. Grey dots are other settings and methods: hold the pointer over one for its name.</p>'
-            + legend([(n, c) for m, n, c, _, _ in LINES if m in methods]) + '<div class="plots">' + cards + '</div>'
+            + legend([(n, c, d) for m, n, c, _, d in LINES if m in methods]) + '<div class="plots">' + cards + '</div>'
             + '<details><summary>Time to an error over that of the default, every method</summary>'
             + '<p>The median over the scenes in which both get there (how many); the last column counts runs that '
               'failed: an error, an explosion, or a step beyond the stable one.</p>'
