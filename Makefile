@@ -54,19 +54,19 @@ help: ## print this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | \
 	    awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
-RUN = crush fracture grab modes stream tetrahedralize
+RUN = gallery crush fracture grab modes stream
 
-run: ## bodies are crushed, broken, grabbed, vibrate, are streamed: build/NAME/*.png, in under 30 s
+run: ## bodies are torn, crushed, cut, grabbed, vibrate, are streamed: pictures in build/ in under 30 s
 	+@MAKE='$(MAKE)' BUILD='$(BUILD)' JOBS='$(JOBS)' RUN='$(RUN)' sh examples/run.sh
 
 # `run` compiles softfem.h in two parts beside each other, at -O1 unless CFLAGS is given: all of it at -O2 takes one
 # processor longer than the whole run. $(BUILD)/run/steps gets a line for each step that is done.
 RUN_FLAGS = $(FLAGS) $(if $(filter file,$(origin CFLAGS)),-O1 -g0)
-PART_bodies = -DSFEM_MINIMAL -DSFEM_ENABLE_BODY
-PART_others = -DSFEM_NO_BODY
-part_of = $(if $(filter crush fracture,$(1)),bodies,others)
+PART_bodies = -DSFEM_MINIMAL -DSFEM_ENABLE_BODY -DSFEM_ENABLE_MESHER
+PART_modal  = -DSFEM_MINIMAL -DSFEM_ENABLE_LINK -DSFEM_ENABLE_MESHIO
+part_of = $(if $(filter gallery crush fracture,$(1)),bodies,modal)
 
-run-programs: $(BUILD)/run/part_bodies.o $(BUILD)/run/part_others.o $(RUN:%=$(BUILD)/run/%)
+run-programs: $(BUILD)/run/part_bodies.o $(BUILD)/run/part_modal.o $(RUN:%=$(BUILD)/run/%)
 
 $(BUILD)/run/part_%.o: softfem.h $(BUILD)/flags
 	@mkdir -p $(@D)
@@ -152,6 +152,9 @@ bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where instal
 	OMP_THREAD_LIMIT=1 OPENBLAS_NUM_THREADS=1 $(ENVIRONMENT) $(BUILD)/bench/eigen
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
+
+gallery: $(BUILD)/examples/gallery ## the pictures of examples/gallery/, the first of them that of README.md
+	$(BUILD)/examples/gallery --out examples/gallery
 
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
 	@if command -v python3 >/dev/null; then $(MAKE) -s structure; else echo 'left out: structure, which needs python3'; fi

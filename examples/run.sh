@@ -60,6 +60,7 @@ begin=$(date +%s)
 for name; do echo "$name"; done | xargs -P "$JOBS" -I@ sh -c '
     arguments=
     [ @ != fracture ] || arguments="--scene blade --quick"
+    [ @ != gallery ] || arguments=first
     from=$(date +%s%N)
     if "$BUILD/run/@" $arguments --out "$BUILD/@" >"$BUILD/run/@.log" 2>&1
     then awk -v d=$(($(date +%s%N) - from)) "BEGIN { printf \"%-16s %5.1f s\n\", \"@\", d / 1e9 }" >>"$BUILD/run/steps"
