@@ -232,10 +232,10 @@ clean: ## remove every product
 check: $(TEST_PROGRAMS)
 	@mkdir -p $(BUILD)/scratch; rm -f $(TEST_PROGRAMS:=.failed) $(BUILD)/tests/ended; from=$$(date +%s); \
 	echo "$(words $(TEST_PROGRAMS)) test programs, $(JOBS) at a time"; \
-	echo $(TEST_PROGRAMS) | tr ' ' '\n' | $(ENVIRONMENT) xargs -P $(JOBS) -I@ sh -c \
-	    'from=$$(date +%s); @ >@.log 2>&1 || echo @ >@.failed; echo >>$(BUILD)/tests/ended; \
-	    echo "== $$(wc -l <$(BUILD)/tests/ended) of $(words $(TEST_PROGRAMS)): @," \
-	        "$$(($$(date +%s) - from)) s" | cat - @.log'; \
+	echo $(TEST_PROGRAMS) | tr ' ' '\n' | $(ENVIRONMENT) xargs -P $(JOBS) -n 1 sh -c \
+	    'from=$$(date +%s); $$1 >$$1.log 2>&1 || echo $$1 >$$1.failed; echo >>$(BUILD)/tests/ended; \
+	    echo "== $$(($$(wc -l <$(BUILD)/tests/ended))) of $(words $(TEST_PROGRAMS)): $$1," \
+	        "$$(($$(date +%s) - from)) s" | cat - $$1.log' sh; \
 	failed=$$(cat $(TEST_PROGRAMS:=.failed) 2>/dev/null); \
 	if [ -n "$$failed" ]; then echo "FAILED:" $$failed; exit 1; fi; \
 	echo "every test passed: $(words $(TEST_PROGRAMS)) programs in $$(($$(date +%s) - from)) s"

@@ -57,14 +57,14 @@ echo "2. run them ($JOBS at a time)"
 : >"$log"
 rm -f "$BUILD"/run/*.failed
 begin=$(date +%s)
-for name; do echo "$name"; done | xargs -P "$JOBS" -I@ sh -c '
+printf '%s\n' "$@" | xargs -P "$JOBS" -n 1 sh -c '
     arguments=
-    [ @ != fracture ] || arguments="--scene blade --quick"
-    [ @ != gallery ] || arguments=first
-    from=$(date +%s%N)
-    if "$BUILD/run/@" $arguments --out "$BUILD/@" >"$BUILD/run/@.log" 2>&1
-    then awk -v d=$(($(date +%s%N) - from)) "BEGIN { printf \"%-16s %5.1f s\n\", \"@\", d / 1e9 }" >>"$BUILD/run/steps"
-    else touch "$BUILD/run/@.failed"; fi' &
+    [ "$1" != fracture ] || arguments="--scene blade --quick"
+    [ "$1" != gallery ] || arguments=first
+    from=$(date +%s)
+    if "$BUILD/run/$1" $arguments --out "$BUILD/$1" >"$BUILD/run/$1.log" 2>&1
+    then echo "$1, $(($(date +%s) - from)) s" >>"$BUILD/run/steps"
+    else touch "$BUILD/run/$1.failed"; fi' sh &
 watch $! "$programs" running
 for name; do [ ! -e "$BUILD/run/$name.failed" ] || fail "$BUILD/run/$name.log" "$name"; done
 ran=$(($(date +%s) - begin))
@@ -72,7 +72,7 @@ echo "   $ran s"
 
 echo "3. pictures"
 for name; do
-    files=$(cd "$BUILD/$name" && ls -t -- *.png *.svg 2>/dev/null | sort | tr '\n' ' ')
+    files=$(cd "$BUILD/$name" && ls -- *.png *.svg 2>/dev/null | tr '\n' ' ')
     printf '   %-16s %s\n' "$BUILD/$name" "$files"
 done
 echo "compiled in $built s, ran in $ran s"
