@@ -23,8 +23,8 @@ FILTER   ?=
 JOBS     ?= $(shell nproc 2>/dev/null || echo 1)
 ifeq ($(MAKELEVEL),0)
 MAKEFLAGS += -j$(JOBS)
-BEGIN := $(shell date +%s)
 endif
+BEGIN := $(shell date +%s)
 WARNINGS  = -Wall -Wextra -Wpedantic -Wconversion -Wshadow
 
 FLAGS_test_base = -ffast-math
