@@ -178,7 +178,7 @@ static void make_toy(toy *b, int quick)
     model_def.material.law = SFEM_COROTATIONAL;
     model_def.material.young = 1e5;
     model_def.material.poisson = 0.4;
-    model_def.material.alpha = 2;
+    model_def.material.mass_damping = 2;
     must(sfem_model_create(&model_def, &b->model, &err), &err);
     pins = (sfem_int *)ex_new((size_t)b->mesh.nodes, sizeof *pins);
     b->hand = (sfem_int *)ex_new((size_t)b->mesh.nodes, sizeof *b->hand);
@@ -334,7 +334,7 @@ static void twist(const char *out, int quick)
     model_def.mesh = &mesh;
     model_def.material.law = SFEM_COROTATIONAL;
     model_def.material.young = 3e5;
-    model_def.material.alpha = 4;
+    model_def.material.mass_damping = 4;
     must(sfem_model_create(&model_def, &model, &err), &err);
     pins = (sfem_int *)ex_new((size_t)mesh.nodes, sizeof *pins);
     for (i = 0; i < mesh.nodes; ++i)
@@ -401,7 +401,7 @@ static void plate(const char *out, int quick)
     model_def.mesh = &mesh;
     model_def.material.law = SFEM_COROTATIONAL;
     model_def.material.young = 5e6;
-    model_def.material.alpha = 0.1;
+    model_def.material.mass_damping = 0.1;
     must(sfem_model_create(&model_def, &model, &err), &err);
     pins = (sfem_int *)ex_new((size_t)mesh.nodes, sizeof *pins);
     for (i = 0; i < mesh.nodes; ++i)
