@@ -122,7 +122,7 @@ static sfem_body *make_body(const scene *s, int pair, int with, sfem_workspace *
     def.gravity[2] = pair == ASLEEP ? 0 : -9.81;
     def.max_handles = HOLDS;
     if (pair == ROTATES || pair == SAFE || pair == HELD || (pair == CORRECTED && !with)) def.accuracy = 1;
-    if (pair == SAFE) def.safeguard = !(!with);
+    if (pair == SAFE) def.safeguard = with;
     if (pair == BREAKS && with) {
         damage = sfem_default_damage_def();
         damage.toughness = 1e12;
