@@ -1406,9 +1406,9 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
 /* Loads. force [nodes][3] (NULL: none) is the load at the end of the next step and stays until changed;
  * before the first step it is the load at the start as well, unless sfem_body_start is called between
  * the two: it fixes the load, and the acceleration, at time 0. */
-SFEM_DEF sfem_status sfem_body_set_force(sfem_body *body, const sfem_real *force, sfem_error *err);
-SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *body, sfem_int node, const sfem_real f[3],
-                                              sfem_error *err);
+SFEM_DEF sfem_status sfem_body_set_lasting_force(sfem_body *body, const sfem_real *force, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *body, sfem_int node, const sfem_real f[3],
+                                                 sfem_error *err);
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *body, const sfem_real g[3], sfem_error *err);
 SFEM_DEF void sfem_body_start(sfem_body *body);
 
@@ -1884,13 +1884,13 @@ SFEM_DEF void sfem_modal_start(sfem_modal *modal);
 SFEM_DEF void sfem_modal_oscillators(const sfem_modal *modal, sfem_real h, sfem_real *stiffness,
                                      sfem_real *damping);
 
-/* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs
+/* Loads, as sfem_body_set_lasting_force has them: at the end of the next step, until changed. A step costs
  * the nodes whose force is not zero.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
-SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *modal, const sfem_real *force,
-                                          sfem_error *err);
-SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *modal, sfem_int node,
-                                               const sfem_real f[3], sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_set_lasting_force(sfem_modal *modal, const sfem_real *force,
+                                                  sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_add_lasting_force(sfem_modal *modal, sfem_int node,
+                                                  const sfem_real f[3], sfem_error *err);
 SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3],
                                             sfem_error *err);
 /* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
@@ -24435,7 +24435,7 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sf
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, sfem_error *err)
+SFEM_DEF sfem_status sfem_body_set_lasting_force(sfem_body *b, const sfem_real *force, sfem_error *err)
 {
     SFEM_ASSERT(b);
     const sfem_int nodes = b->model->mesh.nodes;
@@ -24447,8 +24447,8 @@ SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, s
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const sfem_real f[3],
-                                              sfem_error *err)
+SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *b, sfem_int node, const sfem_real f[3],
+                                                 sfem_error *err)
 {
     SFEM_ASSERT(b && f);
     const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
@@ -28449,7 +28449,7 @@ done:
 
 /* --- loads ----------------------------------------------------------------------------------- */
 
-SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_set_lasting_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
 {
     SFEM_ASSERT(b);
     const sfem_int n = b->reduced->head->nodes;
@@ -28470,8 +28470,8 @@ SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force,
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
-                                               sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_add_lasting_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
+                                                  sfem_error *err)
 {
     SFEM_ASSERT(b && f);
     sfem_int at;

@@ -518,7 +518,7 @@ static void the_energies_of_a_linear_body_balance(void **state)
         if (k != 1) assert_ok(sfem_body_grab_node(s.body, s.n / 2, &handle, &err), err);
         for (i = 0; i < 150; ++i) {
             for (c = 0; c < 3 * s.n; ++c) load[c] = 0.2 * sin(0.3 * c + 0.1 * i);
-            if (k != 2) assert_ok(sfem_body_set_force(s.body, load, &err), err);
+            if (k != 2) assert_ok(sfem_body_set_lasting_force(s.body, load, &err), err);
             if (handle >= 0) {
                 double x[3];
                 sfem_body_handle_position(s.body, handle, x);
