@@ -1423,6 +1423,14 @@ SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
 SFEM_DEF void sfem_body_to_floats(const sfem_body *body, float *x, float *v, size_t stride);
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err);
+/* The rest shape, rotated about the origin and then moved, at rest: x = R X + t. All nodes move, pinned ones too, and
+ * their pins hold them there. Else as sfem_body_set_state: handles keep their targets, what is broken stays broken.
+ *   rotation     R by rows, or NULL: none; a proper rotation to 1e-6, of which the nearest exact one is taken
+ *   translation  t, m, or NULL: none
+ *   errors       SFEM_NOT_FINITE; SFEM_BAD_ARGUMENT: R is not a rotation; R turns a body with tets of the linear law,
+ *                or with SFEM_FRAME_REST, which do not know rotations. The state is then as it was */
+SFEM_DEF sfem_status sfem_body_place(sfem_body *body, const sfem_real rotation[9], const sfem_real translation[3],
+                                     sfem_error *err);
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
 
 /* The whole state as one block of bytes: save and load it on the same build and machine, into any body of
@@ -24567,6 +24575,57 @@ SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const
         b->state.w[i] = v && !held ? v[i] : 0;
     }
     sfemi_body_restart(b);
+    return SFEM_OK;
+}
+
+/* The rotation nearest to r, if r is one to 1e-6 and the body can bear it. */
+static sfem_status sfemi_body_check_rotation(const sfem_body *b, const sfem_real r[9], sfem_real proper[9],
+                                             sfem_error *err)
+{
+    sfem_real cofactor[9], most = 0, turned = 0;
+    sfem_int e;
+    int k;
+    if (!sfemi_all_finite(r, 9)) return sfemi_fail(err, SFEM_NOT_FINITE, "the rotation is not finite");
+    sfemi_cofactor3(r, cofactor); /* R itself, of a rotation */
+    for (k = 0; k < 9; ++k) most = fmax(most, fabs(cofactor[k] - r[k]));
+    if (!(most <= 1e-6) || !(sfemi_dot3(r, r) > 0.5))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the matrix is not a proper rotation: its rows have to be orthonormal and det R 1, to 1e-6");
+    sfem_polar(r, proper, NULL);
+    for (k = 0; k < 9; ++k) turned = fmax(turned, fabs(proper[k] - (k % 4 == 0)));
+    if (turned < 1e-12) return SFEM_OK; /* its strain is rounding */
+    for (e = 0; e < b->model->mesh.tets; ++e)
+        if (b->model->law[e] == SFEM_LINEAR)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e,
+                                 "tet %d has the linear law, which does not know rotations: place the body without one, "
+                                 "or rotate its mesh",
+                                 (int)e);
+    if (b->scheme.rotates && b->def.frame == SFEM_FRAME_REST)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the body has SFEM_FRAME_REST, which does not know rotations: place it without one");
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_place(sfem_body *b, const sfem_real rotation[9], const sfem_real translation[3],
+                                     sfem_error *err)
+{
+    static const sfem_real none[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    sfem_real r[9], t[3] = {0, 0, 0};
+    sfem_int i;
+    int c;
+    SFEM_ASSERT(b);
+    const sfem_status status = sfemi_body_check_rotation(b, rotation ? rotation : none, r, err);
+    if (status != SFEM_OK) return status;
+    if (translation) memcpy(t, translation, sizeof t);
+    if (!sfemi_all_finite(t, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "the translation is not finite");
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        const sfem_real *x = b->model->mesh.x + 3 * (size_t)i;
+        sfem_real *u = b->state.u + 3 * (size_t)i;
+        for (c = 0; c < 3; ++c) u[c] = sfemi_dot3(r + 3 * c, x) - x[c] + t[c];
+    }
+    memset(b->state.w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->state.w);
+    sfemi_body_restart(b);
+    sfemi_body_place_pins(b);
     return SFEM_OK;
 }
 
