@@ -365,6 +365,14 @@ SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocat
                                        sfem_surface *out, sfem_error *err);
 SFEM_DEF void sfem_surface_free(sfem_surface *surface); /* as sfem_mesh_free */
 
+/* Normals of a surface for rendering, at positions x [nodes][3] (NULL = surface->x): the sum of the area vectors of a
+ * node's triangles, as a unit vector; zero at nodes of no triangle, and where the sum is zero. Those of
+ * sfem_mesh_surface point outwards.
+ *   normal  three floats for node i at i stride bytes from the first
+ *   cost    O(nodes + triangles); nothing is allocated */
+SFEM_DEF void sfem_surface_normals(const sfem_surface *surface, const sfem_real *x, sfem_int nodes, float *normal,
+                                   size_t stride);
+
 /* Parts that share no node with one another, numbered from 0 by their lowest nodes: label[i] is the
  * part of node i, -1 if no tet uses it. count may be NULL. SFEM_BAD_MESH for a node number out of
  * range. O(nodes + tets) in practice [union-find with path halving, Tarjan, van Leeuwen 1984];
@@ -1421,6 +1429,8 @@ SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
 /* The same as floats, for rendering: three for node i at i stride bytes from the first; either may be
  * NULL. Takes no memory and reads nothing but the state. */
 SFEM_DEF void sfem_body_to_floats(const sfem_body *body, float *x, float *v, size_t stride);
+/* sfem_surface_normals of the present positions; surface: that of the body's mesh, or a part of it. */
+SFEM_DEF void sfem_body_normals(const sfem_body *body, const sfem_surface *surface, float *normal, size_t stride);
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err);
 /* The rest shape, rotated about the origin and then moved, at rest: x = R X + t. All nodes move, pinned ones too, and
@@ -1931,6 +1941,10 @@ SFEM_DEF void sfem_modal_displacements(const sfem_modal *modal, const sfem_reduc
                                        sfem_real *u);
 SFEM_DEF void sfem_modal_to_floats(const sfem_modal *modal, const sfem_reduced_view *view, float *x,
                                    size_t stride);
+/* Normals, as sfem_surface_normals, of a view of sfem_reduced_view_surface. x: what sfem_modal_to_floats has written
+ * for it, with the same stride: position and normal may lie side by side in one buffer. */
+SFEM_DEF void sfem_modal_normals(const sfem_modal *modal, const sfem_reduced_view *view, const float *x, float *normal,
+                                 size_t stride);
 /* One node, from the full rows: its position and velocity (of the warped displacement, too); the
  * velocity and the rotation vector w may be NULL. */
 SFEM_DEF void sfem_modal_node(const sfem_modal *modal, sfem_int node, sfem_real x[3],
@@ -3508,6 +3522,60 @@ SFEM_DEF void sfem_surface_free(sfem_surface *surface)
     sfemi_delete(&surface->allocator, surface->tet);
     sfemi_delete(&surface->allocator, surface->x);
     memset(surface, 0, sizeof *surface);
+}
+
+/* Where the corners of triangles are: at x, at x + u, or at floats, stride bytes apart. */
+typedef struct sfemi_corners {
+    const sfem_real *x, *u;
+    const float *floats;
+    size_t stride;
+} sfemi_corners;
+
+static void sfemi_corner(const sfemi_corners *at, sfem_int node, sfem_real x[3])
+{
+    const size_t i = 3 * (size_t)node, f = (size_t)node * (at->stride / sizeof(float));
+    int c;
+    for (c = 0; c < 3; ++c)
+        x[c] = at->x ? at->x[i + (size_t)c] + (at->u ? at->u[i + (size_t)c] : 0) : (sfem_real)at->floats[f + (size_t)c];
+}
+
+/* Area vectors summed in place. A triangle that is 1e-19 m long still has one as floats. */
+static void sfemi_surface_normals(sfem_int triangles, const sfem_int *tri, const sfemi_corners *at, sfem_int nodes,
+                                  float *normal, size_t stride)
+{
+    const size_t step = stride / sizeof(float);
+    size_t i;
+    sfem_int k;
+    int l, c;
+    SFEM_ASSERT(stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    for (i = 0; i < (size_t)nodes; ++i) normal[i * step] = normal[i * step + 1] = normal[i * step + 2] = 0;
+    for (k = 0; k < triangles; ++k) {
+        const sfem_int *t = tri + 3 * (size_t)k;
+        sfem_real x[3][3], a[3], b[3], area[3];
+        for (l = 0; l < 3; ++l) {
+            SFEM_ASSERT(t[l] >= 0 && t[l] < nodes);
+            sfemi_corner(at, t[l], x[l]);
+        }
+        sfemi_sub3(x[1], x[0], a);
+        sfemi_sub3(x[2], x[0], b);
+        sfemi_cross(a, b, area);
+        for (l = 0; l < 3; ++l)
+            for (c = 0; c < 3; ++c) normal[(size_t)t[l] * step + (size_t)c] += (float)area[c];
+    }
+    for (i = 0; i < (size_t)nodes; ++i) {
+        const sfem_real n[3] = {normal[i * step], normal[i * step + 1], normal[i * step + 2]};
+        const sfem_real length = sqrt(sfemi_dot3(n, n));
+        for (c = 0; c < 3; ++c) normal[i * step + (size_t)c] = length > 0 ? (float)(n[c] / length) : 0;
+    }
+}
+
+SFEM_DEF void sfem_surface_normals(const sfem_surface *surface, const sfem_real *x, sfem_int nodes, float *normal,
+                                   size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(surface && normal && (x || surface->x));
+    at.x = x ? x : surface->x;
+    sfemi_surface_normals(surface->triangles, surface->tri, &at, nodes, normal, stride);
 }
 
 static sfem_status sfemi_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
@@ -24536,6 +24604,15 @@ SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t
             if (b->mask[b->pin[k]] >> c & 1) v[(size_t)b->pin[k] * (stride / sizeof(float)) + (size_t)c] = 0;
 }
 
+SFEM_DEF void sfem_body_normals(const sfem_body *b, const sfem_surface *surface, float *normal, size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(b && surface && normal);
+    at.x = b->model->mesh.x;
+    at.u = b->state.u;
+    sfemi_surface_normals(surface->triangles, surface->tri, &at, b->model->mesh.nodes, normal, stride);
+}
+
 /* Starts the integrator afresh from u and the velocity in w. */
 static void sfemi_body_restart(sfem_body *b)
 {
@@ -30007,6 +30084,18 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
         sfemi_cross(spin, arm, rotated);
         for (c = 0; c < 3; ++c) v[c] += frame->v[c] + rotated[c];
     }
+}
+
+SFEM_DEF void sfem_modal_normals(const sfem_modal *b, const sfem_reduced_view *view, const float *x, float *normal,
+                                 size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(b && view && x && normal && view->reduced == b->reduced);
+    SFEM_ASSERT(view->count == b->reduced->head->surface_nodes &&
+                memcmp(view->node, b->reduced->surface_node, (size_t)view->count * sizeof *view->node) == 0);
+    at.floats = x;
+    at.stride = stride;
+    sfemi_surface_normals(b->reduced->head->surface_triangles, b->reduced->surface_tri, &at, view->count, normal, stride);
 }
 
 SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *b)

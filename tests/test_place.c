@@ -1,4 +1,4 @@
-/* Bodies that are placed: the rest shape rotated and moved. */
+/* Bodies that are placed: the rest shape rotated and moved; and normals for rendering. */
 #include "support.h"
 #include "linear.h"
 
@@ -213,6 +213,109 @@ static void handles_keep_their_targets_and_sleepers_wake(void **state)
     drop_bar(&b);
 }
 
+/* By hand, in double: the area vectors of a node's triangles. */
+static void expected_normals(const sfem_surface *s, const double *x, sfem_int nodes, double *n)
+{
+    sfem_int i;
+    int k, c;
+    memset(n, 0, 3 * (size_t)nodes * sizeof *n);
+    for (i = 0; i < s->triangles; ++i) {
+        const double *p = x + 3 * s->tri[3 * i], *q = x + 3 * s->tri[3 * i + 1], *r = x + 3 * s->tri[3 * i + 2];
+        for (c = 0; c < 3; ++c) {
+            const int d = (c + 1) % 3, e = (c + 2) % 3;
+            for (k = 0; k < 3; ++k)
+                n[3 * s->tri[3 * i + k] + c] += (q[d] - p[d]) * (r[e] - p[e]) - (q[e] - p[e]) * (r[d] - p[d]);
+        }
+    }
+    for (i = 0; i < nodes; ++i) {
+        const double size = sqrt(n[3 * i] * n[3 * i] + n[3 * i + 1] * n[3 * i + 1] + n[3 * i + 2] * n[3 * i + 2]);
+        for (c = 0; size > 0 && c < 3; ++c) n[3 * i + c] /= size;
+    }
+}
+
+static void normals_are_those_of_the_present_surface(void **state)
+{
+    bar b = make_bar(SFEM_COROTATIONAL, NULL, NULL);
+    sfem_body_def def = sfem_default_body_def();
+    double x[3 * MAX_NODES], n[3 * MAX_NODES], change = 0;
+    float got[MAX_NODES][7], rest[MAX_NODES][3];
+    sfem_surface surface;
+    sfem_body *body = NULL;
+    sfem_error err;
+    int i, c, inside = 0;
+    (void)state;
+    def.gravity[2] = -9.81;
+    def.pins = b.pins;
+    def.pin_count = b.pin_count;
+    assert_ok(sfem_mesh_surface(&b.mesh, NULL, &surface, &err), err);
+    assert_ok(sfem_body_create(b.model, &def, &body, &err), err);
+    sfem_body_normals(body, &surface, rest[0], sizeof rest[0]);
+    for (i = 0; i < 10; ++i) assert_ok(sfem_body_step(body, 1.0 / 60, &err), err);
+    for (i = 0; i < b.mesh.nodes; ++i)
+        for (c = 0; c < 7; ++c) got[i][c] = 77;
+    sfem_body_normals(body, &surface, &got[0][2], sizeof got[0]);
+    sfem_body_positions(body, x);
+    expected_normals(&surface, x, b.mesh.nodes, n);
+    for (i = 0; i < b.mesh.nodes; ++i) {
+        inside += n[3 * i] == 0 && n[3 * i + 1] == 0 && n[3 * i + 2] == 0;
+        for (c = 0; c < 7; ++c) {
+            if (c < 2 || c > 4) assert_true(got[i][c] == 77);
+            else assert_near(got[i][c], n[3 * i + c - 2], 0, 1e-6);
+        }
+        for (c = 0; c < 3; ++c) change = fmax(change, fabs((double)got[i][c + 2] - (double)rest[i][c]));
+    }
+    assert_int_equal(inside, 5); /* the nodes inside the bar */
+    assert_true(change > 0.05);
+    sfem_surface_normals(&surface, x, b.mesh.nodes, rest[0], sizeof rest[0]);
+    for (i = 0; i < b.mesh.nodes; ++i)
+        for (c = 0; c < 3; ++c) assert_true(rest[i][c] == got[i][c + 2]);
+    sfem_body_free(body);
+    sfem_surface_free(&surface);
+    drop_bar(&b);
+}
+
+/* On a geodesic sphere normals are radial; of a surface of its own x; of tiny ones and of folded ones. */
+static void normals_of_spheres_are_radial_and_outward(void **state)
+{
+    static float n[2000][3];
+    sfem_mesh mesh;
+    sfem_surface s;
+    sfem_error err;
+    sfem_int i, tri[6] = {0, 1, 2, 0, 2, 1};
+    double flat[9] = {0, 0, 0, 1, 0, 0, 0, 1, 0}, tiny = 1e-12;
+    int c, k;
+    (void)state;
+    assert_ok(sfem_mesh_ball(1, 5, NULL, &mesh, &err), err);
+    assert_ok(sfem_mesh_surface(&mesh, NULL, &s, &err), err);
+    assert_true(mesh.nodes < 2000);
+    for (k = 0; k < 2; ++k) {
+        int outside = 0;
+        sfem_surface_normals(&s, mesh.x, mesh.nodes, n[0], sizeof n[0]);
+        for (i = 0; i < mesh.nodes; ++i) {
+            const double *x = mesh.x + 3 * i, r = sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]) / (k ? tiny : 1);
+            double dot = 0, size = 0;
+            for (c = 0; c < 3; ++c) dot += x[c] / (k ? tiny : 1) * (double)n[i][c], size += (double)n[i][c] * (double)n[i][c];
+            outside += r > 0.999;
+            assert_near(size, r > 0.999, 1e-6, 0);
+            if (r > 0.999) assert_true(dot > 0.999);
+        }
+        assert_int_equal(outside, 252);
+        for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] *= tiny;
+    }
+    sfem_surface_free(&s);
+    sfem_mesh_free(&mesh);
+    memset(&s, 0, sizeof s);
+    s.triangles = 1;
+    s.tri = tri;
+    s.x = flat;
+    s.nodes = 3;
+    sfem_surface_normals(&s, NULL, 3, n[0], sizeof n[0]);
+    for (i = 0; i < 3; ++i) assert_true(n[i][0] == 0 && n[i][1] == 0 && n[i][2] == 1);
+    s.triangles = 2; /* and back: no area */
+    sfem_surface_normals(&s, NULL, 3, n[0], sizeof n[0]);
+    for (i = 0; i < 3; ++i) assert_true(n[i][0] == 0 && n[i][1] == 0 && n[i][2] == 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -220,6 +323,8 @@ int main(void)
         cmocka_unit_test(a_placed_body_moves_as_one_whose_mesh_was_moved),
         cmocka_unit_test(what_a_body_cannot_bear_is_refused),
         cmocka_unit_test(handles_keep_their_targets_and_sleepers_wake),
+        cmocka_unit_test(normals_are_those_of_the_present_surface),
+        cmocka_unit_test(normals_of_spheres_are_radial_and_outward),
     };
     return run_all_tests(tests);
 }
