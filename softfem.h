@@ -1417,6 +1417,16 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_set_lasting_force(sfem_body *body, const sfem_real *force, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *body, sfem_int node, const sfem_real f[3],
                                                  sfem_error *err);
+/* Adds a force that acts during the next step alone. It is constant over that step, and changes the momentum by f h
+ * exactly, whatever the integrator, also in rejected steps: like sfem_body_add_impulse of f h. It wakes a sleeping
+ * body. It waits for a step that succeeds, and is part of the saved state. Static solutions, and the energy and
+ * reactions between steps, do not see it.
+ *   (p,q,r) and its kin take it as an impulse at the start of the step: the mean velocity of the step, by which nodes
+ *   move, has all of it; sfem_body_velocities, half a step on, up to 3/2 of it until the next step. Newton's methods and
+ *   Newmark hold it constant over the step.
+ *   errors  SFEM_BAD_ARGUMENT (no such node; between sfem_body_predict and _finish: add it to sfem_body_rhs),
+ *           SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_body_add_step_force(sfem_body *body, sfem_int node, const sfem_real f[3], sfem_error *err);
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *body, const sfem_real g[3], sfem_error *err);
 SFEM_DEF void sfem_body_start(sfem_body *body);
 
@@ -17745,6 +17755,8 @@ typedef struct sfemi_state_head {
     sfem_int current;   /* f, psi and frame belong to u */
     sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new energy budget; _NEW_: and scale */
     sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
+    sfem_int step_forces;   /* step_force is not zero */
+    sfem_int unused;
     int64_t steps, rejected;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>safeguard: the energy at u, the energy budget, Ec of the last step, */
@@ -17779,6 +17791,7 @@ typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
+    sfem_real *step_force; /* [nodes][3] during the next step alone */
     sfem_real *f, *f_past, *f_past2; /* [nodes][3] the internal force at u, one and two steps before; */
     sfem_real *frame;      /* [nodes][3][3] Q: these only where the body rotates */
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
@@ -18002,6 +18015,7 @@ typedef struct sfemi_step {
     int falls;         /* >>resume: velocity is to be taken from the right side */
     int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
     int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
+    int jumps;         /* it starts from the state's acceleration and `jump`; KR-alpha from its velocity and h jump */
 } sfemi_step;
 
 /* Between which of predict, solve and finish a step is. */
@@ -18048,6 +18062,7 @@ struct sfem_body {
     int is_late;
     sfem_real *kick;       /* [nodes][3] N s, the impulses among it, if kicked */
     int kicked;
+    sfem_real *jump;       /* [nodes][3] M^-1 F1, the forces of this step alone, if step.jumps */
     sfem_real *base;       /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to; else NULL */
     sfem_real *velocity;   /* >>resume: [nodes][3] what a step starts from, if step.fresh; is to lose, if step.falls */
     sfemi_rotated rotated;       /* >>rotated */
@@ -18091,7 +18106,7 @@ static int sfemi_state_check_head(const void *shape, const char *at, size_t coun
            h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
            h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
            h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
-           h.calm >= 0 && sfemi_state_check_counts(&h);
+           h.calm >= 0 && h.step_forces >= 0 && h.step_forces <= 1 && sfemi_state_check_counts(&h);
 }
 
 static int sfemi_state_check_targets(const void *shape, const char *at, size_t count)
@@ -18159,6 +18174,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_LOAD(0),
     SFEMI_LOAD(1),
     SFEMI_LOAD(2),
+    SFEMI_ROW(step_force, 3, nodes, sfemi_saved_finite, "a load"),
     SFEMI_ROW(f, 3, rotating, NULL, NULL),
     SFEMI_ROW(f_past, 3, rotating, NULL, NULL),
     SFEMI_ROW(f_past2, 3, rotating, NULL, NULL),
@@ -18172,7 +18188,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
 #undef SFEMI_ROW
 #undef SFEMI_LOAD
 
-static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 6, sfemi_state_array);
 
 /* ============================================================================================
  * >>workspace   a step's temporaries, which bodies may share
@@ -18249,7 +18265,8 @@ static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t 
 /* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
 static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
 {
-    sfem_real **const vector[] = {&b->rhs, &b->acc, &b->zk, &b->zm, &b->predicted, &b->late, &b->kick};
+    sfem_real **const vector[] = {&b->rhs,       &b->acc,  &b->zk,   &b->zm,
+                                  &b->predicted, &b->late, &b->kick, &b->jump};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t used = 0, k;
     for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, &used);
@@ -18642,8 +18659,9 @@ static void sfemi_newmark_guess(const sfem_body *b, size_t i, sfem_real *u, sfem
     const sfem_real h = b->step.h;
     const sfemi_state *s = &b->state;
     const sfem_real w = sfemi_body_way(b)[i];
-    *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * s->a[i]);
-    *v = w + (1 - b->def.gamma) * h * s->a[i];
+    const sfem_real a = b->step.jumps ? s->a[i] + b->jump[i] : s->a[i];
+    *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * a);
+    *v = w + (1 - b->def.gamma) * h * a;
 }
 
 static void sfemi_newmark_predict(sfem_body *b)
@@ -19488,6 +19506,7 @@ static void sfemi_implicit_predict(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_implicit *m = &b->implicit;
+    size_t i;
     memset(m->mid_d, 0, n * sizeof *m->mid_d);
     memset(m->mid_v, 0, n * sizeof *m->mid_v);
     if (b->state.head->started == SFEMI_RUNNING) {
@@ -19499,6 +19518,7 @@ static void sfemi_implicit_predict(sfem_body *b)
         sfemi_implicit_balance(b, 1, m->v, NULL, b->rhs);
         sfemi_body_mass_solve(b, m->a0);
     }
+    for (i = 0; b->step.jumps && i < n; ++i) m->a0[i] += b->jump[i];
     sfemi_implicit_load(b, 0, b->rhs);
 }
 
@@ -23121,7 +23141,7 @@ static void sfemi_sleep_compare_load(sfem_body *b)
 static int sfemi_sleep_step(sfem_body *b, sfem_real h)
 {
     sfemi_state_head *head = b->state.head;
-    if (head->sleep != SFEMI_ASLEEP || !(sfemi_finite(h) && h > 0)) return 0;
+    if (head->sleep != SFEMI_ASLEEP || head->step_forces || !(sfemi_finite(h) && h > 0)) return 0;
     sfemi_sleep_compare_load(b);
     if (head->sleep != SFEMI_ASLEEP) return 0;
     head->time += h;
@@ -23526,6 +23546,14 @@ static void sfemi_linear_correct_momentum(sfem_body *b)
     sfemi_rotated_correct_momentum(b, b->factor->key.cm, b->acc);
 }
 
+/* KR-alpha: the forces of this step alone change the velocity that it starts from. On the right side the next step would
+ * take a part of them back, by its -back a. */
+static void sfemi_linear_kick(const sfem_body *b, sfem_real *v)
+{
+    size_t i;
+    for (i = 0; b->step.jumps && i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] += b->step.h * b->jump[i];
+}
+
 static void sfemi_linear_predict(sfem_body *b)
 {
     const sfem_real h = b->step.h;
@@ -23533,6 +23561,7 @@ static void sfemi_linear_predict(sfem_body *b)
     b->step.falls = sfemi_resume_change(b, h);
     sfemi_pqr_weigh(b, h);
     if (b->step.bridges) {
+        sfemi_linear_kick(b, b->velocity);
         sfemi_resume_bridge_predict(b);
         return;
     }
@@ -23540,6 +23569,7 @@ static void sfemi_linear_predict(sfem_body *b)
     else sfemi_pqr_predict(b);
     sfemi_resume_lessen(b, b->rhs);
     sfemi_linear_rigid_load(b);
+    if (b->base) sfemi_linear_kick(b, b->base);
 }
 
 static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
@@ -24304,6 +24334,51 @@ static void sfemi_body_undo(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
+/* How long a force on the right side acts, so that d F is the change of momentum. */
+static sfem_real sfemi_body_span(const sfem_body *b)
+{
+    return b->scheme.mean ? b->step.d - b->step.back : b->step.h;
+}
+
+/* ---- forces of one step, F1
+ *
+ * Methods that keep the mean velocity w take h F1 as an impulse, on the right side; KR-alpha of linear bodies, whose
+ * next step takes a part of a back, as w + M^-1 h F1 at the start. The others have accelerations at both ends of the
+ * step: a spike of one step would leave a part of h F1 to the next step, and another part where its length differs. So
+ * F1 is constant over the step, and a jumps at both of its ends:
+ *     a+ = a + M^-1 F1,   the step from a+ under F + F1,   a = a' - M^-1 F1 from then on ---- */
+
+static void sfemi_step_force_find_jump(sfem_body *b)
+{
+    b->step.jumps = b->state.head->step_forces && (!b->scheme.mean || (b->scheme.lagging && !b->scheme.rotates));
+    if (b->state.head->step_forces) sfemi_sleep_wake_up(b);
+    if (!b->step.jumps) return;
+    memcpy(b->rhs, b->state.step_force, 3 * (size_t)b->model->mesh.nodes * sizeof *b->rhs);
+    sfemi_body_mass_solve(b, b->jump);
+}
+
+static void sfemi_step_force_apply(sfem_body *b)
+{
+    const sfem_real h = b->step.h, share = h / sfemi_body_span(b);
+    size_t i;
+    if (!b->state.head->step_forces || (b->step.jumps && b->scheme.mean)) return;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) {
+        b->rhs[i] += share * b->state.step_force[i];
+        b->kick[i] = h * b->state.step_force[i];
+    }
+    b->kicked = 1;
+}
+
+static void sfemi_step_force_end(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    if (!b->state.head->step_forces) return;
+    for (i = 0; b->step.jumps && !b->scheme.mean && i < n; ++i) b->state.a[i] -= b->jump[i];
+    memset(b->state.step_force, 0, n * sizeof *b->state.step_force);
+    b->state.head->step_forces = 0;
+}
+
 static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status;
@@ -24324,6 +24399,7 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_wake_up(b);
     sfemi_sleep_compare_load(b);
     b->step.bridges = b->step.falls = b->step.fresh = b->step.starts_from_mass = 0;
+    sfemi_step_force_find_jump(b);
     b->scheme.method->predict(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
@@ -24340,6 +24416,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     memcpy(b->predicted, b->rhs, bytes);
     memset(b->late, 0, bytes); /* add_impulse adds to it, and the workspace is another body's before */
     b->is_late = b->kicked = 0;
+    sfemi_step_force_apply(b);
     return SFEM_OK;
 }
 
@@ -24407,6 +24484,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->scheme.method->finish(b);
     for (i = 0; i < g->count; ++i)
         sfemi_target_advance(&b->state.handle[g->slot[i]].path, g->place + 3 * i);
+    sfemi_step_force_end(b);
     b->state.head->time += b->step.h;
     b->state.head->h = b->step.h;
     b->state.head->p = b->p;
@@ -24427,7 +24505,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
     b->rotated.by_hand = b->kicked = 0;
-    status = sfemi_body_predict(b, h, err);
+    status = b->state.head->step_forces ? sfem_body_predict(b, h, err) : sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
     if (status != SFEM_OK) b->state.head->sleep = sleep; /* what has woken it will do so again */
@@ -24487,12 +24565,6 @@ static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, cons
     return SFEM_OK;
 }
 
-/* How long a force on the right side acts, so that d F is the change of momentum. */
-static sfem_real sfemi_body_span(const sfem_body *b)
-{
-    return b->scheme.mean ? b->step.d - b->step.back : b->step.h;
-}
-
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sfem_real j[3], sfem_error *err)
 {
     sfem_real *to, sum[3];
@@ -24539,6 +24611,26 @@ SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *b, sfem_int node, co
     if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
     memcpy(at, sum, sizeof sum);
     sfemi_body_load_changed(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_add_step_force(sfem_body *b, sfem_int node, const sfem_real f[3], sfem_error *err)
+{
+    sfem_real *at, sum[3];
+    sfem_status status;
+    int c;
+    SFEM_ASSERT(b && f);
+    status = sfemi_body_check_node(b, node, f, "force", err);
+    if (status != SFEM_OK) return status;
+    if (b->phase != SFEMI_IDLE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "a step is under way, between sfem_body_predict and _finish: add the force to sfem_body_rhs");
+    if (f[0] == 0 && f[1] == 0 && f[2] == 0) return SFEM_OK; /* which does not wake it */
+    at = b->state.step_force + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = at[c] + f[c];
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
+    memcpy(at, sum, sizeof sum);
+    b->state.head->step_forces = 1;
     return SFEM_OK;
 }
 
