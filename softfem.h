@@ -1919,6 +1919,11 @@ SFEM_DEF sfem_status sfem_modal_set_lasting_force(sfem_modal *modal, const sfem_
                                                   sfem_error *err);
 SFEM_DEF sfem_status sfem_modal_add_lasting_force(sfem_modal *modal, sfem_int node,
                                                   const sfem_real f[3], sfem_error *err);
+/* Adds a force, N, that acts during the next step alone, constant over it, rotated by the rotations of now. It changes
+ * the momentum of a free body by f h exactly. The step of a receiver, sfem_modal_step_with, static solutions and
+ * sfem_modal_load do not see it; a link has to ask for a key frame after that step, for q'' jumps at its start.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
+SFEM_DEF sfem_status sfem_modal_add_step_force(sfem_modal *modal, sfem_int node, const sfem_real f[3], sfem_error *err);
 SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3],
                                             sfem_error *err);
 /* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
@@ -28317,6 +28322,8 @@ typedef struct sfemi_modal_head {
     sfem_real residual;
     sfem_int started, forces;    /* a belongs to the state; nodes with forces */
     sfem_int handles, handle_nodes, iterations, rows_left;
+    sfem_int step_forces, unused; /* step_load, and these, are not zero */
+    sfem_real step_force[3], step_torque[3]; /* on the frame, world, during the next step alone */
     int64_t steps;
 } sfemi_modal_head;
 
@@ -28338,6 +28345,7 @@ struct sfem_modal {
     sfem_real *mean;               /* [stride] velocity over the last step: carries the rotations
                                     * on to where the load of the next one acts. (q' would not do:
                                     * that of modes faster than the step alternates.) */
+    sfem_real *step_load;          /* [stride] during the next step alone */
     sfem_int *asleep;              /* [stride] */
     sfemi_modal_handle *handle;    /* [max_handles] */
     sfem_real *weight;             /* [max_handle_nodes] */
@@ -28348,6 +28356,7 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
+    sfem_real *lasting;            /* [stride] next without the forces of the step alone */
     sfem_real *pull, *trial, *way; /* [stride] J^T l: taken, tried, and the difference */
     sfem_real *mass, *drag, *light; /* [stride] oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
@@ -28489,6 +28498,8 @@ static int sfemi_modal_check_head(const void *shape, const char *at, size_t coun
     return sfemi_all_finite(&h->time, 3) && (h->h >= 0 || h->h == -1) && sfemi_finite(h->h) && h->beta >= 0 &&
            h->gamma >= 0 && sfemi_all_finite(h->gravity, 3) &&
            sfemi_all_finite(h->rigid.x, sizeof h->rigid / sizeof(sfem_real)) && sfemi_all_finite(h->momentum, 9) &&
+           sfemi_all_finite(h->step_force, 3) && sfemi_all_finite(h->step_torque, 3) && h->step_forces >= 0 &&
+           h->step_forces <= 1 &&
            h->forces >= 0 && h->forces <= b->reduced->head->nodes && h->handles >= 0 && h->handle_nodes >= 0 &&
            h->handle_nodes <= b->def.max_handle_nodes && h->steps >= 0 && h->steps <= SFEMI_SAVED_MOST;
 }
@@ -28557,6 +28568,7 @@ static const sfemi_saved_array sfemi_modal_array[] = {
     SFEMI_ROW(f, 1, stride, sfemi_saved_finite, "a mode"),
     SFEMI_ROW(rest, 1, stride, sfemi_saved_finite, "a mode"),
     SFEMI_ROW(mean, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(step_load, 1, stride, sfemi_saved_finite, "a load"),
     SFEMI_ROW(asleep, 1, stride, NULL, NULL),
     SFEMI_ROW(handle, 1, handles, sfemi_modal_check_handles, "a handle"),
     SFEMI_ROW(weight, 1, handle_nodes, sfemi_saved_finite, "a handle"),
@@ -28566,7 +28578,7 @@ static const sfemi_saved_array sfemi_modal_array[] = {
     SFEMI_ROW(force_node, 1, nodes, sfemi_modal_check_force_nodes, "a force")};
 #undef SFEMI_ROW
 
-static const sfemi_saved_kind sfemi_modal_kind = SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 3, sfemi_modal_array);
+static const sfemi_saved_kind sfemi_modal_kind = SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 4, sfemi_modal_array);
 
 static uint64_t sfemi_modal_key(const sfem_modal *b)
 {
@@ -28633,7 +28645,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     sfemi_pool_own(&b->pool, b->head);
     b->small_bytes = (size_t)((char *)b->weight - (char *)b->head);
     SFEMI_TAKE(char, b->backup, &b->pool, b->small_bytes);
-    SFEMI_TAKE(sfem_real, b->next, &b->pool, 13 * b->stride + 1);
+    SFEMI_TAKE(sfem_real, b->next, &b->pool, 14 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
@@ -28645,7 +28657,8 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->pull = b->light + b->stride;
     b->trial = b->pull + b->stride;
     b->way = b->trial + b->stride;
-    b->drawn_q = b->way + b->stride;
+    b->lasting = b->way + b->stride;
+    b->drawn_q = b->lasting + b->stride;
     SFEMI_TAKE(sfemi_oscillator, b->oscillator, &b->pool, b->stride + 1);
     SFEMI_TAKE(sfem_real, b->s, &b->pool, rows * (rows + 4 + b->stride) + 1);
     SFEMI_TAKE(sfem_int, b->column, &b->pool, 2 * rows + 1);
@@ -28659,7 +28672,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_TAKE(sfem_int, b->drawn, &b->pool, b->stride + 1);
     SFEMI_TAKE(float, b->drawn_q32, &b->pool, b->stride + 1);
     b->bytes = sizeof *b + (size_t)b->head->saved.size + b->small_bytes +
-               b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (14 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
                rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
@@ -28758,38 +28771,71 @@ static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_rea
     }
 }
 
+/* Adds Phi^T R^T F of the force on one node; its torque about the centre of a free body, else 0. */
+static void sfemi_modal_load_node(const sfem_modal *b, const sfem_real *q, sfem_int node, const sfem_real force[3],
+                                  sfem_real *f, sfem_real torque[3])
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_rigid *frame = &b->head->rigid;
+    sfem_real local[3] = {force[0], force[1], force[2]}, w[3], k1, k2;
+    int c;
+    memset(torque, 0, 3 * sizeof *torque);
+    if (r->head->free) {
+        sfem_real arm[3];
+        sfemi_modal_displace(b, node, q, arm);
+        for (c = 0; c < 3; ++c) arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
+        sfemi_rotated_vector(frame->r, arm, arm);
+        sfemi_cross(arm, force, torque);
+        sfemi_rotated_back(frame->r, force, local);
+    }
+    if (b->def.warp != SFEM_WARP_NONE) {
+        sfemi_modal_rotation(b, node, q, w);
+        sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+        sfemi_warp_apply(-k1, k2, w, local, local);
+    }
+    b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+}
+
 /* f = Phi^T R(q)^T F, and of a free body the force and torque on its frame. */
 static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
 {
     const sfem_reduced *r = b->reduced;
-    const sfem_rigid *frame = &b->head->rigid;
     sfem_int i;
     int c;
     memset(f, 0, b->stride * sizeof *f);
     memset(b->pose_torque, 0, sizeof b->pose_torque);
     for (c = 0; c < 3; ++c) b->pose_force[c] = r->head->mass * b->head->gravity[c];
     for (i = 0; i < b->head->forces; ++i) {
-        const sfem_int node = b->force_node[i];
-        const sfem_real *F = b->force + 3 * (size_t)i;
-        sfem_real local[3] = {F[0], F[1], F[2]}, w[3], k1, k2;
-        if (r->head->free) {
-            sfem_real arm[3], torque[3];
-            sfemi_modal_displace(b, node, q, arm);
-            for (c = 0; c < 3; ++c)
-                arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
-            sfemi_rotated_vector(frame->r, arm, arm);
-            sfemi_cross(arm, F, torque);
-            for (c = 0; c < 3; ++c) b->pose_force[c] += F[c], b->pose_torque[c] += torque[c];
-            sfemi_rotated_back(frame->r, F, local);
-        }
-        if (b->def.warp != SFEM_WARP_NONE) {
-            sfemi_modal_rotation(b, node, q, w);
-            sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
-            sfemi_warp_apply(-k1, k2, w, local, local);
-        }
-        b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+        sfem_real torque[3];
+        sfemi_modal_load_node(b, q, b->force_node[i], b->force + 3 * (size_t)i, f, torque);
+        for (c = 0; r->head->free && c < 3; ++c)
+            b->pose_force[c] += b->force[3 * (size_t)i + (size_t)c], b->pose_torque[c] += torque[c];
     }
     sfemi_modal_weight(b, q, f);
+}
+
+SFEM_DEF sfem_status sfem_modal_add_step_force(sfem_modal *b, sfem_int node, const sfem_real f[3], sfem_error *err)
+{
+    sfemi_modal_head *head;
+    sfem_real torque[3];
+    size_t k;
+    int c, finite = 1;
+    SFEM_ASSERT(b && f);
+    head = b->head;
+    if (node < 0 || node >= b->reduced->head->nodes)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "there is no node %d, the body has %d", (int)node,
+                             (int)b->reduced->head->nodes);
+    if (!sfemi_all_finite(f, 3))
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d is not finite", (int)node);
+    memcpy(b->b, b->step_load, b->stride * sizeof *b->b);
+    sfemi_modal_load_node(b, b->q, node, f, b->b, torque);
+    for (k = 0; k < b->m; ++k) finite &= sfemi_finite(b->b[k]);
+    for (c = 0; c < 3; ++c) finite &= sfemi_finite(head->step_force[c] + f[c]) && sfemi_finite(head->step_torque[c] + torque[c]);
+    if (!finite) return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d overflows", (int)node);
+    memcpy(b->step_load, b->b, b->stride * sizeof *b->b);
+    for (c = 0; b->reduced->head->free && c < 3; ++c) head->step_force[c] += f[c], head->step_torque[c] += torque[c];
+    head->step_forces = 1;
+    return SFEM_OK;
 }
 
 SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
@@ -29755,6 +29801,37 @@ static void sfemi_modal_refit(sfem_modal *b, sfem_real h)
     b->head->h = h;
 }
 
+/* The forces of this step alone, F1, are constant over it: sign 1 adds them to the loads and accelerations at its start
+ * and to the load at its end; -1 takes them from what its end has become. (A spike in the load at its end alone would
+ * give a part of F1 h to the next step, and another part where that has another length.) */
+static void sfemi_modal_add_step_load(sfem_modal *b, sfemi_modal_head *head, int sign)
+{
+    const sfem_real mass = b->reduced->head->mass;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) {
+        b->f[k] += sign * b->step_load[k];
+        if (!b->asleep[k]) b->a[k] += sign * b->light[k] * b->step_load[k];
+    }
+    for (c = 0; c < 3; ++c) {
+        head->accel[c] += sign * head->step_force[c] / mass;
+        head->torque[c] += sign * head->step_torque[c];
+        if (sign < 0) continue;
+        b->pose_force[c] += head->step_force[c];
+        b->pose_torque[c] += head->step_torque[c];
+    }
+}
+
+static void sfemi_modal_end_step_load(sfem_modal *b)
+{
+    sfemi_modal_add_step_load(b, b->head, -1);
+    if (b->head->handles > 0) b->head->started = 0; /* what handles hold of the acceleration is found anew */
+    memset(b->step_load, 0, b->stride * sizeof *b->step_load);
+    memset(b->head->step_force, 0, sizeof b->head->step_force);
+    memset(b->head->step_torque, 0, sizeof b->head->step_torque);
+    b->head->step_forces = 0;
+}
+
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
 {
     SFEM_ASSERT(b);
@@ -29779,10 +29856,13 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     }
     for (k = 0; k < b->m; ++k) b->qp[k] = b->q[k] + h * b->mean[k];
     sfemi_modal_load_at(b, b->qp, b->next);
+    memcpy(b->lasting, b->next, b->stride * sizeof *b->next);
+    for (k = 0; b->head->step_forces && k < b->m; ++k) b->next[k] += b->step_load[k];
     if (held)
         sfemi_modal_wake(b);
     else
         sfemi_modal_wake_up(b);
+    if (b->head->step_forces) sfemi_modal_add_step_load(b, b->head, 1);
     to = *b->head;
     if (exact)
         sfemi_modal_exact(b, h, &to);
@@ -29802,6 +29882,8 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     to.gamma = exact ? 0.5 : gamma;
     if (!held) to.residual = 0, to.iterations = to.rows_left = 0;
     *b->head = to;
+    memcpy(b->next, b->lasting, b->stride * sizeof *b->next);
+    if (to.step_forces) sfemi_modal_end_step_load(b);
     memcpy(b->f, b->next, b->stride * sizeof *b->f);
     for (k = 0; k < b->m; ++k) b->mean[k] = (b->q[k] - before[k]) / h;
     if (!held) sfemi_modal_correct_momentum(b);

@@ -348,6 +348,150 @@ static void pins_and_handles_carry_a_step_force(void **state)
     }
 }
 
+/* --------------------------------------------------------------------------------------------
+ * modal bodies
+ * -------------------------------------------------------------------------------------------- */
+
+static const sfem_modal_integrator modal_method[] = {SFEM_MODAL_NEWMARK, SFEM_MODAL_EXACT, SFEM_MODAL_FITTED};
+
+static sfem_reduced *make_reduced(int held)
+{
+    bar b = make_bar(SFEM_LINEAR, SFEM_MASS_LUMPED, 0);
+    sfem_modes_def modes_def = sfem_default_modes_def();
+    sfem_reduced_def def = sfem_default_reduced_def();
+    const sfem_int pins[4] = {0, 1, 2, 3};
+    sfem_reduced *reduced = NULL;
+    sfem_modes modes;
+    sfem_error err;
+    modes_def.modes = 10;
+    modes_def.pins = pins;
+    modes_def.pin_count = held ? 4 : 0;
+    def.free = !held;
+    def.mass_damping = 0.5;
+    def.stiffness_damping = 1e-3;
+    assert_ok(sfem_modes_create(b.model, &modes_def, &modes, &err), err);
+    assert_ok(sfem_reduced_create(b.model, &modes, &def, &reduced, &err), err);
+    sfem_modes_free(&modes);
+    drop_bar(&b);
+    return reduced;
+}
+
+static sfem_modal *make_modal(sfem_reduced *reduced, sfem_modal_integrator integrator, sfem_warp warp)
+{
+    sfem_modal_def def = sfem_default_modal_def();
+    sfem_modal *body = NULL;
+    sfem_error err;
+    def.integrator = integrator;
+    def.warp = warp;
+    assert_ok(sfem_modal_create(reduced, &def, &body, &err), err);
+    return body;
+}
+
+static void a_free_modal_body_takes_the_momentum_f_h(void **state)
+{
+    sfem_reduced *reduced = make_reduced(0);
+    const sfem_int nodes = sfem_reduced_get_info(reduced).nodes;
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(modal_method); ++k) {
+        sfem_modal *body = make_modal(reduced, modal_method[k], SFEM_WARP_PATH);
+        double linear[3] = {0, 0, 0}, angular[3] = {0, 0, 0}, p[3], l[3];
+        test_random random = {9};
+        sfem_error err;
+        int i, c;
+        for (i = 0; i < 60; ++i) {
+            const double h = random_uniform(&random, 0.5, 1.5) / 60;
+            const sfem_int node = i % nodes;
+            double f[3], x[3], bad[3] = {0, NAN, 0};
+            if (i % 3 != 1) {
+                const sfem_rigid frame = sfem_modal_rigid(body);
+                for (c = 0; c < 3; ++c) linear[c] += h * (f[c] = random_uniform(&random, -20, 30));
+                sfem_modal_node(body, node, x, NULL, NULL);
+                for (c = 0; c < 3; ++c) {
+                    const int d = (c + 1) % 3, e = (c + 2) % 3;
+                    angular[c] += h * ((x[d] - frame.x[d]) * f[e] - (x[e] - frame.x[e]) * f[d]);
+                }
+                assert_ok(sfem_modal_add_step_force(body, node, f, &err), err);
+            }
+            assert_status(sfem_modal_add_step_force(body, nodes, bad, &err), SFEM_BAD_ARGUMENT);
+            assert_status(sfem_modal_add_step_force(body, node, bad, &err), SFEM_NOT_FINITE);
+            assert_status(sfem_modal_step(body, 0, &err), SFEM_BAD_ARGUMENT);
+            assert_ok(sfem_modal_step(body, h, &err), err);
+            sfem_modal_momentum(body, p, l);
+            assert_all_near(p, linear, 3, 1e-12, 0);
+            assert_all_near(l, angular, 3, 1e-12, 0);
+        }
+        assert_true(sfem_modal_get_info(body).elastic > 1e-6); /* it bends, too */
+        sfem_modal_free(body);
+    }
+    sfem_reduced_free(reduced);
+}
+
+/* Of a body that does not warp a step force in each step is a lasting one, to rounding, in steps of any length. */
+static void step_forces_on_modes_are_constant_over_the_step(void **state)
+{
+    sfem_reduced *reduced = make_reduced(1);
+    const sfem_reduced_info info = sfem_reduced_get_info(reduced);
+    const double f[3] = {3, -2, 5};
+    size_t k;
+    (void)state;
+    for (k = 0; k < TEST_COUNT(modal_method); ++k) {
+        sfem_modal *body[2];
+        test_random random = {9};
+        sfem_error err;
+        int i, way;
+        for (way = 0; way < 2; ++way) body[way] = make_modal(reduced, modal_method[k], SFEM_WARP_NONE);
+        assert_ok(sfem_modal_add_lasting_force(body[0], info.nodes - 1, f, &err), err);
+        for (i = 0; i < 50; ++i) {
+            const double h = random_uniform(&random, 0.5, 1.5) / 60;
+            assert_ok(sfem_modal_add_step_force(body[1], info.nodes - 1, f, &err), err);
+            for (way = 0; way < 2; ++way) assert_ok(sfem_modal_step(body[way], h, &err), err);
+            assert_all_near(sfem_modal_coordinates(body[0]), sfem_modal_coordinates(body[1]), info.modes, 1e-11, 0);
+            assert_all_near(sfem_modal_coordinate_velocities(body[0]), sfem_modal_coordinate_velocities(body[1]), info.modes, 1e-11, 1e-12);
+        }
+        for (i = 0; i < 2000; ++i) /* and is over when it is over */
+            assert_ok(sfem_modal_step(body[1], 1.0 / 60, &err), err);
+        assert_true(fabs(sfem_modal_coordinates(body[1])[0]) < 1e-3 * fabs(sfem_modal_coordinates(body[0])[0]));
+        for (way = 0; way < 2; ++way) sfem_modal_free(body[way]);
+    }
+    sfem_reduced_free(reduced);
+}
+
+/* A force for one step, beside a lasting one that is set and taken away, in short steps; with a handle. */
+static void a_step_force_goes_with_handles_and_saved_states(void **state)
+{
+    sfem_reduced *reduced = make_reduced(1);
+    const sfem_reduced_info info = sfem_reduced_get_info(reduced);
+    const double f[3] = {3000, -2000, 5000}, h = 1e-5;
+    sfem_modal *body[3];
+    sfem_error err;
+    void *memory;
+    int i, way;
+    (void)state;
+    for (way = 0; way < 3; ++way) {
+        sfem_int handle;
+        body[way] = make_modal(reduced, SFEM_MODAL_FITTED, SFEM_WARP_PATH);
+        assert_ok(sfem_modal_grab_node(body[way], 12, &handle, &err), err);
+        assert_ok(sfem_modal_step(body[way], h, &err), err);
+    }
+    assert_ok(sfem_modal_add_lasting_force(body[0], info.nodes - 1, f, &err), err);
+    assert_ok(sfem_modal_add_step_force(body[1], info.nodes - 1, f, &err), err);
+    memory = malloc(sfem_modal_state_size(body[1]));
+    assert_non_null(memory);
+    sfem_modal_save_state(body[1], memory);
+    assert_ok(sfem_modal_load_state(body[2], memory, sfem_modal_state_size(body[1]), &err), err);
+    free(memory);
+    for (i = 0; i < 400; ++i) {
+        for (way = 0; way < 3; ++way) assert_ok(sfem_modal_step(body[way], h, &err), err);
+        assert_ok(sfem_modal_set_lasting_force(body[0], NULL, &err), err);
+    }
+    assert_all_near(sfem_modal_coordinates(body[0]), sfem_modal_coordinates(body[1]), info.modes, 0.01, 0);
+    assert_memory_equal(sfem_modal_coordinates(body[1]), sfem_modal_coordinates(body[2]), (size_t)info.modes * sizeof(double));
+    assert_true(fabs(sfem_modal_coordinates(body[1])[0]) > 1e-6);
+    for (way = 0; way < 3; ++way) sfem_modal_free(body[way]);
+    sfem_reduced_free(reduced);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -358,6 +502,9 @@ int main(void)
         cmocka_unit_test(a_saved_state_has_the_step_force_in_it),
         cmocka_unit_test(a_step_force_wakes_a_sleeping_body),
         cmocka_unit_test(pins_and_handles_carry_a_step_force),
+        cmocka_unit_test(a_free_modal_body_takes_the_momentum_f_h),
+        cmocka_unit_test(step_forces_on_modes_are_constant_over_the_step),
+        cmocka_unit_test(a_step_force_goes_with_handles_and_saved_states),
     };
     return run_all_tests(tests);
 }
