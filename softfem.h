@@ -1069,6 +1069,9 @@ typedef struct sfem_damage_def {
     const sfem_real *region_factor; /* [region_count] > 0, or NULL, by the mesh's region of a tet */
     sfem_int region_count;
     const unsigned char *unbreakable; /* [tets] or NULL: edges of tets marked 1 never break */
+    int protect_handles;         /* 1, the default: edges of tets with a node that a handle holds do not break of
+                                  * themselves while it is held, blades and sfem_body_break_edge break them; 0: they
+                                  * do. A node that is pulled alone stretches its own edges most, and is torn off */
     const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
@@ -1081,7 +1084,7 @@ typedef struct sfem_damage_def {
                             * means .05, .25 */
 } sfem_damage_def;
 
-/* Condensed, by energy, Gc 100 J/m^2, share 2/3. */
+/* Condensed, by energy, Gc 100 J/m^2, share 2/3; handles are protected. */
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void);
 
 /* The edge form of one tet. T is invertible unless the tet is flat: |det T| = (6V)^4/prod L^2. */
@@ -15635,6 +15638,7 @@ typedef struct sfemi_damage {
     sfem_real *peak;         /* [edges] largest strain so far; NULL unless ductile */
     unsigned char *mark;     /* [edges] a blade has crossed it: 1 + rounds waited */
     /* derived */
+    unsigned char *held;     /* [edges] 1: of a tet with a node that a handle holds, if these are protected */
     sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
     unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
     sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
@@ -15668,6 +15672,7 @@ SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
     memset(&d, 0, sizeof d);
     d.cookie = SFEMI_COOKIE_DAMAGE;
     d.toughness = 100;
+    d.protect_handles = 1;
     return d;
 }
 
@@ -16036,6 +16041,7 @@ static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
     al = d->allocator;
     sfemi_delete(&al, d->tet);
     sfemi_delete(&al, d->kind);
+    sfemi_delete(&al, d->held);
     sfemi_delete(&al, d->s);
     sfemi_delete(&al, d->block);
     sfemi_delete(&al, d->lane);
@@ -16076,6 +16082,7 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     d->bonds = bonds;
     SFEMI_NEW(sfem_int, d->tet, allocator, tets);
     SFEMI_NEW(unsigned char, d->kind, allocator, tets);
+    SFEMI_NEW(unsigned char, d->held, allocator, edges);
     SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
     if (model->rotates) {
         SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
@@ -16748,7 +16755,7 @@ static void sfemi_damage_near_task(void *data, sfem_int index)
     sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
     for (; k < end; ++k) {
         d->near_candidate[k] = 0;
-        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k]) continue;
+        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k] || d->held[k]) continue;
         for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_candidate[k]; ++i)
             d->near_candidate[k] = d->candidate[g->edge_tet[i] / 6];
     }
@@ -17125,7 +17132,7 @@ static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
     const sfemi_bonds *g = d->bonds;
     sfem_int k;
     for (k = 0; k < g->edges; ++k) {
-        if (!(d->zeta[k] > 0) || g->never[k]) continue;
+        if (!(d->zeta[k] > 0) || g->never[k] || d->held[k]) continue;
         if (d->near_candidate[k] && d->strain[k] > d->peak[k] && sfemi_damage_rankine(d, k))
             d->peak[k] = d->strain[k];
         if (sfemi_damage_soft(d, k) < d->zeta[k])
@@ -23005,6 +23012,26 @@ static void sfemi_fracture_account(sfem_body *b)
     k->scale = fmax(k->scale, size);
 }
 
+/* Which edges handles protect, after handles have come or gone. */
+static void sfemi_fracture_protect(sfem_body *b)
+{
+    const sfemi_bonds *g = b->bonds;
+    sfem_int i, at, l;
+    int p, k;
+    memset(b->damage->held, 0, (size_t)g->edges);
+    for (i = 0; g->def.protect_handles && i < b->def.max_handles; ++i) {
+        const sfemi_handle *h = b->state.handle + i;
+        for (p = 0; h->used && p < 4; ++p) {
+            if (h->weight[p] == 0) continue;
+            for (at = g->node_start[h->node[p]]; at < g->node_start[h->node[p] + 1]; ++at) {
+                const sfem_int edge = g->node_edge[at];
+                for (l = g->tet_start[edge]; l < g->tet_start[edge + 1]; ++l)
+                    for (k = 0; k < 6; ++k) b->damage->held[g->tet_edge[6 * (g->edge_tet[l] / 6) + k]] = 1;
+            }
+        }
+    }
+}
+
 /* The pieces as >>damage has them, which of them are held, and what they weigh. */
 static void sfemi_fracture_regroup(sfem_body *b)
 {
@@ -23968,6 +23995,7 @@ static int sfemi_body_corrects_momentum(const sfem_body *b)
 /* Which pieces are held; a body that does not turn has them in their places for good. */
 static void sfemi_body_find_held(sfem_body *b)
 {
+    if (b->damage) sfemi_fracture_protect(b);
     if (!b->rotated.pieces) return;
     sfemi_rotated_find_held(b);
     if (!b->scheme.rotates) sfemi_rotated_locate(b, NULL);
