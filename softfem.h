@@ -953,6 +953,14 @@ SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [n
 SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
 
+/* Do these numbers look like metres, kilograms and seconds? Remarks on what is likely to be a mistake of units: a body of
+ * more than 100 m or less than 1 mm, a density below 5 or above 25 000 kg/m^3, a modulus below 10 or above 2e12 Pa, a
+ * body that would sink into itself under its weight on Earth, a Poisson ratio above 0.49, a step h above 0.1 s (0: not
+ * looked at). Nothing else asks for it, and none of them is an error: other consistent units are as good.
+ *   text     [size] or NULL: the remarks, a line each, as many as fit
+ *   returns  how many there are; O(nodes + tets), allocates nothing */
+SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size);
+
 /* out = k K + m M + d D as a matrix of its own, on K's pattern, to be freed with sfem_matrix_free:
  * (0,1,0) is M, (0,0,1) is D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
@@ -3397,18 +3405,35 @@ static sfemi_mesh_fault sfemi_mesh_judge(const sfem_mesh *m, sfem_int t, sfem_re
     return *quality < 0 ? SFEMI_TET_INVERTED : SFEMI_TET_GOOD;
 }
 
+/* Do these numbers look like 1 .. nodes? To be asked where one is out of range. */
+static int sfemi_mesh_counts_from_one(const sfem_int *number, size_t count, sfem_int nodes)
+{
+    size_t i;
+    for (i = 0; i < count; ++i)
+        if (number[i] < 1 || number[i] > nodes) return 0;
+    return 1;
+}
+
 /* The sentence about tet t. */
 static sfem_status sfemi_mesh_complain(const sfem_mesh *m, sfem_int t, sfemi_mesh_fault fault,
                                        sfem_real quality, sfem_error *err)
 {
-    const sfem_int *v = m->tet + 4 * (size_t)t;
-    int i = 0;
+    const sfem_int *v;
+    size_t last = 0;
+    int i = 0, from_one = sfemi_mesh_counts_from_one(m->tet, 4 * (size_t)m->tets, m->nodes);
+    while (from_one && last < 4 * (size_t)m->tets && m->tet[last] != m->nodes) ++last;
+    from_one = from_one && last < 4 * (size_t)m->tets;
+    if (from_one && fault != SFEMI_TET_OUT_OF_RANGE) { /* which makes other tets flat or inverted */
+        t = (sfem_int)(last / 4);
+        fault = SFEMI_TET_OUT_OF_RANGE;
+    }
+    v = m->tet + 4 * (size_t)t;
     switch (fault) {
     case SFEMI_TET_OUT_OF_RANGE:
         while (v[i] >= 0 && v[i] < m->nodes) ++i;
         return sfemi_fail_at(err, SFEM_BAD_MESH, v[i], t,
-                             "tet %ld names node %ld, the mesh has %ld", (long)t, (long)v[i],
-                             (long)m->nodes);
+                             "tet %ld names node %ld, the mesh has %ld%s", (long)t, (long)v[i], (long)m->nodes,
+                             from_one ? ": numbered from 1? Node numbers start at 0" : "");
     case SFEMI_TET_REPEATED:
         while (v[sfemi_mesh_edge[i][0]] != v[sfemi_mesh_edge[i][1]]) ++i;
         return sfemi_fail_at(err, SFEM_BAD_MESH, v[sfemi_mesh_edge[i][0]], t,
@@ -4921,6 +4946,7 @@ typedef struct sfemi_gmsh {
     sfem_int *group; /* [volume] first physical group, or 0 */
     int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
     int any_group, has_format, has_nodes, has_elements;
+    int64_t triangles, quadratic; /* tets of 10 nodes: what there is besides */
 } sfemi_gmsh;
 
 /* From here on numbers are binary, if the file is. */
@@ -5205,6 +5231,21 @@ done:
     return status;
 }
 
+/* Of a file without 4-node tets: what it has instead. */
+static sfem_status sfemi_mesh_without_tets(sfem_int nodes, int64_t triangles, int64_t quadratic, sfem_error *err)
+{
+    if (quadratic > 0)
+        return sfemi_fail(err, SFEM_BAD_MESH,
+                          "there are %ld nodes and %lld tets of 10 nodes, but no 4-node tets: write a mesh of the first order",
+                          (long)nodes, (long long)quadratic);
+    if (triangles > 0)
+        return sfemi_fail(err, SFEM_BAD_MESH,
+                          "there are %ld nodes and %lld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
+                          "triangles",
+                          (long)nodes, (long long)triangles);
+    return sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets", (long)nodes);
+}
+
 /* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past
  * the rest of the row of one. */
 static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
@@ -5216,6 +5257,8 @@ static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t
                                             12, 15, 15, 21, 4, 5, 6,  20, 35, 56};
     sfemi_scan *s = &g->s;
     uint64_t each;
+    if (!g->m.tet && (type == 2 || type == 9)) g->triangles += count;
+    if (!g->m.tet && type == 11) g->quadratic += count;
     if (!s->order) {
         sfemi_scan_skip_line(s);
         return SFEM_OK;
@@ -5369,6 +5412,7 @@ static sfem_status sfemi_gmsh_elements(sfemi_gmsh *g)
     *s = start;
     SFEMI_TRY(sfemi_gmsh_pass(g, blocks, elements, &tets));
     g->has_elements = 1;
+    if (tets < 1) status = sfemi_mesh_without_tets(g->m.nodes, g->triangles, g->quadratic, err);
 done:
     return status;
 }
@@ -5581,6 +5625,17 @@ static int sfemi_vtk_cell_nodes(int type)
     return type < 15 ? nodes[type] : 0;
 }
 
+static sfem_status sfemi_vtk_without_tets(const sfemi_vtk *r)
+{
+    int64_t triangles = 0, quadratic = 0;
+    sfem_int i;
+    for (i = 0; i < r->cells; ++i) {
+        triangles += r->type[i] == 5 || r->type[i] == 22;
+        quadratic += r->type[i] == 24;
+    }
+    return sfemi_mesh_without_tets(r->m.nodes, triangles, quadratic, r->cell_scan.err);
+}
+
 /* The tets among the cells. */
 static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
 {
@@ -5619,8 +5674,12 @@ static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
             SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node of a tet", &v));
             if (v < 0 || v >= r->m.nodes) {
                 status =
-                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld",
-                                    (long)r->m.tets, (long long)v, (long)r->m.nodes);
+                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld%s",
+                                    (long)r->m.tets, (long long)v, (long)r->m.nodes,
+                                    v == r->m.nodes && sfemi_mesh_counts_from_one(r->m.tet, 4 * (size_t)r->m.tets,
+                                                                                  r->m.nodes)
+                                        ? ": numbered from 1? Points are numbered from 0"
+                                        : "");
                 if (s->err) s->err->tet = r->m.tets;
                 goto done;
             }
@@ -5630,6 +5689,8 @@ static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
     }
     if (left)
         status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
+    else if (t < 1)
+        status = sfemi_vtk_without_tets(r);
 done:
     return status;
 }
@@ -5680,6 +5741,7 @@ typedef struct sfemi_medit {
     sfemi_scan s;
     sfem_mesh m;
     int has_dimension, has_vertices, has_tets;
+    sfem_int triangles;
 } sfemi_medit;
 
 static sfem_status sfemi_medit_dimension(sfemi_medit *r)
@@ -5760,7 +5822,7 @@ static int sfemi_medit_at_keyword(sfemi_scan *s)
 
 /* Goes past what belongs to a keyword that is not needed: its count, and the numbers of each thing,
  * if the keyword is known; else all up to the next keyword. */
-static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
+static sfem_status sfemi_medit_skip(sfemi_medit *r, sfemi_word name)
 {
     static const struct {
         const char *name;
@@ -5785,6 +5847,7 @@ static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
                  {"NormalAtQuadrilateralVertices", 4},
                  {"TangentAtVertices", 2},
                  {"TangentAtEdgeVertices", 3}};
+    sfemi_scan *s = &r->s;
     char what[64];
     sfem_status status;
     sfem_int n = 0;
@@ -5803,6 +5866,7 @@ static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
             status = sfemi_scan_expected(s, what, sfemi_scan_peek(s));
         else
             sfemi_scan_word(s);
+    if (sfemi_word_is(name, "Triangles")) r->triangles = n;
     return status;
 }
 
@@ -5828,11 +5892,17 @@ static sfem_status sfemi_medit_read(sfemi_medit *r)
         else if (sfemi_word_is(w, "Tetrahedra"))
             SFEMI_TRY(sfemi_medit_tets(r));
         else
-            SFEMI_TRY(sfemi_medit_skip(s, w));
+            SFEMI_TRY(sfemi_medit_skip(r, w));
     }
-    if (!r->has_tets)
+    if (!r->has_tets && r->has_vertices && r->triangles > 0)
+        status = sfemi_scan_fail(s, SFEM_FORMAT,
+                                 "there are no Tetrahedra, but %ld Triangles: sfem_mesh_from_surface makes tets of triangles",
+                                 (long)r->triangles);
+    else if (!r->has_tets)
         status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
                                  r->has_vertices ? "Tetrahedra" : "Vertices");
+    else if (r->m.tets < 1)
+        status = sfemi_mesh_without_tets(r->m.nodes, r->triangles, 0, s->err);
 done:
     return status;
 }
@@ -7423,8 +7493,11 @@ static sfem_status sfemi_repair_check(const sfem_surface *s, sfem_error *err)
     for (k = 0; k < 3 * (size_t)s->triangles; ++k) {
         i = s->tri[k];
         if (i < 0 || i >= s->nodes)
-            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names vertex %ld, not in 0 .. %ld", (long)(k / 3),
-                              (long)i, (long)s->nodes - 1);
+            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names vertex %ld, not in 0 .. %ld%s", (long)(k / 3),
+                              (long)i, (long)s->nodes - 1,
+                              sfemi_mesh_counts_from_one(s->tri, 3 * (size_t)s->triangles, s->nodes)
+                                  ? ": numbered from 1?"
+                                  : "");
         for (c = 0; c < 3; ++c)
             if (!sfemi_finite(s->x[3 * (size_t)i + (size_t)c]))
                 return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "vertex %ld of the surface is not finite", (long)i);
@@ -14361,6 +14434,27 @@ static sfem_int sfemi_fem_material_of(const sfem_model_def *def, sfem_int tet)
     return def->mesh->region ? def->mesh->region[tet] : 0;
 }
 
+/* Numbers like 1 .. count are those of a file that counts from 1. */
+static sfem_status sfemi_fem_missing_material(const sfem_model_def *def, sfem_int tet, sfem_int m, sfem_error *err)
+{
+    const sfem_int count = def->material_count;
+    const char *what = def->tet_material ? "tet_material" : "region";
+    sfem_int least = m, most = m, i;
+    for (i = 0; i < def->mesh->tets; ++i) {
+        const sfem_int k = sfemi_fem_material_of(def, i);
+        least = k < least ? k : least;
+        most = k > most ? k : most;
+    }
+    if (least == 1 && most == count)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
+                             "tet %d has material %d, there are 0 to %d: %s numbers start at 0, those of this mesh at 1",
+                             (int)tet, (int)m, (int)count - 1, what);
+    return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
+                         "tet %d has material %d, which is missing: there are %d, and the %s numbers of this mesh are %d to "
+                         "%d, from 0",
+                         (int)tet, (int)m, (int)count, what, (int)least, (int)most);
+}
+
 static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
 {
     const sfem_int count = def->materials ? def->material_count : 1;
@@ -14377,8 +14471,7 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     for (i = 0; i < def->mesh->tets; ++i) {
         const sfem_int m = sfemi_fem_material_of(def, i);
         if (m < 0 || m >= count)
-            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, i,
-                                 "tet %d has material %d, there are %d", (int)i, (int)m, (int)count);
+            return sfemi_fem_missing_material(def, i, m, err);
     }
     return SFEM_OK;
 }
@@ -14808,6 +14901,80 @@ SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model)
 {
     SFEM_ASSERT(model);
     return model->total_mass;
+}
+
+/* ---- units: what is seldom meant. The softest gels have some 10 Pa and rubber foam 5 to 50 kg/m^3, the stiffest and
+ * densest stuff is diamond (1.2e12 Pa) and osmium (22 600 kg/m^3). ---- */
+
+typedef struct sfemi_advice {
+    char *text;
+    size_t size, used;
+    int count;
+} sfemi_advice;
+
+static void sfemi_advice_add(sfemi_advice *a, const char *format, ...)
+{
+    char line[240];
+    size_t length;
+    va_list list;
+    va_start(list, format);
+    vsnprintf(line, sizeof line, format, list);
+    va_end(list);
+    length = strlen(line);
+    if (a->text && a->used + length + (a->count > 0) < a->size) {
+        if (a->count > 0) a->text[a->used++] = '\n';
+        memcpy(a->text + a->used, line, length + 1);
+        a->used += length;
+    }
+    ++a->count;
+}
+
+/* Of density, modulus and Poisson's ratio: the least and the most of all tets. */
+static void sfemi_advice_materials(const sfem_model *m, sfem_real across, sfemi_advice *a)
+{
+    sfem_real density[2] = {1e300, 0}, young[2] = {1e300, 0}, poisson = -1, soft = 0;
+    sfem_int e;
+    for (e = 0; e < m->mesh.tets; ++e) {
+        const sfem_real l = m->lambda[e], mu = m->mu[e], nu = l / (2 * (l + mu)), modulus = 2 * mu * (1 + nu);
+        density[0] = fmin(density[0], m->density[e]);
+        density[1] = fmax(density[1], m->density[e]);
+        young[0] = fmin(young[0], modulus);
+        young[1] = fmax(young[1], modulus);
+        poisson = fmax(poisson, nu);
+        soft = fmax(soft, m->density[e] / modulus);
+    }
+    if (density[0] < 5) sfemi_advice_add(a, "a density is %.4g kg/m^3, water has 1000: in g/cm^3?", density[0]);
+    if (density[1] > 25000) sfemi_advice_add(a, "a density is %.4g kg/m^3, water has 1000: more than any material has", density[1]);
+    if (young[0] < 10) sfemi_advice_add(a, "a modulus is %.4g Pa, jelly has 1e4, rubber 1e6: in MPa or GPa?", young[0]);
+    if (young[1] > 2e12) sfemi_advice_add(a, "a modulus is %.4g Pa, steel has 2e11: more than diamond has", young[1]);
+    if (soft * 9.81 * across > 1)
+        sfemi_advice_add(a, "a body of %.4g m with this density and modulus sinks into itself: its own weight is %.2g times the modulus",
+                         across, soft * 9.81 * across);
+    if (poisson > 0.49)
+        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49", poisson);
+}
+
+SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size)
+{
+    sfem_real low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300}, across = 0;
+    sfemi_advice a = {0, 0, 0, 0};
+    sfem_int i;
+    int c;
+    SFEM_ASSERT(model);
+    a.text = size > 0 ? text : NULL;
+    a.size = size;
+    if (a.text) a.text[0] = 0;
+    for (i = 0; i < model->mesh.nodes; ++i)
+        for (c = 0; model->node_mass[i] > 0 && c < 3; ++c) {
+            low[c] = fmin(low[c], model->mesh.x[3 * (size_t)i + (size_t)c]);
+            high[c] = fmax(high[c], model->mesh.x[3 * (size_t)i + (size_t)c]);
+        }
+    for (c = 0; c < 3; ++c) across = fmax(across, high[c] - low[c]);
+    if (across > 100) sfemi_advice_add(&a, "the body is %.4g m across: in mm or cm?", across);
+    if (across < 1e-3) sfemi_advice_add(&a, "the body is %.4g m across: in km?", across);
+    sfemi_advice_materials(model, across, &a);
+    if (h > 0.1) sfemi_advice_add(&a, "the step is %.4g s: in ms? 1/60 s is usual", h);
+    return a.count;
 }
 
 /* block = k K + m M + d D at place `at` of the pattern, (i, j) its row and column. D is resolved into
@@ -25699,6 +25866,150 @@ done:
     return status;
 }
 
+/* ---- which rigid motions pins and handles leave free: a sentence for a solution that failed ----
+ *
+ * A held axis c at x takes from the motions t + w x (x - centre) those with e_c.t + e_c.(w x d) != 0. What is left is
+ * the null space of the sum of these rows' products, w in units of 1/size. */
+typedef struct sfemi_freedom {
+    sfem_real g[36], centre[3], size;
+    sfem_int label, rows, one; /* the part of the mesh; rows; a node that is held, or -1 */
+} sfemi_freedom;
+
+static void sfemi_freedom_hold(sfemi_freedom *f, const sfem_real x[3], int axes)
+{
+    sfem_real d[3];
+    int c, k, l;
+    for (c = 0; c < 3; ++c) d[c] = (x[c] - f->centre[c]) / f->size;
+    for (c = 0; c < 3; ++c) {
+        sfem_real row[6] = {0, 0, 0, 0, 0, 0};
+        if (!(axes >> c & 1)) continue;
+        row[c] = 1;
+        row[3 + (c + 1) % 3] = d[(c + 2) % 3];
+        row[3 + (c + 2) % 3] = -d[(c + 1) % 3];
+        for (k = 0; k < 6; ++k)
+            for (l = 0; l < 6; ++l) f->g[6 * k + l] += row[k] * row[l];
+        ++f->rows;
+    }
+}
+
+/* The rows of one part of the mesh. */
+static void sfemi_freedom_gather(const sfem_body *b, const unsigned char *mask, const sfem_int *label, sfemi_freedom *f)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_int i, n = 0;
+    int c;
+    memset(f->g, 0, sizeof f->g);
+    memset(f->centre, 0, sizeof f->centre);
+    f->rows = 0;
+    f->size = 0;
+    f->one = -1;
+    for (i = 0; i < m->nodes; ++i) {
+        if (label[i] != f->label) continue;
+        for (c = 0; c < 3; ++c) f->centre[c] += (m->x[3 * (size_t)i + (size_t)c] - f->centre[c]) / (n + 1);
+        ++n;
+    }
+    for (i = 0; i < m->nodes; ++i)
+        for (c = 0; label[i] == f->label && c < 3; ++c)
+            f->size = fmax(f->size, fabs(m->x[3 * (size_t)i + (size_t)c] - f->centre[c]));
+    for (i = 0; i < m->nodes; ++i) {
+        if (label[i] != f->label || !mask[i]) continue;
+        if (f->one < 0) f->one = i;
+        sfemi_freedom_hold(f, m->x + 3 * (size_t)i, mask[i]);
+    }
+    for (i = 0; i < b->def.max_handles; ++i) {
+        const sfemi_handle *h = b->state.handle + i;
+        sfem_real x[3];
+        if (!h->used || label[h->node[0]] != f->label || mask[h->node[0]] == SFEM_AXIS_ALL) continue;
+        sfemi_schur_mean(h, m->x, x);
+        sfemi_freedom_hold(f, x, SFEM_AXIS_ALL);
+    }
+}
+
+/* A held node on the axis through p along unit w, other than `not`; or -1. */
+static sfem_int sfemi_freedom_node_on(const sfem_body *b, const unsigned char *mask, const sfemi_freedom *f,
+                                      const sfem_int *label, const sfem_real p[3], const sfem_real w[3], sfem_int other)
+{
+    sfem_int i;
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfem_real d[3], off[3];
+        if (i == other || label[i] != f->label || mask[i] != SFEM_AXIS_ALL) continue;
+        sfemi_sub3(b->model->mesh.x + 3 * (size_t)i, p, d);
+        sfemi_cross(w, d, off);
+        if (sqrt(sfemi_dot3(off, off)) < 1e-6 * f->size) return i;
+    }
+    return -1;
+}
+
+/* The motion (t, w) in words. */
+static void sfemi_freedom_name(const sfem_body *b, const unsigned char *mask, const sfem_int *label,
+                               const sfemi_freedom *f, const sfem_real motion[6], char *text, size_t size)
+{
+    const sfem_real *t = motion, length = sqrt(sfemi_dot3(motion + 3, motion + 3));
+    sfem_real w[3], p[3];
+    sfem_int one, two;
+    int c;
+    if (length < 1e-6) {
+        snprintf(text, size, "move along (%.2g, %.2g, %.2g)", t[0], t[1], t[2]);
+        return;
+    }
+    for (c = 0; c < 3; ++c) w[c] = motion[3 + c] / length;
+    sfemi_cross(w, t, p);
+    for (c = 0; c < 3; ++c) p[c] = f->centre[c] + f->size / length * p[c];
+    one = sfemi_freedom_node_on(b, mask, f, label, p, w, -1);
+    two = one < 0 ? -1 : sfemi_freedom_node_on(b, mask, f, label, p, w, one);
+    if (two >= 0)
+        snprintf(text, size, "rotate about the axis through nodes %d and %d", (int)one, (int)two);
+    else if (one >= 0)
+        snprintf(text, size, "rotate about the axis through node %d along (%.2g, %.2g, %.2g)", (int)one, w[0], w[1], w[2]);
+    else
+        snprintf(text, size, "rotate about the axis through (%.3g, %.3g, %.3g) along (%.2g, %.2g, %.2g)", p[0], p[1], p[2],
+                 w[0], w[1], w[2]);
+}
+
+/* Appends what the pins and handles of the part that failed leave free, if anything. */
+static void sfemi_freedom_append(const sfem_body *b, const unsigned char *mask, const sfem_int *label, sfem_int parts,
+                                 sfem_error *err)
+{
+    const size_t used = strlen(err->text);
+    sfem_real g[36], value[6], v[36], motion[6];
+    sfemi_freedom f;
+    char what[128];
+    int free, k;
+    f.label = err->node >= 0 && err->node < b->model->mesh.nodes ? label[err->node] : 0;
+    if (f.label < 0) return;
+    do {
+        sfemi_freedom_gather(b, mask, label, &f);
+        memcpy(g, f.g, sizeof g);
+        sfemi_sym_eigen(6, g, value, v);
+        for (free = 0; free < 6 && !(value[5 - free] > 1e-12 * value[0]);) ++free;
+    } while (free == 0 && err->node < 0 && ++f.label < (parts < 16 ? parts : 16));
+    if (free == 0) return;
+    for (k = 0; k < 6; ++k) motion[k] = v[6 * k + 5];
+    if (f.rows == 0)
+        snprintf(what, sizeof what, "no pin or handle holds %s", parts > 1 ? "this part of the body" : "the body");
+    else if (free == 3 && f.rows == 3 && f.one >= 0 && mask[f.one] == SFEM_AXIS_ALL)
+        snprintf(what, sizeof what, "the pins let the body rotate about node %d", (int)f.one);
+    else if (free > 1)
+        snprintf(what, sizeof what, "pins and handles leave the body %d rigid motions", free);
+    else {
+        memcpy(what, "the pins let the body ", 23);
+        sfemi_freedom_name(b, mask, label, &f, motion, what + 22, sizeof what - 22);
+    }
+    snprintf(err->text + used, sizeof err->text - used, ": %s", what);
+}
+
+/* A body that can still move as a whole has no static solution, or many: names the motion. */
+static void sfemi_body_name_freedom(const sfem_body *b, const unsigned char *mask, sfem_error *err)
+{
+    sfem_int *label, parts = 0;
+    sfem_error none;
+    if (!err || !mask) return;
+    label = (sfem_int *)sfemi_new(&b->allocator, (size_t)b->model->mesh.nodes, sizeof *label);
+    if (label && sfem_mesh_components(&b->model->mesh, label, &parts, &none) == SFEM_OK)
+        sfemi_freedom_append(b, mask, label, parts, err);
+    sfemi_delete(&b->allocator, label);
+}
+
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
 {
     const sfem_real load[3] = {1, 0, 0};
@@ -25745,6 +26056,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     for (i = 0; i < (size_t)b->pin_count; ++i)
         memcpy(b->state.pin[i].past, b->state.pin[i].target, sizeof b->state.pin[i].past);
 done:
+    if (status == SFEM_NOT_SPD || status == SFEM_NOT_CONVERGED || status == SFEM_SINGULAR)
+        sfemi_body_name_freedom(b, mask, err);
     sfemi_factor_release(b->model, b->static_factor);
     b->static_factor = f; /* kept: loads change more often than pins */
     sfemi_delete(&b->allocator, mask);
