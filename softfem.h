@@ -19,6 +19,36 @@
  *
  * A whole program is examples/hello.c.
  *
+ * FUNCTIONS BY TASK, the first ones to look at; the comments at their declarations have the rest
+ *
+ *     load a mesh       sfem_mesh_read, _parse, _copy; sfem_mesh_block, _cylinder, _ball; sfem_mesh_check, _free
+ *     tets of a surface sfem_surface_read, sfem_mesh_from_surface; of a function sfem_mesh_from_sdf
+ *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
+ *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
+ *     matrices, forces  sfem_model_stiffness, _combine, _forces, _tangent; sfem_add_gravity, _traction, _pressure
+ *     make a body       sfem_default_body_def, sfem_body_create, _free; sfem_body_place, _set_state
+ *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
+ *     rest              sfem_body_solve_static
+ *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
+ *     hold and grab     sfem_body_set_pins, _move_pin; sfem_body_grab_node, _grab_point, _move_handle, _release_handle
+ *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
+ *                       sfem_body_handle_force; sfem_model_stress
+ *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
+ *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
+ *                       sfem_body_pieces, _piece_of; surfaces: sfem_body_fragments, _fragment_positions
+ *     save              sfem_body_state_size, _save_state, _load_state
+ *     write files       sfem_mesh_write_msh, _write_vtu, _write_pvd, _write_obj
+ *     share memory      sfem_workspace_create, _free
+ *     modes             sfem_default_modes_def, sfem_modes_create, _hz, _free
+ *     modal bodies      sfem_reduced_create, _free; sfem_modal_create, _step, _solve_static, _free
+ *         push, grab    sfem_modal_set_gravity, _add_lasting_force, _add_step_force; _grab_node, _grab_region
+ *         render        sfem_reduced_view_surface; sfem_modal_to_floats, _normals; _positions, _velocities, _node
+ *         place, save   sfem_modal_set_rigid, _set_coordinates; sfem_modal_save_state; sfem_reduced_save, _load
+ *         stream        sfem_sender_create, _write; sfem_receiver_create, _read, _step, _coordinates
+ *     solve a matrix    sfem_matrix_create; sfem_ldl_create, _refactor, _solve; sfem_cg_solve; sfem_dense_cholesky
+ *     single tets       sfem_law_energy, _stress, _tangent; sfem_polar, sfem_signed_svd
+ *     what went wrong   sfem_error; sfem_status_text
+ *
  * CONTENTS (search for the marker)
  *
  *     API    >>api-base     status, errors, memory, threads       >>api-mesh    >>api-meshio
@@ -32888,7 +32918,9 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
- *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
+ *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused. set_force and
+ *           add_node_force are set_lasting_force and add_lasting_force; forces of one step; bodies are placed; normals;
+ *           sfem_modal_velocities is of nodes; handles protect the edges that they hold; sfem_model_advice
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
  *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
