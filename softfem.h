@@ -18,6 +18,36 @@
  *
  * A whole program is examples/hello.c.
  *
+ * FUNCTIONS BY TASK, the first ones to look at; the comments at their declarations have the rest
+ *
+ *     load a mesh       sfem_mesh_read, _parse, _copy; sfem_mesh_block, _cylinder, _ball; sfem_mesh_check, _free
+ *     tets of a surface sfem_surface_read, sfem_mesh_from_surface; of a function sfem_mesh_from_sdf
+ *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
+ *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
+ *     matrices, forces  sfem_model_stiffness, _combine, _forces, _tangent; sfem_add_gravity, _traction, _pressure
+ *     make a body       sfem_default_body_def, sfem_body_create, _free; sfem_body_place, _set_state
+ *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
+ *     rest              sfem_body_solve_static
+ *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
+ *     hold and grab     sfem_body_set_pins, _move_pin; sfem_body_grab_node, _grab_point, _move_handle, _release_handle
+ *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
+ *                       sfem_body_handle_force; sfem_model_stress
+ *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
+ *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
+ *                       sfem_body_pieces, _piece_of; surfaces: sfem_body_fragments, _fragment_positions
+ *     save              sfem_body_state_size, _save_state, _load_state
+ *     write files       sfem_mesh_write_msh, _write_vtu, _write_pvd, _write_obj
+ *     share memory      sfem_workspace_create, _free
+ *     modes             sfem_default_modes_def, sfem_modes_create, _hz, _free
+ *     modal bodies      sfem_reduced_create, _free; sfem_modal_create, _step, _solve_static, _free
+ *         push, grab    sfem_modal_set_gravity, _add_lasting_force, _add_step_force; _grab_node, _grab_region
+ *         render        sfem_reduced_view_surface; sfem_modal_to_floats, _normals; _positions, _velocities, _node
+ *         place, save   sfem_modal_set_rigid, _set_coordinates; sfem_modal_save_state; sfem_reduced_save, _load
+ *         stream        sfem_sender_create, _write; sfem_receiver_create, _read, _step, _coordinates
+ *     solve a matrix    sfem_matrix_create; sfem_ldl_create, _refactor, _solve; sfem_cg_solve; sfem_dense_cholesky
+ *     single tets       sfem_law_energy, _stress, _tangent; sfem_polar, sfem_signed_svd
+ *     what went wrong   sfem_error; sfem_status_text
+ *
  * CONTENTS (search for the marker)
  *
  *     API    >>api-base     status, errors, memory, threads       >>api-mesh    >>api-meshio
@@ -358,6 +388,14 @@ typedef struct sfem_surface {
 SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
                                        sfem_surface *out, sfem_error *err);
 SFEM_DEF void sfem_surface_free(sfem_surface *surface); /* as sfem_mesh_free */
+
+/* Normals of a surface for rendering, at positions x [nodes][3] (NULL = surface->x): the sum of the area vectors of a
+ * node's triangles, as a unit vector; zero at nodes of no triangle, and where the sum is zero. Those of
+ * sfem_mesh_surface point outwards.
+ *   normal  three floats for node i at i stride bytes from the first
+ *   cost    O(nodes + triangles); nothing is allocated */
+SFEM_DEF void sfem_surface_normals(const sfem_surface *surface, const sfem_real *x, sfem_int nodes, float *normal,
+                                   size_t stride);
 
 /* Connected components by shared nodes, numbered from 0 by their lowest nodes: label[i] is that of node i, -1 if no tet
  * uses it. count may be NULL. SFEM_BAD_MESH for a node number out of
@@ -938,6 +976,14 @@ SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [n
 SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
 
+/* Do these numbers look like metres, kilograms and seconds? Remarks on what is likely to be a mistake of units: a body of
+ * more than 100 m or less than 1 mm, a density below 5 or above 25 000 kg/m^3, a modulus below 10 or above 2e12 Pa, a
+ * body that would sink into itself under its weight on Earth, a Poisson ratio above 0.49, a step h above 0.1 s (0: not
+ * looked at). Nothing else asks for it, and none of them is an error: other consistent units are as good.
+ *   text     [size] or NULL: the remarks, a line each, as many as fit
+ *   returns  how many there are; O(nodes + tets), allocates nothing */
+SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size);
+
 /* out = k K + m M + d D, a new matrix on K's pattern; free it with sfem_matrix_free. (k,m,d) = (0,1,0) gives M, (0,0,1)
  * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
@@ -1052,6 +1098,9 @@ typedef struct sfem_damage_def {
     const sfem_real *region_factor; /* [region_count] > 0, or NULL, by the mesh's region of a tet */
     sfem_int region_count;
     const unsigned char *unbreakable; /* [tets] or NULL: edges of tets marked 1 never break */
+    int protect_handles;         /* 1, the default: edges of tets with a node that a handle holds do not break of
+                                  * themselves while it is held, blades and sfem_body_break_edge break them; 0: they
+                                  * do. A node that is pulled alone stretches its own edges most, and is torn off */
     const sfem_int *line;        /* [line_count][2] nodes of edges with a factor of their own */
     sfem_int line_count;
     sfem_real line_factor;       /* 0 means 1 */
@@ -1063,7 +1112,7 @@ typedef struct sfem_damage_def {
                             * one; up to upright[1] the energies are blended. 0, 0 means 0.05, 0.25 */
 } sfem_damage_def;
 
-/* Condensed, by energy, Gc 100 J/m^2, share 2/3. */
+/* Condensed, by energy, Gc 100 J/m^2, share 2/3; handles are protected. */
 SFEM_DEF sfem_damage_def sfem_default_damage_def(void);
 
 /* One tet by its edges. T is invertible unless the tet is flat: |det T| = (6V)^4 / prod L^2. */
@@ -1386,9 +1435,19 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
 /* Loads. force [nodes][3] (NULL: none) is the load at the end of the next step and stays until changed;
  * before the first step it is the load at the start as well, unless sfem_body_start is called between
  * the two: it fixes the load, and the acceleration, at time 0. */
-SFEM_DEF sfem_status sfem_body_set_force(sfem_body *body, const sfem_real *force, sfem_error *err);
-SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *body, sfem_int node, const sfem_real f[3],
-                                              sfem_error *err);
+SFEM_DEF sfem_status sfem_body_set_lasting_force(sfem_body *body, const sfem_real *force, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *body, sfem_int node, const sfem_real f[3],
+                                                 sfem_error *err);
+/* Adds a force that acts during the next step alone. It is constant over that step, and changes the momentum by f h
+ * exactly, whatever the integrator, also in rejected steps: like sfem_body_add_impulse of f h. It wakes a sleeping
+ * body. It waits for a step that succeeds, and is part of the saved state. Static solutions, and the energy and
+ * reactions between steps, do not see it.
+ *   (p,q,r) and its kin take it as an impulse at the start of the step: the mean velocity of the step, by which nodes
+ *   move, has all of it; sfem_body_velocities, half a step on, up to 3/2 of it until the next step. Newton's methods and
+ *   Newmark hold it constant over the step.
+ *   errors  SFEM_BAD_ARGUMENT (no such node; between sfem_body_predict and _finish: add it to sfem_body_rhs),
+ *           SFEM_NOT_FINITE */
+SFEM_DEF sfem_status sfem_body_add_step_force(sfem_body *body, sfem_int node, const sfem_real f[3], sfem_error *err);
 SFEM_DEF sfem_status sfem_body_set_gravity(sfem_body *body, const sfem_real g[3], sfem_error *err);
 SFEM_DEF void sfem_body_start(sfem_body *body);
 
@@ -1401,8 +1460,18 @@ SFEM_DEF void sfem_body_velocities(const sfem_body *body, sfem_real *v);
 /* The same as floats, for rendering: those of node i are at i stride bytes from the first. Either may be NULL.
  * Allocates nothing. */
 SFEM_DEF void sfem_body_to_floats(const sfem_body *body, float *x, float *v, size_t stride);
+/* sfem_surface_normals of the present positions; surface: that of the body's mesh, or a part of it. */
+SFEM_DEF void sfem_body_normals(const sfem_body *body, const sfem_surface *surface, float *normal, size_t stride);
 SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, const sfem_real *v,
                                          sfem_error *err);
+/* The rest shape, rotated about the origin and then moved, at rest: x = R X + t. All nodes move, pinned ones too, and
+ * their pins hold them there. Else as sfem_body_set_state: handles keep their targets, what is broken stays broken.
+ *   rotation     R by rows, or NULL: none; a proper rotation to 1e-6, of which the nearest exact one is taken
+ *   translation  t, m, or NULL: none
+ *   errors       SFEM_NOT_FINITE; SFEM_BAD_ARGUMENT: R is not a rotation; R turns a body with tets of the linear law,
+ *                or with SFEM_FRAME_REST, which do not know rotations. The state is then as it was */
+SFEM_DEF sfem_status sfem_body_place(sfem_body *body, const sfem_real rotation[9], const sfem_real translation[3],
+                                     sfem_error *err);
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
 
 /* The whole state as one block of bytes. Load it with the same build, on a like machine, into any body of the same
@@ -1857,13 +1926,18 @@ SFEM_DEF void sfem_modal_start(sfem_modal *modal);
 SFEM_DEF void sfem_modal_oscillators(const sfem_modal *modal, sfem_real h, sfem_real *stiffness,
                                      sfem_real *damping);
 
-/* Loads, as sfem_body_set_force has them: at the end of the next step, until changed. A step costs
+/* Loads, as sfem_body_set_lasting_force has them: at the end of the next step, until changed. A step costs
  * the nodes whose force is not zero.
  *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
-SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *modal, const sfem_real *force,
-                                          sfem_error *err);
-SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *modal, sfem_int node,
-                                               const sfem_real f[3], sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_set_lasting_force(sfem_modal *modal, const sfem_real *force,
+                                                  sfem_error *err);
+SFEM_DEF sfem_status sfem_modal_add_lasting_force(sfem_modal *modal, sfem_int node,
+                                                  const sfem_real f[3], sfem_error *err);
+/* Adds a force, N, that acts during the next step alone, constant over it, rotated by the rotations of now. It changes
+ * the momentum of a free body by f h exactly. The step of a receiver, sfem_modal_step_with, static solutions and
+ * sfem_modal_load do not see it; a link has to ask for a key frame after that step, for q'' jumps at its start.
+ *   errors  SFEM_BAD_ARGUMENT, SFEM_NOT_FINITE (node) */
+SFEM_DEF sfem_status sfem_modal_add_step_force(sfem_modal *modal, sfem_int node, const sfem_real f[3], sfem_error *err);
 SFEM_DEF sfem_status sfem_modal_set_gravity(sfem_modal *modal, const sfem_real g[3],
                                             sfem_error *err);
 /* Phi^T R^T F of the present loads, gravity and rotations, [modes]. */
@@ -1895,6 +1969,13 @@ SFEM_DEF void sfem_modal_displacements(const sfem_modal *modal, const sfem_reduc
                                        sfem_real *u);
 SFEM_DEF void sfem_modal_to_floats(const sfem_modal *modal, const sfem_reduced_view *view, float *x,
                                    size_t stride);
+/* Nodal velocities, m/s, as sfem_body_velocities has them: of the warped displacement, with the motion of the frame.
+ * The full rows are read, not those of the view: 12 m multiply-adds a node, 6 m where nothing warps. */
+SFEM_DEF void sfem_modal_velocities(const sfem_modal *modal, const sfem_reduced_view *view, sfem_real *v);
+/* Normals, as sfem_surface_normals, of a view of sfem_reduced_view_surface. x: what sfem_modal_to_floats has written
+ * for it, with the same stride: position and normal may lie side by side in one buffer. */
+SFEM_DEF void sfem_modal_normals(const sfem_modal *modal, const sfem_reduced_view *view, const float *x, float *normal,
+                                 size_t stride);
 /* One node, from the full rows: its position and velocity (of the warped displacement, too); the
  * velocity and the rotation vector w may be NULL. */
 SFEM_DEF void sfem_modal_node(const sfem_modal *modal, sfem_int node, sfem_real x[3],
@@ -3322,18 +3403,35 @@ static sfemi_mesh_fault sfemi_mesh_judge(const sfem_mesh *m, sfem_int t, sfem_re
     return *quality < 0 ? SFEMI_TET_INVERTED : SFEMI_TET_GOOD;
 }
 
+/* Do these numbers look like 1 .. nodes? To be asked where one is out of range. */
+static int sfemi_mesh_counts_from_one(const sfem_int *number, size_t count, sfem_int nodes)
+{
+    size_t i;
+    for (i = 0; i < count; ++i)
+        if (number[i] < 1 || number[i] > nodes) return 0;
+    return 1;
+}
+
 /* The sentence about tet t. */
 static sfem_status sfemi_mesh_complain(const sfem_mesh *m, sfem_int t, sfemi_mesh_fault fault,
                                        sfem_real quality, sfem_error *err)
 {
-    const sfem_int *v = m->tet + 4 * (size_t)t;
-    int i = 0;
+    const sfem_int *v;
+    size_t last = 0;
+    int i = 0, from_one = sfemi_mesh_counts_from_one(m->tet, 4 * (size_t)m->tets, m->nodes);
+    while (from_one && last < 4 * (size_t)m->tets && m->tet[last] != m->nodes) ++last;
+    from_one = from_one && last < 4 * (size_t)m->tets;
+    if (from_one && fault != SFEMI_TET_OUT_OF_RANGE) { /* which makes other tets flat or inverted */
+        t = (sfem_int)(last / 4);
+        fault = SFEMI_TET_OUT_OF_RANGE;
+    }
+    v = m->tet + 4 * (size_t)t;
     switch (fault) {
     case SFEMI_TET_OUT_OF_RANGE:
         while (v[i] >= 0 && v[i] < m->nodes) ++i;
         return sfemi_fail_at(err, SFEM_BAD_MESH, v[i], t,
-                             "tet %ld names node %ld, the mesh has %ld", (long)t, (long)v[i],
-                             (long)m->nodes);
+                             "tet %ld names node %ld, the mesh has %ld%s", (long)t, (long)v[i], (long)m->nodes,
+                             from_one ? ": numbered from 1? Node numbers start at 0" : "");
     case SFEMI_TET_REPEATED:
         while (v[sfemi_mesh_edge[i][0]] != v[sfemi_mesh_edge[i][1]]) ++i;
         return sfemi_fail_at(err, SFEM_BAD_MESH, v[sfemi_mesh_edge[i][0]], t,
@@ -3468,6 +3566,60 @@ SFEM_DEF void sfem_surface_free(sfem_surface *surface)
     sfemi_delete(&surface->allocator, surface->tet);
     sfemi_delete(&surface->allocator, surface->x);
     memset(surface, 0, sizeof *surface);
+}
+
+/* Where the corners of triangles are: at x, at x + u, or at floats, stride bytes apart. */
+typedef struct sfemi_corners {
+    const sfem_real *x, *u;
+    const float *floats;
+    size_t stride;
+} sfemi_corners;
+
+static void sfemi_corner(const sfemi_corners *at, sfem_int node, sfem_real x[3])
+{
+    const size_t i = 3 * (size_t)node, f = (size_t)node * (at->stride / sizeof(float));
+    int c;
+    for (c = 0; c < 3; ++c)
+        x[c] = at->x ? at->x[i + (size_t)c] + (at->u ? at->u[i + (size_t)c] : 0) : (sfem_real)at->floats[f + (size_t)c];
+}
+
+/* Area vectors summed in place. A triangle that is 1e-19 m long still has one as floats. */
+static void sfemi_surface_normals(sfem_int triangles, const sfem_int *tri, const sfemi_corners *at, sfem_int nodes,
+                                  float *normal, size_t stride)
+{
+    const size_t step = stride / sizeof(float);
+    size_t i;
+    sfem_int k;
+    int l, c;
+    SFEM_ASSERT(stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    for (i = 0; i < (size_t)nodes; ++i) normal[i * step] = normal[i * step + 1] = normal[i * step + 2] = 0;
+    for (k = 0; k < triangles; ++k) {
+        const sfem_int *t = tri + 3 * (size_t)k;
+        sfem_real x[3][3], a[3], b[3], area[3];
+        for (l = 0; l < 3; ++l) {
+            SFEM_ASSERT(t[l] >= 0 && t[l] < nodes);
+            sfemi_corner(at, t[l], x[l]);
+        }
+        sfemi_sub3(x[1], x[0], a);
+        sfemi_sub3(x[2], x[0], b);
+        sfemi_cross(a, b, area);
+        for (l = 0; l < 3; ++l)
+            for (c = 0; c < 3; ++c) normal[(size_t)t[l] * step + (size_t)c] += (float)area[c];
+    }
+    for (i = 0; i < (size_t)nodes; ++i) {
+        const sfem_real n[3] = {normal[i * step], normal[i * step + 1], normal[i * step + 2]};
+        const sfem_real length = sqrt(sfemi_dot3(n, n));
+        for (c = 0; c < 3; ++c) normal[i * step + (size_t)c] = length > 0 ? (float)(n[c] / length) : 0;
+    }
+}
+
+SFEM_DEF void sfem_surface_normals(const sfem_surface *surface, const sfem_real *x, sfem_int nodes, float *normal,
+                                   size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(surface && normal && (x || surface->x));
+    at.x = x ? x : surface->x;
+    sfemi_surface_normals(surface->triangles, surface->tri, &at, nodes, normal, stride);
 }
 
 static sfem_status sfemi_mesh_surface(const sfem_mesh *mesh, const sfem_allocator *allocator,
@@ -4792,6 +4944,7 @@ typedef struct sfemi_gmsh {
     sfem_int *group; /* [volume] first physical group, or 0 */
     int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
     int any_group, has_format, has_nodes, has_elements;
+    int64_t triangles, quadratic; /* tets of 10 nodes: what there is besides */
 } sfemi_gmsh;
 
 /* From here on numbers are binary, if the file is. */
@@ -5076,6 +5229,21 @@ done:
     return status;
 }
 
+/* Of a file without 4-node tets: what it has instead. */
+static sfem_status sfemi_mesh_without_tets(sfem_int nodes, int64_t triangles, int64_t quadratic, sfem_error *err)
+{
+    if (quadratic > 0)
+        return sfemi_fail(err, SFEM_BAD_MESH,
+                          "there are %ld nodes and %lld tets of 10 nodes, but no 4-node tets: write a mesh of the first order",
+                          (long)nodes, (long long)quadratic);
+    if (triangles > 0)
+        return sfemi_fail(err, SFEM_BAD_MESH,
+                          "there are %ld nodes and %lld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
+                          "triangles",
+                          (long)nodes, (long long)triangles);
+    return sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets", (long)nodes);
+}
+
 /* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past
  * the rest of the row of one. */
 static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
@@ -5087,6 +5255,8 @@ static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t
                                             12, 15, 15, 21, 4, 5, 6,  20, 35, 56};
     sfemi_scan *s = &g->s;
     uint64_t each;
+    if (!g->m.tet && (type == 2 || type == 9)) g->triangles += count;
+    if (!g->m.tet && type == 11) g->quadratic += count;
     if (!s->order) {
         sfemi_scan_skip_line(s);
         return SFEM_OK;
@@ -5240,6 +5410,7 @@ static sfem_status sfemi_gmsh_elements(sfemi_gmsh *g)
     *s = start;
     SFEMI_TRY(sfemi_gmsh_pass(g, blocks, elements, &tets));
     g->has_elements = 1;
+    if (tets < 1) status = sfemi_mesh_without_tets(g->m.nodes, g->triangles, g->quadratic, err);
 done:
     return status;
 }
@@ -5452,6 +5623,17 @@ static int sfemi_vtk_cell_nodes(int type)
     return type < 15 ? nodes[type] : 0;
 }
 
+static sfem_status sfemi_vtk_without_tets(const sfemi_vtk *r)
+{
+    int64_t triangles = 0, quadratic = 0;
+    sfem_int i;
+    for (i = 0; i < r->cells; ++i) {
+        triangles += r->type[i] == 5 || r->type[i] == 22;
+        quadratic += r->type[i] == 24;
+    }
+    return sfemi_mesh_without_tets(r->m.nodes, triangles, quadratic, r->cell_scan.err);
+}
+
 /* The tets among the cells. */
 static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
 {
@@ -5490,8 +5672,12 @@ static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
             SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node of a tet", &v));
             if (v < 0 || v >= r->m.nodes) {
                 status =
-                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld",
-                                    (long)r->m.tets, (long long)v, (long)r->m.nodes);
+                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld%s",
+                                    (long)r->m.tets, (long long)v, (long)r->m.nodes,
+                                    v == r->m.nodes && sfemi_mesh_counts_from_one(r->m.tet, 4 * (size_t)r->m.tets,
+                                                                                  r->m.nodes)
+                                        ? ": numbered from 1? Points are numbered from 0"
+                                        : "");
                 if (s->err) s->err->tet = r->m.tets;
                 goto done;
             }
@@ -5501,6 +5687,8 @@ static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
     }
     if (left)
         status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
+    else if (t < 1)
+        status = sfemi_vtk_without_tets(r);
 done:
     return status;
 }
@@ -5551,6 +5739,7 @@ typedef struct sfemi_medit {
     sfemi_scan s;
     sfem_mesh m;
     int has_dimension, has_vertices, has_tets;
+    sfem_int triangles;
 } sfemi_medit;
 
 static sfem_status sfemi_medit_dimension(sfemi_medit *r)
@@ -5631,7 +5820,7 @@ static int sfemi_medit_at_keyword(sfemi_scan *s)
 
 /* Goes past what belongs to a keyword that is not needed: its count, and the numbers of each thing,
  * if the keyword is known; else all up to the next keyword. */
-static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
+static sfem_status sfemi_medit_skip(sfemi_medit *r, sfemi_word name)
 {
     static const struct {
         const char *name;
@@ -5656,6 +5845,7 @@ static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
                  {"NormalAtQuadrilateralVertices", 4},
                  {"TangentAtVertices", 2},
                  {"TangentAtEdgeVertices", 3}};
+    sfemi_scan *s = &r->s;
     char what[64];
     sfem_status status;
     sfem_int n = 0;
@@ -5674,6 +5864,7 @@ static sfem_status sfemi_medit_skip(sfemi_scan *s, sfemi_word name)
             status = sfemi_scan_expected(s, what, sfemi_scan_peek(s));
         else
             sfemi_scan_word(s);
+    if (sfemi_word_is(name, "Triangles")) r->triangles = n;
     return status;
 }
 
@@ -5699,11 +5890,17 @@ static sfem_status sfemi_medit_read(sfemi_medit *r)
         else if (sfemi_word_is(w, "Tetrahedra"))
             SFEMI_TRY(sfemi_medit_tets(r));
         else
-            SFEMI_TRY(sfemi_medit_skip(s, w));
+            SFEMI_TRY(sfemi_medit_skip(r, w));
     }
-    if (!r->has_tets)
+    if (!r->has_tets && r->has_vertices && r->triangles > 0)
+        status = sfemi_scan_fail(s, SFEM_FORMAT,
+                                 "there are no Tetrahedra, but %ld Triangles: sfem_mesh_from_surface makes tets of triangles",
+                                 (long)r->triangles);
+    else if (!r->has_tets)
         status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
                                  r->has_vertices ? "Tetrahedra" : "Vertices");
+    else if (r->m.tets < 1)
+        status = sfemi_mesh_without_tets(r->m.nodes, r->triangles, 0, s->err);
 done:
     return status;
 }
@@ -7298,8 +7495,11 @@ static sfem_status sfemi_repair_check(const sfem_surface *s, sfem_error *err)
     for (k = 0; k < 3 * (size_t)s->triangles; ++k) {
         i = s->tri[k];
         if (i < 0 || i >= s->nodes)
-            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names vertex %ld, not in 0 .. %ld", (long)(k / 3),
-                              (long)i, (long)s->nodes - 1);
+            return sfemi_fail(err, SFEM_BAD_MESH, "triangle %ld names vertex %ld, not in 0 .. %ld%s", (long)(k / 3),
+                              (long)i, (long)s->nodes - 1,
+                              sfemi_mesh_counts_from_one(s->tri, 3 * (size_t)s->triangles, s->nodes)
+                                  ? ": numbered from 1?"
+                                  : "");
         for (c = 0; c < 3; ++c)
             if (!sfemi_finite(s->x[3 * (size_t)i + (size_t)c]))
                 return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "vertex %ld of the surface is not finite", (long)i);
@@ -14244,6 +14444,27 @@ static sfem_int sfemi_fem_material_of(const sfem_model_def *def, sfem_int tet)
     return def->mesh->region ? def->mesh->region[tet] : 0;
 }
 
+/* Numbers like 1 .. count are those of a file that counts from 1. */
+static sfem_status sfemi_fem_missing_material(const sfem_model_def *def, sfem_int tet, sfem_int m, sfem_error *err)
+{
+    const sfem_int count = def->material_count;
+    const char *what = def->tet_material ? "tet_material" : "region";
+    sfem_int least = m, most = m, i;
+    for (i = 0; i < def->mesh->tets; ++i) {
+        const sfem_int k = sfemi_fem_material_of(def, i);
+        least = k < least ? k : least;
+        most = k > most ? k : most;
+    }
+    if (least == 1 && most == count)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
+                             "tet %d has material %d, there are 0 to %d: %s numbers start at 0, those of this mesh at 1",
+                             (int)tet, (int)m, (int)count - 1, what);
+    return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
+                         "tet %d has material %d, which is missing: there are %d, and the %s numbers of this mesh are %d to "
+                         "%d, from 0",
+                         (int)tet, (int)m, (int)count, what, (int)least, (int)most);
+}
+
 static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
 {
     const sfem_int count = def->materials ? def->material_count : 1;
@@ -14261,8 +14482,7 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     for (i = 0; i < def->mesh->tets; ++i) {
         const sfem_int m = sfemi_fem_material_of(def, i);
         if (m < 0 || m >= count)
-            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, i,
-                                 "tet %d has material %d, there are %d", (int)i, (int)m, (int)count);
+            return sfemi_fem_missing_material(def, i, m, err);
     }
     return SFEM_OK;
 }
@@ -14692,6 +14912,80 @@ SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model)
 {
     SFEM_ASSERT(model);
     return model->total_mass;
+}
+
+/* ---- units: what is seldom meant. The softest gels have some 10 Pa and rubber foam 5 to 50 kg/m^3, the stiffest and
+ * densest stuff is diamond (1.2e12 Pa) and osmium (22 600 kg/m^3). ---- */
+
+typedef struct sfemi_advice {
+    char *text;
+    size_t size, used;
+    int count;
+} sfemi_advice;
+
+static void sfemi_advice_add(sfemi_advice *a, const char *format, ...)
+{
+    char line[240];
+    size_t length;
+    va_list list;
+    va_start(list, format);
+    vsnprintf(line, sizeof line, format, list);
+    va_end(list);
+    length = strlen(line);
+    if (a->text && a->used + length + (a->count > 0) < a->size) {
+        if (a->count > 0) a->text[a->used++] = '\n';
+        memcpy(a->text + a->used, line, length + 1);
+        a->used += length;
+    }
+    ++a->count;
+}
+
+/* Of density, modulus and Poisson's ratio: the least and the most of all tets. */
+static void sfemi_advice_materials(const sfem_model *m, sfem_real across, sfemi_advice *a)
+{
+    sfem_real density[2] = {1e300, 0}, young[2] = {1e300, 0}, poisson = -1, soft = 0;
+    sfem_int e;
+    for (e = 0; e < m->mesh.tets; ++e) {
+        const sfem_real l = m->lambda[e], mu = m->mu[e], nu = l / (2 * (l + mu)), modulus = 2 * mu * (1 + nu);
+        density[0] = fmin(density[0], m->density[e]);
+        density[1] = fmax(density[1], m->density[e]);
+        young[0] = fmin(young[0], modulus);
+        young[1] = fmax(young[1], modulus);
+        poisson = fmax(poisson, nu);
+        soft = fmax(soft, m->density[e] / modulus);
+    }
+    if (density[0] < 5) sfemi_advice_add(a, "a density is %.4g kg/m^3, water has 1000: in g/cm^3?", density[0]);
+    if (density[1] > 25000) sfemi_advice_add(a, "a density is %.4g kg/m^3, water has 1000: more than any material has", density[1]);
+    if (young[0] < 10) sfemi_advice_add(a, "a modulus is %.4g Pa, jelly has 1e4, rubber 1e6: in MPa or GPa?", young[0]);
+    if (young[1] > 2e12) sfemi_advice_add(a, "a modulus is %.4g Pa, steel has 2e11: more than diamond has", young[1]);
+    if (soft * 9.81 * across > 1)
+        sfemi_advice_add(a, "a body of %.4g m with this density and modulus sinks into itself: its own weight is %.2g times the modulus",
+                         across, soft * 9.81 * across);
+    if (poisson > 0.49)
+        sfemi_advice_add(a, "a Poisson ratio is %.4g: linear tets are far too stiff above 0.49", poisson);
+}
+
+SFEM_DEF int sfem_model_advice(const sfem_model *model, sfem_real h, char *text, size_t size)
+{
+    sfem_real low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300}, across = 0;
+    sfemi_advice a = {0, 0, 0, 0};
+    sfem_int i;
+    int c;
+    SFEM_ASSERT(model);
+    a.text = size > 0 ? text : NULL;
+    a.size = size;
+    if (a.text) a.text[0] = 0;
+    for (i = 0; i < model->mesh.nodes; ++i)
+        for (c = 0; model->node_mass[i] > 0 && c < 3; ++c) {
+            low[c] = fmin(low[c], model->mesh.x[3 * (size_t)i + (size_t)c]);
+            high[c] = fmax(high[c], model->mesh.x[3 * (size_t)i + (size_t)c]);
+        }
+    for (c = 0; c < 3; ++c) across = fmax(across, high[c] - low[c]);
+    if (across > 100) sfemi_advice_add(&a, "the body is %.4g m across: in mm or cm?", across);
+    if (across < 1e-3) sfemi_advice_add(&a, "the body is %.4g m across: in km?", across);
+    sfemi_advice_materials(model, across, &a);
+    if (h > 0.1) sfemi_advice_add(&a, "the step is %.4g s: in ms? 1/60 s is usual", h);
+    return a.count;
 }
 
 /* block = k K + m M + d D at place `at` of the pattern, (i, j) its row and column. D is resolved into
@@ -15522,6 +15816,7 @@ typedef struct sfemi_damage {
     sfem_real *peak;         /* [edges] largest strain so far; NULL unless ductile */
     unsigned char *mark;     /* [edges] a blade has crossed it: 1 + rounds waited */
     /* derived */
+    unsigned char *held;     /* [edges] 1: of a tet with a node that a handle holds, if these are protected */
     sfem_int tets, *tet;     /* [tets] the damaged ones, ascending */
     unsigned char *kind;     /* [model tets] SFEMI_INTACT .. */
     sfem_real *s;            /* [model tets][6][6] S_d of damaged tets */
@@ -15555,6 +15850,7 @@ SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
     memset(&d, 0, sizeof d);
     d.cookie = SFEMI_COOKIE_DAMAGE;
     d.toughness = 100;
+    d.protect_handles = 1;
     return d;
 }
 
@@ -15924,6 +16220,7 @@ static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
     al = d->allocator;
     sfemi_delete(&al, d->tet);
     sfemi_delete(&al, d->kind);
+    sfemi_delete(&al, d->held);
     sfemi_delete(&al, d->s);
     sfemi_delete(&al, d->block);
     sfemi_delete(&al, d->lane);
@@ -15964,6 +16261,7 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     d->bonds = bonds;
     SFEMI_NEW(sfem_int, d->tet, allocator, tets);
     SFEMI_NEW(unsigned char, d->kind, allocator, tets);
+    SFEMI_NEW(unsigned char, d->held, allocator, edges);
     SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
     if (model->rotates) {
         SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
@@ -16636,7 +16934,7 @@ static void sfemi_damage_near_task(void *data, sfem_int index)
     sfem_int end, k = sfemi_damage_range(index, g->edges, &end), i;
     for (; k < end; ++k) {
         d->near_candidate[k] = 0;
-        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k]) continue;
+        if (!(d->strain[k] > 0) || !(d->zeta[k] > 0) || g->never[k] || d->held[k]) continue;
         for (i = g->tet_start[k]; i < g->tet_start[k + 1] && !d->near_candidate[k]; ++i)
             d->near_candidate[k] = d->candidate[g->edge_tet[i] / 6];
     }
@@ -17013,7 +17311,7 @@ static void sfemi_damage_soften(sfemi_damage *d, const sfemi_damage_step *step,
     const sfemi_bonds *g = d->bonds;
     sfem_int k;
     for (k = 0; k < g->edges; ++k) {
-        if (!(d->zeta[k] > 0) || g->never[k]) continue;
+        if (!(d->zeta[k] > 0) || g->never[k] || d->held[k]) continue;
         if (d->near_candidate[k] && d->strain[k] > d->peak[k] && sfemi_damage_rankine(d, k))
             d->peak[k] = d->strain[k];
         if (sfemi_damage_soft(d, k) < d->zeta[k])
@@ -17651,6 +17949,8 @@ typedef struct sfemi_state_head {
     sfem_int current;   /* f, psi and frame belong to u */
     sfem_int rebase;    /* SFEMI_REBASE where what counts as free has changed: a new energy budget; _NEW_: and scale */
     sfem_int sleep;     /* SFEMI_AWAKE, SFEMI_CALM (since calm seconds), SFEMI_ASLEEP */
+    sfem_int step_forces;   /* step_force is not zero */
+    sfem_int unused;
     int64_t steps, rejected;
     sfem_real lag; /* >>alpha: how much later than the start of the last step its acceleration is */
     sfem_real psi, budget, scale, last; /* >>safeguard: the energy at u, the energy budget, Ec of the last step, */
@@ -17685,6 +17985,7 @@ typedef struct sfemi_state {
     sfemi_state_head *head;
     sfem_real *u, *w, *a;  /* [nodes][3] */
     sfem_real *force[3];   /* [nodes][3] at the end of the next step, at its start, one step before */
+    sfem_real *step_force; /* [nodes][3] during the next step alone */
     sfem_real *f, *f_past, *f_past2; /* [nodes][3] the internal force at u, one and two steps before; */
     sfem_real *frame;      /* [nodes][3][3] Q: these only where the body rotates */
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
@@ -17909,6 +18210,7 @@ typedef struct sfemi_step {
     int falls;         /* >>resume: velocity is to be taken from the right side */
     int fresh;         /* >>resume: it starts from `velocity`, the state being that of a running body; else from w */
     int starts_from_mass; /* >>resume: it starts from m = r M w, not from A w */
+    int jumps;         /* it starts from the state's acceleration and `jump`; KR-alpha from its velocity and h jump */
 } sfemi_step;
 
 /* Between which of predict, solve and finish a step is. */
@@ -17955,6 +18257,7 @@ struct sfem_body {
     int is_late;
     sfem_real *kick;       /* [nodes][3] N s, the impulses among it, if kicked */
     int kicked;
+    sfem_real *jump;       /* [nodes][3] M^-1 F1, the forces of this step alone, if step.jumps */
     sfem_real *base;       /* >>alpha: [nodes][3] the velocity that a step adds its acceleration to; else NULL */
     sfem_real *velocity;   /* >>resume: [nodes][3] what a step starts from, if step.fresh; is to lose, if step.falls */
     sfemi_rotated rotated;       /* >>rotated */
@@ -17998,7 +18301,7 @@ static int sfemi_state_check_head(const void *shape, const char *at, size_t coun
            h.rebase >= SFEMI_LEDGER && h.rebase <= SFEMI_NEW_LEDGER && h.sleep >= SFEMI_AWAKE &&
            h.sleep <= (sleeps ? SFEMI_ASLEEP : SFEMI_AWAKE) && sfemi_finite(h.lag) && sfemi_finite(h.gamma) &&
            h.estimate >= 0 && h.rate >= 0 && h.rate <= 1 && sfemi_finite(h.pair_h) && sfemi_finite(h.calm) &&
-           h.calm >= 0 && sfemi_state_check_counts(&h);
+           h.calm >= 0 && h.step_forces >= 0 && h.step_forces <= 1 && sfemi_state_check_counts(&h);
 }
 
 static int sfemi_state_check_targets(const void *shape, const char *at, size_t count)
@@ -18067,6 +18370,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_LOAD(0),
     SFEMI_LOAD(1),
     SFEMI_LOAD(2),
+    SFEMI_ROW(step_force, 3, nodes, sfemi_saved_finite, "a load"),
     SFEMI_ROW(f, 3, rotating, NULL, NULL),
     SFEMI_ROW(f_past, 3, rotating, NULL, NULL),
     SFEMI_ROW(f_past2, 3, rotating, NULL, NULL),
@@ -18080,7 +18384,7 @@ static const sfemi_saved_array sfemi_state_array[] = {
 #undef SFEMI_ROW
 #undef SFEMI_LOAD
 
-static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 6, sfemi_state_array);
 
 /* ============================================================================================
  * >>workspace   a step's temporaries, which bodies may share
@@ -18157,7 +18461,8 @@ static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t 
 /* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
 static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
 {
-    sfem_real **const vector[] = {&b->rhs, &b->acc, &b->zk, &b->zm, &b->predicted, &b->late, &b->kick};
+    sfem_real **const vector[] = {&b->rhs,       &b->acc,  &b->zk,   &b->zm,
+                                  &b->predicted, &b->late, &b->kick, &b->jump};
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     size_t used = 0, k;
     for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, &used);
@@ -18551,8 +18856,9 @@ static void sfemi_newmark_guess(const sfem_body *b, size_t i, sfem_real *u, sfem
     const sfem_real h = b->step.h;
     const sfemi_state *s = &b->state;
     const sfem_real w = sfemi_body_way(b)[i];
-    *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * s->a[i]);
-    *v = w + (1 - b->def.gamma) * h * s->a[i];
+    const sfem_real a = b->step.jumps ? s->a[i] + b->jump[i] : s->a[i];
+    *u = s->u[i] + h * (w + h * (0.5 - b->def.beta) * a);
+    *v = w + (1 - b->def.gamma) * h * a;
 }
 
 static void sfemi_newmark_predict(sfem_body *b)
@@ -19394,6 +19700,7 @@ static void sfemi_implicit_predict(sfem_body *b)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfemi_implicit *m = &b->implicit;
+    size_t i;
     memset(m->mid_d, 0, n * sizeof *m->mid_d);
     memset(m->mid_v, 0, n * sizeof *m->mid_v);
     if (b->state.head->started == SFEMI_RUNNING) {
@@ -19405,6 +19712,7 @@ static void sfemi_implicit_predict(sfem_body *b)
         sfemi_implicit_balance(b, 1, m->v, NULL, b->rhs);
         sfemi_body_mass_solve(b, m->a0);
     }
+    for (i = 0; b->step.jumps && i < n; ++i) m->a0[i] += b->jump[i];
     sfemi_implicit_load(b, 0, b->rhs);
 }
 
@@ -22908,6 +23216,26 @@ static void sfemi_fracture_account(sfem_body *b)
     k->scale = fmax(k->scale, size);
 }
 
+/* Which edges handles protect, after handles have come or gone. */
+static void sfemi_fracture_protect(sfem_body *b)
+{
+    const sfemi_bonds *g = b->bonds;
+    sfem_int i, at, l;
+    int p, k;
+    memset(b->damage->held, 0, (size_t)g->edges);
+    for (i = 0; g->def.protect_handles && i < b->def.max_handles; ++i) {
+        const sfemi_handle *h = b->state.handle + i;
+        for (p = 0; h->used && p < 4; ++p) {
+            if (h->weight[p] == 0) continue;
+            for (at = g->node_start[h->node[p]]; at < g->node_start[h->node[p] + 1]; ++at) {
+                const sfem_int edge = g->node_edge[at];
+                for (l = g->tet_start[edge]; l < g->tet_start[edge + 1]; ++l)
+                    for (k = 0; k < 6; ++k) b->damage->held[g->tet_edge[6 * (g->edge_tet[l] / 6) + k]] = 1;
+            }
+        }
+    }
+}
+
 /* The pieces as >>damage has them, which of them are held, and what they weigh. */
 static void sfemi_fracture_regroup(sfem_body *b)
 {
@@ -23051,7 +23379,7 @@ static void sfemi_sleep_compare_load(sfem_body *b)
 static int sfemi_sleep_step(sfem_body *b, sfem_real h)
 {
     sfemi_state_head *head = b->state.head;
-    if (head->sleep != SFEMI_ASLEEP || !(sfemi_finite(h) && h > 0)) return 0;
+    if (head->sleep != SFEMI_ASLEEP || head->step_forces || !(sfemi_finite(h) && h > 0)) return 0;
     sfemi_sleep_compare_load(b);
     if (head->sleep != SFEMI_ASLEEP) return 0;
     head->time += h;
@@ -23458,6 +23786,14 @@ static void sfemi_linear_correct_momentum(sfem_body *b)
     sfemi_rotated_correct_momentum(b, b->factor->key.cm, b->acc);
 }
 
+/* KR-alpha: the forces of this step alone change the velocity that it starts from. On the right side the next step would
+ * take a part of them back, by its -back a. */
+static void sfemi_linear_kick(const sfem_body *b, sfem_real *v)
+{
+    size_t i;
+    for (i = 0; b->step.jumps && i < 3 * (size_t)b->model->mesh.nodes; ++i) v[i] += b->step.h * b->jump[i];
+}
+
 static void sfemi_linear_predict(sfem_body *b)
 {
     const sfem_real h = b->step.h;
@@ -23465,6 +23801,7 @@ static void sfemi_linear_predict(sfem_body *b)
     b->step.falls = sfemi_resume_change(b, h);
     sfemi_pqr_weigh(b, h);
     if (b->step.bridges) {
+        sfemi_linear_kick(b, b->velocity);
         sfemi_resume_bridge_predict(b);
         return;
     }
@@ -23472,6 +23809,7 @@ static void sfemi_linear_predict(sfem_body *b)
     else sfemi_pqr_predict(b);
     sfemi_resume_lessen(b, b->rhs);
     sfemi_linear_rigid_load(b);
+    if (b->base) sfemi_linear_kick(b, b->base);
 }
 
 static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
@@ -23867,6 +24205,7 @@ static int sfemi_body_corrects_momentum(const sfem_body *b)
 /* Which pieces are held; a body that does not turn has them in their places for good. */
 static void sfemi_body_find_held(sfem_body *b)
 {
+    if (b->damage) sfemi_fracture_protect(b);
     if (!b->rotated.pieces) return;
     sfemi_rotated_find_held(b);
     if (!b->scheme.rotates) sfemi_rotated_locate(b, NULL);
@@ -24238,6 +24577,51 @@ static void sfemi_body_undo(sfem_body *b)
     b->phase = SFEMI_IDLE;
 }
 
+/* How long a force on the right side acts, so that d F is the change of momentum. */
+static sfem_real sfemi_body_span(const sfem_body *b)
+{
+    return b->scheme.mean ? b->step.d - b->step.back : b->step.h;
+}
+
+/* ---- forces of one step, F1
+ *
+ * Methods that keep the mean velocity w take h F1 as an impulse, on the right side; KR-alpha of linear bodies, whose
+ * next step takes a part of a back, as w + M^-1 h F1 at the start. The others have accelerations at both ends of the
+ * step: a spike of one step would leave a part of h F1 to the next step, and another part where its length differs. So
+ * F1 is constant over the step, and a jumps at both of its ends:
+ *     a+ = a + M^-1 F1,   the step from a+ under F + F1,   a = a' - M^-1 F1 from then on ---- */
+
+static void sfemi_step_force_find_jump(sfem_body *b)
+{
+    b->step.jumps = b->state.head->step_forces && (!b->scheme.mean || (b->scheme.lagging && !b->scheme.rotates));
+    if (b->state.head->step_forces) sfemi_sleep_wake_up(b);
+    if (!b->step.jumps) return;
+    memcpy(b->rhs, b->state.step_force, 3 * (size_t)b->model->mesh.nodes * sizeof *b->rhs);
+    sfemi_body_mass_solve(b, b->jump);
+}
+
+static void sfemi_step_force_apply(sfem_body *b)
+{
+    const sfem_real h = b->step.h, share = h / sfemi_body_span(b);
+    size_t i;
+    if (!b->state.head->step_forces || (b->step.jumps && b->scheme.mean)) return;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) {
+        b->rhs[i] += share * b->state.step_force[i];
+        b->kick[i] = h * b->state.step_force[i];
+    }
+    b->kicked = 1;
+}
+
+static void sfemi_step_force_end(sfem_body *b)
+{
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    size_t i;
+    if (!b->state.head->step_forces) return;
+    for (i = 0; b->step.jumps && !b->scheme.mean && i < n; ++i) b->state.a[i] -= b->jump[i];
+    memset(b->state.step_force, 0, n * sizeof *b->state.step_force);
+    b->state.head->step_forces = 0;
+}
+
 static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err)
 {
     sfem_status status;
@@ -24258,6 +24642,7 @@ static sfem_status sfemi_body_predict(sfem_body *b, sfem_real h, sfem_error *err
     if (b->state.head->sleep == SFEMI_ASLEEP) sfemi_sleep_wake_up(b);
     sfemi_sleep_compare_load(b);
     b->step.bridges = b->step.falls = b->step.fresh = b->step.starts_from_mass = 0;
+    sfemi_step_force_find_jump(b);
     b->scheme.method->predict(b);
     b->phase = SFEMI_PREDICTED;
     return SFEM_OK;
@@ -24274,6 +24659,7 @@ SFEM_DEF sfem_status sfem_body_predict(sfem_body *b, sfem_real h, sfem_error *er
     memcpy(b->predicted, b->rhs, bytes);
     memset(b->late, 0, bytes); /* add_impulse adds to it, and the workspace is another body's before */
     b->is_late = b->kicked = 0;
+    sfemi_step_force_apply(b);
     return SFEM_OK;
 }
 
@@ -24341,6 +24727,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->scheme.method->finish(b);
     for (i = 0; i < g->count; ++i)
         sfemi_target_advance(&b->state.handle[g->slot[i]].path, g->place + 3 * i);
+    sfemi_step_force_end(b);
     b->state.head->time += b->step.h;
     b->state.head->h = b->step.h;
     b->state.head->p = b->p;
@@ -24361,7 +24748,7 @@ SFEM_DEF sfem_status sfem_body_step(sfem_body *b, sfem_real h, sfem_error *err)
     sleep = b->state.head->sleep;
     if (sfemi_sleep_step(b, h)) return SFEM_OK;
     b->rotated.by_hand = b->kicked = 0;
-    status = sfemi_body_predict(b, h, err);
+    status = b->state.head->step_forces ? sfem_body_predict(b, h, err) : sfemi_body_predict(b, h, err);
     if (status == SFEM_OK) status = sfem_body_solve(b, err);
     if (status == SFEM_OK) status = sfem_body_finish(b, err);
     if (status != SFEM_OK) b->state.head->sleep = sleep; /* what has woken it will do so again */
@@ -24421,12 +24808,6 @@ static sfem_status sfemi_body_check_node(const sfem_body *b, sfem_int node, cons
     return SFEM_OK;
 }
 
-/* How long a force on the right side acts, so that d F is the change of momentum. */
-static sfem_real sfemi_body_span(const sfem_body *b)
-{
-    return b->scheme.mean ? b->step.d - b->step.back : b->step.h;
-}
-
 SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sfem_real j[3], sfem_error *err)
 {
     sfem_real *to, sum[3];
@@ -24448,7 +24829,7 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *b, sfem_int node, const sf
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, sfem_error *err)
+SFEM_DEF sfem_status sfem_body_set_lasting_force(sfem_body *b, const sfem_real *force, sfem_error *err)
 {
     SFEM_ASSERT(b);
     const sfem_int nodes = b->model->mesh.nodes;
@@ -24460,8 +24841,8 @@ SFEM_DEF sfem_status sfem_body_set_force(sfem_body *b, const sfem_real *force, s
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const sfem_real f[3],
-                                              sfem_error *err)
+SFEM_DEF sfem_status sfem_body_add_lasting_force(sfem_body *b, sfem_int node, const sfem_real f[3],
+                                                 sfem_error *err)
 {
     SFEM_ASSERT(b && f);
     const sfem_status status = sfemi_body_check_node(b, node, f, "force", err);
@@ -24473,6 +24854,26 @@ SFEM_DEF sfem_status sfem_body_add_node_force(sfem_body *b, sfem_int node, const
     if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
     memcpy(at, sum, sizeof sum);
     sfemi_body_load_changed(b);
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_add_step_force(sfem_body *b, sfem_int node, const sfem_real f[3], sfem_error *err)
+{
+    sfem_real *at, sum[3];
+    sfem_status status;
+    int c;
+    SFEM_ASSERT(b && f);
+    status = sfemi_body_check_node(b, node, f, "force", err);
+    if (status != SFEM_OK) return status;
+    if (b->phase != SFEMI_IDLE)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "a step is under way, between sfem_body_predict and _finish: add the force to sfem_body_rhs");
+    if (f[0] == 0 && f[1] == 0 && f[2] == 0) return SFEM_OK; /* which does not wake it */
+    at = b->state.step_force + 3 * (size_t)node;
+    for (c = 0; c < 3; ++c) sum[c] = at[c] + f[c];
+    if (!sfemi_all_finite(sum, 3)) return sfemi_body_check_node(b, node, sum, "force", err);
+    memcpy(at, sum, sizeof sum);
+    b->state.head->step_forces = 1;
     return SFEM_OK;
 }
 
@@ -24541,6 +24942,15 @@ SFEM_DEF void sfem_body_to_floats(const sfem_body *b, float *x, float *v, size_t
             if (b->mask[b->pin[k]] >> c & 1) v[(size_t)b->pin[k] * (stride / sizeof(float)) + (size_t)c] = 0;
 }
 
+SFEM_DEF void sfem_body_normals(const sfem_body *b, const sfem_surface *surface, float *normal, size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(b && surface && normal);
+    at.x = b->model->mesh.x;
+    at.u = b->state.u;
+    sfemi_surface_normals(surface->triangles, surface->tri, &at, b->model->mesh.nodes, normal, stride);
+}
+
 /* Starts the integrator afresh from u and the velocity in w. */
 static void sfemi_body_restart(sfem_body *b)
 {
@@ -24580,6 +24990,57 @@ SFEM_DEF sfem_status sfem_body_set_state(sfem_body *b, const sfem_real *u, const
         b->state.w[i] = v && !held ? v[i] : 0;
     }
     sfemi_body_restart(b);
+    return SFEM_OK;
+}
+
+/* The rotation nearest to r, if r is one to 1e-6 and the body can bear it. */
+static sfem_status sfemi_body_check_rotation(const sfem_body *b, const sfem_real r[9], sfem_real proper[9],
+                                             sfem_error *err)
+{
+    sfem_real cofactor[9], most = 0, turned = 0;
+    sfem_int e;
+    int k;
+    if (!sfemi_all_finite(r, 9)) return sfemi_fail(err, SFEM_NOT_FINITE, "the rotation is not finite");
+    sfemi_cofactor3(r, cofactor); /* R itself, of a rotation */
+    for (k = 0; k < 9; ++k) most = fmax(most, fabs(cofactor[k] - r[k]));
+    if (!(most <= 1e-6) || !(sfemi_dot3(r, r) > 0.5))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the matrix is not a proper rotation: its rows have to be orthonormal and det R 1, to 1e-6");
+    sfem_polar(r, proper, NULL);
+    for (k = 0; k < 9; ++k) turned = fmax(turned, fabs(proper[k] - (k % 4 == 0)));
+    if (turned < 1e-12) return SFEM_OK; /* its strain is rounding */
+    for (e = 0; e < b->model->mesh.tets; ++e)
+        if (b->model->law[e] == SFEM_LINEAR)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, e,
+                                 "tet %d has the linear law, which does not know rotations: place the body without one, "
+                                 "or rotate its mesh",
+                                 (int)e);
+    if (b->scheme.rotates && b->def.frame == SFEM_FRAME_REST)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "the body has SFEM_FRAME_REST, which does not know rotations: place it without one");
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_body_place(sfem_body *b, const sfem_real rotation[9], const sfem_real translation[3],
+                                     sfem_error *err)
+{
+    static const sfem_real none[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    sfem_real r[9], t[3] = {0, 0, 0};
+    sfem_int i;
+    int c;
+    SFEM_ASSERT(b);
+    const sfem_status status = sfemi_body_check_rotation(b, rotation ? rotation : none, r, err);
+    if (status != SFEM_OK) return status;
+    if (translation) memcpy(t, translation, sizeof t);
+    if (!sfemi_all_finite(t, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "the translation is not finite");
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        const sfem_real *x = b->model->mesh.x + 3 * (size_t)i;
+        sfem_real *u = b->state.u + 3 * (size_t)i;
+        for (c = 0; c < 3; ++c) u[c] = sfemi_dot3(r + 3 * c, x) - x[c] + t[c];
+    }
+    memset(b->state.w, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->state.w);
+    sfemi_body_restart(b);
+    sfemi_body_place_pins(b);
     return SFEM_OK;
 }
 
@@ -25448,6 +25909,150 @@ done:
     return status;
 }
 
+/* ---- which rigid motions pins and handles leave free: a sentence for a solution that failed ----
+ *
+ * A held axis c at x takes from the motions t + w x (x - centre) those with e_c.t + e_c.(w x d) != 0. What is left is
+ * the null space of the sum of these rows' products, w in units of 1/size. */
+typedef struct sfemi_freedom {
+    sfem_real g[36], centre[3], size;
+    sfem_int label, rows, one; /* the part of the mesh; rows; a node that is held, or -1 */
+} sfemi_freedom;
+
+static void sfemi_freedom_hold(sfemi_freedom *f, const sfem_real x[3], int axes)
+{
+    sfem_real d[3];
+    int c, k, l;
+    for (c = 0; c < 3; ++c) d[c] = (x[c] - f->centre[c]) / f->size;
+    for (c = 0; c < 3; ++c) {
+        sfem_real row[6] = {0, 0, 0, 0, 0, 0};
+        if (!(axes >> c & 1)) continue;
+        row[c] = 1;
+        row[3 + (c + 1) % 3] = d[(c + 2) % 3];
+        row[3 + (c + 2) % 3] = -d[(c + 1) % 3];
+        for (k = 0; k < 6; ++k)
+            for (l = 0; l < 6; ++l) f->g[6 * k + l] += row[k] * row[l];
+        ++f->rows;
+    }
+}
+
+/* The rows of one part of the mesh. */
+static void sfemi_freedom_gather(const sfem_body *b, const unsigned char *mask, const sfem_int *label, sfemi_freedom *f)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_int i, n = 0;
+    int c;
+    memset(f->g, 0, sizeof f->g);
+    memset(f->centre, 0, sizeof f->centre);
+    f->rows = 0;
+    f->size = 0;
+    f->one = -1;
+    for (i = 0; i < m->nodes; ++i) {
+        if (label[i] != f->label) continue;
+        for (c = 0; c < 3; ++c) f->centre[c] += (m->x[3 * (size_t)i + (size_t)c] - f->centre[c]) / (n + 1);
+        ++n;
+    }
+    for (i = 0; i < m->nodes; ++i)
+        for (c = 0; label[i] == f->label && c < 3; ++c)
+            f->size = fmax(f->size, fabs(m->x[3 * (size_t)i + (size_t)c] - f->centre[c]));
+    for (i = 0; i < m->nodes; ++i) {
+        if (label[i] != f->label || !mask[i]) continue;
+        if (f->one < 0) f->one = i;
+        sfemi_freedom_hold(f, m->x + 3 * (size_t)i, mask[i]);
+    }
+    for (i = 0; i < b->def.max_handles; ++i) {
+        const sfemi_handle *h = b->state.handle + i;
+        sfem_real x[3];
+        if (!h->used || label[h->node[0]] != f->label || mask[h->node[0]] == SFEM_AXIS_ALL) continue;
+        sfemi_schur_mean(h, m->x, x);
+        sfemi_freedom_hold(f, x, SFEM_AXIS_ALL);
+    }
+}
+
+/* A held node on the axis through p along unit w, other than `not`; or -1. */
+static sfem_int sfemi_freedom_node_on(const sfem_body *b, const unsigned char *mask, const sfemi_freedom *f,
+                                      const sfem_int *label, const sfem_real p[3], const sfem_real w[3], sfem_int other)
+{
+    sfem_int i;
+    for (i = 0; i < b->model->mesh.nodes; ++i) {
+        sfem_real d[3], off[3];
+        if (i == other || label[i] != f->label || mask[i] != SFEM_AXIS_ALL) continue;
+        sfemi_sub3(b->model->mesh.x + 3 * (size_t)i, p, d);
+        sfemi_cross(w, d, off);
+        if (sqrt(sfemi_dot3(off, off)) < 1e-6 * f->size) return i;
+    }
+    return -1;
+}
+
+/* The motion (t, w) in words. */
+static void sfemi_freedom_name(const sfem_body *b, const unsigned char *mask, const sfem_int *label,
+                               const sfemi_freedom *f, const sfem_real motion[6], char *text, size_t size)
+{
+    const sfem_real *t = motion, length = sqrt(sfemi_dot3(motion + 3, motion + 3));
+    sfem_real w[3], p[3];
+    sfem_int one, two;
+    int c;
+    if (length < 1e-6) {
+        snprintf(text, size, "move along (%.2g, %.2g, %.2g)", t[0], t[1], t[2]);
+        return;
+    }
+    for (c = 0; c < 3; ++c) w[c] = motion[3 + c] / length;
+    sfemi_cross(w, t, p);
+    for (c = 0; c < 3; ++c) p[c] = f->centre[c] + f->size / length * p[c];
+    one = sfemi_freedom_node_on(b, mask, f, label, p, w, -1);
+    two = one < 0 ? -1 : sfemi_freedom_node_on(b, mask, f, label, p, w, one);
+    if (two >= 0)
+        snprintf(text, size, "rotate about the axis through nodes %d and %d", (int)one, (int)two);
+    else if (one >= 0)
+        snprintf(text, size, "rotate about the axis through node %d along (%.2g, %.2g, %.2g)", (int)one, w[0], w[1], w[2]);
+    else
+        snprintf(text, size, "rotate about the axis through (%.3g, %.3g, %.3g) along (%.2g, %.2g, %.2g)", p[0], p[1], p[2],
+                 w[0], w[1], w[2]);
+}
+
+/* Appends what the pins and handles of the part that failed leave free, if anything. */
+static void sfemi_freedom_append(const sfem_body *b, const unsigned char *mask, const sfem_int *label, sfem_int parts,
+                                 sfem_error *err)
+{
+    const size_t used = strlen(err->text);
+    sfem_real g[36], value[6], v[36], motion[6];
+    sfemi_freedom f;
+    char what[128];
+    int free, k;
+    f.label = err->node >= 0 && err->node < b->model->mesh.nodes ? label[err->node] : 0;
+    if (f.label < 0) return;
+    do {
+        sfemi_freedom_gather(b, mask, label, &f);
+        memcpy(g, f.g, sizeof g);
+        sfemi_sym_eigen(6, g, value, v);
+        for (free = 0; free < 6 && !(value[5 - free] > 1e-12 * value[0]);) ++free;
+    } while (free == 0 && err->node < 0 && ++f.label < (parts < 16 ? parts : 16));
+    if (free == 0) return;
+    for (k = 0; k < 6; ++k) motion[k] = v[6 * k + 5];
+    if (f.rows == 0)
+        snprintf(what, sizeof what, "no pin or handle holds %s", parts > 1 ? "this part of the body" : "the body");
+    else if (free == 3 && f.rows == 3 && f.one >= 0 && mask[f.one] == SFEM_AXIS_ALL)
+        snprintf(what, sizeof what, "the pins let the body rotate about node %d", (int)f.one);
+    else if (free > 1)
+        snprintf(what, sizeof what, "pins and handles leave the body %d rigid motions", free);
+    else {
+        memcpy(what, "the pins let the body ", 23);
+        sfemi_freedom_name(b, mask, label, &f, motion, what + 22, sizeof what - 22);
+    }
+    snprintf(err->text + used, sizeof err->text - used, ": %s", what);
+}
+
+/* A body that can still move as a whole has no static solution, or many: names the motion. */
+static void sfemi_body_name_freedom(const sfem_body *b, const unsigned char *mask, sfem_error *err)
+{
+    sfem_int *label, parts = 0;
+    sfem_error none;
+    if (!err || !mask) return;
+    label = (sfem_int *)sfemi_new(&b->allocator, (size_t)b->model->mesh.nodes, sizeof *label);
+    if (label && sfem_mesh_components(&b->model->mesh, label, &parts, &none) == SFEM_OK)
+        sfemi_freedom_append(b, mask, label, parts, err);
+    sfemi_delete(&b->allocator, label);
+}
+
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
 {
     const sfem_real load[3] = {1, 0, 0};
@@ -25494,6 +26099,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     for (i = 0; i < (size_t)b->pin_count; ++i)
         memcpy(b->state.pin[i].past, b->state.pin[i].target, sizeof b->state.pin[i].past);
 done:
+    if (status == SFEM_NOT_SPD || status == SFEM_NOT_CONVERGED || status == SFEM_SINGULAR)
+        sfemi_body_name_freedom(b, mask, err);
     sfemi_factor_release(b->model, b->static_factor);
     b->static_factor = f; /* kept: loads change more often than pins */
     sfemi_delete(&b->allocator, mask);
@@ -28101,6 +28708,8 @@ typedef struct sfemi_modal_head {
     sfem_real residual;
     sfem_int started, forces;    /* a belongs to the state; nodes with forces */
     sfem_int handles, handle_nodes, iterations, rows_left;
+    sfem_int step_forces, unused; /* step_load, and these, are not zero */
+    sfem_real step_force[3], step_torque[3]; /* on the frame, world, during the next step alone */
     int64_t steps;
 } sfemi_modal_head;
 
@@ -28122,6 +28731,7 @@ struct sfem_modal {
     sfem_real *mean;               /* [stride] velocity over the last step: carries the rotations
                                     * on to where the load of the next one acts. (q' would not do:
                                     * that of modes faster than the step alternates.) */
+    sfem_real *step_load;          /* [stride] during the next step alone */
     sfem_int *asleep;              /* [stride] */
     sfemi_modal_handle *handle;    /* [max_handles] */
     sfem_real *weight;             /* [max_handle_nodes] */
@@ -28132,6 +28742,7 @@ struct sfem_modal {
     /* scratch */
     void *backup;                  /* small_bytes */
     sfem_real *next, *b, *qp, *vp, *inverse, *from; /* [stride] */
+    sfem_real *lasting;            /* [stride] next without the forces of the step alone */
     sfem_real *pull, *trial, *way; /* [stride] J^T l: taken, tried, and the difference */
     sfem_real *mass, *drag, *light; /* [stride] oscillators as Newmark is to see them; 1/mass */
     sfemi_oscillator *oscillator;  /* [stride] */
@@ -28273,6 +28884,8 @@ static int sfemi_modal_check_head(const void *shape, const char *at, size_t coun
     return sfemi_all_finite(&h->time, 3) && (h->h >= 0 || h->h == -1) && sfemi_finite(h->h) && h->beta >= 0 &&
            h->gamma >= 0 && sfemi_all_finite(h->gravity, 3) &&
            sfemi_all_finite(h->rigid.x, sizeof h->rigid / sizeof(sfem_real)) && sfemi_all_finite(h->momentum, 9) &&
+           sfemi_all_finite(h->step_force, 3) && sfemi_all_finite(h->step_torque, 3) && h->step_forces >= 0 &&
+           h->step_forces <= 1 &&
            h->forces >= 0 && h->forces <= b->reduced->head->nodes && h->handles >= 0 && h->handle_nodes >= 0 &&
            h->handle_nodes <= b->def.max_handle_nodes && h->steps >= 0 && h->steps <= SFEMI_SAVED_MOST;
 }
@@ -28342,6 +28955,7 @@ static const sfemi_saved_array sfemi_modal_array[] = {
     SFEMI_ROW(f, 1, stride, sfemi_saved_finite, "a mode"),
     SFEMI_ROW(rest, 1, stride, sfemi_saved_finite, "a mode"),
     SFEMI_ROW(mean, 1, stride, sfemi_saved_finite, "a mode"),
+    SFEMI_ROW(step_load, 1, stride, sfemi_saved_finite, "a load"),
     SFEMI_ROW(asleep, 1, stride, NULL, NULL),
     SFEMI_ROW(handle, 1, handles, sfemi_modal_check_handles, "a handle"),
     SFEMI_ROW(weight, 1, handle_nodes, sfemi_saved_finite, "a handle"),
@@ -28353,7 +28967,7 @@ static const sfemi_saved_array sfemi_modal_array[] = {
 #undef SFEMI_ROW
 
 static const sfemi_saved_kind sfemi_modal_kind =
-    SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 3, sfemi_modal_array);
+    SFEMI_SAVED_KIND("sfemmod", "saved state of a modal body", 4, sfemi_modal_array);
 
 static uint64_t sfemi_modal_key(const sfem_modal *b)
 {
@@ -28420,7 +29034,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     sfemi_pool_own(&b->pool, b->head);
     b->small_bytes = (size_t)((char *)b->weight - (char *)b->head);
     SFEMI_TAKE(char, b->backup, &b->pool, b->small_bytes);
-    SFEMI_TAKE(sfem_real, b->next, &b->pool, 13 * b->stride + 1);
+    SFEMI_TAKE(sfem_real, b->next, &b->pool, 14 * b->stride + 1);
     b->b = b->next + b->stride;
     b->qp = b->b + b->stride;
     b->vp = b->qp + b->stride;
@@ -28432,7 +29046,8 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->pull = b->light + b->stride;
     b->trial = b->pull + b->stride;
     b->way = b->trial + b->stride;
-    b->drawn_q = b->way + b->stride;
+    b->lasting = b->way + b->stride;
+    b->drawn_q = b->lasting + b->stride;
     SFEMI_TAKE(sfemi_oscillator, b->oscillator, &b->pool, b->stride + 1);
     SFEMI_TAKE(sfem_real, b->s, &b->pool, rows * (rows + 4 + b->stride) + 1);
     SFEMI_TAKE(sfem_int, b->column, &b->pool, 2 * rows + 1);
@@ -28446,7 +29061,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     SFEMI_TAKE(sfem_int, b->drawn, &b->pool, b->stride + 1);
     SFEMI_TAKE(float, b->drawn_q32, &b->pool, b->stride + 1);
     b->bytes = sizeof *b + (size_t)b->head->saved.size + b->small_bytes +
-               b->stride * (13 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
+               b->stride * (14 * sizeof(sfem_real) + sizeof(sfemi_oscillator) + sizeof(sfem_int) +
                             sizeof(float)) +
                rows * ((rows + 4 + b->stride) * sizeof(sfem_real) + 2 * sizeof(sfem_int)) +
                (size_t)reduced->head->nodes * sizeof(sfem_int);
@@ -28467,7 +29082,7 @@ done:
 
 /* --- loads ----------------------------------------------------------------------------------- */
 
-SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_set_lasting_force(sfem_modal *b, const sfem_real *force, sfem_error *err)
 {
     SFEM_ASSERT(b);
     const sfem_int n = b->reduced->head->nodes;
@@ -28488,8 +29103,8 @@ SFEM_DEF sfem_status sfem_modal_set_force(sfem_modal *b, const sfem_real *force,
     return SFEM_OK;
 }
 
-SFEM_DEF sfem_status sfem_modal_add_node_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
-                                               sfem_error *err)
+SFEM_DEF sfem_status sfem_modal_add_lasting_force(sfem_modal *b, sfem_int node, const sfem_real f[3],
+                                                  sfem_error *err)
 {
     SFEM_ASSERT(b && f);
     sfem_int at;
@@ -28545,38 +29160,71 @@ static void sfemi_modal_weight(const sfem_modal *b, const sfem_real *q, sfem_rea
     }
 }
 
+/* Adds Phi^T R^T F of the force on one node; its torque about the centre of a free body, else 0. */
+static void sfemi_modal_load_node(const sfem_modal *b, const sfem_real *q, sfem_int node, const sfem_real force[3],
+                                  sfem_real *f, sfem_real torque[3])
+{
+    const sfem_reduced *r = b->reduced;
+    const sfem_rigid *frame = &b->head->rigid;
+    sfem_real local[3] = {force[0], force[1], force[2]}, w[3], k1, k2;
+    int c;
+    memset(torque, 0, 3 * sizeof *torque);
+    if (r->head->free) {
+        sfem_real arm[3];
+        sfemi_modal_displace(b, node, q, arm);
+        for (c = 0; c < 3; ++c) arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
+        sfemi_rotated_vector(frame->r, arm, arm);
+        sfemi_cross(arm, force, torque);
+        sfemi_rotated_back(frame->r, force, local);
+    }
+    if (b->def.warp != SFEM_WARP_NONE) {
+        sfemi_modal_rotation(b, node, q, w);
+        sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
+        sfemi_warp_apply(-k1, k2, w, local, local);
+    }
+    b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+}
+
 /* f = Phi^T R(q)^T F, and of a free body the force and torque on its frame. */
 static void sfemi_modal_load_at(sfem_modal *b, const sfem_real *q, sfem_real *f)
 {
     const sfem_reduced *r = b->reduced;
-    const sfem_rigid *frame = &b->head->rigid;
     sfem_int i;
     int c;
     memset(f, 0, b->stride * sizeof *f);
     memset(b->pose_torque, 0, sizeof b->pose_torque);
     for (c = 0; c < 3; ++c) b->pose_force[c] = r->head->mass * b->head->gravity[c];
     for (i = 0; i < b->head->forces; ++i) {
-        const sfem_int node = b->force_node[i];
-        const sfem_real *F = b->force + 3 * (size_t)i;
-        sfem_real local[3] = {F[0], F[1], F[2]}, w[3], k1, k2;
-        if (r->head->free) {
-            sfem_real arm[3], torque[3];
-            sfemi_modal_displace(b, node, q, arm);
-            for (c = 0; c < 3; ++c)
-                arm[c] += r->x[3 * (size_t)node + (size_t)c] - r->head->centre[c];
-            sfemi_rotated_vector(frame->r, arm, arm);
-            sfemi_cross(arm, F, torque);
-            for (c = 0; c < 3; ++c) b->pose_force[c] += F[c], b->pose_torque[c] += torque[c];
-            sfemi_rotated_back(frame->r, F, local);
-        }
-        if (b->def.warp != SFEM_WARP_NONE) {
-            sfemi_modal_rotation(b, node, q, w);
-            sfemi_rotated_coefficients(SFEMI_TURN_ROTATION, w, &k1, &k2);
-            sfemi_warp_apply(-k1, k2, w, local, local);
-        }
-        b->kernels->add3(b->stride, r->phi + 3 * b->stride * (size_t)node, local, f);
+        sfem_real torque[3];
+        sfemi_modal_load_node(b, q, b->force_node[i], b->force + 3 * (size_t)i, f, torque);
+        for (c = 0; r->head->free && c < 3; ++c)
+            b->pose_force[c] += b->force[3 * (size_t)i + (size_t)c], b->pose_torque[c] += torque[c];
     }
     sfemi_modal_weight(b, q, f);
+}
+
+SFEM_DEF sfem_status sfem_modal_add_step_force(sfem_modal *b, sfem_int node, const sfem_real f[3], sfem_error *err)
+{
+    sfemi_modal_head *head;
+    sfem_real torque[3];
+    size_t k;
+    int c, finite = 1;
+    SFEM_ASSERT(b && f);
+    head = b->head;
+    if (node < 0 || node >= b->reduced->head->nodes)
+        return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node, -1, "there is no node %d, the body has %d", (int)node,
+                             (int)b->reduced->head->nodes);
+    if (!sfemi_all_finite(f, 3))
+        return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d is not finite", (int)node);
+    memcpy(b->b, b->step_load, b->stride * sizeof *b->b);
+    sfemi_modal_load_node(b, b->q, node, f, b->b, torque);
+    for (k = 0; k < b->m; ++k) finite &= sfemi_finite(b->b[k]);
+    for (c = 0; c < 3; ++c) finite &= sfemi_finite(head->step_force[c] + f[c]) && sfemi_finite(head->step_torque[c] + torque[c]);
+    if (!finite) return sfemi_fail_at(err, SFEM_NOT_FINITE, node, -1, "the force on node %d overflows", (int)node);
+    memcpy(b->step_load, b->b, b->stride * sizeof *b->b);
+    for (c = 0; b->reduced->head->free && c < 3; ++c) head->step_force[c] += f[c], head->step_torque[c] += torque[c];
+    head->step_forces = 1;
+    return SFEM_OK;
 }
 
 SFEM_DEF void sfem_modal_load(sfem_modal *b, sfem_real *load)
@@ -29542,6 +30190,37 @@ static void sfemi_modal_refit(sfem_modal *b, sfem_real h)
     b->head->h = h;
 }
 
+/* The forces of this step alone, F1, are constant over it: sign 1 adds them to the loads and accelerations at its start
+ * and to the load at its end; -1 takes them from what its end has become. (A spike in the load at its end alone would
+ * give a part of F1 h to the next step, and another part where that has another length.) */
+static void sfemi_modal_add_step_load(sfem_modal *b, sfemi_modal_head *head, int sign)
+{
+    const sfem_real mass = b->reduced->head->mass;
+    size_t k;
+    int c;
+    for (k = 0; k < b->m; ++k) {
+        b->f[k] += sign * b->step_load[k];
+        if (!b->asleep[k]) b->a[k] += sign * b->light[k] * b->step_load[k];
+    }
+    for (c = 0; c < 3; ++c) {
+        head->accel[c] += sign * head->step_force[c] / mass;
+        head->torque[c] += sign * head->step_torque[c];
+        if (sign < 0) continue;
+        b->pose_force[c] += head->step_force[c];
+        b->pose_torque[c] += head->step_torque[c];
+    }
+}
+
+static void sfemi_modal_end_step_load(sfem_modal *b)
+{
+    sfemi_modal_add_step_load(b, b->head, -1);
+    if (b->head->handles > 0) b->head->started = 0; /* what handles hold of the acceleration is found anew */
+    memset(b->step_load, 0, b->stride * sizeof *b->step_load);
+    memset(b->head->step_force, 0, sizeof b->head->step_force);
+    memset(b->head->step_torque, 0, sizeof b->head->step_torque);
+    b->head->step_forces = 0;
+}
+
 SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err)
 {
     SFEM_ASSERT(b);
@@ -29566,10 +30245,13 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     }
     for (k = 0; k < b->m; ++k) b->qp[k] = b->q[k] + h * b->mean[k];
     sfemi_modal_load_at(b, b->qp, b->next);
+    memcpy(b->lasting, b->next, b->stride * sizeof *b->next);
+    for (k = 0; b->head->step_forces && k < b->m; ++k) b->next[k] += b->step_load[k];
     if (held)
         sfemi_modal_wake(b);
     else
         sfemi_modal_wake_up(b);
+    if (b->head->step_forces) sfemi_modal_add_step_load(b, b->head, 1);
     to = *b->head;
     if (exact)
         sfemi_modal_exact(b, h, &to);
@@ -29589,6 +30271,8 @@ SFEM_DEF sfem_status sfem_modal_step(sfem_modal *b, sfem_real h, sfem_error *err
     to.gamma = exact ? 0.5 : gamma;
     if (!held) to.residual = 0, to.iterations = to.rows_left = 0;
     *b->head = to;
+    memcpy(b->next, b->lasting, b->stride * sizeof *b->next);
+    if (to.step_forces) sfemi_modal_end_step_load(b);
     memcpy(b->f, b->next, b->stride * sizeof *b->f);
     for (k = 0; k < b->m; ++k) b->mean[k] = (b->q[k] - before[k]) / h;
     if (!held) sfemi_modal_correct_momentum(b);
@@ -29966,6 +30650,47 @@ SFEM_DEF void sfem_modal_node(const sfem_modal *b, sfem_int node, sfem_real x[3]
         sfemi_cross(spin, arm, rotated);
         for (c = 0; c < 3; ++c) v[c] += frame->v[c] + rotated[c];
     }
+}
+
+typedef struct sfemi_velocity_job {
+    const sfem_modal *modal;
+    const sfem_reduced_view *view;
+    sfem_real *v;
+} sfemi_velocity_job;
+
+enum { SFEMI_VELOCITY_BLOCK = 64 }; /* nodes of a task */
+
+static void sfemi_velocity_task(void *data, sfem_int index)
+{
+    const sfemi_velocity_job *j = (const sfemi_velocity_job *)data;
+    const sfem_int first = index * SFEMI_VELOCITY_BLOCK, left = j->view->count - first;
+    const sfem_int count = left < SFEMI_VELOCITY_BLOCK ? left : SFEMI_VELOCITY_BLOCK;
+    sfem_real x[3];
+    sfem_int i;
+    for (i = first; i < first + count; ++i) sfem_modal_node(j->modal, j->view->node[i], x, j->v + 3 * (size_t)i, NULL);
+}
+
+SFEM_DEF void sfem_modal_velocities(const sfem_modal *b, const sfem_reduced_view *view, sfem_real *v)
+{
+    sfemi_velocity_job j;
+    SFEM_ASSERT(b && view && v && view->reduced == b->reduced);
+    j.modal = b;
+    j.view = view;
+    j.v = v;
+    sfemi_run(&b->def.exec, view->count / SFEMI_VELOCITY_BLOCK + (view->count % SFEMI_VELOCITY_BLOCK > 0),
+              sfemi_velocity_task, &j);
+}
+
+SFEM_DEF void sfem_modal_normals(const sfem_modal *b, const sfem_reduced_view *view, const float *x, float *normal,
+                                 size_t stride)
+{
+    sfemi_corners at = {0, 0, 0, 0};
+    SFEM_ASSERT(b && view && x && normal && view->reduced == b->reduced);
+    SFEM_ASSERT(view->count == b->reduced->head->surface_nodes &&
+                memcmp(view->node, b->reduced->surface_node, (size_t)view->count * sizeof *view->node) == 0);
+    at.floats = x;
+    at.stride = stride;
+    sfemi_surface_normals(b->reduced->head->surface_triangles, b->reduced->surface_tri, &at, view->count, normal, stride);
 }
 
 SFEM_DEF sfem_rigid sfem_modal_rigid(const sfem_modal *b)
@@ -32211,7 +32936,9 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
- *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
+ *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused. set_force and
+ *           add_node_force are set_lasting_force and add_lasting_force; forces of one step; bodies are placed; normals;
+ *           sfem_modal_velocities is of nodes; handles protect the edges that they hold; sfem_model_advice
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
  *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed

@@ -234,7 +234,7 @@ static sfem_status hash_act(hash_rig *g, sfem_law law, hash_option option, int k
     int c, i;
     if (option == HASH_REFACTORISE && k == 4 && law != SFEM_LINEAR)
         return sfem_body_refactorise(g->body, NULL, err);
-    if (option == HASH_SLEEP && k == 30) return sfem_body_add_node_force(g->body, last, push, err);
+    if (option == HASH_SLEEP && k == 30) return sfem_body_add_lasting_force(g->body, last, push, err);
     if (option == HASH_STATIC && k == 0) return sfem_body_solve_static(g->body, err);
     if (option == HASH_PINS && k % 10 == 5)
         return sfem_body_set_pins(g->body, g->pins - k / 10, g->pin, NULL, err);

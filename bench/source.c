@@ -510,7 +510,7 @@ static void pull(sfem_model *model, int way, double scale, double *x, double *sh
     sfem_body_start(body);
     for (k = 0; k < STEPS; ++k) {
         force[3 * node] = scale * history(k + 1);
-        must(sfem_body_set_force(body, force, &err), &err);
+        must(sfem_body_set_lasting_force(body, force, &err), &err);
         must(sfem_body_step(body, 1 / 60.0, &err), &err);
         x[k] = sfem_body_displacement(body)[3 * node];
         if (shape && k == PEAK)

@@ -257,9 +257,9 @@ static void add_loads(run *r)
         if (count == 0) ex_fail("--load %s selects no node", ex_nth(&r->o, "--load", k));
         for (c = 0; c < 3; ++c) f[c] = load.force[c] / count;
         for (i = 0; i < count; ++i)
-            must(sfem_body_add_node_force(r->body, nodes[i], f, &err), &err);
+            must(sfem_body_add_lasting_force(r->body, nodes[i], f, &err), &err);
         for (i = 0; i < count && r->modal; ++i) {
-            must(sfem_modal_add_node_force(r->modal, nodes[i], f, &err), &err);
+            must(sfem_modal_add_lasting_force(r->modal, nodes[i], f, &err), &err);
             for (c = 0; c < 3; ++c) r->load[3 * (size_t)nodes[i] + (size_t)c] += f[c];
         }
     }

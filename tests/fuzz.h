@@ -447,7 +447,7 @@ static fuzz_scene *fuzz_body_scene(int k)
             sfem_body_handle_position(s->body, handle[0], target);
             target[2] += 0.01;
             fuzz_require_ok(sfem_body_move_handle(s->body, handle[0], target, &err), &err);
-            fuzz_require_ok(sfem_body_add_node_force(s->body, 9, f, &err), &err);
+            fuzz_require_ok(sfem_body_add_lasting_force(s->body, 9, f, &err), &err);
             if (s->def.damage) fuzz_require_ok(sfem_body_break_edge(s->body, 9, 11, &err), &err);
         }
         sfem_body_save_state(s->body, s->block[stage]);
@@ -532,8 +532,8 @@ static void fuzz_call_body(sfem_body *b, unsigned call, double h)
     case 1: (void)sfem_body_step(b, h, &err); break;
     case 2: (void)sfem_body_step(b, h / 2, &err); break;
     case 3: for (i = 0; i < 36; ++i) load[i] = i % 5;
-            (void)sfem_body_set_force(b, load, &err); break;
-    case 4: (void)sfem_body_add_node_force(b, 7, f, &err); break;
+            (void)sfem_body_set_lasting_force(b, load, &err); break;
+    case 4: (void)sfem_body_add_lasting_force(b, 7, f, &err); break;
     case 5: if (fuzz_first_handle(b, &handle)) (void)sfem_body_move_handle(b, handle, place, &err);
             break;
     case 6: if (fuzz_first_handle(b, &handle)) sfem_body_release_handle(b, handle);
@@ -703,10 +703,10 @@ static void fuzz_call_modal(sfem_modal *b, unsigned call)
     switch (call % FUZZ_MODAL_CALLS) {
     case 0: (void)sfem_modal_step(b, 0.01, &err); break;
     case 1: (void)sfem_modal_step(b, 0.02, &err); break;
-    case 2: for (i = 0; i < nodes; ++i) (void)sfem_modal_add_node_force(b, i, f, &err);
+    case 2: for (i = 0; i < nodes; ++i) (void)sfem_modal_add_lasting_force(b, i, f, &err);
             break;
-    case 3: (void)sfem_modal_add_node_force(b, nodes - 1, f, &err); break;
-    case 4: (void)sfem_modal_set_force(b, NULL, &err); break;
+    case 3: (void)sfem_modal_add_lasting_force(b, nodes - 1, f, &err); break;
+    case 4: (void)sfem_modal_set_lasting_force(b, NULL, &err); break;
     case 5: (void)sfem_modal_set_gravity(b, f, &err); break;
     case 6: if (fuzz_first_modal_handle(b, 0, &handle)) (void)sfem_modal_move_handle(b, handle, place, &err);
             break;
@@ -757,7 +757,7 @@ static const unsigned char *fuzz_modal_block(int scene, int stage, size_t *bytes
         sfem_modal_save_state(b, block[scene][0]);
         fuzz_require_ok(sfem_modal_grab_node(b, 10, &handle, &err), &err);
         fuzz_require_ok(sfem_modal_grab_region(b, 3, region, NULL, &handle, &err), &err);
-        for (i = 8; i < 12; ++i) fuzz_require_ok(sfem_modal_add_node_force(b, i, f, &err), &err);
+        for (i = 8; i < 12; ++i) fuzz_require_ok(sfem_modal_add_lasting_force(b, i, f, &err), &err);
         for (i = 0; i < 4; ++i) fuzz_require_ok(sfem_modal_step(b, 0.01, &err), &err);
         sfem_modal_save_state(b, block[scene][1]);
         sfem_modal_free(b);

@@ -248,13 +248,13 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     body = oscillator_body(o, def);
     set_node1(body, u0, v0);
     f[3] = load * o->k;
-    assert_ok(sfem_body_set_force(body, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
     sfem_body_start(body);
     for (i = 0; i < steps; ++i) {
         const double h = T / steps * (varying ? (i % 2 ? 1.5 : 0.5) : 1);
         t += h;
         f[3] = load * o->k * cos(nu * t);
-        assert_ok(sfem_body_set_force(body, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
         step(body, h);
     }
     error = fabs(node1(body) - u);

@@ -98,14 +98,14 @@ static double newmark_against_pqr(const block *b, double p, double h, int steps,
     wave_load(b, 0, f);
     assert_ok(sfem_body_set_state(pqr, u, v, &err), err);
     assert_ok(sfem_body_set_state(newmark, u, v, &err), err);
-    assert_ok(sfem_body_set_force(pqr, f, &err), err);
-    assert_ok(sfem_body_set_force(newmark, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(pqr, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(newmark, f, &err), err);
     sfem_body_start(pqr);
     sfem_body_start(newmark);
     for (k = 0; k < steps; ++k) {
         wave_load(b, (k + 1) * h, f);
-        assert_ok(sfem_body_set_force(pqr, f, &err), err);
-        assert_ok(sfem_body_set_force(newmark, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(pqr, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(newmark, f, &err), err);
         step(pqr, h);
         step(newmark, h);
         for (i = 0; i < n; ++i) {
@@ -338,7 +338,7 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     set_node1(body, u0, v0);
     for (i = 0; i <= steps; ++i) {
         f[3] = load * o->k * cos(nu * i * h);
-        if (load != 0) assert_ok(sfem_body_set_force(body, f, &err), err);
+        if (load != 0) assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
         sfem_body_start(body);
         if (i < steps && i > 0) step(body, h);
         if (i == steps) step(body, h);
@@ -541,7 +541,7 @@ static void check_momenta(sfem_mass mass, sfem_body_def def, double load, int by
     memcpy(f, before, sizeof f);
     push[1] += m * def.gravity[1];
     assert_ok(sfem_body_set_state(body, NULL, v, &err), err);
-    if (!by_hand) assert_ok(sfem_body_set_force(body, f, &err), err);
+    if (!by_hand) assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
     for (k = 0; k < 200; ++k) {
         memcpy(before, sfem_body_displacement(body), n * sizeof *before);
         assert_ok(sfem_body_predict(body, h, &err), err);
@@ -762,7 +762,7 @@ static void three_parts_make_one_step_and_a_force_in_between_acts(void **state)
     assert_int_equal(hash_reals(sfem_body_displacement(whole), 3 * (size_t)b.nodes),
                      hash_reals(sfem_body_displacement(parts), 3 * (size_t)b.nodes));
     f[3 * (b.nodes - 1) + 1] = 5;
-    assert_ok(sfem_body_set_force(whole, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(whole, f, &err), err);
     step(whole, 0.01); /* with plain_load, F acts from the next step on */
     step(parts, 0.01);
     for (k = 0; k < 50; ++k) {
@@ -797,7 +797,7 @@ static void a_force_that_is_not_finite_leaves_the_state_as_it_was(void **state)
     after = (char *)before + bytes;
     sfem_body_save_state(body, before);
     f[3 * 9 + 1] = NAN;
-    assert_status(sfem_body_set_force(body, f, &err), SFEM_NOT_FINITE);
+    assert_status(sfem_body_set_lasting_force(body, f, &err), SFEM_NOT_FINITE);
     assert_names(err, "node 9");
     assert_int_equal(err.node, 9);
     assert_ok(sfem_body_predict(body, 0.01, &err), err);
@@ -888,10 +888,10 @@ static void a_saved_state_continues_bit_for_bit(void **state)
         one = block_body(&b, def);
         two = block_body(&b, def);
         wave_load(&b, 0.3, f);
-        assert_ok(sfem_body_set_force(one, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(one, f, &err), err);
         for (k = 0; k < 20; ++k) step(one, 0.01);
         wave_load(&b, 0.7, f);
-        assert_ok(sfem_body_set_force(one, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(one, f, &err), err);
         step(one, 0.01);
         bytes = sfem_body_state_size(one);
         saved = (unsigned char *)malloc(bytes);

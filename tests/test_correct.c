@@ -153,7 +153,7 @@ static void without_dissipation_it_is_newmark(void **state)
                 for (i = 0; i < n; ++i)
                     f[i] = 3 * (sin(0.2 * k + 0.1 * (double)i) - sin(0.1 * (double)i));
                 for (j = 0; j < 2; ++j) {
-                    assert_ok(sfem_body_set_force(body[j], f, &err), err);
+                    assert_ok(sfem_body_set_lasting_force(body[j], f, &err), err);
                     step(body[j], h);
                 }
                 difference = fmax(difference, apart(sfem_body_displacement(body[0]),

@@ -85,7 +85,7 @@ static void a_modal_block_with_handles_or_forces_out_of_order_is_refused(void **
     refuse_modal(&m, "a force");
     sfemi_saved_seal(m.block);
     assert_ok(sfem_modal_load_state(m.body, m.block, m.bytes, &err), err);
-    for (i = 0; i < 12; ++i) assert_ok(sfem_modal_add_node_force(m.body, i, f, &err), err);
+    for (i = 0; i < 12; ++i) assert_ok(sfem_modal_add_lasting_force(m.body, i, f, &err), err);
     drop_modal_block(&m);
 }
 

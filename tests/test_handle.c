@@ -197,8 +197,8 @@ static void handles_set_moved_and_released_equal_moved_pins(void **state)
         sfem_body_start(handled);
         for (i = 0; i < 200; ++i) {
             for (j = 0; j < DOFS; ++j) force[j] = 100 * sin(0.07 * i) * cos(1.3 * j);
-            assert_ok(sfem_body_set_force(pinned, force, &err), err);
-            assert_ok(sfem_body_set_force(handled, force, &err), err);
+            assert_ok(sfem_body_set_lasting_force(pinned, force, &err), err);
+            assert_ok(sfem_body_set_lasting_force(handled, force, &err), err);
             for (j = 0; j < 2; ++j) {
                 if (i == begin[j]) {
                     handle[j] = grab(handled, node[j]);

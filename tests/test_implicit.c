@@ -159,11 +159,11 @@ static double oscillator_error(const oscillator *o, sfem_body_def def, double xi
     body = oscillator_body(o, def);
     set_node1(body, u0, v0);
     f[3] = load * o->k;
-    assert_ok(sfem_body_set_force(body, f, &err), err);
+    assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
     sfem_body_start(body);
     for (i = 0; i < steps; ++i) {
         f[3] = load * o->k * cos(nu * (i + 1) * h);
-        assert_ok(sfem_body_set_force(body, f, &err), err);
+        assert_ok(sfem_body_set_lasting_force(body, f, &err), err);
         step(body, h);
     }
     error = fabs(node1(body) - u);
@@ -361,7 +361,7 @@ static void newton_on_a_linear_body_is_linear_newmark(void **state)
                 for (j = 0; j < 3 * b.nodes; ++j) f[j] = k < 30 ? 0 : 0.3 * sin(7 * t + 0.1 * j);
                 for (j = 0; j < 2; ++j) {
                     sfem_real x[3];
-                    assert_ok(sfem_body_set_force(body[j], f, &err), err);
+                    assert_ok(sfem_body_set_lasting_force(body[j], f, &err), err);
                     for (c = 0; c < 3; ++c)
                         x[c] = sfem_model_mesh(b.model)->x[c] + 0.02 * (1 - cos(5 * t)) * (c + 1);
                     assert_ok(sfem_body_move_pin(body[j], 0, x, &err), err);
@@ -845,7 +845,7 @@ static void a_static_solution_that_fails_leaves_no_trace(void **state)
     def.newton.tolerance = 1e-14;
     body = make_body(b.model, &def);
     force[1] = 1e9;
-    assert_ok(sfem_body_add_node_force(body, b.nodes - 1, force, &err), err);
+    assert_ok(sfem_body_add_lasting_force(body, b.nodes - 1, force, &err), err);
     step(body, 1e-6);
     hash = hash_reals(sfem_body_displacement(body), (size_t)(3 * b.nodes));
     assert_status(sfem_body_solve_static(body, &err), SFEM_NOT_CONVERGED);

@@ -586,7 +586,7 @@ static void parts_are_labelled_by_their_lowest_node(void **state)
     for (i = 0; i < 13; ++i) assert_int_equal(label[i], wanted[i]);
     tet[5] = 13;
     assert_status(sfem_mesh_components(&m, label, NULL, &err), SFEM_BAD_MESH);
-    assert_string_equal(err.text, "tet 1 names node 13, the mesh has 13");
+    assert_string_equal(err.text, "tet 1 names node 13, the mesh has 13: numbered from 1? Node numbers start at 0");
 }
 
 /* A chain of tets, each on the last face of the one before, numbered against the grain. */

@@ -875,7 +875,7 @@ static void malformed_medit_is_refused_with_its_line(void **state)
         {22, "3", SFEM_FORMAT, 22, "the count of tets is 3, more than the rest of the data"},
         {23, "1 2 3 4", SFEM_FORMAT, 25, "expected the reference of a tet, found 'End'"},
         {22, "1", SFEM_FORMAT, 24, "expected a keyword like Vertices, found '1'"},
-        {22, "0\nCorners 10", SFEM_BAD_MESH, -1, "there are 6 nodes, but no 4-node tets"},
+        {22, "0\nCorners 10", SFEM_BAD_MESH, -1, "there are 6 nodes and 1 triangles, but no 4-node tets"},
         {23, "1 2 3 0 4", SFEM_BAD_MESH, 23, "tet 0 names vertex 0, the vertices are 1 .. 6"},
         {24, "1 2 3 7 4", SFEM_BAD_MESH, 24, "tet 1 names vertex 7, the vertices are 1 .. 6"},
         {24, "1 2 3 6 9999999999", SFEM_FORMAT, 24, "the reference of a tet is 9999999999"},

@@ -66,7 +66,7 @@ static void linear_balance(scene *s, double p, double h, double beta, int changi
         memcpy(load[2], load[1], n * sizeof(double));
         memcpy(load[1], load[0], n * sizeof(double));
         for (i = 0; changing && i < n; ++i) load[0][i] = 1e-4 * sin((double)i + 0.3 * (k + 1));
-        if (changing) assert_ok(sfem_body_set_force(s->body, load[0], &err), err);
+        if (changing) assert_ok(sfem_body_set_lasting_force(s->body, load[0], &err), err);
         if (k == 0) memcpy(load[1], load[0], n * sizeof(double));
         step(s->body, h);
         memcpy(u[0], sfem_body_displacement(s->body), n * sizeof(double));
@@ -226,7 +226,7 @@ static void a_stiff_body_keeps_its_momenta(void **state)
             for (c = 0; (way == 1 || way == 2) && c < 3; ++c)
                 f[3 * (s.n - 1) + c] = 0.1 * (c - 1.5) * speed * sfem_model_total_mass(s.model) / h;
             assert_ok(sfem_body_set_state(s.body, NULL, v, &err), err);
-            if (way == 1) assert_ok(sfem_body_set_force(s.body, f, &err), err);
+            if (way == 1) assert_ok(sfem_body_set_lasting_force(s.body, f, &err), err);
             for (k = 0; k < 20; ++k) {
                 const double brake = 1 + def.mass_damping * h / 2,
                              size = speed * sfem_model_total_mass(s.model);
@@ -1043,7 +1043,7 @@ static void changes_make_no_energy(void **state)
                 0) { /* loads of up to 20 N a node, gravity of up to 20 m/s^2, for the first second */
                 const double on = j < 120 ? 1 : 0;
                 random_fill(&random, f, 3 * (size_t)s.n, -20 * on, 20 * on);
-                assert_ok(sfem_body_set_force(s.body, f, &err), err);
+                assert_ok(sfem_body_set_lasting_force(s.body, f, &err), err);
                 random_fill(&random, g, 3, -20 * on, 20 * on);
                 assert_ok(sfem_body_set_gravity(s.body, g, &err), err);
             }
