@@ -60,7 +60,8 @@
  *            >>pqr          the (p,q,r) family, central difference
  *            >>rotated         A^-1 in a body that rotates: frames, rigid projection
  *            >>resume       linear bodies whose step, pins or handles change
- *            >>safeguard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
+ *            >>safeguard        (p,q,r) for nonlinear laws: corrections, energy safeguard
+ *            >>breaking     bodies that break: their energy budget and balance
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
@@ -94,10 +95,13 @@
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
  *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
- *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and their fracture, >>api-damage
+ *     SFEM_NO_DAMAGE     without fracture, >>api-damage
+ *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
+ *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and these two
  *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes),
- *     SFEM_ENABLE_LINK (with modes and reduced models)
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_BODY, SFEM_ENABLE_DAMAGE (with bodies), SFEM_ENABLE_NEWTON
+ *     (with bodies), SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK (with modes and reduced models)
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -117,7 +121,14 @@
 #if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
 #define SFEM_NO_MESHIO
 #endif
-#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY)
+#if !defined(SFEM_NO_DAMAGE) && !defined(SFEM_ENABLE_DAMAGE)
+#define SFEM_NO_DAMAGE
+#endif
+#if !defined(SFEM_NO_NEWTON) && !defined(SFEM_ENABLE_NEWTON)
+#define SFEM_NO_NEWTON
+#endif
+#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY) && !defined(SFEM_ENABLE_DAMAGE) && \
+    !defined(SFEM_ENABLE_NEWTON)
 #define SFEM_NO_BODY
 #endif
 #if !defined(SFEM_NO_MESHER) && !defined(SFEM_ENABLE_MESHER)
@@ -139,6 +150,21 @@
 #endif
 #if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
 #error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_DAMAGE) && defined(SFEM_NO_DAMAGE)
+#error "softfem.h: SFEM_ENABLE_DAMAGE and SFEM_NO_DAMAGE are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_NEWTON) && defined(SFEM_NO_NEWTON)
+#error "softfem.h: SFEM_ENABLE_NEWTON and SFEM_NO_NEWTON are both defined: define only one of them"
+#endif
+#if (defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON)) && defined(SFEM_NO_BODY)
+#error "softfem.h: fracture and Newton's iteration are parts of bodies: define SFEM_NO_BODY, or SFEM_ENABLE_DAMAGE or SFEM_ENABLE_NEWTON, not both"
+#endif
+#ifdef SFEM_NO_BODY
+#undef SFEM_NO_DAMAGE
+#undef SFEM_NO_NEWTON
+#define SFEM_NO_DAMAGE
+#define SFEM_NO_NEWTON
 #endif
 #if defined(SFEM_ENABLE_MESHER) && defined(SFEM_NO_MESHER)
 #error "softfem.h: SFEM_ENABLE_MESHER and SFEM_NO_MESHER are both defined: define only one of them"
@@ -996,7 +1022,7 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
 
-#ifndef SFEM_NO_BODY
+#ifndef SFEM_NO_DAMAGE
 /* ============================================================================================
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
@@ -1134,6 +1160,9 @@ typedef struct sfem_piece {
     sfem_real box[2][3];    /* m */
 } sfem_piece;
 
+#endif /* SFEM_NO_DAMAGE */
+
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
@@ -1282,7 +1311,7 @@ typedef struct sfem_body_def {
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws, as the next one: */
     int no_guard;             /* no energy safeguard: every step is taken as it comes, even if it makes energy */
-    const sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
+    const struct sfem_damage_def *damage; /* the body breaks (>>api-damage): (p,q,r), central difference, lumped mass.
                                * NULL, the default: it does not, and pays nothing for it. Read by create only */
     sfem_real accuracy;       /* (p,q,r) of nonlinear laws, above 0, at most 1: a step is corrected, by further solves
                                * with the same factor, until another one is expected to gain less than this part of
@@ -1521,6 +1550,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
 
+#ifndef SFEM_NO_DAMAGE
 /* Fracture, of a body made with a damage definition (>>api-damage); on others these trip SFEM_ASSERT, but
  * for sfem_body_fracture. At the end of a step edges are judged at its midpoint, in one round: an edge
  * breaks where that does not make energy, so fracture never does, whatever the step. The factor of the
@@ -1593,6 +1623,7 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
 /* Where its vertices are now, x [vertices][3], m: between their nodes, or where those nodes that they go with
  * take them, rotated with the intact edges there. Between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
+#endif /* SFEM_NO_DAMAGE */
 
 #endif /* SFEM_NO_BODY */
 
@@ -15106,6 +15137,7 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * and only its rounding would be left. A linear body subtracts: K u rounds by as much in any case.
  */
 
+#ifndef SFEM_NO_DAMAGE
 static const int sfemi_damage_place[6] = {1, 3, 6, 4, 7, 8}; /* of edges among the blocks a >= b */
 
 static void sfemi_damage_shape(const sfem_real x[12], sfem_real lambda, sfem_real mu,
@@ -15446,6 +15478,7 @@ typedef struct sfemi_bonds {
  *
  * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
  * derived: sfemi_damage_refresh makes it anew. */
+enum { SFEMI_PATIENCE = 16 }; /* rounds that a marked edge waits for a break that makes no energy */
 enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
 enum { SFEMI_INTACT, SFEMI_DAMAGED, SFEMI_DISCONNECTED }; /* loose: intact edges do not connect its nodes */
 
@@ -15837,6 +15870,25 @@ static size_t sfemi_damage_state_bytes(const sfemi_bonds *g)
     const size_t edges = (size_t)g->edges;
     const size_t reals = SFEMI_ACCOUNTS + edges * (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1);
     return reals * sizeof(sfem_real) + (edges + 7) / 8 * 8;
+}
+
+/* Can this be the damage of a body? */
+static int sfemi_damage_check_state(const sfemi_bonds *g, const char *at)
+{
+    const size_t edges = (size_t)g->edges;
+    sfem_real account[SFEMI_ACCOUNTS], zeta;
+    size_t k;
+    memcpy(account, at, sizeof account);
+    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
+    at += sizeof account;
+    for (k = 0; k < edges; ++k) {
+        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
+    for (k = 0; k < edges; ++k)
+        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
+    return 1;
 }
 
 /* The state lives in memory, aligned to 8, from now on; follow with reset or refresh. */
@@ -16470,6 +16522,28 @@ static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, s
     }
 }
 
+/* y += (K_frac - K) z, small strain about rest. */
+static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_int k;
+    int a, c;
+    for (k = 0; k < d->tets; ++k) {
+        const sfem_int e = d->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real x[12], u[12], f[12];
+        sfem_damage_tet tet;
+        for (a = 0; a < 4; ++a) {
+            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
+            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
+        }
+        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
+        for (a = 0; a < 36; ++a) tet.s[a] = d->s[36 * (size_t)e + (size_t)a] - tet.s[a];
+        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
+        for (a = 0; a < 4; ++a)
+            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
+    }
+}
+
 /* ---- criterion and propagation ---- */
 
 /* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
@@ -16834,7 +16908,6 @@ static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason r
 
 /* Rounds after which a blade forces an edge. Edges without stress of their own may wait for ever
  * where their tets' switch to the edge form costs a little. */
-enum { SFEMI_PATIENCE = 16 };
 
 /* Lowers zeta of edge k to `to` unless that made energy; then it has to wait. */
 static int sfemi_damage_try(sfemi_damage *d, sfem_int k, sfem_real to, sfem_break_reason reason,
@@ -17208,6 +17281,32 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
         for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
     }
 }
+
+/* What bodies ask of their damage; NULL: they cannot break. */
+static sfem_int sfemi_damage_tets(const sfemi_damage *d) { return d ? d->tets : 0; }
+static sfem_int sfemi_damage_events(const sfemi_damage *d) { return d ? d->events : 0; }
+static sfem_real sfemi_damage_broken(const sfemi_damage *d) { return d ? d->account[SFEMI_BROKEN] : 0; }
+#else /* no body has any: the same for NULL, the rest is never called */
+typedef struct sfemi_bonds { int none; } sfemi_bonds;
+typedef struct sfemi_damage { int none; } sfemi_damage;
+static sfem_int sfemi_damage_tets(const sfemi_damage *d) { (void)d; return 0; }
+static sfem_int sfemi_damage_events(const sfemi_damage *d) { (void)d; return 0; }
+static sfem_real sfemi_damage_broken(const sfemi_damage *d) { (void)d; return 0; }
+static size_t sfemi_damage_state_bytes(const sfemi_bonds *g) { (void)g; return 0; }
+static int sfemi_damage_check_state(const sfemi_bonds *g, const char *at) { (void)g, (void)at; return 0; }
+static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y) { (void)d, (void)z, (void)y; }
+static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
+{
+    (void)d, (void)scale, (void)val;
+}
+static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
+static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
+static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind,
+                                       sfem_matrix *tangent, const sfem_exec *exec)
+{
+    (void)d, (void)u, (void)kind, (void)tangent, (void)exec;
+}
+#endif /* SFEM_NO_DAMAGE */
 
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
@@ -17963,22 +18062,7 @@ static int sfemi_state_check_handles(const void *shape, const char *at, size_t c
 
 static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
 {
-    const sfemi_bonds *g = ((const sfemi_state_shape *)shape)->bonds;
-    const size_t edges = g ? (size_t)g->edges : 0;
-    sfem_real account[SFEMI_ACCOUNTS], zeta;
-    size_t k;
-    if (!count) return 1;
-    memcpy(account, at, sizeof account);
-    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
-    at += sizeof account;
-    for (k = 0; k < edges; ++k) {
-        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
-        if (!(zeta >= 0 && zeta <= 1)) return 0;
-    }
-    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
-    for (k = 0; k < edges; ++k)
-        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
-    return 1;
+    return !count || sfemi_damage_check_state(((const sfemi_state_shape *)shape)->bonds, at);
 }
 
 #define SFEMI_ROW(field, each, rows, check, name)                                                     \
@@ -20371,28 +20455,6 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
 }
 
-/* y += (K_frac - K) z, small strain about rest. */
-static void sfemi_fracture_multiply(const sfem_body *b, const sfem_real *z, sfem_real *y)
-{
-    const sfem_model *model = b->model;
-    sfem_int k;
-    int a, c;
-    for (k = 0; k < b->damage->tets; ++k) {
-        const sfem_int e = b->damage->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
-        sfem_real x[12], u[12], f[12];
-        sfem_damage_tet tet;
-        for (a = 0; a < 4; ++a) {
-            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
-            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
-        }
-        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
-        for (a = 0; a < 36; ++a) tet.s[a] = b->damage->s[36 * (size_t)e + (size_t)a] - tet.s[a];
-        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
-        for (a = 0; a < 4; ++a)
-            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
-    }
-}
-
 /* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
  * overwritten. */
 static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
@@ -20402,14 +20464,14 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     const int projects = sfemi_rotated_projects(b);
     sfem_real *sum = b->rotated.v;
     size_t i;
-    if (!b->damage || !b->damage->tets) return;
+    if (!sfemi_damage_tets(b->damage)) return;
     if (projects) {
         sfemi_rotated_motion(b, u, z, 1);
         sfemi_rotated_add_motion(b, u, -1, 0, z);
     }
     sfemi_rotated_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
-    sfemi_fracture_multiply(b, z, sum);
+    sfemi_damage_multiply(b->damage, z, sum);
     if (b->refactor.live) { /* what was left when the factor was made is out already */
         sfem_real *kz = b->safeguard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
@@ -20489,7 +20551,7 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
-    return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
+    return b->scheme.rotates && (sfemi_damage_tets(b->damage) > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
 /* Does the projection of free pieces change B, so that it is not at hand? See 3. */
@@ -20537,7 +20599,7 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
         sfem_matrix_multiply(&model->stiffness, x, z, &b->exec);
-        sfemi_fracture_multiply(b, x, z);
+        sfemi_damage_multiply(b->damage, x, z);
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
@@ -20612,7 +20674,7 @@ static void sfemi_resume_mean_force(sfem_body *b)
         if (b->zd) b->zd[i] = s->w[i];
         b->acc[i] = 0;
     }
-    if (b->scheme.rotates && b->beta != 0) sfemi_fracture_multiply(b, b->zk, b->acc);
+    if (b->scheme.rotates && b->beta != 0) sfemi_damage_multiply(b->damage, b->zk, b->acc);
     sfemi_body_residual(b, load, b->alpha != 0);
     for (i = 0; b->scheme.rotates && i < n; ++i) b->rhs[i] -= (s->f[i] + s->f_past[i]) / 2 + b->acc[i];
 }
@@ -21068,7 +21130,7 @@ static void sfemi_resume_lessen(const sfem_body *b, sfem_real *rhs)
 }
 
 /* ============================================================================================
- * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
+ * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard
  *
  * A trial of one solve, corrections of it, an energy safeguard, and a step in place of one that would make energy.
  * The safeguard tests two energies, L being the loads and v_r, L_r the parts of w' and L that do not move a free
@@ -21156,7 +21218,7 @@ static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_r
     ask.force = f;
     ask.work = b->rotated.work;
     ask.exec = &b->exec;
-    if (b->damage && b->damage->tets && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
+    if (sfemi_damage_tets(b->damage) && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
         const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->rotated.work, &b->exec);
         return psi + sfemi_damage_forces(b->damage, &ask);
     }
@@ -22687,15 +22749,18 @@ static void sfemi_safeguard_finish(sfem_body *b)
     head->started = g->rejected ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
-/* ---- breaking ----
+/* ============================================================================================
+ * >>breaking   bodies that break: what a break takes from the energy budget, the balance of energies
  *
  * Edges are judged in the middle of a step from u to u', and break only where the exact local energy
  *   (Psi + Psi')/2 - (u'-u).(f'-f)/4
  * does not rise; after a rejected step, which starts afresh from u', where Psi' does not. Then the forces at
  * both ends are those of what is left, so that the next step goes on as if it had never been otherwise,
  * and what the energy budget counts falls by what has been released. A and its factor stay: they bound
- * what is left of K. New pieces that nothing holds get the rigid projection of >>rotated at once. */
+ * what is left of K. New pieces that nothing holds get the rigid projection of >>rotated at once.
+ * ============================================================================================ */
 
+#ifndef SFEM_NO_DAMAGE
 /* T + U of the step just taken, which (p,q,r) conserves where it is linear and A belongs to K:
  * 1/2 w'.r M w' + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2, after a redo 1/2 w'.r M w' + Psi'. */
 static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
@@ -22870,6 +22935,50 @@ static void sfemi_fracture_round(sfem_body *b)
         head->budget += g->rejected ? after.ec - before.ec : after.eb - before.eb;
     }
 }
+
+static void sfemi_fracture_destroy(sfem_body *b)
+{
+    sfemi_damage_free(b->damage);
+    sfemi_bonds_free(b->bonds);
+}
+
+/* Everything intact. */
+static void sfemi_fracture_reset(sfem_body *b)
+{
+    sfemi_damage_reset(b->damage);
+    sfemi_fracture_regroup(b);
+}
+
+static sfem_status sfemi_fracture_create(sfem_body *b, sfem_error *err)
+{
+    const sfem_status status = sfemi_damage_create(b->bonds, &b->allocator, &b->damage, err);
+    if (status != SFEM_OK) return status;
+    sfemi_damage_attach(b->damage, b->state.damage);
+    sfemi_fracture_reset(b);
+    return SFEM_OK;
+}
+
+/* Goes on with the damage that a state has, whose memory may be another than before. */
+static void sfemi_fracture_restore(sfem_body *b, const sfemi_state *s)
+{
+    if (!b->damage) return;
+    sfemi_damage_attach(b->damage, s->damage);
+    sfemi_damage_refresh(b->damage);
+    sfemi_fracture_regroup(b);
+}
+#else
+static sfem_real sfemi_fracture_least_p(const sfem_body *b) { (void)b; return 0; }
+static void sfemi_fracture_round(sfem_body *b) { (void)b; }
+static void sfemi_fracture_destroy(sfem_body *b) { (void)b; }
+static void sfemi_fracture_restore(sfem_body *b, const sfemi_state *s) { (void)b, (void)s; }
+static sfem_status sfemi_fracture_create(sfem_body *b, sfem_error *err) { (void)b, (void)err; return SFEM_OK; }
+static sfem_status sfemi_bonds_create(const sfem_model *model, const struct sfem_damage_def *def,
+                                      const sfem_allocator *al, sfemi_bonds **out, sfem_error *err)
+{
+    (void)model, (void)def, (void)al, (void)out;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies cannot break: the library is compiled with SFEM_NO_DAMAGE");
+}
+#endif /* SFEM_NO_DAMAGE */
 
 /* ============================================================================================
  * >>sleep   bodies at rest, whose steps cost nothing
@@ -23108,7 +23217,7 @@ static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
         sfemi_damage_add_stiffness(b->damage, 1, r->k[to].val);
         r->stage = SFEMI_REFACTOR_MATRIX;
     }
-    if (b->damage) r->broken = b->damage->account[SFEMI_BROKEN];
+    r->broken = sfemi_damage_broken(b->damage);
     r->next = 0;
     r->credit = r->done = 0;
     r->flops = sfemi_refactor_price(b, r->stage == SFEMI_REFACTOR_TANGENT);
@@ -23259,7 +23368,7 @@ static void sfemi_refactor_follow(sfem_body *b)
     sfemi_refactor *r = &b->refactor;
     if (!b->damage || !r->source) return;
     if (r->since_break < WAIT) ++r->since_break;
-    else if (r->stage == SFEMI_REFACTOR_IDLE && b->damage->account[SFEMI_BROKEN] != r->broken)
+    else if (r->stage == SFEMI_REFACTOR_IDLE && sfemi_damage_broken(b->damage) != r->broken)
         sfemi_refactor_begin(b, NULL);
 }
 
@@ -23848,8 +23957,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->rotated.over);
     sfemi_delete(&al, b->rotated.diagonal);
     sfemi_delete(&al, b->rotated.lever);
-    sfemi_damage_free(b->damage);
-    sfemi_bonds_free(b->bonds);
+    sfemi_fracture_destroy(b);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
@@ -23878,12 +23986,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_allocate_schur(b, k, &b->schur, err));
     if (b->scheme.rotates || sfemi_body_corrects_momentum(b)) SFEMI_TRY(sfemi_body_allocate_rotated(b, err));
     if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
-    if (b->bonds) {
-        SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
-        sfemi_damage_attach(b->damage, b->state.damage);
-        sfemi_damage_reset(b->damage);
-        sfemi_fracture_regroup(b);
-    }
+    if (b->bonds) SFEMI_TRY(sfemi_fracture_create(b, err));
     if (b->scheme.rotates) sfemi_rotated_weigh(b);
     sfemi_body_find_held(b);
 done:
@@ -24238,7 +24341,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->state.head->p = b->p;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
-    if (b->damage && b->damage->events) sfemi_sleep_wake_up(b);
+    if (sfemi_damage_events(b->damage)) sfemi_sleep_wake_up(b);
     sfemi_sleep_watch(b);
     sfemi_refactor_follow(b);
     sfemi_refactor_advance(b);
@@ -24475,10 +24578,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     if (status == SFEM_OK) status = sfemi_saved_fault(&sfemi_state_kind, &shape, memory, bytes, err);
     if (status != SFEM_OK) return status;
     memcpy(b->state.head, memory, bytes);
-    if (b->damage) {
-        sfemi_damage_refresh(b->damage);
-        sfemi_fracture_regroup(b);
-    }
+    sfemi_fracture_restore(b, &b->state);
     sfemi_body_find_held(b);
     sfemi_refactor_drop(b);
     sfemi_body_forget_columns(b);
@@ -24509,10 +24609,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     bytes = fresh.head->saved.size;
     memcpy(fresh.head, old.head, (size_t)((char *)fresh.pin - (char *)fresh.head));
     fresh.head->saved.size = bytes;
-    if (b->damage) {
-        sfemi_damage_attach(b->damage, fresh.damage);
-        sfemi_damage_refresh(b->damage);
-    }
+    sfemi_fracture_restore(b, &fresh);
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
     sfemi_delete(al, b->pin);
@@ -24767,6 +24864,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     return info;
 }
 
+#ifndef SFEM_NO_DAMAGE
 /* ---- fracture ---- */
 
 SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
@@ -24875,8 +24973,7 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
 {
     SFEM_ASSERT(b && b->damage);
     sfemi_sleep_wake_up(b);
-    sfemi_damage_reset(b->damage);
-    sfemi_fracture_regroup(b);
+    sfemi_fracture_reset(b);
     memset(b->state.balance, 0, sizeof *b->state.balance);
     b->state.head->current = 0;
     sfemi_refactor_drop(b); /* or K would be larger than the factor's */
@@ -25178,6 +25275,8 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     }
 }
 
+#endif /* SFEM_NO_DAMAGE */
+
 /* ============================================================================================
  * >>statics   f(u) = F with the body's pins and handles: a static solution
  *
@@ -25314,7 +25413,7 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     size_t i;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
-    if (b->damage && b->damage->tets)
+    if (sfemi_damage_tets(b->damage))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
     SFEMI_TRY(sfemi_workspace_check(b, err));
