@@ -51,6 +51,7 @@
  *            >>data         what a body is made of: all its structs
  *            >>state        the saved state: its arrays and their checks
  *            >>workspace    a step's temporaries, which bodies may share
+ *            >>system       a matrix that changes, and its factor
  *            >>handle       pins and handles set, moved and released while the body runs
  *            >>residual     right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
@@ -1413,9 +1414,11 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const
 SFEM_DEF int sfem_body_is_asleep(const sfem_body *body);
 SFEM_DEF void sfem_body_wake(sfem_body *body);
 
+#ifndef SFEM_NO_NEWTON
 /* How the last implicit step (SFEM_BATHE: its two systems together) or nonlinear static solution went,
  * also where it failed. All zero before. */
 SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
+#endif
 
 /* Static equilibrium f(u) = F under the forces, gravity, pins and handles of now; velocity becomes
  * zero. Handles that are nodes count as pins here. Where all laws are linear that is one solve;
@@ -18152,6 +18155,7 @@ static void sfemi_workspace_take_rotating(sfem_body *b, sfem_real *memory, size_
     for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, used);
 }
 
+#ifndef SFEM_NO_NEWTON
 /* What Newton's iteration has. */
 static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t *used)
 {
@@ -18164,6 +18168,7 @@ static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t 
         sfemi_workspace_take(vector[k], 3 * (size_t)b->model->mesh.nodes, memory, used);
     if (b->model->rotates) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
 }
+#endif
 
 /* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
 static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
@@ -18180,7 +18185,9 @@ static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
         sfemi_workspace_take(&b->velocity, n, memory, &used);
     }
     if (b->scheme.rotates) sfemi_workspace_take_rotating(b, memory, &used);
+#ifndef SFEM_NO_NEWTON
     if (b->implicit.ready) sfemi_workspace_take_newton(b, memory, &used);
+#endif
     return used;
 }
 
@@ -18243,6 +18250,41 @@ static sfem_status sfemi_workspace_reserve_work(sfem_body *b, const sfem_factor 
     w->work = work;
     w->work_size = need;
 done:
+    return status;
+}
+
+/* ============================================================================================
+ * >>system   a matrix that changes, and its factor: of Newton's iteration, of the energy safeguard
+ * ============================================================================================ */
+
+static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
+{
+    sfem_matrix_free(&s->matrix, &b->model->allocator);
+    sfemi_delete(&b->model->allocator, s->source);
+    memset(s, 0, sizeof *s);
+}
+
+/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
+static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
+                                     sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_system s;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
+    ++b->factors_made;
+    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
+    for (k = 0; k < s.factor->free_nodes; ++k)
+        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+    *out = s;
+    return SFEM_OK;
+done:
+    sfemi_factor_release(b->model, s.factor);
+    sfemi_system_close(b, &s);
     return status;
 }
 
@@ -18708,6 +18750,7 @@ static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
     return SFEM_OK;
 }
 
+#ifndef SFEM_NO_NEWTON
 /* Does Newton's matrix never change, so that a shared factor serves? */
 static int sfemi_implicit_constant(const sfem_body *b)
 {
@@ -18764,13 +18807,6 @@ done:
     return status;
 }
 
-static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
-{
-    sfem_matrix_free(&s->matrix, &b->model->allocator);
-    sfemi_delete(&b->model->allocator, s->source);
-    memset(s, 0, sizeof *s);
-}
-
 static void sfemi_implicit_destroy(sfem_body *b)
 {
     sfemi_implicit *m = &b->implicit;
@@ -18792,30 +18828,6 @@ static size_t sfemi_implicit_bytes(const sfem_body *b)
     }
     if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
     return reals * sizeof(sfem_real);
-}
-
-/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
-static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
-                                     sfem_error *err)
-{
-    const sfem_model *model = b->model;
-    sfemi_system s;
-    sfem_status status = SFEM_OK;
-    sfem_int k, at, count = 0;
-    memset(&s, 0, sizeof s);
-    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
-    ++b->factors_made;
-    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
-    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
-    for (k = 0; k < s.factor->free_nodes; ++k)
-        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
-            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
-    *out = s;
-    return SFEM_OK;
-done:
-    sfemi_factor_release(b->model, s.factor);
-    sfemi_system_close(b, &s);
-    return status;
 }
 
 /* ---- stages ---- */
@@ -19580,6 +19592,16 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
                           m->info.residual, (int)m->info.iterations, reached);
     return status;
 }
+
+#else /* what other sections ask of it */
+static void sfemi_implicit_destroy(sfem_body *b) { (void)b; }
+static size_t sfemi_implicit_bytes(const sfem_body *b) { (void)b; return 0; }
+static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
+{
+    (void)b;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this takes Newton's iteration: the library is compiled with SFEM_NO_NEWTON");
+}
+#endif /* SFEM_NO_NEWTON */
 
 /* ============================================================================================
  * >>alpha   dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
@@ -23575,6 +23597,7 @@ static void sfemi_linear_balance(sfem_body *b, sfem_real *v)
                         b->model->block_mass != NULL || b->alpha != 0 || b->state.head->started == SFEMI_RUNNING);
 }
 
+#ifndef SFEM_NO_NEWTON
 /* ---- Newton's ---- */
 
 static sfem_status sfemi_newton_accept(sfem_body *b, sfem_error *err)
@@ -23607,6 +23630,14 @@ static void sfemi_newton_balance(sfem_body *b, sfem_real *v)
     memcpy(b->zm, b->state.a, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zm);
     sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
 }
+
+static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
+                                                 sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
+                                                 sfemi_newton_balance};
+#define SFEMI_METHOD_NEWTON (&sfemi_method_newton)
+#else
+#define SFEMI_METHOD_NEWTON NULL /* such a body is refused */
+#endif
 
 /* ---- bodies that rotate ---- */
 
@@ -23662,9 +23693,6 @@ static void sfemi_rotated_balance(sfem_body *b, sfem_real *v)
 static const sfemi_method sfemi_method_linear = {sfemi_linear_predict, sfemi_linear_solve, sfemi_linear_accept,
                                                  sfemi_linear_finish, sfemi_linear_elastic, sfemi_linear_conserved,
                                                  sfemi_linear_balance};
-static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
-                                                 sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
-                                                 sfemi_newton_balance};
 static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict, sfemi_rotated_solve, sfemi_safeguard_judge_step,
                                                   sfemi_safeguard_finish, sfemi_rotated_elastic, sfemi_rotated_conserved,
                                                   sfemi_rotated_balance};
@@ -23706,8 +23734,9 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     if (s->newmark) s->q = 2 * d->gamma;
     if (s->lagging) s->q = (3 - d->rho_inf) / ((1 + d->rho_inf) * (2 - d->rho_inf));
     sfemi_method_weigh(d, s);
-    s->method = s->rotates ? &sfemi_method_rotated : s->newton ? &sfemi_method_newton : &sfemi_method_linear;
+    s->method = s->rotates ? &sfemi_method_rotated : s->newton ? SFEMI_METHOD_NEWTON : &sfemi_method_linear;
 }
+#undef SFEMI_METHOD_NEWTON
 
 /* ============================================================================================
  * >>body   the pipeline that a user calls: create, prepare, step, read
@@ -24138,6 +24167,7 @@ static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
     return sfemi_body_has_factor(b, h) && !b->schur.dirty;
 }
 
+#ifndef SFEM_NO_NEWTON
 static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
 {
     sfem_factor *f;
@@ -24151,6 +24181,7 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     b->p = p;
     return sfemi_body_prepare_handles(b, err);
 }
+#endif
 
 static sfem_status sfemi_body_check_step(sfem_real h, sfem_error *err)
 {
@@ -24175,7 +24206,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
+#ifndef SFEM_NO_NEWTON
         if (b->scheme.newton) return sfemi_body_prepare_implicit(b, h, p, err);
+#endif
         key.ck = p * h * h + b->scheme.q / 2 * h * b->beta;
         key.cm = b->scheme.r + b->scheme.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
@@ -25365,7 +25398,9 @@ static void sfemi_body_static_forces(sfem_body *b)
     memcpy(b->zk, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zk);
     if (b->zd) memset(b->zd, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zd);
     if (sfemi_implicit_linear(b->model)) sfemi_body_residual(b, load, 0);
+#ifndef SFEM_NO_NEWTON
     else sfemi_implicit_balance(b, 0, NULL, NULL, b->rhs);
+#endif
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
         for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
@@ -25377,6 +25412,7 @@ static void sfemi_body_static_forces(sfem_body *b)
 }
 
 /* The static solution of a nonlinear model, to acc. */
+#ifndef SFEM_NO_NEWTON
 static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
 {
     sfemi_schur *g = &b->schur;
@@ -25401,6 +25437,13 @@ done:
     sfemi_system_close(b, &system);
     return status;
 }
+#else
+static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
+{
+    (void)key;
+    return sfemi_implicit_reserve(b, err);
+}
+#endif
 
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
 {

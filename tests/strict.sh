@@ -11,8 +11,9 @@ BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
-PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_BODY SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES SFEM_MINIMAL
-    SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_BODY SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
+PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES
+    SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_BODY SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON
+    SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -132,6 +133,46 @@ static int makes(sfem_mesh *mesh) /* tets of a surface */
     return 1;
 }
 
+#ifndef SFEM_NO_BODY
+/* a part that is left out is refused when a body asks for it */
+static int breaks(sfem_model *model)
+{
+    sfem_body_def def = sfem_default_body_def();
+    sfem_body *body = 0;
+#ifdef SFEM_NO_DAMAGE
+    def.damage = (const struct sfem_damage_def *)(const void *)&def; /* not read */
+    return sfem_body_create(model, &def, &body, 0) == SFEM_BAD_ARGUMENT;
+#else
+    const sfem_damage_def damage = sfem_default_damage_def();
+    int good;
+    def.damage = &damage;
+    if (sfem_body_create(model, &def, &body, 0) != SFEM_OK) return 0;
+    good = sfem_body_step(body, 0.01, 0) == SFEM_OK && sfem_body_fracture(body).pieces == 1;
+    sfem_body_free(body);
+    return good;
+#endif
+}
+
+static int iterates(sfem_model *model)
+{
+    sfem_body_def def = sfem_default_body_def();
+    sfem_body *body = 0;
+    int good;
+    def.integrator = SFEM_BACKWARD_EULER;
+#ifdef SFEM_NO_NEWTON
+    if (sfem_body_create(model, &def, &body, 0) != SFEM_BAD_ARGUMENT) return 0;
+    def.integrator = SFEM_PQR;
+    if (sfem_body_create(model, &def, &body, 0) != SFEM_OK) return 0;
+    good = sfem_body_solve_static(body, 0) == SFEM_BAD_ARGUMENT;
+#else
+    if (sfem_body_create(model, &def, &body, 0) != SFEM_OK) return 0;
+    good = sfem_body_step(body, 0.01, 0) == SFEM_OK && sfem_body_newton(body).converged;
+#endif
+    sfem_body_free(body);
+    return good;
+}
+#endif
+
 static int steps(sfem_model *model) /* a body, and in its modes */
 {
     int good = sfem_model_total_mass(model) > 0;
@@ -140,6 +181,7 @@ static int steps(sfem_model *model) /* a body, and in its modes */
     sfem_body *body = 0;
     good &= sfem_body_create(model, &def, &body, 0) == SFEM_OK && sfem_body_step(body, 0.01, 0) == SFEM_OK;
     sfem_body_free(body);
+    good &= breaks(model) && iterates(model);
 #endif
 #ifndef SFEM_NO_REDUCED
     {
@@ -190,7 +232,8 @@ END
 for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
     for switches in SFEM_NO_MODES SFEM_NO_REDUCED 'SFEM_NO_MODES -DSFEM_NO_LINK' \
-        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
+        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_DAMAGE -DSFEM_NO_BODY' \
+        'SFEM_ENABLE_DAMAGE -DSFEM_NO_DAMAGE' 'SFEM_ENABLE_NEWTON -DSFEM_NO_NEWTON' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
         'SFEM_MINIMAL -DSFEM_ENABLE_REDUCED -DSFEM_NO_MODES' \
         'SFEM_STATIC -DSFEM_DEF='; do
         $command -I. -E -D$switches -o /dev/null "$BUILD/user.c" 2>&1 | grep -q 'error.*softfem[.]h: .* define ' ||
