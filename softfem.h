@@ -95,14 +95,18 @@
  *     SFEM_NO_MESHER     without tets from surfaces and functions, >>api-mesher
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
- *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
+ *     SFEM_NO_MODES      without the modes of models, >>api-modes: reduced models are loaded, not made
  *     SFEM_NO_DAMAGE     without fracture, >>api-damage
  *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
  *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
  *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and these two
- *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_BODY, SFEM_ENABLE_DAMAGE (with bodies), SFEM_ENABLE_NEWTON
- *     (with bodies), SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes), SFEM_ENABLE_LINK (with modes and reduced models)
+ *     SFEM_NO_MODEL      without matrices, solvers, materials and models, >>api-matrix, >>api-element, >>api-model, and
+ *                        what is made of them: bodies and modes
+ *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models), SFEM_ENABLE_DAMAGE and
+ *     SFEM_ENABLE_NEWTON (with bodies), SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with
+ *     reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with SFEM_ENABLE_MODES it makes
+ *     them
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -141,9 +145,11 @@
 #if !defined(SFEM_NO_REDUCED) && !defined(SFEM_ENABLE_REDUCED) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_REDUCED
 #endif
-#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES) && !defined(SFEM_ENABLE_REDUCED) && \
-    !defined(SFEM_ENABLE_LINK)
+#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES)
 #define SFEM_NO_MODES
+#endif
+#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES)
+#define SFEM_NO_MODEL
 #endif
 #endif
 #if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
@@ -160,6 +166,18 @@
 #endif
 #if (defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON)) && defined(SFEM_NO_BODY)
 #error "softfem.h: fracture and Newton's iteration are parts of bodies: define SFEM_NO_BODY, or SFEM_ENABLE_DAMAGE or SFEM_ENABLE_NEWTON, not both"
+#endif
+#if defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_MODEL)
+#error "softfem.h: SFEM_ENABLE_MODEL and SFEM_NO_MODEL are both defined: define only one of them"
+#endif
+#ifdef SFEM_NO_MODEL
+#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || defined(SFEM_ENABLE_MODES)
+#error "softfem.h: bodies and modes are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
+#endif
+#undef SFEM_NO_BODY
+#undef SFEM_NO_MODES
+#define SFEM_NO_BODY
+#define SFEM_NO_MODES
 #endif
 #ifdef SFEM_NO_BODY
 #undef SFEM_NO_DAMAGE
@@ -178,9 +196,6 @@
 #endif
 #if defined(SFEM_ENABLE_MODES) && defined(SFEM_NO_MODES)
 #error "softfem.h: SFEM_ENABLE_MODES and SFEM_NO_MODES are both defined: define only one of them"
-#endif
-#if defined(SFEM_NO_MODES) && !defined(SFEM_NO_REDUCED)
-#error "softfem.h: reduced models are made of modes: with SFEM_NO_MODES define SFEM_NO_REDUCED too"
 #endif
 #if defined(SFEM_NO_REDUCED) && !defined(SFEM_NO_LINK)
 #error "softfem.h: senders and receivers carry the motion of modal bodies: with SFEM_NO_REDUCED define SFEM_NO_LINK too"
@@ -274,6 +289,12 @@ typedef struct sfem_exec {
     void (*parallel_for)(sfem_int count, sfem_task task, void *data, void *user);
     void *user;
 } sfem_exec;
+
+/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in
+ * float and everything else in double: half the memory traffic, a residual of a solve of about
+ * 4e-7 on good meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a
+ * strain of 1e-3. */
+typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
 
 /* ============================================================================================
  * >>api-mesh   tetrahedral meshes
@@ -604,11 +625,14 @@ SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, 
  * sfem_model_def's materials and material_count = SFEM_CAGE_LEVELS + 1, while tet_material stays NULL.
  *   errors  SFEM_BAD_ARGUMENT (least); O(1), allocates nothing */
 #define SFEM_CAGE_LEVELS 20
+#ifndef SFEM_NO_MODEL
 struct sfem_material; /* >>api-model */
 SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least,
                                          struct sfem_material *out /* [SFEM_CAGE_LEVELS + 1] */, sfem_error *err);
+#endif
 #endif /* SFEM_NO_MESHER */
 
+#ifndef SFEM_NO_MODEL
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
  * ============================================================================================ */
@@ -834,12 +858,6 @@ typedef enum sfem_tangent {
     SFEM_TANGENT_FROZEN
 } sfem_tangent;
 
-/* Where forces are computed. SFEM_MIXED keeps a factor, or the arithmetic inside a tet, in
- * float and everything else in double: half the memory traffic, a residual of a solve of about
- * 4e-7 on good meshes, forces to about 1e-7 of the modulus, which is 1e-4 of the force at a
- * strain of 1e-3. */
-typedef enum sfem_precision { SFEM_DOUBLE, SFEM_MIXED } sfem_precision;
-
 /* Lame's parameters, Pa, of Young's modulus (Pa, > 0) and Poisson's ratio, in (-1, 0.5). */
 SFEM_DEF void sfem_law_lame(sfem_real young, sfem_real poisson, sfem_real *lambda, sfem_real *mu);
 
@@ -1022,6 +1040,8 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
                                 const sfem_int *tri, const sfem_real t[3], sfem_real *force);
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
+
+#endif /* SFEM_NO_MODEL */
 
 #ifndef SFEM_NO_DAMAGE
 /* ============================================================================================
@@ -1743,6 +1763,7 @@ typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sf
 
 typedef struct sfem_reduced sfem_reduced;
 
+#ifndef SFEM_NO_MODES
 typedef struct sfem_reduced_def {
     sfem_real alpha, beta;   /* Rayleigh damping, >= 0: c = alpha + beta lambda, 1/s, s */
     const sfem_real *ratio;  /* [count of the modes] damping ratios, >= 0, in place of that; or
@@ -1767,6 +1788,7 @@ SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
                                          const sfem_reduced_def *def, sfem_reduced **out,
                                          sfem_error *err);
+#endif /* SFEM_NO_MODES */
 SFEM_DEF void sfem_reduced_free(sfem_reduced *reduced); /* NULL allowed; goes with its last user */
 
 typedef struct sfem_reduced_info {
@@ -2318,6 +2340,12 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
     else free(raw);
 }
 
+#if defined(__GNUC__)
+#define SFEMI_UNUSED __attribute__((unused)) /* of what some parts do not need */
+#else
+#define SFEMI_UNUSED
+#endif
+
 /* Memory that is freed at once, of a function or of an object: each piece points to the one before it, from where
  * sfemi_new leaves room for that. */
 typedef struct sfemi_pool {
@@ -2325,7 +2353,7 @@ typedef struct sfemi_pool {
     void *last;
 } sfemi_pool;
 
-static sfemi_pool sfemi_pool_of(const sfem_allocator *a)
+static SFEMI_UNUSED sfemi_pool sfemi_pool_of(const sfem_allocator *a)
 {
     sfemi_pool pool;
     pool.allocator = *a;
@@ -2334,7 +2362,7 @@ static sfemi_pool sfemi_pool_of(const sfem_allocator *a)
 }
 
 /* What sfemi_new gave, or NULL, goes with the pool from now on. Returns it. */
-static void *sfemi_pool_own(sfemi_pool *pool, void *memory)
+static SFEMI_UNUSED void *sfemi_pool_own(sfemi_pool *pool, void *memory)
 {
     if (!memory) return NULL;
     memcpy((char *)memory - 2 * sizeof(void *), &pool->last, sizeof(void *));
@@ -2342,7 +2370,7 @@ static void *sfemi_pool_own(sfemi_pool *pool, void *memory)
 }
 
 /* The pool may stand in its own oldest piece. Afterwards it is empty. */
-static void sfemi_pool_free(sfemi_pool *pool)
+static SFEMI_UNUSED void sfemi_pool_free(sfemi_pool *pool)
 {
     const sfem_allocator al = pool->allocator;
     void *memory = pool->last, *next;
@@ -2405,7 +2433,7 @@ static sfem_int sfemi_threads(const sfem_exec *e)
 }
 
 /* Calls task(data, i) for each i in [0, count). */
-static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *data)
+static SFEMI_UNUSED void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *data)
 {
     sfem_int i;
     if (count > 1 && sfemi_threads(e) > 1) {
@@ -2460,6 +2488,53 @@ SFEM_DEF int sfem_vector_width(void)
 {
     static const int width[3] = {1, 4, 8};
     return width[sfemi_path()];
+}
+
+/* Counters that threads share, and locks. */
+#if defined(__GNUC__)
+#define SFEMI_ATOMICS 1
+typedef int32_t sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
+                                                                               */
+#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
+#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
+#elif defined(_MSC_VER)
+#define SFEMI_ATOMICS          1
+typedef long sfemi_counter;
+long _InterlockedExchangeAdd(long volatile *, long);
+long _InterlockedExchange(long volatile *, long);
+#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
+#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
+#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
+#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
+#define SFEMI_ATOMICS          0
+typedef long sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
+#define SFEMI_ATOMIC_GET(p)    (*(p))
+#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
+#endif
+
+/* Sections this short need no more than a spin lock. */
+static SFEMI_UNUSED void sfemi_lock(int *lock)
+{
+#if defined(__GNUC__)
+    while (__atomic_exchange_n(lock, 1, __ATOMIC_ACQUIRE)) continue;
+#elif defined(_MSC_VER)
+    while (_InterlockedExchange((volatile long *)lock, 1)) continue;
+#else
+    *lock = 1;
+#endif
+}
+
+static SFEMI_UNUSED void sfemi_unlock(int *lock)
+{
+#if defined(__GNUC__)
+    __atomic_store_n(lock, 0, __ATOMIC_RELEASE);
+#elif defined(_MSC_VER)
+    _InterlockedExchange((volatile long *)lock, 0);
+#else
+    *lock = 0;
+#endif
 }
 
 #if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
@@ -2688,7 +2763,7 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 }
 
 /* c = a b, a^T b, a b^T. c must be neither. */
-static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
+static SFEMI_UNUSED void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
     int i;
     for (i = 0; i < 9; i += 3) {
@@ -2736,7 +2811,7 @@ static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
 
 /* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric
  * matrix a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
-static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
+static SFEMI_UNUSED void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
 {
     sfem_real norm = 0;
     int sweep, turned = 1, p, q, i;
@@ -2977,6 +3052,30 @@ static void sfemi_small_solve(const sfem_real *a, sfem_int n, sfem_int stride, s
     for (i = 0; i < n; ++i)
         if (!(a[i * stride + i] > 0)) x[i * step] = 0;
 }
+#endif
+
+/* >>kernels, once for each path and precision. */
+#if !defined(SFEM_NO_MODEL) || !defined(SFEM_NO_REDUCED)
+#define SFEMI_BITS 64
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#if SFEMI_X86
+#define SFEMI_BITS 64
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 64
+#define SFEMI_PATH 2
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 2
+#include SFEM_SELF
+#endif
 #endif
 
 /* ============================================================================================
@@ -8936,6 +9035,7 @@ done:
     return status;
 }
 
+#ifndef SFEM_NO_MODEL
 SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least, struct sfem_material *out,
                                          sfem_error *err)
 {
@@ -8951,8 +9051,10 @@ SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_
     }
     return SFEM_OK;
 }
+#endif
 #endif /* SFEM_NO_MESHER */
 
+#ifndef SFEM_NO_MODEL
 /* ============================================================================================
  * >>matrix   symmetric matrices of 3x3 blocks: pattern, product, conversions
  *
@@ -10201,29 +10303,6 @@ done:
  * does everything.
  * ============================================================================================ */
 
-#if defined(__GNUC__)
-#define SFEMI_ATOMICS 1
-typedef int32_t sfemi_counter;
-#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
-                                                                               */
-#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
-#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
-#elif defined(_MSC_VER)
-#define SFEMI_ATOMICS          1
-typedef long sfemi_counter;
-long _InterlockedExchangeAdd(long volatile *, long);
-long _InterlockedExchange(long volatile *, long);
-#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
-#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
-#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
-#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
-#define SFEMI_ATOMICS          0
-typedef long sfemi_counter;
-#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
-#define SFEMI_ATOMIC_GET(p)    (*(p))
-#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
-#endif
-
 /* Seconds since some moment, or 0 where the language has no such clock. */
 static double sfemi_seconds(void)
 {
@@ -10314,7 +10393,7 @@ static void sfemi_throttle_took(sfemi_throttle *p, sfem_int threads, double seco
  *
  * A front is the dense matrix in which one supernode is eliminated: its k columns of L and the update matrix of the
  * f - k rows below, lower half, cut into tiles of t rows. L and the update matrix are separate arrays. The tile in
- * which row k lies (boundary) may belong to both. >>kernels is included here.
+ * which row k lies (boundary) may belong to both.
  * ============================================================================================ */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
@@ -10372,27 +10451,6 @@ static size_t sfemi_shape_update_size(const sfemi_shape *s)
     return sfemi_shape_update(s, s->tiles - 1) +
            s->last * ((s->tiles - 1) * s->t + s->last - s->boundary * s->t);
 }
-
-#define SFEMI_BITS 64
-#define SFEMI_PATH 0
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 0
-#include SFEM_SELF
-#if SFEMI_X86
-#define SFEMI_BITS 64
-#define SFEMI_PATH 1
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 1
-#include SFEM_SELF
-#define SFEMI_BITS 64
-#define SFEMI_PATH 2
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 2
-#include SFEM_SELF
-#endif
 
 typedef struct sfemi_ldl_kernels {
     const char *name;
@@ -14176,29 +14234,6 @@ struct sfem_model {
     sfem_real omega_max;       /* of the free body at rest, within a hundredth; 0: not known */
 };
 
-/* Sections this short need no more than a spin lock. */
-static void sfemi_lock(int *lock)
-{
-#if defined(__GNUC__)
-    while (__atomic_exchange_n(lock, 1, __ATOMIC_ACQUIRE)) continue;
-#elif defined(_MSC_VER)
-    while (_InterlockedExchange((volatile long *)lock, 1)) continue;
-#else
-    *lock = 1;
-#endif
-}
-
-static void sfemi_unlock(int *lock)
-{
-#if defined(__GNUC__)
-    __atomic_store_n(lock, 0, __ATOMIC_RELEASE);
-#elif defined(_MSC_VER)
-    _InterlockedExchange((volatile long *)lock, 0);
-#else
-    *lock = 0;
-#endif
-}
-
 SFEM_DEF sfem_material sfem_default_material(void)
 {
     sfem_material m;
@@ -15118,6 +15153,8 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
                 force[3 * (size_t)tri[3 * (size_t)k + (size_t)a] + (size_t)c] -= p * area2[c] / 6;
     }
 }
+
+#endif /* SFEM_NO_MODEL */
 
 #ifndef SFEM_NO_BODY
 /* ============================================================================================
@@ -27503,15 +27540,6 @@ static const sfemi_saved_array sfemi_reduced_array[] = {
 
 static const sfemi_saved_kind sfemi_reduced_kind = SFEMI_SAVED_KIND("sfemred", "reduced model", 2, sfemi_reduced_array);
 
-SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
-{
-    sfem_reduced_def def;
-    memset(&def, 0, sizeof def);
-    def.free = -1;
-    def.gravity_groups = 16;
-    return def;
-}
-
 SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
 {
     sfem_int left;
@@ -27550,6 +27578,7 @@ done:
     return status;
 }
 
+#ifndef SFEM_NO_MODES
 /* Psi: half the curl of each mode, constant in a tet, averaged at the nodes by volume. */
 static void sfemi_reduced_curl(sfem_reduced *r, const sfem_model *model, sfem_real *volume)
 {
@@ -27750,6 +27779,15 @@ static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes
     return SFEM_OK;
 }
 
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
+{
+    sfem_reduced_def def;
+    memset(&def, 0, sizeof def);
+    def.free = -1;
+    def.gravity_groups = 16;
+    return def;
+}
+
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
                                          const sfem_reduced_def *def, sfem_reduced **out,
                                          sfem_error *err)
@@ -27805,6 +27843,8 @@ done:
     sfem_reduced_free(r);
     return status;
 }
+
+#endif /* SFEM_NO_MODES */
 
 SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
 {
@@ -30893,6 +30933,7 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
     }
 #endif
 
+#ifndef SFEM_NO_MODEL
 /* --- the factor of one front -----------------------------------------------------------------
  *
  * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors,
@@ -31641,6 +31682,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t per, size_t k,
     }
 }
 #undef SFEMI_OUTER
+
+#endif /* SFEM_NO_MODEL */
 
 #ifndef SFEM_NO_REDUCED
 /* --- modal bodies ------------------------------------------------------------------------------ */
