@@ -2454,8 +2454,9 @@ static SFEMI_UNUSED void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task
  * whatever the processor says. Costs a few loads: ask once for each loop, not once for each element.
  *
  * A kernel is a function SFEMI_KERNEL(name) in section >>kernels, marked SFEMI_TARGET; its instances
- * are called name_0, name_1, name_2, and a table of pointers for each path, like sfemi_ldl_kernels,
- * chooses between them. Inside it SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
+ * are called name_64_0, of doubles for path 0, to name_32_2, and a table by path holds pointers to them. Those that
+ * vector types would only obscure, loops over lanes that the compiler turns into vector instructions, stand in
+ * >>element, and are called name_0 to name_2. Inside a kernel SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
  * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
  * (c - a b). Multiply-adds are explicit, so that the bits depend on the path and on nothing else. */
 static int sfemi_path(void)
@@ -2477,11 +2478,14 @@ static int sfemi_path(void)
 #define SFEMI_INLINE inline
 #endif
 
-/* For kernels that vector types would only obscure: loops over lanes that the compiler turns into
- * vector instructions of the given set. */
+/* What each path may use, and a table of K(path) for all of them, of which entry sfemi_path() counts. */
+#define SFEMI_TARGET_0
 #if SFEMI_X86
-#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
-#define SFEMI_AVX512 __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_TARGET_1 __attribute__((target("avx2,fma")))
+#define SFEMI_TARGET_2 __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_PATHS(K) {K(0), K(1), K(2)}
+#else
+#define SFEMI_PATHS(K) {K(0)}
 #endif
 
 SFEM_DEF int sfem_vector_width(void)
@@ -3072,9 +3076,20 @@ static void sfemi_small_solve(const sfem_real *a, sfem_int n, sfem_int stride, s
 #define SFEMI_BITS 64
 #define SFEMI_PATH 2
 #include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 2
-#include SFEM_SELF
+/* what is not wider on AVX-512: floats are 8 wide on every path, rows of four doubles 4 */
+#define sfemi_ldl_invert_32_2    sfemi_ldl_invert_32_1
+#define sfemi_ldl_forward_32_2   sfemi_ldl_forward_32_1
+#define sfemi_ldl_backward_32_2  sfemi_ldl_backward_32_1
+#define sfemi_ldl_forward8_32_2  sfemi_ldl_forward8_32_1
+#define sfemi_ldl_backward8_32_2 sfemi_ldl_backward8_32_1
+#define sfemi_modal_tiles_32_2   sfemi_modal_tiles_32_1
+#define sfemi_modes_dots_64_2    sfemi_modes_dots_64_1
+#define sfemi_modes_combine_64_2 sfemi_modes_combine_64_1
+#define sfemi_modes_gram_64_2    sfemi_modes_gram_64_1
+#define sfemi_modes_rotate_64_2    sfemi_modes_rotate_64_1
+#define sfemi_modes_row_64_2     sfemi_modes_row_64_1
+#define sfemi_modes_project_64_2 sfemi_modes_project_64_1
+#define sfemi_modes_scale_64_2   sfemi_modes_scale_64_1
 #endif
 #endif
 
@@ -10483,31 +10498,26 @@ typedef struct sfemi_ldl_kernels {
                          const float *, float *);
 } sfemi_ldl_kernels;
 
-static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
-{
 #ifndef SFEM_NO_MODES
 #define SFEMI_FOUR(p) sfemi_ldl_forward4_64_##p, sfemi_ldl_backward4_64_##p,
 #else
 #define SFEMI_FOUR(p)
 #endif
-#define SFEMI_TABLE(name, width, p)                                                                \
-    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,    \
-     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p,                      \
-     sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p,                 \
-     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, \
-     sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p,               \
-     sfemi_ldl_backward8_32_##p}
-    static const sfemi_ldl_kernels table[] = {
-        SFEMI_TABLE("portable", 4, 0),
-#if SFEMI_X86
-        SFEMI_TABLE("avx2", 4, 1),
-        SFEMI_TABLE("avx512", 8, 2),
-#endif
-    };
-#undef SFEMI_TABLE
+#define SFEMI_NAME_0 "portable", 4
+#define SFEMI_NAME_1 "avx2", 4
+#define SFEMI_NAME_2 "avx512", 8
+#define SFEMI_K(p)                                                                                       \
+    {SFEMI_NAME_##p, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,       \
+     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p, sfemi_ldl_invert_64_##p,   \
+     sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p,                     \
+     sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p,        \
+     sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
+static const sfemi_ldl_kernels sfemi_ldl_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
+#undef SFEMI_NAME_0
+#undef SFEMI_NAME_1
+#undef SFEMI_NAME_2
 #undef SFEMI_FOUR
-    return table + path;
-}
 
 typedef struct sfemi_eigen_kernels {
     double (*column)(size_t, double *, const double *, const double *, const double *, double *);
@@ -10515,19 +10525,9 @@ typedef struct sfemi_eigen_kernels {
     void (*sweep)(size_t, size_t, double *, size_t, const double *, const double *);
 } sfemi_eigen_kernels;
 
-static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
-{
-#define SFEMI_TABLE(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
-    static const sfemi_eigen_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+#define SFEMI_K(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
+static const sfemi_eigen_kernels sfemi_eigen_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* ============================================================================================
  * >>symbolic   what a factorisation needs to know of the pattern: supernodes, tasks, places
@@ -11115,7 +11115,7 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     SFEMI_NEW(sfemi_symbolic, y, m, 1);
     y->references = 1;
     y->allocator = *m;
-    y->kernels = sfemi_ldl_kernels_of(sfemi_path());
+    y->kernels = &sfemi_ldl_path[sfemi_path()];
     y->n = a->n;
     y->per = def->scalar ? 1 : 3;
     y->blocks = a->n ? a->row[a->n] : 0;
@@ -12241,7 +12241,7 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative,
                                    double *lost)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, q;
     *negative = 0;
@@ -12299,7 +12299,7 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
 /* x = L^-1 x: eight columns, then what they do to the rows below. */
 static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, end;
     for (j = 0; j < m; j = end) {
@@ -12315,7 +12315,7 @@ static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, in
 /* x = L^-T x: four columns, from the last. */
 static void sfemi_dense_backward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, end;
     for (end = m; end > 0; end = j) {
@@ -12368,7 +12368,7 @@ SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
 static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *e, sfem_real *tau,
                                sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *w = work, *y = work + n, *v = work + 2 * n;
     size_t k, i, j;
     memset(w, 0, n * sizeof *w);
@@ -12409,7 +12409,7 @@ static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *
 /* Writes Q over the reflections that made it. */
 static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     size_t k, i, j;
     for (k = n - 1; k-- > 0;) /* H_k stands in column k + 1, so that it starts on the diagonal */
         memcpy(a + (k + 1) * n + k + 1, a + k * n + k + 1, (n - k - 1) * sizeof *a);
@@ -12429,7 +12429,7 @@ static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
 static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfem_real *z, size_t h,
                           sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *cosine = work, *sine = work + n;
     size_t l, m, i;
     int turns;
@@ -12580,7 +12580,7 @@ static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
                                     const sfem_real *lambda, sfem_real size, sfem_real *x,
                                     sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *u = work, *l = work + 9 * n;
     unsigned char *pivot = (unsigned char *)(work + 13 * n);
     uint32_t random = 1;
@@ -13271,25 +13271,21 @@ static SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volu
 
 typedef void (*sfemi_pairs_kernel)(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w);
 
-static void sfemi_pairs_portable(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+static void sfemi_pairs_0(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     sfemi_pairs_blocks(m, volume, w);
 }
 
 #if SFEMI_X86
-SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+SFEMI_TARGET_1 static void sfemi_pairs_1(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     sfemi_pairs_blocks(m, volume, w);
 }
+#define sfemi_pairs_2 sfemi_pairs_1 /* on AVX-512, too */
 #endif
-
-static sfemi_pairs_kernel sfemi_pairs_pick(void)
-{
-#if SFEMI_X86
-    if (sfemi_path() > 0) return sfemi_pairs_avx2;
-#endif
-    return sfemi_pairs_portable;
-}
+#define SFEMI_K(p) sfemi_pairs_##p
+static const sfemi_pairs_kernel sfemi_pairs_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
 static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const sfem_real *u2,
@@ -13319,7 +13315,7 @@ SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, co
     if (!k) return energy;
     sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
     sfemi_pairs_fill(&modes, g, 0, &pairs);
-    sfemi_pairs_portable(&modes, volume, &pairs);
+    sfemi_pairs_0(&modes, volume, &pairs);
     for (a = 0, n = 0; a < 4; ++a)
         for (b = 0; b <= a; ++b, ++n)
             for (i = 0; i < 9; ++i) {
@@ -13578,7 +13574,7 @@ typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFE
                               sfem_real *out);
 /* spin_a += r of every lane, a = 0, 1, 2, 3: the same signature. */
 
-static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
+static void sfemi_gather_0(const sfemi_block *block, const sfem_real *u,
                                   sfem_real d[9][SFEMI_LANES])
 {
     int l, i;
@@ -13593,7 +13589,7 @@ static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
     }
 }
 
-static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+static void sfemi_scatter_0(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                                    sfem_real *out)
 {
     int l, i;
@@ -13609,7 +13605,7 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
     }
 }
 
-static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
+static void sfemi_spread_0(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
                                   sfem_real *spin)
 {
     int l, i, a;
@@ -13622,7 +13618,7 @@ static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9]
 
 #if SFEMI_X86
 /* Rows <-> columns of four vectors of four. */
-SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
+SFEMI_TARGET_1 static inline void sfemi_transpose_avx2(__m256d v[4])
 {
     const __m256d a = _mm256_unpacklo_pd(v[0], v[1]), b = _mm256_unpackhi_pd(v[0], v[1]);
     const __m256d c = _mm256_unpacklo_pd(v[2], v[3]), d = _mm256_unpackhi_pd(v[2], v[3]);
@@ -13632,7 +13628,7 @@ SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
     v[3] = _mm256_permute2f128_pd(b, d, 0x31);
 }
 
-SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_real *u,
+SFEMI_TARGET_1 static void sfemi_gather_1(const sfemi_block *block, const sfem_real *u,
                                          sfem_real d[9][SFEMI_LANES])
 {
     int l, a;
@@ -13656,12 +13652,12 @@ SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_re
     }
 }
 
-SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
+SFEMI_TARGET_1 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
 {
     _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
 }
 
-SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
+SFEMI_TARGET_1 static void sfemi_scatter_1(const sfemi_block *block,
                                           const sfem_real d[9][SFEMI_LANES], sfem_real *out)
 {
     int l, a;
@@ -13691,7 +13687,7 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
     }
 }
 
-SFEMI_AVX2 static void sfemi_spread_avx2(const sfemi_block *block,
+SFEMI_TARGET_1 static void sfemi_spread_1(const sfemi_block *block,
                                          const sfem_real r[9][SFEMI_LANES], sfem_real *spin)
 {
     int l, i, a, k;
@@ -14069,37 +14065,28 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
-#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
-                        sfemi_totals *totals)                                                      \
+/* WAY 1: gathered, spread and with multiply-adds as AVX2 does it */
+#define SFEMI_BLOCKS_KERNEL(S, PATH, WAY)                                                          \
+SFEMI_TARGET_##PATH static void sfemi_blocks_##S##_##PATH(                                         \
+    const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,                  \
+    sfem_real *rotation, sfem_real *spin, sfemi_totals *totals)                                    \
 {                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
-                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##WAY,       \
+                           sfemi_scatter_##WAY, sfemi_spread_##WAY, WAY);                          \
 }
 
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+SFEMI_BLOCKS_KERNEL(d, 0, 0)
+SFEMI_BLOCKS_KERNEL(f, 0, 0)
 #if SFEMI_X86
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(d, 1, 1)
+SFEMI_BLOCKS_KERNEL(f, 1, 1)
+SFEMI_BLOCKS_KERNEL(d, 2, 1)
+SFEMI_BLOCKS_KERNEL(f, 2, 1)
 #endif
-
-/* The widest path that this processor has. */
-static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
-{
-    const int mixed = precision == SFEM_MIXED;
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
-    default: break;
-    }
-#endif
-    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
-}
+#undef SFEMI_BLOCKS_KERNEL
+#define SFEMI_K(p) {sfemi_blocks_d_##p, sfemi_blocks_f_##p}
+static const sfemi_blocks_kernel sfemi_blocks_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
+#undef SFEMI_K
 
 #ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
@@ -14148,30 +14135,23 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
     }
 }
 
-#define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
-TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
-                        sfem_real *rotation, sfem_real *trace)                                     \
+#define SFEMI_POLARS_KERNEL(PATH, FUSED)                                                           \
+SFEMI_TARGET_##PATH static void sfemi_polars_##PATH(sfem_int count, const sfem_real *sum,          \
+                                                    const sfem_real *over, sfem_real *rotation,    \
+                                                    sfem_real *trace)                              \
 {                                                                                                  \
     sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
-SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
+SFEMI_POLARS_KERNEL(0, 0)
 #if SFEMI_X86
-SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
-SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
+SFEMI_POLARS_KERNEL(1, 1)
+SFEMI_POLARS_KERNEL(2, 1)
 #endif
-
-static sfemi_polars_kernel sfemi_polars_pick(void)
-{
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return sfemi_polars_avx512;
-    case 1: return sfemi_polars_avx2;
-    default: break;
-    }
-#endif
-    return sfemi_polars_portable;
-}
+#undef SFEMI_POLARS_KERNEL
+#define SFEMI_K(p) sfemi_polars_##p
+static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 #endif
 
 /* ============================================================================================
@@ -14948,7 +14928,7 @@ static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *bl
     job.inverted = job.energy + chunks;
     job.moved = job.inverted + chunks;
     job.apart = sfemi_threads(ask->exec) > 1 ? 4 * (size_t)model->chunks.most : 0;
-    job.kernel = sfemi_blocks_pick(ask->precision);
+    job.kernel = sfemi_blocks_path[sfemi_path()][ask->precision == SFEM_MIXED];
     sfemi_run(ask->exec, sfemi_forces_tasks(&model->chunks), sfemi_forces_chunks, &job);
     sfemi_run(ask->exec, (nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_forces_nodes, &job);
     for (k = 0; k < chunks; ++k) {
@@ -15039,7 +15019,7 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
-    job.kernel = sfemi_pairs_pick();
+    job.kernel = sfemi_pairs_path[sfemi_path()];
     memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
     for (n = 0; n < c->colors; ++n) {
         job.chunk = c->color_chunk + c->color_start[n];
@@ -20510,7 +20490,7 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     }
     job.body = b;
     job.frame = frame;
-    job.kernel = sfemi_polars_pick();
+    job.kernel = sfemi_polars_path[sfemi_path()];
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
 }
 
@@ -23295,7 +23275,7 @@ static double sfemi_refactor_tangent(sfem_body *b)
     job.kind = SFEM_TANGENT_PSD;
     job.val = r->k[r->live == 1].val;
     job.chunk = c->color_chunk;
-    job.kernel = sfemi_pairs_pick();
+    job.kernel = sfemi_pairs_path[sfemi_path()];
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
@@ -25553,22 +25533,12 @@ typedef struct sfemi_modes_kernels {
     void (*scale)(const double *, const double *, double *);
 } sfemi_modes_kernels;
 
-static const sfemi_modes_kernels *sfemi_modes_kernels_of(int path)
-{
-#define SFEMI_TABLE(p)                                                                              \
+#define SFEMI_K(p)                                                                                  \
     {sfemi_modes_dots_64_##p, sfemi_modes_combine_64_##p, sfemi_modes_gram_64_##p,                  \
      sfemi_modes_rotate_64_##p, sfemi_modes_row_64_##p,     sfemi_modes_project_64_##p,               \
      sfemi_modes_scale_64_##p}
-    static const sfemi_modes_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+static const sfemi_modes_kernels sfemi_modes_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* What the solvers work on: the free nodes, renumbered as they come. Held axes keep a row of their own
  * with K's diagonal in it and no mass, so that they are eigenvalues at infinity and never counted.
@@ -25691,7 +25661,7 @@ done:
 /* y = M x for four vectors that are zero on held axes. */
 static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const sfem_int *row = s->k.row;
     sfem_int i;
     size_t r;
@@ -25708,7 +25678,7 @@ static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sf
 /* y = K x for four vectors. */
 static void sfemi_modes_stiffness(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const sfem_int *row = s->k.row;
     sfem_int i;
     memset(y, 0, 12 * (size_t)s->n * sizeof *y);
@@ -25780,7 +25750,7 @@ static sfem_int sfemi_modes_allowed(sfem_real *g, sfem_real *motion)
  * displacements where s->half is set: then x -= root(M) Z (root(M) Z)^T x. */
 static void sfemi_modes_deflate(const sfemi_modes_system *s, sfem_real *x)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const size_t rows = 3 * (size_t)s->n;
     sfem_int i;
     if (s->rigid == 0) return;
@@ -26814,7 +26784,7 @@ static sfem_status sfemi_lanczos_create(sfemi_modes_system *s, sfem_modes_info *
     memset(z, 0, sizeof *z);
     z->s = s;
     z->pool = sfemi_pool_of(s->al);
-    z->f = sfemi_modes_kernels_of(sfemi_path());
+    z->f = &sfemi_modes_path[sfemi_path()];
     z->exec = &s->def->exec;
     z->info = info;
     z->rows = 3 * (size_t)s->n;
@@ -27306,23 +27276,9 @@ typedef struct sfemi_modal_kernels {
                     const sfem_int *, const float *, const float *, const float *, float *);
 } sfemi_modal_kernels;
 
-static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
-{
-#define SFEMI_TABLE(p)                                                                             \
-    {                                                                                              \
-        sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p,                \
-            sfemi_modal_tiles_32_##p                                                               \
-    }
-    static const sfemi_modal_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+#define SFEMI_K(p) {sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p, sfemi_modal_tiles_32_##p}
+static const sfemi_modal_kernels sfemi_modal_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* --- rotations ------------------------------------------------------------------------------- */
 
@@ -28421,7 +28377,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->def = *def;
     sfemi_reduced_retain(reduced);
     b->reduced = reduced;
-    b->kernels = sfemi_modal_kernels_of(sfemi_path());
+    b->kernels = &sfemi_modal_path[sfemi_path()];
     b->m = (size_t)reduced->head->modes;
     b->stride = (size_t)reduced->head->stride;
     shape = sfemi_modal_shape_of(b);
@@ -30768,9 +30724,9 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
 /* --- vectors ---------------------------------------------------------------------------------
  * Doubles are 4 wide, on AVX-512 8; floats 8 wide on every path. */
 #if SFEMI_PATH == 2 && !defined(SFEMI_EMULATE_AVX512) /* a test's, for processors without it */
-#define SFEMI_TARGET __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_TARGET SFEMI_TARGET_2
 #elif SFEMI_PATH >= 1
-#define SFEMI_TARGET __attribute__((target("avx2,fma")))
+#define SFEMI_TARGET SFEMI_TARGET_1
 #else
 #define SFEMI_TARGET
 #endif
@@ -31999,6 +31955,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward4)(size_t per, size_t k,
     }
 }
 
+#if SFEMI_PATH < 2
 /* Tall matrices of the eigen-solver: a basis in panels of 24 columns, each [rows][24], stride numbers
  * apart, and blocks [rows][4]; rows a multiple of 24, 96 at a time so that they stay in the first-level
  * cache. */
@@ -32143,6 +32100,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
     for (c = 0; c < 3; ++c)
         SFEMI_ST4(to + 4 * c, SFEMI_MUL4(SFEMI_DUP4(factor[c]), SFEMI_LD4(from + 4 * c)));
 }
+#endif
 #undef SFEMI_V4
 #undef SFEMI_LD4
 #undef SFEMI_ST4

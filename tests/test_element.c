@@ -881,7 +881,7 @@ static void model_forces_are_the_sum_over_tets(void **state)
                     got = sfemi_fem_forces(b.model, b.model->chunks.block, &ask);
                 } else { /* the path of processors without vectors */
                     sfemi_forces_job job = {&ask, b.model, b.model->chunks.block, b.work, NULL, NULL, NULL, 0,
-                                            sfemi_blocks_portable_d};
+                                            sfemi_blocks_d_0};
                     const sfemi_chunks *c = &b.model->chunks;
                     job.energy = b.work + 4 * c->copies;
                     job.inverted = job.energy + c->count;
