@@ -423,9 +423,6 @@ SFEM_DEF sfem_status sfem_mesh_components(const sfem_mesh *mesh, sfem_int *label
  *   cost        O(nodes + tets); scratch from the mesh's allocator */
 SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err);
 
-/* The largest difference of two node numbers in one tet. */
-SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh);
-
 /* Takes the nodes out that no tet uses; the others keep their order, the arrays their place.
  *   new_of_old  [nodes before], or NULL: the new number of each node, -1 if it is gone
  *   errors      SFEM_BAD_MESH, SFEM_OUT_OF_MEMORY; the mesh is then as it was */
@@ -871,12 +868,9 @@ SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
 SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
                                    const sfem_real f[9], sfem_real p[9]);
 
-/* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
+/* tangent[9*a+b] = dP_a/dF_b, symmetric. */
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81]);
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
-                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
-                                    sfem_real dp[9]);
 
 /* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its
  * energy, J, the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m.
@@ -1133,10 +1127,6 @@ typedef struct sfem_damage_tet {
 /* x [4][3], m, right-handed and not flat. */
 SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
                                   sfem_damage_tet *out);
-/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6]
- * = (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
-SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
-                                    sfem_real *b);
 /* S_d [6][6], Pa, of zeta [6] in [0, 1]; from zeta alone, so that healing is as exact as breaking.
  */
 SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
@@ -4173,23 +4163,6 @@ done:
     sfemi_delete(a, from);
     sfemi_delete(a, x);
     return status;
-}
-
-SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh)
-{
-    sfem_int t, width = 0;
-    int i;
-    SFEM_ASSERT(mesh);
-    for (t = 0; t < mesh->tets; ++t) {
-        const sfem_int *v = mesh->tet + 4 * (size_t)t;
-        sfem_int low = v[0], high = v[0];
-        for (i = 1; i < 4; ++i) {
-            if (v[i] < low) low = v[i];
-            if (v[i] > high) high = v[i];
-        }
-        if (high - low > width) width = high - low;
-    }
-    return width;
 }
 
 SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err)
@@ -10544,7 +10517,7 @@ static const sfemi_eigen_kernels sfemi_eigen_path[] = SFEMI_PATHS(SFEMI_K);
  * depend on each other. */
 typedef struct sfemi_symbolic {
     sfemi_counter references;
-    sfem_allocator allocator;
+    sfemi_pool pool; /* all of it */
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
     size_t per; /* unknowns to a node: 3, or 1 */
@@ -10588,35 +10561,7 @@ static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, siz
 
 static void sfemi_symbolic_free(sfemi_symbolic *y)
 {
-    sfem_allocator m;
-    if (!y || SFEMI_ATOMIC_ADD(&y->references, -1) > 1) return;
-    m = y->allocator;
-    sfemi_delete(&m, y->order);
-    sfemi_delete(&m, y->inverse);
-    sfemi_delete(&m, y->first);
-    sfemi_delete(&m, y->start);
-    sfemi_delete(&m, y->rows);
-    sfemi_delete(&m, y->place);
-    sfemi_delete(&m, y->target);
-    sfemi_delete(&m, y->parent);
-    sfemi_delete(&m, y->child);
-    sfemi_delete(&m, y->sibling);
-    sfemi_delete(&m, y->panel);
-    sfemi_delete(&m, y->panel32);
-    sfemi_delete(&m, y->update);
-    sfemi_delete(&m, y->update_kept);
-    sfemi_delete(&m, y->signs);
-    sfemi_delete(&m, y->scratch);
-    sfemi_delete(&m, y->from);
-    sfemi_delete(&m, y->source);
-    sfemi_delete(&m, y->into);
-    sfemi_delete(&m, y->task);
-    sfemi_delete(&m, y->of);
-    sfemi_delete(&m, y->buffer);
-    sfemi_delete(&m, y->level);
-    sfemi_delete(&m, y->by_level);
-    sfemi_delete(&m, y->at_level);
-    sfemi_delete(&m, y);
+    if (y && SFEMI_ATOMIC_ADD(&y->references, -1) == 1) sfemi_pool_free(&y->pool);
 }
 
 /* Is it worth a merged supernode of k columns over m rows to hold so many zeros? On small meshes
@@ -10640,7 +10585,7 @@ static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n, size_t
 static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t,
                                              sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int n = t->n;
     sfem_status status = SFEM_OK;
     sfem_int *pool = NULL, *head, *tail, *next, *of, *parent, *width, *below, *child, *sibling, *to;
@@ -10716,12 +10661,12 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
     sfemi_tree_postorder(count, parent, to, of, sibling);
     for (s = 0; s < count; ++s) child[to[s]] = s;
     for (i = 0; i < count; ++i) made += width[child[i]] > 0;
-    SFEMI_NEW(sfem_int, y->first, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->parent, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->child, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->sibling, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->order, m, (size_t)n + 1);
-    SFEMI_NEW(sfem_int, y->inverse, m, (size_t)n + 1);
+    SFEMI_TAKE(sfem_int, y->first, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->parent, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->child, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->sibling, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->order, &y->pool, (size_t)n + 1);
+    SFEMI_TAKE(sfem_int, y->inverse, &y->pool, (size_t)n + 1);
     y->supernodes = made;
     for (made = 0, i = 0; i < count; ++i) {
         s = child[i];
@@ -10786,14 +10731,14 @@ static void sfemi_sort_int(sfem_int *v, size_t n)
 /* The rows below each supernode: those of A and of its children. */
 static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     sfem_status status = SFEM_OK;
-    sfem_int *mark = NULL, i, s, c, e, k;
+    sfem_int *mark = NULL, *rows = NULL, i, s, c, e, k;
     size_t total = 0, room = 0, a;
     SFEMI_NEW(sfem_int, mark, m, (size_t)y->n + 1);
-    SFEMI_NEW(size_t, y->start, m, (size_t)y->supernodes + 1);
+    SFEMI_TAKE(size_t, y->start, &y->pool, (size_t)y->supernodes + 1);
     room = 4 * (size_t)y->n + 64;
-    SFEMI_NEW(sfem_int, y->rows, m, room);
+    SFEMI_NEW(sfem_int, rows, m, room);
     for (i = 0; i < y->n; ++i) mark[i] = -1;
     for (s = 0; s < y->supernodes; ++s) {
         const sfem_int last = y->first[s + 1];
@@ -10802,9 +10747,9 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
             sfem_int *bigger;
             room = 2 * room + (size_t)y->n;
             SFEMI_NEW(sfem_int, bigger, m, room);
-            memcpy(bigger, y->rows, total * sizeof *bigger);
-            sfemi_delete(m, y->rows);
-            y->rows = bigger;
+            memcpy(bigger, rows, total * sizeof *bigger);
+            sfemi_delete(m, rows);
+            rows = bigger;
         }
         for (i = y->first[s]; i < last; ++i) {
             const sfem_int old = y->order[i];
@@ -10812,21 +10757,23 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
                 k = y->inverse[g->adj[e]];
                 if (k < last || mark[k] == s) continue;
                 mark[k] = s;
-                y->rows[total++] = k;
+                rows[total++] = k;
             }
         }
         for (c = y->child[s]; c >= 0; c = y->sibling[c])
             for (a = y->start[c]; a < y->start[c + 1]; ++a) {
-                k = y->rows[a];
+                k = rows[a];
                 if (k < last || mark[k] == s) continue;
                 mark[k] = s;
-                y->rows[total++] = k;
+                rows[total++] = k;
             }
-        sfemi_sort_int(y->rows + begin, total - begin);
+        sfemi_sort_int(rows + begin, total - begin);
         y->start[s + 1] = total;
     }
-    SFEMI_NEW(sfem_int, y->place, m, total + 1);
-    SFEMI_NEW(sfem_int, y->target, m, total + 1);
+    y->rows = (sfem_int *)sfemi_pool_own(&y->pool, rows);
+    rows = NULL;
+    SFEMI_TAKE(sfem_int, y->place, &y->pool, total + 1);
+    SFEMI_TAKE(sfem_int, y->target, &y->pool, total + 1);
     for (s = 0; s < y->supernodes; ++s) {
         const sfem_int p = y->parent[s];
         size_t b;
@@ -10843,20 +10790,21 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
     }
 done:
     sfemi_delete(m, mark);
+    sfemi_delete(m, rows);
     return status;
 }
 
 /* Where each block of A goes. */
 static sfem_status sfemi_symbolic_blocks(sfemi_symbolic *y, const sfem_matrix *a, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     sfem_status status = SFEM_OK;
     sfem_int *where = NULL, *of = NULL, i, s, k;
     SFEMI_NEW(sfem_int, of, m, (size_t)y->n + 1);
     SFEMI_NEW(sfem_int, where, m, (size_t)y->n + 1);
-    SFEMI_NEW(sfem_int, y->from, m, (size_t)y->supernodes + 2);
-    SFEMI_NEW(sfem_int, y->source, m, (size_t)y->blocks + 1);
-    SFEMI_NEW(sfem_int, y->into, m, 2 * (size_t)y->blocks + 2);
+    SFEMI_TAKE(sfem_int, y->from, &y->pool, (size_t)y->supernodes + 2);
+    SFEMI_TAKE(sfem_int, y->source, &y->pool, (size_t)y->blocks + 1);
+    SFEMI_TAKE(sfem_int, y->into, &y->pool, 2 * (size_t)y->blocks + 2);
     for (s = 0; s < y->supernodes; ++s)
         for (i = y->first[s]; i < y->first[s + 1]; ++i) of[i] = s;
 #define SFEMI_LOW(i, k)                                                                            \
@@ -10926,14 +10874,14 @@ static double sfemi_front_flops(const sfemi_symbolic *y, sfem_int s)
 
 static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int ns = y->supernodes;
     sfem_status status = SFEM_OK;
     double *weight = NULL, total = 0, sum = 0;
     sfem_int *level = NULL, s, t, tasks = 0, top = 0;
     SFEMI_NEW(double, weight, m, (size_t)ns + 1);
-    SFEMI_NEW(sfem_int, y->of, m, (size_t)ns + 1);
-    SFEMI_NEW(sfem_int, y->task, m, (size_t)ns + 1);
+    SFEMI_TAKE(sfem_int, y->of, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(sfem_int, y->task, &y->pool, (size_t)ns + 1);
     for (s = 0; s < ns; ++s) {
         const double own = sfemi_front_flops(y, s);
         weight[s] += own + 2000; /* the work around a front */
@@ -10962,9 +10910,9 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
         if (p >= 0 && level[y->of[p]] <= level[t]) level[y->of[p]] = level[t] + 1;
     }
     y->levels = tasks ? top + 1 : 0;
-    SFEMI_NEW(sfem_int, y->level, m, (size_t)y->levels + 3);
-    SFEMI_NEW(sfem_int, y->by_level, m, (size_t)tasks + 1);
-    SFEMI_NEW(sfem_int, y->at_level, m, (size_t)tasks + 1);
+    SFEMI_TAKE(sfem_int, y->level, &y->pool, (size_t)y->levels + 3);
+    SFEMI_TAKE(sfem_int, y->by_level, &y->pool, (size_t)tasks + 1);
+    SFEMI_TAKE(sfem_int, y->at_level, &y->pool, (size_t)tasks + 1);
     for (t = 0; t < tasks; ++t) ++y->level[level[t] + 2];
     for (t = 0; t < y->levels; ++t) y->level[t + 2] += y->level[t + 1];
     for (t = 0; t < tasks; ++t) {
@@ -10980,7 +10928,7 @@ done:
 /* The places of L, of the update matrices, and of the rows in the solve's work array. */
 static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int ns = y->supernodes;
     const size_t w = y->kernels->width;
     sfem_status status = SFEM_OK;
@@ -10989,13 +10937,13 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
     sfem_int s, t, count = 0;
     SFEMI_NEW(sfemi_slot, slot, m, (size_t)ns + 1);
     SFEMI_NEW(size_t, base, m, (size_t)y->tasks + 2);
-    SFEMI_NEW(size_t, y->panel, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->panel32, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->update, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->update_kept, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->signs, m, (size_t)y->tasks + 1);
-    SFEMI_NEW(size_t, y->scratch, m, (size_t)y->tasks + 1);
-    SFEMI_NEW(sfem_int, y->buffer, m, (size_t)y->tasks + 1);
+    SFEMI_TAKE(size_t, y->panel, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->panel32, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->update, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->update_kept, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->signs, &y->pool, (size_t)y->tasks + 1);
+    SFEMI_TAKE(size_t, y->scratch, &y->pool, (size_t)y->tasks + 1);
+    SFEMI_TAKE(sfem_int, y->buffer, &y->pool, (size_t)y->tasks + 1);
     for (t = 0; t < y->tasks; ++t) {
         const sfem_int root = y->task[t + 1] - 1, end = y->first[root + 1];
         size_t widest = 0, signs = 0;
@@ -11112,9 +11060,8 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     if (def->x && !sfemi_all_finite(def->x, 3 * (size_t)a->n))
         return sfemi_fail(err, SFEM_NOT_FINITE,
                           "a coordinate given for the ordering is not finite");
-    SFEMI_NEW(sfemi_symbolic, y, m, 1);
+    SFEMI_NEW_OWNER(sfemi_symbolic, y, m);
     y->references = 1;
-    y->allocator = *m;
     y->kernels = &sfemi_ldl_path[sfemi_path()];
     y->n = a->n;
     y->per = def->scalar ? 1 : 3;
@@ -11152,6 +11099,7 @@ done:
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
     sfem_allocator allocator;
+    sfemi_pool pool;      /* all of it, but for the analysis */
     sfem_exec exec;
     int positive, mixed, keep, valid;
     double *l;            /* all panels */
@@ -12061,7 +12009,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     sfem_status status = SFEM_OK;
     sfem_ldl *ldl = NULL;
     const size_t n = y->per * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
-    SFEMI_NEW(sfem_ldl, ldl, m, 1);
+    SFEMI_NEW_OWNER(sfem_ldl, ldl, m);
     ldl->symbolic = y;
     y = NULL;
     ldl->allocator = *m;
@@ -12070,20 +12018,20 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     ldl->mixed = like->mixed;
     ldl->keep = like->keep;
     y = ldl->symbolic;
-    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + SFEMI_PANEL_SLACK);
-    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
-    SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
-    if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
-    if (!ldl->positive) SFEMI_NEW(double, ldl->probe, m, 2 * n + sfem_ldl_work_size(ldl, 1));
-    SFEMI_NEW(double, ldl->scale, m, n + 1);
-    SFEMI_NEW(double, ldl->floor, m, n + 1);
-    SFEMI_NEW(double, ldl->lost, m, nt + 1);
-    SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
-    SFEMI_NEW(sfem_int, ldl->units, m, nt + 1);
-    SFEMI_NEW(sfemi_counter, ldl->done, m, nt + 1);
-    SFEMI_NEW(sfemi_throttle, ldl->throttle, m, 3);
-    SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
-    SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
+    SFEMI_TAKE(double, ldl->l, &ldl->pool, y->panel[ns] + SFEMI_PANEL_SLACK);
+    if (ldl->mixed) SFEMI_TAKE(float, ldl->l32, &ldl->pool, y->panel32[ns] + SFEMI_PANEL_SLACK);
+    SFEMI_TAKE(double, ldl->update, &ldl->pool, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
+    if (!ldl->positive) SFEMI_TAKE(double, ldl->signs, &ldl->pool, y->signs[nt] + 1);
+    if (!ldl->positive) SFEMI_TAKE(double, ldl->probe, &ldl->pool, 2 * n + sfem_ldl_work_size(ldl, 1));
+    SFEMI_TAKE(double, ldl->scale, &ldl->pool, n + 1);
+    SFEMI_TAKE(double, ldl->floor, &ldl->pool, n + 1);
+    SFEMI_TAKE(double, ldl->lost, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfem_int, ldl->lost_at, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfem_int, ldl->units, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfemi_counter, ldl->done, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfemi_throttle, ldl->throttle, &ldl->pool, 3);
+    SFEMI_TAKE(sfem_int, ldl->negative, &ldl->pool, ns + 1);
+    SFEMI_TAKE(unsigned char, ldl->stale, &ldl->pool, ns + 1);
     memset(ldl->stale, 1, ns);
     sfemi_factor_units(ldl);
     if (a) SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
@@ -12209,25 +12157,9 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
 
 SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 {
-    sfem_allocator m;
     if (!ldl) return;
-    m = ldl->allocator;
     sfemi_symbolic_free(ldl->symbolic);
-    sfemi_delete(&m, ldl->l);
-    sfemi_delete(&m, ldl->l32);
-    sfemi_delete(&m, ldl->update);
-    sfemi_delete(&m, ldl->signs);
-    sfemi_delete(&m, ldl->probe);
-    sfemi_delete(&m, ldl->scale);
-    sfemi_delete(&m, ldl->floor);
-    sfemi_delete(&m, ldl->lost);
-    sfemi_delete(&m, ldl->lost_at);
-    sfemi_delete(&m, ldl->units);
-    sfemi_delete(&m, ldl->done);
-    sfemi_delete(&m, ldl->throttle);
-    sfemi_delete(&m, ldl->negative);
-    sfemi_delete(&m, ldl->stale);
-    sfemi_delete(&m, ldl);
+    sfemi_pool_free(&ldl->pool);
 }
 
 /* ============================================================================================
@@ -13176,18 +13108,6 @@ static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_
     }
     sfemi_mul3(m->u, y, t);
     sfemi_mul3_nt(t, m->v, dp);
-}
-
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
-                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
-                                    sfem_real dp[9])
-{
-    sfem_real g[9];
-    sfemi_modes modes;
-    SFEM_ASSERT(f && df && dp && (unsigned)law <= SFEM_NEOHOOKEAN);
-    sfemi_law_less_one(f, g);
-    sfemi_law_modes(law, lambda, mu, g, kind, &modes);
-    sfemi_modes_apply(&modes, df, dp);
 }
 
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
@@ -15220,30 +15140,6 @@ SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_
     }
 }
 
-SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
-                                    sfem_real *b)
-{
-    sfem_real dl[72], de[36];
-    int k, i, r, c;
-    SFEM_ASSERT(tet);
-    memset(dl, 0, sizeof dl);
-    for (k = 0; k < 6; ++k) {
-        const int *end = sfemi_edge_ends(3, k);
-        for (i = 0; i < 3; ++i) {
-            dl[6 * (3 * end[0] + i) + k] = tet->n[k][i];
-            dl[6 * (3 * end[1] + i) + k] = -tet->n[k][i];
-        }
-        for (i = 0; i < 6; ++i) de[6 * k + i] = tet->t_inverse[6 * i + k] / tet->length[k];
-    }
-    if (a1) memcpy(a1, dl, sizeof dl);
-    if (a2) memcpy(a2, de, sizeof de);
-    if (!b) return;
-    for (r = 0; r < 6; ++r)
-        for (c = 0; c < 12; ++c)
-            for (k = 0, b[12 * r + c] = 0; k < 6; ++k)
-                b[12 * r + c] += de[6 * k + r] * dl[6 * c + k];
-}
-
 /* W [6][6], S^-1 = W W^T: n n^T in an orthonormal basis of the deviators, and its trace. */
 static void sfemi_damage_root(const sfem_damage_tet *tet, sfem_real w[6][6])
 {
@@ -15475,7 +15371,7 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
 enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
 
 typedef struct sfemi_bonds {
-    sfem_allocator allocator;
+    sfemi_pool pool;         /* all of it */
     const sfem_model *model; /* kept alive by the body */
     sfem_damage_def def;     /* its arrays are NULL: they are in what follows */
     sfem_int edges, degree;  /* degree: most tets round an edge */
@@ -15503,7 +15399,7 @@ enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS 
 enum { SFEMI_INTACT, SFEMI_DAMAGED, SFEMI_DISCONNECTED }; /* loose: intact edges do not connect its nodes */
 
 typedef struct sfemi_damage {
-    sfem_allocator allocator;
+    sfemi_pool pool;         /* all of it, but for the state */
     const sfemi_bonds *bonds;
     sfem_real *account;      /* [SFEMI_ACCOUNTS] J, J, edges, breaks put off */
     sfem_real *zeta;         /* [edges] */
@@ -15547,22 +15443,7 @@ SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
 
 static void sfemi_bonds_free(sfemi_bonds *g) /* NULL allowed */
 {
-    sfem_allocator al;
-    if (!g) return;
-    al = g->allocator;
-    sfemi_delete(&al, g->end);
-    sfemi_delete(&al, g->length);
-    sfemi_delete(&al, g->tet_edge);
-    sfemi_delete(&al, g->tet_start);
-    sfemi_delete(&al, g->edge_tet);
-    sfemi_delete(&al, g->node_start);
-    sfemi_delete(&al, g->node_edge);
-    sfemi_delete(&al, g->area);
-    sfemi_delete(&al, g->price);
-    sfemi_delete(&al, g->factor);
-    sfemi_delete(&al, g->threshold);
-    sfemi_delete(&al, g->never);
-    sfemi_delete(&al, g);
+    if (g) sfemi_pool_free(&g->pool);
 }
 
 static int sfemi_damage_positive(sfem_real x) { return sfemi_finite(x) && x > 0; }
@@ -15623,22 +15504,21 @@ static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage
 
 static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
 {
-    const sfem_allocator *al = &g->allocator;
     const size_t tets = (size_t)g->model->mesh.tets, nodes = (size_t)g->model->mesh.nodes;
     const size_t edges = (size_t)g->edges;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, g->end, al, 2 * edges);
-    SFEMI_NEW(sfem_real, g->length, al, edges);
-    SFEMI_NEW(sfem_int, g->tet_edge, al, 6 * tets);
-    SFEMI_NEW(sfem_int, g->tet_start, al, edges + 1);
-    SFEMI_NEW(sfem_int, g->edge_tet, al, 6 * tets);
-    SFEMI_NEW(sfem_int, g->node_start, al, nodes + 1);
-    SFEMI_NEW(sfem_int, g->node_edge, al, 2 * edges);
-    SFEMI_NEW(sfem_real, g->area, al, edges);
-    SFEMI_NEW(sfem_real, g->price, al, edges);
-    SFEMI_NEW(sfem_real, g->factor, al, edges);
-    SFEMI_NEW(sfem_real, g->threshold, al, tets);
-    SFEMI_NEW(unsigned char, g->never, al, edges);
+    SFEMI_TAKE(sfem_int, g->end, &g->pool, 2 * edges);
+    SFEMI_TAKE(sfem_real, g->length, &g->pool, edges);
+    SFEMI_TAKE(sfem_int, g->tet_edge, &g->pool, 6 * tets);
+    SFEMI_TAKE(sfem_int, g->tet_start, &g->pool, edges + 1);
+    SFEMI_TAKE(sfem_int, g->edge_tet, &g->pool, 6 * tets);
+    SFEMI_TAKE(sfem_int, g->node_start, &g->pool, nodes + 1);
+    SFEMI_TAKE(sfem_int, g->node_edge, &g->pool, 2 * edges);
+    SFEMI_TAKE(sfem_real, g->area, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->price, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->factor, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->threshold, &g->pool, tets);
+    SFEMI_TAKE(unsigned char, g->never, &g->pool, edges);
 done:
     return status;
 }
@@ -15860,8 +15740,7 @@ static sfem_status sfemi_bonds_create(const sfem_model *model,
     SFEM_ASSERT(model && def && allocator && out);
     SFEM_ASSERT((def->line || !def->line_count) && (def->region_factor || !def->region_count));
     SFEMI_TRY(sfemi_damage_check(model, def, err));
-    SFEMI_NEW(sfemi_bonds, g, allocator, 1);
-    g->allocator = *allocator;
+    SFEMI_NEW_OWNER(sfemi_bonds, g, allocator);
     g->model = model;
     g->def = *def;
     g->def.tet_factor = g->def.region_factor = NULL;
@@ -15923,33 +15802,7 @@ static void sfemi_damage_attach(sfemi_damage *d, void *memory)
 
 static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
 {
-    sfem_allocator al;
-    if (!d) return;
-    al = d->allocator;
-    sfemi_delete(&al, d->tet);
-    sfemi_delete(&al, d->kind);
-    sfemi_delete(&al, d->s);
-    sfemi_delete(&al, d->block);
-    sfemi_delete(&al, d->lane);
-    sfemi_delete(&al, d->piece_of);
-    sfemi_delete(&al, d->event);
-    sfemi_delete(&al, d->event_edge);
-    sfemi_delete(&al, d->force);
-    sfemi_delete(&al, d->rotation);
-    sfemi_delete(&al, d->energy);
-    sfemi_delete(&al, d->strain);
-    sfemi_delete(&al, d->stress);
-    sfemi_delete(&al, d->weight);
-    sfemi_delete(&al, d->ratio);
-    sfemi_delete(&al, d->most);
-    sfemi_delete(&al, d->candidate);
-    sfemi_delete(&al, d->near_candidate);
-    sfemi_delete(&al, d->local);
-    sfemi_delete(&al, d->fresh);
-    sfemi_delete(&al, d->merge);
-    sfemi_delete(&al, d->stamp);
-    sfemi_delete(&al, d->queue);
-    sfemi_delete(&al, d);
+    if (d) sfemi_pool_free(&d->pool);
 }
 
 /* All memory that damage needs but its state, about 800 bytes a tet; nothing else here allocates.
@@ -15963,34 +15816,33 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     const size_t edges = (size_t)bonds->edges;
     sfemi_damage *d = NULL;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfemi_damage, d, allocator, 1);
-    d->allocator = *allocator;
+    SFEMI_NEW_OWNER(sfemi_damage, d, allocator);
     d->bonds = bonds;
-    SFEMI_NEW(sfem_int, d->tet, allocator, tets);
-    SFEMI_NEW(unsigned char, d->kind, allocator, tets);
-    SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
+    SFEMI_TAKE(sfem_int, d->tet, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->kind, &d->pool, tets);
+    SFEMI_TAKE(sfem_real, d->s, &d->pool, 36 * tets);
     if (model->rotates) {
-        SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
-        SFEMI_NEW(sfem_int, d->lane, allocator, tets);
-        SFEMI_NEW(sfem_real, d->rotation, allocator, 9 * tets);
+        SFEMI_TAKE(sfemi_block, d->block, &d->pool, model->chunks.block_start[model->chunks.count]);
+        SFEMI_TAKE(sfem_int, d->lane, &d->pool, tets);
+        SFEMI_TAKE(sfem_real, d->rotation, &d->pool, 9 * tets);
     }
-    SFEMI_NEW(sfem_int, d->piece_of, allocator, nodes);
-    SFEMI_NEW(sfem_break, d->event, allocator, edges);
-    SFEMI_NEW(sfem_int, d->event_edge, allocator, edges);
-    SFEMI_NEW(sfem_real, d->force, allocator, 12 * tets);
-    SFEMI_NEW(sfem_real, d->energy, allocator, tets);
-    SFEMI_NEW(sfem_real, d->strain, allocator, edges);
-    SFEMI_NEW(sfem_real, d->stress, allocator, 6 * tets);
-    SFEMI_NEW(sfem_real, d->weight, allocator, 6 * tets);
-    SFEMI_NEW(sfem_real, d->ratio, allocator, edges);
-    SFEMI_NEW(sfem_real, d->most, allocator, nodes);
-    SFEMI_NEW(unsigned char, d->candidate, allocator, tets);
-    SFEMI_NEW(unsigned char, d->near_candidate, allocator, edges);
-    SFEMI_NEW(sfem_real, d->local, allocator, 60 * (size_t)bonds->degree);
-    SFEMI_NEW(sfem_int, d->fresh, allocator, tets);
-    SFEMI_NEW(sfem_int, d->merge, allocator, tets);
-    SFEMI_NEW(sfem_int, d->stamp, allocator, nodes);
-    SFEMI_NEW(sfem_int, d->queue, allocator, 2 * nodes);
+    SFEMI_TAKE(sfem_int, d->piece_of, &d->pool, nodes);
+    SFEMI_TAKE(sfem_break, d->event, &d->pool, edges);
+    SFEMI_TAKE(sfem_int, d->event_edge, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->force, &d->pool, 12 * tets);
+    SFEMI_TAKE(sfem_real, d->energy, &d->pool, tets);
+    SFEMI_TAKE(sfem_real, d->strain, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->stress, &d->pool, 6 * tets);
+    SFEMI_TAKE(sfem_real, d->weight, &d->pool, 6 * tets);
+    SFEMI_TAKE(sfem_real, d->ratio, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->most, &d->pool, nodes);
+    SFEMI_TAKE(unsigned char, d->candidate, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->near_candidate, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->local, &d->pool, 60 * (size_t)bonds->degree);
+    SFEMI_TAKE(sfem_int, d->fresh, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->merge, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->stamp, &d->pool, nodes);
+    SFEMI_TAKE(sfem_int, d->queue, &d->pool, 2 * nodes);
     *out = d;
     return SFEM_OK;
 done:
@@ -17965,6 +17817,7 @@ enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 struct sfem_body {
     /* create */
     sfem_allocator allocator;
+    sfemi_pool pool;       /* the body itself, and what is allocated with it for good */
     sfem_exec exec;
     sfem_model *model;
     sfem_body_def def;     /* without its pins and its damage */
@@ -23919,34 +23772,18 @@ static void sfemi_body_find_held(sfem_body *b)
     if (!b->scheme.rotates) sfemi_rotated_locate(b, NULL);
 }
 
-static void sfemi_body_free_schur(sfem_body *b, sfemi_schur *g)
-{
-    const sfem_allocator *al = &b->allocator;
-    sfem_int i;
-    for (i = 0; g->y && i < b->def.max_handles; ++i) sfemi_delete(al, g->y[i]);
-    sfemi_delete(al, g->y);
-    sfemi_delete(al, g->slot);
-    sfemi_delete(al, g->parts);
-    sfemi_delete(al, g->ready);
-    sfemi_delete(al, g->s);
-    sfemi_delete(al, g->wm);
-    sfemi_delete(al, g->lambda);
-    sfemi_delete(al, g->place);
-}
-
 static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur *g, sfem_error *err)
 {
-    const sfem_allocator *al = &b->allocator;
     sfem_status status = SFEM_OK;
     if (k == 0) return SFEM_OK;
-    SFEMI_NEW(sfem_int, g->slot, al, k);
-    SFEMI_NEW(sfem_real *, g->y, al, k);
-    SFEMI_NEW(sfem_int, g->parts, al, k);
-    SFEMI_NEW(sfem_int, g->ready, al, k);
-    SFEMI_NEW(sfem_real, g->s, al, 9 * k * k);
-    SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
-    SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
-    SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+    SFEMI_TAKE(sfem_int, g->slot, &b->pool, k);
+    SFEMI_TAKE(sfem_real *, g->y, &b->pool, k);
+    SFEMI_TAKE(sfem_int, g->parts, &b->pool, k);
+    SFEMI_TAKE(sfem_int, g->ready, &b->pool, k);
+    SFEMI_TAKE(sfem_real, g->s, &b->pool, 9 * k * k);
+    SFEMI_TAKE(sfem_real, g->wm, &b->pool, 3 * k * k);
+    SFEMI_TAKE(sfem_real, g->lambda, &b->pool, 3 * k);
+    SFEMI_TAKE(sfem_real, g->place, &b->pool, 3 * k);
 done:
     return status;
 }
@@ -23960,7 +23797,7 @@ static sfem_status sfemi_body_allocate_lever(sfem_body *b, sfem_error *err)
     sfem_status status = SFEM_OK;
     size_t i;
     if (model->block_mass) {
-        SFEMI_NEW(sfem_real, b->rotated.lever, &b->allocator, n);
+        SFEMI_TAKE(sfem_real, b->rotated.lever, &b->pool, n);
         sfem_model_multiply_mass(model, model->mesh.x, b->rotated.lever, &b->exec);
         for (i = 0; i < n; ++i)
             b->rotated.lever[i] = model->node_mass[i / 3] > 0
@@ -23974,16 +23811,15 @@ done:
 /* The pieces, and what only a body that rotates needs. */
 static sfem_status sfemi_body_allocate_rotated(sfem_body *b, sfem_error *err)
 {
-    const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, b->rotated.piece_of, al, n / 3);
+    SFEMI_TAKE(sfem_int, b->rotated.piece_of, &b->pool, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->rotated.piece_of, &b->rotated.pieces, err));
-    SFEMI_NEW(sfemi_piece, b->rotated.piece, al, b->bonds ? b->model->mesh.nodes : b->rotated.pieces);
+    SFEMI_TAKE(sfemi_piece, b->rotated.piece, &b->pool, b->bonds ? b->model->mesh.nodes : b->rotated.pieces);
     b->rotated.still = !b->model->rotates;
     if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
-    SFEMI_NEW(sfem_real, b->rotated.over, al, n / 3);
-    SFEMI_NEW(sfem_real, b->rotated.diagonal, al, n / 3);
+    SFEMI_TAKE(sfem_real, b->rotated.over, &b->pool, n / 3);
+    SFEMI_TAKE(sfem_real, b->rotated.diagonal, &b->pool, n / 3);
 done:
     return status;
 }
@@ -23991,18 +23827,14 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    sfem_int i;
     sfemi_implicit_destroy(b);
     sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_body_free_schur(b, &b->schur);
+    for (i = 0; b->schur.y && i < b->def.max_handles; ++i) sfemi_delete(&al, b->schur.y[i]);
     sfemi_safeguard_close_system(b);
     sfemi_delete(&al, b->safeguard.tangent.val);
-    sfemi_delete(&al, b->rotated.piece_of);
-    sfemi_delete(&al, b->rotated.piece);
-    sfemi_delete(&al, b->rotated.over);
-    sfemi_delete(&al, b->rotated.diagonal);
-    sfemi_delete(&al, b->rotated.lever);
     sfemi_fracture_destroy(b);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
@@ -24011,7 +23843,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->own.memory);
     sfemi_delete(&al, b->own.work);
     sfem_model_free(b->model);
-    sfemi_delete(&al, b);
+    sfemi_pool_free(&b->pool);
 }
 
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
@@ -24046,7 +23878,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     sfem_status status;
     SFEM_ASSERT(model && def && out);
     SFEMI_TRY(sfemi_body_check(def, err));
-    SFEMI_NEW(sfem_body, b, &def->allocator, 1);
+    SFEMI_NEW_OWNER(sfem_body, b, &def->allocator);
     b->allocator = def->allocator;
     b->exec = def->exec;
     b->def = *def;
