@@ -80,6 +80,7 @@
  *            >>data         what a body is made of: all its structs
  *            >>state        the saved state: its arrays and their checks
  *            >>workspace    a step's temporaries, which bodies may share
+ *            >>system       a matrix that changes, and its factor
  *            >>handle       pins and handles set, moved and released while the body runs
  *            >>residual     right sides, and the mass: what the integrators share
  *            >>newmark      linear Newmark
@@ -89,7 +90,8 @@
  *            >>pqr          the (p,q,r) family, central difference
  *            >>rotated         A^-1 in a body that rotates: frames, rigid projection
  *            >>resume       linear bodies whose step, pins or handles change
- *            >>safeguard        (p,q,r) for nonlinear laws: corrections, energy safeguard; breaking
+ *            >>safeguard        (p,q,r) for nonlinear laws: corrections, energy safeguard
+ *            >>breaking     bodies that break: their energy budget and balance
  *            >>sleep        bodies at rest, whose steps cost nothing
  *            >>refactor     a factor of the present tangent, made in slices
  *            >>method       what predict, solve and finish do for linear, Newton's and rotating bodies
@@ -122,11 +124,18 @@
  *     SFEM_NO_MESHER     without tets from surfaces and functions, >>api-mesher
  *     SFEM_NO_LINK       without senders and receivers, >>api-link
  *     SFEM_NO_REDUCED    without reduced models and modal bodies, >>api-reduced; needs SFEM_NO_LINK
- *     SFEM_NO_MODES      without the modes of models, >>api-modes; needs SFEM_NO_REDUCED
- *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and their fracture, >>api-damage
- *     SFEM_MINIMAL       without all of these, but for those that an SFEM_ENABLE_ switch names:
- *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_BODY, SFEM_ENABLE_MODES, SFEM_ENABLE_REDUCED (with modes),
- *     SFEM_ENABLE_LINK (with modes and reduced models)
+ *     SFEM_NO_MODES      without the modes of models, >>api-modes: reduced models are loaded, not made
+ *     SFEM_NO_DAMAGE     without fracture, >>api-damage
+ *     SFEM_NO_NEWTON     without the integrators that iterate by Newton, and statics of nonlinear laws: bodies step by
+ *                        (p,q,r) and its kin, or if linear by Newmark. The energy safeguard keeps its iteration
+ *     SFEM_NO_BODY       without bodies that step by nodes, >>api-body, and these two
+ *     SFEM_NO_MODEL      without matrices, solvers, materials and models, >>api-matrix, >>api-element, >>api-model, and
+ *                        what is made of them: bodies and modes
+ *     SFEM_MINIMAL       meshes without all of these, but for those that an SFEM_ENABLE_ switch names:
+ *     SFEM_ENABLE_MESHIO, SFEM_ENABLE_MESHER, SFEM_ENABLE_MODEL, SFEM_ENABLE_BODY (with models), SFEM_ENABLE_DAMAGE and
+ *     SFEM_ENABLE_NEWTON (with bodies), SFEM_ENABLE_MODES (with models), SFEM_ENABLE_REDUCED, SFEM_ENABLE_LINK (with
+ *     reduced models). SFEM_ENABLE_REDUCED alone plays reduced models that were saved; with SFEM_ENABLE_MODES it makes
+ *     them
  *
  * LIMITS. Linear (4-node) tetrahedra. Node and tet counts below 2^31. No contact, no remeshing.
  */
@@ -146,7 +155,14 @@
 #if !defined(SFEM_NO_MESHIO) && !defined(SFEM_ENABLE_MESHIO)
 #define SFEM_NO_MESHIO
 #endif
-#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY)
+#if !defined(SFEM_NO_DAMAGE) && !defined(SFEM_ENABLE_DAMAGE)
+#define SFEM_NO_DAMAGE
+#endif
+#if !defined(SFEM_NO_NEWTON) && !defined(SFEM_ENABLE_NEWTON)
+#define SFEM_NO_NEWTON
+#endif
+#if !defined(SFEM_NO_BODY) && !defined(SFEM_ENABLE_BODY) && !defined(SFEM_ENABLE_DAMAGE) && \
+    !defined(SFEM_ENABLE_NEWTON)
 #define SFEM_NO_BODY
 #endif
 #if !defined(SFEM_NO_MESHER) && !defined(SFEM_ENABLE_MESHER)
@@ -158,9 +174,11 @@
 #if !defined(SFEM_NO_REDUCED) && !defined(SFEM_ENABLE_REDUCED) && !defined(SFEM_ENABLE_LINK)
 #define SFEM_NO_REDUCED
 #endif
-#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES) && !defined(SFEM_ENABLE_REDUCED) && \
-    !defined(SFEM_ENABLE_LINK)
+#if !defined(SFEM_NO_MODES) && !defined(SFEM_ENABLE_MODES)
 #define SFEM_NO_MODES
+#endif
+#if !defined(SFEM_NO_MODEL) && !defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_BODY) && defined(SFEM_NO_MODES)
+#define SFEM_NO_MODEL
 #endif
 #endif
 #if defined(SFEM_ENABLE_MESHIO) && defined(SFEM_NO_MESHIO)
@@ -168,6 +186,33 @@
 #endif
 #if defined(SFEM_ENABLE_BODY) && defined(SFEM_NO_BODY)
 #error "softfem.h: SFEM_ENABLE_BODY and SFEM_NO_BODY are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_DAMAGE) && defined(SFEM_NO_DAMAGE)
+#error "softfem.h: SFEM_ENABLE_DAMAGE and SFEM_NO_DAMAGE are both defined: define only one of them"
+#endif
+#if defined(SFEM_ENABLE_NEWTON) && defined(SFEM_NO_NEWTON)
+#error "softfem.h: SFEM_ENABLE_NEWTON and SFEM_NO_NEWTON are both defined: define only one of them"
+#endif
+#if (defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON)) && defined(SFEM_NO_BODY)
+#error "softfem.h: fracture and Newton's iteration are parts of bodies: define SFEM_NO_BODY, or SFEM_ENABLE_DAMAGE or SFEM_ENABLE_NEWTON, not both"
+#endif
+#if defined(SFEM_ENABLE_MODEL) && defined(SFEM_NO_MODEL)
+#error "softfem.h: SFEM_ENABLE_MODEL and SFEM_NO_MODEL are both defined: define only one of them"
+#endif
+#ifdef SFEM_NO_MODEL
+#if defined(SFEM_ENABLE_BODY) || defined(SFEM_ENABLE_DAMAGE) || defined(SFEM_ENABLE_NEWTON) || defined(SFEM_ENABLE_MODES)
+#error "softfem.h: bodies and modes are made of models: define SFEM_NO_MODEL, or SFEM_ENABLE_ of one of them, not both"
+#endif
+#undef SFEM_NO_BODY
+#undef SFEM_NO_MODES
+#define SFEM_NO_BODY
+#define SFEM_NO_MODES
+#endif
+#ifdef SFEM_NO_BODY
+#undef SFEM_NO_DAMAGE
+#undef SFEM_NO_NEWTON
+#define SFEM_NO_DAMAGE
+#define SFEM_NO_NEWTON
 #endif
 #if defined(SFEM_ENABLE_MESHER) && defined(SFEM_NO_MESHER)
 #error "softfem.h: SFEM_ENABLE_MESHER and SFEM_NO_MESHER are both defined: define only one of them"
@@ -180,9 +225,6 @@
 #endif
 #if defined(SFEM_ENABLE_MODES) && defined(SFEM_NO_MODES)
 #error "softfem.h: SFEM_ENABLE_MODES and SFEM_NO_MODES are both defined: define only one of them"
-#endif
-#if defined(SFEM_NO_MODES) && !defined(SFEM_NO_REDUCED)
-#error "softfem.h: reduced models are made of modes: with SFEM_NO_MODES define SFEM_NO_REDUCED too"
 #endif
 #if defined(SFEM_NO_REDUCED) && !defined(SFEM_NO_LINK)
 #error "softfem.h: senders and receivers carry the motion of modal bodies: with SFEM_NO_REDUCED define SFEM_NO_LINK too"
@@ -279,6 +321,7 @@ typedef struct sfem_exec {
     void (*parallel_for)(sfem_int count, sfem_task task, void *data, void *user);
     void *user;
 } sfem_exec;
+
 
 /* ============================================================================================
  * >>api-mesh   tetrahedral meshes
@@ -411,9 +454,6 @@ SFEM_DEF sfem_status sfem_mesh_components(const sfem_mesh *mesh, sfem_int *label
  *   errors      as sfem_mesh_surface; the mesh is then as it was
  *   cost        O(nodes + tets); scratch from the mesh's allocator */
 SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err);
-
-/* The largest difference of two node numbers in one tet. */
-SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh);
 
 /* Removes the nodes that no tet uses. The others keep their order, the arrays their place.
  *   new_of_old  [nodes before], or NULL: the new number of each node, -1 if it is gone
@@ -617,11 +657,14 @@ SFEM_DEF sfem_status sfem_mesh_from_sdf(const sfem_mesher_def *def, sfem_sdf f, 
  * sfem_model_def's materials and material_count = SFEM_CAGE_LEVELS + 1, while tet_material stays NULL.
  *   errors  SFEM_BAD_ARGUMENT (least); O(1), allocates nothing */
 #define SFEM_CAGE_LEVELS 20
+#ifndef SFEM_NO_MODEL
 struct sfem_material; /* >>api-model */
 SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least,
                                          struct sfem_material *out /* [SFEM_CAGE_LEVELS + 1] */, sfem_error *err);
+#endif
 #endif /* SFEM_NO_MESHER */
 
+#ifndef SFEM_NO_MODEL
 /* ============================================================================================
  * >>api-matrix   symmetric matrices of 3x3 blocks, and what solves with them
  * ============================================================================================ */
@@ -860,12 +903,9 @@ SFEM_DEF sfem_real sfem_law_energy(sfem_law law, sfem_real lambda, sfem_real mu,
 SFEM_DEF sfem_real sfem_law_stress(sfem_law law, sfem_real lambda, sfem_real mu,
                                    const sfem_real f[9], sfem_real p[9]);
 
-/* tangent[9*a+b] = dP_a/dF_b, symmetric; and its product with one dF: dP. */
+/* tangent[9*a+b] = dP_a/dF_b, symmetric. */
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81]);
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
-                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
-                                    sfem_real dp[9]);
 
 /* The tet of nodes x [4][3] (rest, m, right-handed, not flat) displaced by u [4][3]: its
  * energy, J, the gradient of it, force [4][3], N, and the gradient of that, k [12][12], N/m.
@@ -1038,7 +1078,9 @@ SFEM_DEF void sfem_add_traction(const sfem_mesh *mesh, const sfem_real *x, sfem_
 SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_int count,
                                 const sfem_int *tri, sfem_real p, sfem_real *force);
 
-#ifndef SFEM_NO_BODY
+#endif /* SFEM_NO_MODEL */
+
+#ifndef SFEM_NO_DAMAGE
 /* ============================================================================================
  * >>api-damage   fracture on the edge graph
  * ============================================================================================ */
@@ -1130,10 +1172,6 @@ typedef struct sfem_damage_tet {
 /* x [4][3], m, right-handed and not flat. */
 SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_real mu,
                                   sfem_damage_tet *out);
-/* The source's operators [eqs. 16, 17]: A1 [12][6] = (dl/du)^T, l the changes of length, A2 [6][6]
- * = (d eps/dl)^T, B [6][12] = A2^T A1^T; T B = diag(1/L) A1^T. Any may be NULL. */
-SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
-                                    sfem_real *b);
 /* S_d [6][6], Pa, of zeta [6] in [0, 1]. It depends on zeta alone: healing is as exact as breaking. */
 SFEM_DEF void sfem_damage_modulus(const sfem_damage_tet *tet, sfem_damage_law law,
                                   const sfem_real zeta[6], sfem_real s_d[36]);
@@ -1177,6 +1215,9 @@ typedef struct sfem_piece {
     sfem_real box[2][3];    /* m */
 } sfem_piece;
 
+#endif /* SFEM_NO_DAMAGE */
+
+#ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>api-body   a body that moves
  * ============================================================================================ */
@@ -1323,7 +1364,7 @@ typedef struct sfem_body_def {
     sfem_frame frame;         /* (p,q,r) of nonlinear laws */
     int safeguard;            /* 1, the default: a step that would make energy is rejected; 0: every step is taken as it
                                * comes, even if it makes energy */
-    const sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
+    const struct sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
     sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one more correction is
                                * expected to gain less than this part of the energy in motion (the largest recent
@@ -1420,9 +1461,11 @@ SFEM_DEF sfem_status sfem_body_add_impulse(sfem_body *body, sfem_int node, const
 SFEM_DEF int sfem_body_is_asleep(const sfem_body *body);
 SFEM_DEF void sfem_body_wake(sfem_body *body);
 
+#ifndef SFEM_NO_NEWTON
 /* How the last step of a Newton method (SFEM_BATHE: its two systems together) or nonlinear static solution went, failed
  * ones too. All zero before the first. */
 SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
+#endif
 
 /* Static equilibrium f(u) = F under the present forces, gravity, pins and handles; velocities become zero. Handles that
  * are nodes count as pins here. Linear bodies take one solve. Others take Newton's iteration from the present u, in
@@ -1577,6 +1620,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
 
+#ifndef SFEM_NO_DAMAGE
 /* Fracture, of a body made with a damage definition (>>api-damage). On other bodies these functions trip SFEM_ASSERT,
  * except sfem_body_fracture. At the end of each step edges are tested once, at its midpoint. An edge breaks only where
  * that does not make energy, so fracture never makes any, whatever the step. The factor of the intact body stays in use
@@ -1648,6 +1692,7 @@ SFEM_DEF void sfem_fragments_free(sfem_fragments *fragments); /* NULL allowed */
 /* Present positions of its vertices, x [vertices][3], m: the mean of their nodes, or, where only some of the nodes
  * belong to them, moved and rotated with the intact edges of these. Call it between steps; allocates nothing. */
 SFEM_DEF void sfem_body_fragment_positions(sfem_body *body, const sfem_fragments *fragments, sfem_real *x);
+#endif /* SFEM_NO_DAMAGE */
 
 #endif /* SFEM_NO_BODY */
 
@@ -1764,6 +1809,7 @@ typedef enum sfem_warp { SFEM_WARP_NONE, SFEM_WARP_ROTATION, SFEM_WARP_PATH } sf
 
 typedef struct sfem_reduced sfem_reduced;
 
+#ifndef SFEM_NO_MODES
 typedef struct sfem_reduced_def {
     uint32_t cookie; /* set by sfem_default_reduced_def; a definition made otherwise is refused */
     sfem_real mass_damping, stiffness_damping; /* alpha, 1/s, and beta, s, >= 0: c = alpha + beta lambda */
@@ -1787,6 +1833,7 @@ SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void); /* undamped, free -1, 
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
                                          const sfem_reduced_def *def, sfem_reduced **out,
                                          sfem_error *err);
+#endif /* SFEM_NO_MODES */
 SFEM_DEF void sfem_reduced_free(sfem_reduced *reduced); /* NULL allowed; goes with its last user */
 
 typedef struct sfem_reduced_info {
@@ -2310,7 +2357,7 @@ enum {
     SFEMI_COOKIE_BODY, SFEMI_COOKIE_MODES, SFEMI_COOKIE_REDUCED, SFEMI_COOKIE_MODAL, SFEMI_COOKIE_LINK
 };
 
-static int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
+static SFEMI_UNUSED int sfemi_made_by_default(uint32_t cookie, uint32_t kind, const char *function, sfem_error *err)
 {
     if (cookie == kind) return 1;
     (void)sfemi_fail(err, SFEM_BAD_ARGUMENT, "the definition was not made by %s: start from what that returns",
@@ -2360,6 +2407,12 @@ static void sfemi_delete(const sfem_allocator *a, void *memory)
     else free(raw);
 }
 
+#if defined(__GNUC__)
+#define SFEMI_UNUSED __attribute__((unused)) /* of what some parts do not need */
+#else
+#define SFEMI_UNUSED
+#endif
+
 /* Memory that is freed at once, of a function or of an object: each piece points to the one before it, from where
  * sfemi_new leaves room for that. */
 typedef struct sfemi_pool {
@@ -2367,7 +2420,7 @@ typedef struct sfemi_pool {
     void *last;
 } sfemi_pool;
 
-static sfemi_pool sfemi_pool_of(const sfem_allocator *a)
+static SFEMI_UNUSED sfemi_pool sfemi_pool_of(const sfem_allocator *a)
 {
     sfemi_pool pool;
     pool.allocator = *a;
@@ -2376,7 +2429,7 @@ static sfemi_pool sfemi_pool_of(const sfem_allocator *a)
 }
 
 /* What sfemi_new gave, or NULL, goes with the pool from now on. Returns it. */
-static void *sfemi_pool_own(sfemi_pool *pool, void *memory)
+static SFEMI_UNUSED void *sfemi_pool_own(sfemi_pool *pool, void *memory)
 {
     if (!memory) return NULL;
     memcpy((char *)memory - 2 * sizeof(void *), &pool->last, sizeof(void *));
@@ -2384,7 +2437,7 @@ static void *sfemi_pool_own(sfemi_pool *pool, void *memory)
 }
 
 /* The pool may stand in its own oldest piece. Afterwards it is empty. */
-static void sfemi_pool_free(sfemi_pool *pool)
+static SFEMI_UNUSED void sfemi_pool_free(sfemi_pool *pool)
 {
     const sfem_allocator al = pool->allocator;
     void *memory = pool->last, *next;
@@ -2447,7 +2500,7 @@ static sfem_int sfemi_threads(const sfem_exec *e)
 }
 
 /* Calls task(data, i) for each i in [0, count). */
-static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *data)
+static SFEMI_UNUSED void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *data)
 {
     sfem_int i;
     if (count > 1 && sfemi_threads(e) > 1) {
@@ -2468,8 +2521,9 @@ static void sfemi_run(const sfem_exec *e, sfem_int count, sfem_task task, void *
  * whatever the processor says. Costs a few loads: ask once for each loop, not once for each element.
  *
  * A kernel is a function SFEMI_KERNEL(name) in section >>kernels, marked SFEMI_TARGET; its instances
- * are called name_0, name_1, name_2, and a table of pointers for each path, like sfemi_ldl_kernels,
- * chooses between them. Inside it SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
+ * are called name_64_0, of doubles for path 0, to name_32_2, and a table by path holds pointers to them. Those that
+ * vector types would only obscure, loops over lanes that the compiler turns into vector instructions, stand in
+ * >>element, and are called name_0 to name_2. Inside a kernel SFEMI_V is a vector of SFEMI_W numbers of type SFEMI_R, with
  * SFEMI_LD, SFEMI_ST, SFEMI_DUP, SFEMI_ADD, SFEMI_MUL, SFEMI_FMA (a b + c) and SFEMI_FNMA
  * (c - a b). Multiply-adds are explicit, so that the bits depend on the path and on nothing else. */
 static int sfemi_path(void)
@@ -2491,17 +2545,67 @@ static int sfemi_path(void)
 #define SFEMI_INLINE inline
 #endif
 
-/* For kernels that vector types would only obscure: loops over lanes that the compiler turns into
- * vector instructions of the given set. */
+/* What each path may use, and a table of K(path) for all of them, of which entry sfemi_path() counts. */
+#define SFEMI_TARGET_0
 #if SFEMI_X86
-#define SFEMI_AVX2   __attribute__((target("avx2,fma")))
-#define SFEMI_AVX512 __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_TARGET_1 __attribute__((target("avx2,fma")))
+#define SFEMI_TARGET_2 __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_PATHS(K) {K(0), K(1), K(2)}
+#else
+#define SFEMI_PATHS(K) {K(0)}
 #endif
 
 SFEM_DEF int sfem_vector_width(void)
 {
     static const int width[3] = {1, 4, 8};
     return width[sfemi_path()];
+}
+
+/* Counters that threads share, and locks. */
+#if defined(__GNUC__)
+#define SFEMI_ATOMICS 1
+typedef int32_t sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
+                                                                               */
+#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
+#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
+#elif defined(_MSC_VER)
+#define SFEMI_ATOMICS          1
+typedef long sfemi_counter;
+long _InterlockedExchangeAdd(long volatile *, long);
+long _InterlockedExchange(long volatile *, long);
+#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
+#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
+#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
+#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
+#define SFEMI_ATOMICS          0
+typedef long sfemi_counter;
+#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
+#define SFEMI_ATOMIC_GET(p)    (*(p))
+#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
+#endif
+
+/* Sections this short need no more than a spin lock. */
+static SFEMI_UNUSED void sfemi_lock(int *lock)
+{
+#if defined(__GNUC__)
+    while (__atomic_exchange_n(lock, 1, __ATOMIC_ACQUIRE)) continue;
+#elif defined(_MSC_VER)
+    while (_InterlockedExchange((volatile long *)lock, 1)) continue;
+#else
+    *lock = 1;
+#endif
+}
+
+static SFEMI_UNUSED void sfemi_unlock(int *lock)
+{
+#if defined(__GNUC__)
+    __atomic_store_n(lock, 0, __ATOMIC_RELEASE);
+#elif defined(_MSC_VER)
+    _InterlockedExchange((volatile long *)lock, 0);
+#else
+    *lock = 0;
+#endif
 }
 
 #if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_REDUCED)
@@ -2730,7 +2834,7 @@ static SFEMI_UNUSED sfem_real sfemi_volume6(const sfem_real *a, const sfem_real 
 }
 
 /* c = a b, a^T b, a b^T. c must be neither. */
-static void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
+static SFEMI_UNUSED void sfemi_mul3(const sfem_real *a, const sfem_real *b, sfem_real *c)
 {
     int i;
     for (i = 0; i < 9; i += 3) {
@@ -2778,7 +2882,7 @@ static sfem_real sfemi_jacobi_tangent(sfem_real pp, sfem_real qq, sfem_real pq)
 
 /* Eigenvalues w [n], descending, and eigenvectors, the columns of v [n][n], of the symmetric
  * matrix a [n][n], which is destroyed: cyclic Jacobi, for n up to a dozen. det v = 1. */
-static void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
+static SFEMI_UNUSED void sfemi_sym_eigen(int n, sfem_real *a, sfem_real *w, sfem_real *v)
 {
     sfem_real norm = 0;
     int sweep, turned = 1, p, q, i;
@@ -3019,6 +3123,41 @@ static void sfemi_small_solve(const sfem_real *a, sfem_int n, sfem_int stride, s
     for (i = 0; i < n; ++i)
         if (!(a[i * stride + i] > 0)) x[i * step] = 0;
 }
+#endif
+
+/* >>kernels, once for each path and precision. */
+#if !defined(SFEM_NO_MODEL) || !defined(SFEM_NO_REDUCED)
+#define SFEMI_BITS 64
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 0
+#include SFEM_SELF
+#if SFEMI_X86
+#define SFEMI_BITS 64
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 32
+#define SFEMI_PATH 1
+#include SFEM_SELF
+#define SFEMI_BITS 64
+#define SFEMI_PATH 2
+#include SFEM_SELF
+/* what is not wider on AVX-512: floats are 8 wide on every path, rows of four doubles 4 */
+#define sfemi_ldl_invert_32_2    sfemi_ldl_invert_32_1
+#define sfemi_ldl_forward_32_2   sfemi_ldl_forward_32_1
+#define sfemi_ldl_backward_32_2  sfemi_ldl_backward_32_1
+#define sfemi_ldl_forward8_32_2  sfemi_ldl_forward8_32_1
+#define sfemi_ldl_backward8_32_2 sfemi_ldl_backward8_32_1
+#define sfemi_modal_tiles_32_2   sfemi_modal_tiles_32_1
+#define sfemi_modes_dots_64_2    sfemi_modes_dots_64_1
+#define sfemi_modes_combine_64_2 sfemi_modes_combine_64_1
+#define sfemi_modes_gram_64_2    sfemi_modes_gram_64_1
+#define sfemi_modes_rotate_64_2    sfemi_modes_rotate_64_1
+#define sfemi_modes_row_64_2     sfemi_modes_row_64_1
+#define sfemi_modes_project_64_2 sfemi_modes_project_64_1
+#define sfemi_modes_scale_64_2   sfemi_modes_scale_64_1
+#endif
 #endif
 
 /* ============================================================================================
@@ -4172,23 +4311,6 @@ done:
     sfemi_delete(a, from);
     sfemi_delete(a, x);
     return status;
-}
-
-SFEM_DEF sfem_int sfem_mesh_bandwidth(const sfem_mesh *mesh)
-{
-    sfem_int t, width = 0;
-    int i;
-    SFEM_ASSERT(mesh);
-    for (t = 0; t < mesh->tets; ++t) {
-        const sfem_int *v = mesh->tet + 4 * (size_t)t;
-        sfem_int low = v[0], high = v[0];
-        for (i = 1; i < 4; ++i) {
-            if (v[i] < low) low = v[i];
-            if (v[i] > high) high = v[i];
-        }
-        if (high - low > width) width = high - low;
-    }
-    return width;
 }
 
 SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old, sfem_error *err)
@@ -9110,6 +9232,7 @@ done:
     return status;
 }
 
+#ifndef SFEM_NO_MODEL
 SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_real least, struct sfem_material *out,
                                          sfem_error *err)
 {
@@ -9125,8 +9248,10 @@ SFEM_DEF sfem_status sfem_cage_materials(const struct sfem_material *base, sfem_
     }
     return SFEM_OK;
 }
+#endif
 #endif /* SFEM_NO_MESHER */
 
+#ifndef SFEM_NO_MODEL
 /* ============================================================================================
  * >>matrix   symmetric matrices of 3x3 blocks: pattern, product, conversions
  *
@@ -10379,29 +10504,6 @@ done:
  * does everything.
  * ============================================================================================ */
 
-#if defined(__GNUC__)
-#define SFEMI_ATOMICS 1
-typedef int32_t sfemi_counter;
-#define SFEMI_ATOMIC_ADD(p, v) __atomic_fetch_add((p), (v), __ATOMIC_ACQ_REL) /* the value before  \
-                                                                               */
-#define SFEMI_ATOMIC_GET(p)    __atomic_load_n((p), __ATOMIC_ACQUIRE)
-#define SFEMI_ATOMIC_SET(p, v) __atomic_store_n((p), (v), __ATOMIC_RELEASE)
-#elif defined(_MSC_VER)
-#define SFEMI_ATOMICS          1
-typedef long sfemi_counter;
-long _InterlockedExchangeAdd(long volatile *, long);
-long _InterlockedExchange(long volatile *, long);
-#define SFEMI_ATOMIC_ADD(p, v) _InterlockedExchangeAdd((p), (v))
-#define SFEMI_ATOMIC_GET(p)    _InterlockedExchangeAdd((p), 0)
-#define SFEMI_ATOMIC_SET(p, v) ((void)_InterlockedExchange((p), (v)))
-#else /* no atomics: solvers run on one thread, and factors are made and freed from one */
-#define SFEMI_ATOMICS          0
-typedef long sfemi_counter;
-#define SFEMI_ATOMIC_ADD(p, v) ((*(p) += (v)) - (v))
-#define SFEMI_ATOMIC_GET(p)    (*(p))
-#define SFEMI_ATOMIC_SET(p, v) ((void)(*(p) = (v)))
-#endif
-
 /* Seconds since some moment, or 0 where the language has no such clock. */
 static double sfemi_seconds(void)
 {
@@ -10492,7 +10594,7 @@ static void sfemi_throttle_took(sfemi_throttle *p, sfem_int threads, double seco
  *
  * A front is the dense matrix in which one supernode is eliminated: its k columns of L and the update matrix of the
  * f - k rows below, lower half, cut into tiles of t rows. L and the update matrix are separate arrays. The tile in
- * which row k lies (boundary) may belong to both. >>kernels is included here.
+ * which row k lies (boundary) may belong to both.
  * ============================================================================================ */
 
 /* The measures of a front of k eliminated and f rows, in tiles of t rows, vectors of w. */
@@ -10551,27 +10653,6 @@ static size_t sfemi_shape_update_size(const sfemi_shape *s)
            s->last * ((s->tiles - 1) * s->t + s->last - s->boundary * s->t);
 }
 
-#define SFEMI_BITS 64
-#define SFEMI_PATH 0
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 0
-#include SFEM_SELF
-#if SFEMI_X86
-#define SFEMI_BITS 64
-#define SFEMI_PATH 1
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 1
-#include SFEM_SELF
-#define SFEMI_BITS 64
-#define SFEMI_PATH 2
-#include SFEM_SELF
-#define SFEMI_BITS 32
-#define SFEMI_PATH 2
-#include SFEM_SELF
-#endif
-
 typedef struct sfemi_ldl_kernels {
     const char *name;
     size_t width; /* of a vector of doubles; tiles are three vectors high */
@@ -10603,31 +10684,26 @@ typedef struct sfemi_ldl_kernels {
                          const float *, float *);
 } sfemi_ldl_kernels;
 
-static const sfemi_ldl_kernels *sfemi_ldl_kernels_of(int path)
-{
 #ifndef SFEM_NO_MODES
 #define SFEMI_FOUR(p) sfemi_ldl_forward4_64_##p, sfemi_ldl_backward4_64_##p,
 #else
 #define SFEMI_FOUR(p)
 #endif
-#define SFEMI_TABLE(name, width, p)                                                                \
-    {name, width, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,    \
-     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p,                      \
-     sfemi_ldl_invert_64_##p, sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p,                 \
-     sfemi_ldl_forward8_64_##p, sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, \
-     sfemi_ldl_forward_32_##p, sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p,               \
-     sfemi_ldl_backward8_32_##p}
-    static const sfemi_ldl_kernels table[] = {
-        SFEMI_TABLE("portable", 4, 0),
-#if SFEMI_X86
-        SFEMI_TABLE("avx2", 4, 1),
-        SFEMI_TABLE("avx512", 8, 2),
-#endif
-    };
-#undef SFEMI_TABLE
+#define SFEMI_NAME_0 "portable", 4
+#define SFEMI_NAME_1 "avx2", 4
+#define SFEMI_NAME_2 "avx512", 8
+#define SFEMI_K(p)                                                                                       \
+    {SFEMI_NAME_##p, sfemi_ldl_update_64_##p, sfemi_ldl_eliminate_64_##p, sfemi_ldl_pivots_64_##p,       \
+     sfemi_ldl_add_64_##p, sfemi_dense_minus_64_##p, sfemi_dense_dots_64_##p, sfemi_ldl_invert_64_##p,   \
+     sfemi_ldl_forward_64_##p, sfemi_ldl_backward_64_##p, sfemi_ldl_forward8_64_##p,                     \
+     sfemi_ldl_backward8_64_##p, SFEMI_FOUR(p) sfemi_ldl_invert_32_##p, sfemi_ldl_forward_32_##p,        \
+     sfemi_ldl_backward_32_##p, sfemi_ldl_forward8_32_##p, sfemi_ldl_backward8_32_##p}
+static const sfemi_ldl_kernels sfemi_ldl_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
+#undef SFEMI_NAME_0
+#undef SFEMI_NAME_1
+#undef SFEMI_NAME_2
 #undef SFEMI_FOUR
-    return table + path;
-}
 
 typedef struct sfemi_eigen_kernels {
     double (*column)(size_t, double *, const double *, const double *, const double *, double *);
@@ -10635,19 +10711,9 @@ typedef struct sfemi_eigen_kernels {
     void (*sweep)(size_t, size_t, double *, size_t, const double *, const double *);
 } sfemi_eigen_kernels;
 
-static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
-{
-#define SFEMI_TABLE(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
-    static const sfemi_eigen_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+#define SFEMI_K(p) {sfemi_eigen_column_64_##p, sfemi_eigen_reflect_64_##p, sfemi_eigen_sweep_64_##p}
+static const sfemi_eigen_kernels sfemi_eigen_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* ============================================================================================
  * >>symbolic   what a factorisation needs to know of the pattern: supernodes, tasks, places
@@ -10664,7 +10730,7 @@ static const sfemi_eigen_kernels *sfemi_eigen_kernels_of(int path)
  * depend on each other. */
 typedef struct sfemi_symbolic {
     sfemi_counter references;
-    sfem_allocator allocator;
+    sfemi_pool pool; /* all of it */
     const sfemi_ldl_kernels *kernels;
     sfem_int n, blocks, supernodes, tasks, levels;
     size_t per; /* unknowns to a node: 3, or 1 */
@@ -10708,35 +10774,7 @@ static sfemi_shape sfemi_symbolic_shape(const sfemi_symbolic *y, sfem_int s, siz
 
 static void sfemi_symbolic_free(sfemi_symbolic *y)
 {
-    sfem_allocator m;
-    if (!y || SFEMI_ATOMIC_ADD(&y->references, -1) > 1) return;
-    m = y->allocator;
-    sfemi_delete(&m, y->order);
-    sfemi_delete(&m, y->inverse);
-    sfemi_delete(&m, y->first);
-    sfemi_delete(&m, y->start);
-    sfemi_delete(&m, y->rows);
-    sfemi_delete(&m, y->place);
-    sfemi_delete(&m, y->target);
-    sfemi_delete(&m, y->parent);
-    sfemi_delete(&m, y->child);
-    sfemi_delete(&m, y->sibling);
-    sfemi_delete(&m, y->panel);
-    sfemi_delete(&m, y->panel32);
-    sfemi_delete(&m, y->update);
-    sfemi_delete(&m, y->update_kept);
-    sfemi_delete(&m, y->signs);
-    sfemi_delete(&m, y->scratch);
-    sfemi_delete(&m, y->from);
-    sfemi_delete(&m, y->source);
-    sfemi_delete(&m, y->into);
-    sfemi_delete(&m, y->task);
-    sfemi_delete(&m, y->of);
-    sfemi_delete(&m, y->buffer);
-    sfemi_delete(&m, y->level);
-    sfemi_delete(&m, y->by_level);
-    sfemi_delete(&m, y->at_level);
-    sfemi_delete(&m, y);
+    if (y && SFEMI_ATOMIC_ADD(&y->references, -1) == 1) sfemi_pool_free(&y->pool);
 }
 
 /* Is it worth a merged supernode of k columns over m rows to hold so many zeros? On small meshes
@@ -10760,7 +10798,7 @@ static int sfemi_merge_pays(double k, double m, double zeros, sfem_int n, size_t
 static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree *t,
                                              sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int n = t->n;
     sfem_status status = SFEM_OK;
     sfem_int *pool = NULL, *head, *tail, *next, *of, *parent, *width, *below, *child, *sibling, *to;
@@ -10836,12 +10874,12 @@ static sfem_status sfemi_symbolic_supernodes(sfemi_symbolic *y, const sfemi_tree
     sfemi_tree_postorder(count, parent, to, of, sibling);
     for (s = 0; s < count; ++s) child[to[s]] = s;
     for (i = 0; i < count; ++i) made += width[child[i]] > 0;
-    SFEMI_NEW(sfem_int, y->first, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->parent, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->child, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->sibling, m, (size_t)made + 1);
-    SFEMI_NEW(sfem_int, y->order, m, (size_t)n + 1);
-    SFEMI_NEW(sfem_int, y->inverse, m, (size_t)n + 1);
+    SFEMI_TAKE(sfem_int, y->first, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->parent, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->child, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->sibling, &y->pool, (size_t)made + 1);
+    SFEMI_TAKE(sfem_int, y->order, &y->pool, (size_t)n + 1);
+    SFEMI_TAKE(sfem_int, y->inverse, &y->pool, (size_t)n + 1);
     y->supernodes = made;
     for (made = 0, i = 0; i < count; ++i) {
         s = child[i];
@@ -10906,14 +10944,14 @@ static void sfemi_sort_int(sfem_int *v, size_t n)
 /* The rows below each supernode: those of A and of its children. */
 static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     sfem_status status = SFEM_OK;
-    sfem_int *mark = NULL, i, s, c, e, k;
+    sfem_int *mark = NULL, *rows = NULL, i, s, c, e, k;
     size_t total = 0, room = 0, a;
     SFEMI_NEW(sfem_int, mark, m, (size_t)y->n + 1);
-    SFEMI_NEW(size_t, y->start, m, (size_t)y->supernodes + 1);
+    SFEMI_TAKE(size_t, y->start, &y->pool, (size_t)y->supernodes + 1);
     room = 4 * (size_t)y->n + 64;
-    SFEMI_NEW(sfem_int, y->rows, m, room);
+    SFEMI_NEW(sfem_int, rows, m, room);
     for (i = 0; i < y->n; ++i) mark[i] = -1;
     for (s = 0; s < y->supernodes; ++s) {
         const sfem_int last = y->first[s + 1];
@@ -10922,9 +10960,9 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
             sfem_int *bigger;
             room = 2 * room + (size_t)y->n;
             SFEMI_NEW(sfem_int, bigger, m, room);
-            memcpy(bigger, y->rows, total * sizeof *bigger);
-            sfemi_delete(m, y->rows);
-            y->rows = bigger;
+            memcpy(bigger, rows, total * sizeof *bigger);
+            sfemi_delete(m, rows);
+            rows = bigger;
         }
         for (i = y->first[s]; i < last; ++i) {
             const sfem_int old = y->order[i];
@@ -10932,21 +10970,23 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
                 k = y->inverse[g->adj[e]];
                 if (k < last || mark[k] == s) continue;
                 mark[k] = s;
-                y->rows[total++] = k;
+                rows[total++] = k;
             }
         }
         for (c = y->child[s]; c >= 0; c = y->sibling[c])
             for (a = y->start[c]; a < y->start[c + 1]; ++a) {
-                k = y->rows[a];
+                k = rows[a];
                 if (k < last || mark[k] == s) continue;
                 mark[k] = s;
-                y->rows[total++] = k;
+                rows[total++] = k;
             }
-        sfemi_sort_int(y->rows + begin, total - begin);
+        sfemi_sort_int(rows + begin, total - begin);
         y->start[s + 1] = total;
     }
-    SFEMI_NEW(sfem_int, y->place, m, total + 1);
-    SFEMI_NEW(sfem_int, y->target, m, total + 1);
+    y->rows = (sfem_int *)sfemi_pool_own(&y->pool, rows);
+    rows = NULL;
+    SFEMI_TAKE(sfem_int, y->place, &y->pool, total + 1);
+    SFEMI_TAKE(sfem_int, y->target, &y->pool, total + 1);
     for (s = 0; s < y->supernodes; ++s) {
         const sfem_int p = y->parent[s];
         size_t b;
@@ -10963,20 +11003,21 @@ static sfem_status sfemi_symbolic_rows(sfemi_symbolic *y, const sfemi_graph *g, 
     }
 done:
     sfemi_delete(m, mark);
+    sfemi_delete(m, rows);
     return status;
 }
 
 /* Where each block of A goes. */
 static sfem_status sfemi_symbolic_blocks(sfemi_symbolic *y, const sfem_matrix *a, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     sfem_status status = SFEM_OK;
     sfem_int *where = NULL, *of = NULL, i, s, k;
     SFEMI_NEW(sfem_int, of, m, (size_t)y->n + 1);
     SFEMI_NEW(sfem_int, where, m, (size_t)y->n + 1);
-    SFEMI_NEW(sfem_int, y->from, m, (size_t)y->supernodes + 2);
-    SFEMI_NEW(sfem_int, y->source, m, (size_t)y->blocks + 1);
-    SFEMI_NEW(sfem_int, y->into, m, 2 * (size_t)y->blocks + 2);
+    SFEMI_TAKE(sfem_int, y->from, &y->pool, (size_t)y->supernodes + 2);
+    SFEMI_TAKE(sfem_int, y->source, &y->pool, (size_t)y->blocks + 1);
+    SFEMI_TAKE(sfem_int, y->into, &y->pool, 2 * (size_t)y->blocks + 2);
     for (s = 0; s < y->supernodes; ++s)
         for (i = y->first[s]; i < y->first[s + 1]; ++i) of[i] = s;
 #define SFEMI_LOW(i, k)                                                                            \
@@ -11046,14 +11087,14 @@ static double sfemi_front_flops(const sfemi_symbolic *y, sfem_int s)
 
 static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int ns = y->supernodes;
     sfem_status status = SFEM_OK;
     double *weight = NULL, total = 0, sum = 0;
     sfem_int *level = NULL, s, t, tasks = 0, top = 0;
     SFEMI_NEW(double, weight, m, (size_t)ns + 1);
-    SFEMI_NEW(sfem_int, y->of, m, (size_t)ns + 1);
-    SFEMI_NEW(sfem_int, y->task, m, (size_t)ns + 1);
+    SFEMI_TAKE(sfem_int, y->of, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(sfem_int, y->task, &y->pool, (size_t)ns + 1);
     for (s = 0; s < ns; ++s) {
         const double own = sfemi_front_flops(y, s);
         weight[s] += own + 2000; /* the work around a front */
@@ -11082,9 +11123,9 @@ static sfem_status sfemi_symbolic_tasks(sfemi_symbolic *y, sfem_error *err)
         if (p >= 0 && level[y->of[p]] <= level[t]) level[y->of[p]] = level[t] + 1;
     }
     y->levels = tasks ? top + 1 : 0;
-    SFEMI_NEW(sfem_int, y->level, m, (size_t)y->levels + 3);
-    SFEMI_NEW(sfem_int, y->by_level, m, (size_t)tasks + 1);
-    SFEMI_NEW(sfem_int, y->at_level, m, (size_t)tasks + 1);
+    SFEMI_TAKE(sfem_int, y->level, &y->pool, (size_t)y->levels + 3);
+    SFEMI_TAKE(sfem_int, y->by_level, &y->pool, (size_t)tasks + 1);
+    SFEMI_TAKE(sfem_int, y->at_level, &y->pool, (size_t)tasks + 1);
     for (t = 0; t < tasks; ++t) ++y->level[level[t] + 2];
     for (t = 0; t < y->levels; ++t) y->level[t + 2] += y->level[t + 1];
     for (t = 0; t < tasks; ++t) {
@@ -11100,7 +11141,7 @@ done:
 /* The places of L, of the update matrices, and of the rows in the solve's work array. */
 static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
 {
-    const sfem_allocator *m = &y->allocator;
+    const sfem_allocator *m = &y->pool.allocator;
     const sfem_int ns = y->supernodes;
     const size_t w = y->kernels->width;
     sfem_status status = SFEM_OK;
@@ -11109,13 +11150,13 @@ static sfem_status sfemi_symbolic_layout(sfemi_symbolic *y, sfem_error *err)
     sfem_int s, t, count = 0;
     SFEMI_NEW(sfemi_slot, slot, m, (size_t)ns + 1);
     SFEMI_NEW(size_t, base, m, (size_t)y->tasks + 2);
-    SFEMI_NEW(size_t, y->panel, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->panel32, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->update, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->update_kept, m, (size_t)ns + 1);
-    SFEMI_NEW(size_t, y->signs, m, (size_t)y->tasks + 1);
-    SFEMI_NEW(size_t, y->scratch, m, (size_t)y->tasks + 1);
-    SFEMI_NEW(sfem_int, y->buffer, m, (size_t)y->tasks + 1);
+    SFEMI_TAKE(size_t, y->panel, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->panel32, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->update, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->update_kept, &y->pool, (size_t)ns + 1);
+    SFEMI_TAKE(size_t, y->signs, &y->pool, (size_t)y->tasks + 1);
+    SFEMI_TAKE(size_t, y->scratch, &y->pool, (size_t)y->tasks + 1);
+    SFEMI_TAKE(sfem_int, y->buffer, &y->pool, (size_t)y->tasks + 1);
     for (t = 0; t < y->tasks; ++t) {
         const sfem_int root = y->task[t + 1] - 1, end = y->first[root + 1];
         size_t widest = 0, signs = 0;
@@ -11232,10 +11273,9 @@ static sfem_status sfemi_symbolic_create(const sfem_ldl_def *def, const sfem_mat
     if (def->x && !sfemi_all_finite(def->x, 3 * (size_t)a->n))
         return sfemi_fail(err, SFEM_NOT_FINITE,
                           "a coordinate given for the ordering is not finite");
-    SFEMI_NEW(sfemi_symbolic, y, m, 1);
+    SFEMI_NEW_OWNER(sfemi_symbolic, y, m);
     y->references = 1;
-    y->allocator = *m;
-    y->kernels = sfemi_ldl_kernels_of(sfemi_path());
+    y->kernels = &sfemi_ldl_path[sfemi_path()];
     y->n = a->n;
     y->per = def->scalar ? 1 : 3;
     y->blocks = a->n ? a->row[a->n] : 0;
@@ -11272,6 +11312,7 @@ done:
 struct sfem_ldl {
     sfemi_symbolic *symbolic;
     sfem_allocator allocator;
+    sfemi_pool pool;      /* all of it, but for the analysis */
     sfem_exec exec;
     int positive, mixed, keep, valid;
     double *l;            /* all panels */
@@ -12182,7 +12223,7 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     sfem_status status = SFEM_OK;
     sfem_ldl *ldl = NULL;
     const size_t n = y->per * (size_t)y->n, ns = (size_t)y->supernodes, nt = (size_t)y->tasks;
-    SFEMI_NEW(sfem_ldl, ldl, m, 1);
+    SFEMI_NEW_OWNER(sfem_ldl, ldl, m);
     ldl->symbolic = y;
     y = NULL;
     ldl->allocator = *m;
@@ -12191,20 +12232,20 @@ static sfem_status sfemi_ldl_make(const sfem_ldl *like, sfemi_symbolic *y, const
     ldl->mixed = like->mixed;
     ldl->keep = like->keep;
     y = ldl->symbolic;
-    SFEMI_NEW(double, ldl->l, m, y->panel[ns] + SFEMI_PANEL_SLACK);
-    if (ldl->mixed) SFEMI_NEW(float, ldl->l32, m, y->panel32[ns] + SFEMI_PANEL_SLACK);
-    SFEMI_NEW(double, ldl->update, m, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
-    if (!ldl->positive) SFEMI_NEW(double, ldl->signs, m, y->signs[nt] + 1);
-    if (!ldl->positive) SFEMI_NEW(double, ldl->probe, m, 2 * n + sfem_ldl_work_size(ldl, 1));
-    SFEMI_NEW(double, ldl->scale, m, n + 1);
-    SFEMI_NEW(double, ldl->floor, m, n + 1);
-    SFEMI_NEW(double, ldl->lost, m, nt + 1);
-    SFEMI_NEW(sfem_int, ldl->lost_at, m, nt + 1);
-    SFEMI_NEW(sfem_int, ldl->units, m, nt + 1);
-    SFEMI_NEW(sfemi_counter, ldl->done, m, nt + 1);
-    SFEMI_NEW(sfemi_throttle, ldl->throttle, m, 3);
-    SFEMI_NEW(sfem_int, ldl->negative, m, ns + 1);
-    SFEMI_NEW(unsigned char, ldl->stale, m, ns + 1);
+    SFEMI_TAKE(double, ldl->l, &ldl->pool, y->panel[ns] + SFEMI_PANEL_SLACK);
+    if (ldl->mixed) SFEMI_TAKE(float, ldl->l32, &ldl->pool, y->panel32[ns] + SFEMI_PANEL_SLACK);
+    SFEMI_TAKE(double, ldl->update, &ldl->pool, (ldl->keep ? y->update_kept_size : y->update_size) + 1);
+    if (!ldl->positive) SFEMI_TAKE(double, ldl->signs, &ldl->pool, y->signs[nt] + 1);
+    if (!ldl->positive) SFEMI_TAKE(double, ldl->probe, &ldl->pool, 2 * n + sfem_ldl_work_size(ldl, 1));
+    SFEMI_TAKE(double, ldl->scale, &ldl->pool, n + 1);
+    SFEMI_TAKE(double, ldl->floor, &ldl->pool, n + 1);
+    SFEMI_TAKE(double, ldl->lost, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfem_int, ldl->lost_at, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfem_int, ldl->units, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfemi_counter, ldl->done, &ldl->pool, nt + 1);
+    SFEMI_TAKE(sfemi_throttle, ldl->throttle, &ldl->pool, 3);
+    SFEMI_TAKE(sfem_int, ldl->negative, &ldl->pool, ns + 1);
+    SFEMI_TAKE(unsigned char, ldl->stale, &ldl->pool, ns + 1);
     memset(ldl->stale, 1, ns);
     sfemi_factor_units(ldl);
     if (a) SFEMI_TRY(sfemi_ldl_factor(ldl, a, err));
@@ -12336,25 +12377,9 @@ SFEM_DEF sfem_ldl_info sfem_ldl_get_info(const sfem_ldl *ldl)
 
 SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 {
-    sfem_allocator m;
     if (!ldl) return;
-    m = ldl->allocator;
     sfemi_symbolic_free(ldl->symbolic);
-    sfemi_delete(&m, ldl->l);
-    sfemi_delete(&m, ldl->l32);
-    sfemi_delete(&m, ldl->update);
-    sfemi_delete(&m, ldl->signs);
-    sfemi_delete(&m, ldl->probe);
-    sfemi_delete(&m, ldl->scale);
-    sfemi_delete(&m, ldl->floor);
-    sfemi_delete(&m, ldl->lost);
-    sfemi_delete(&m, ldl->lost_at);
-    sfemi_delete(&m, ldl->units);
-    sfemi_delete(&m, ldl->done);
-    sfemi_delete(&m, ldl->throttle);
-    sfemi_delete(&m, ldl->negative);
-    sfemi_delete(&m, ldl->stale);
-    sfemi_delete(&m, ldl);
+    sfemi_pool_free(&ldl->pool);
 }
 
 /* ============================================================================================
@@ -12368,7 +12393,7 @@ SFEM_DEF void sfem_ldl_free(sfem_ldl *ldl)
 static sfem_int sfemi_dense_factor(sfem_int n, sfem_real *a, int unit, sfem_int *negative,
                                    double *lost)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, q;
     *negative = 0;
@@ -12426,7 +12451,7 @@ SFEM_DEF sfem_status sfem_dense_ldl(sfem_int n, sfem_real *a, sfem_int *negative
 /* x = L^-1 x: eight columns, then what they do to the rows below. */
 static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, end;
     for (j = 0; j < m; j = end) {
@@ -12442,7 +12467,7 @@ static void sfemi_dense_forward(sfem_int n, const sfem_real *a, sfem_real *x, in
 /* x = L^-T x: four columns, from the last. */
 static void sfemi_dense_backward(sfem_int n, const sfem_real *a, sfem_real *x, int unit)
 {
-    const sfemi_ldl_kernels *k = sfemi_ldl_kernels_of(sfemi_path());
+    const sfemi_ldl_kernels *k = &sfemi_ldl_path[sfemi_path()];
     const size_t m = (size_t)n;
     size_t i, j, p, end;
     for (end = m; end > 0; end = j) {
@@ -12497,7 +12522,7 @@ SFEM_DEF void sfem_dense_ldl_solve(sfem_int n, const sfem_real *a, sfem_int rhs,
 static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *e, sfem_real *tau,
                                sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *w = work, *y = work + n, *v = work + 2 * n;
     size_t k, i, j;
     memset(w, 0, n * sizeof *w);
@@ -12538,7 +12563,7 @@ static void sfemi_eigen_reduce(size_t n, sfem_real *a, sfem_real *d, sfem_real *
 /* Writes Q over the reflections that made it. */
 static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     size_t k, i, j;
     for (k = n - 1; k-- > 0;) /* H_k stands in column k + 1, so that it starts on the diagonal */
         memcpy(a + (k + 1) * n + k + 1, a + k * n + k + 1, (n - k - 1) * sizeof *a);
@@ -12558,7 +12583,7 @@ static void sfemi_eigen_form(size_t n, sfem_real *a, const sfem_real *tau)
 static int sfemi_eigen_ql(size_t n, sfem_real *d, sfem_real *e, size_t rows, sfem_real *z, size_t h,
                           sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *cosine = work, *sine = work + n;
     size_t l, m, i;
     int turns;
@@ -12709,7 +12734,7 @@ static int sfemi_eigen_band_vectors(size_t n, const sfem_real *a, size_t count,
                                     const sfem_real *lambda, sfem_real size, sfem_real *x,
                                     sfem_real *work)
 {
-    const sfemi_eigen_kernels *f = sfemi_eigen_kernels_of(sfemi_path());
+    const sfemi_eigen_kernels *f = &sfemi_eigen_path[sfemi_path()];
     sfem_real *u = work, *l = work + 9 * n;
     unsigned char *pivot = (unsigned char *)(work + 13 * n);
     uint32_t random = 1;
@@ -13312,18 +13337,6 @@ static void sfemi_modes_apply(const sfemi_modes *m, const sfem_real df[9], sfem_
     sfemi_mul3_nt(t, m->v, dp);
 }
 
-SFEM_DEF void sfem_law_differential(sfem_law law, sfem_real lambda, sfem_real mu,
-                                    const sfem_real f[9], sfem_tangent kind, const sfem_real df[9],
-                                    sfem_real dp[9])
-{
-    sfem_real g[9];
-    sfemi_modes modes;
-    SFEM_ASSERT(f && df && dp && (unsigned)law <= SFEM_NEOHOOKEAN);
-    sfemi_law_less_one(f, g);
-    sfemi_law_modes(law, lambda, mu, g, kind, &modes);
-    sfemi_modes_apply(&modes, df, dp);
-}
-
 SFEM_DEF void sfem_law_tangent(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9],
                                sfem_tangent kind, sfem_real tangent[81])
 {
@@ -13405,25 +13418,21 @@ static SFEMI_INLINE void sfemi_pairs_blocks(const sfemi_modes *m, sfem_real volu
 
 typedef void (*sfemi_pairs_kernel)(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w);
 
-static void sfemi_pairs_portable(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+static void sfemi_pairs_0(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     sfemi_pairs_blocks(m, volume, w);
 }
 
 #if SFEMI_X86
-SFEMI_AVX2 static void sfemi_pairs_avx2(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
+SFEMI_TARGET_1 static void sfemi_pairs_1(const sfemi_modes *m, sfem_real volume, sfemi_pairs *w)
 {
     sfemi_pairs_blocks(m, volume, w);
 }
+#define sfemi_pairs_2 sfemi_pairs_1 /* on AVX-512, too */
 #endif
-
-static sfemi_pairs_kernel sfemi_pairs_pick(void)
-{
-#if SFEMI_X86
-    if (sfemi_path() > 0) return sfemi_pairs_avx2;
-#endif
-    return sfemi_pairs_portable;
-}
+#define SFEMI_K(p) sfemi_pairs_##p
+static const sfemi_pairs_kernel sfemi_pairs_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* G = sum (u_a - u_0) g_a^T: a translation gives exactly zero. */
 static void sfemi_element_deform(const sfem_real *u0, const sfem_real *u1, const sfem_real *u2,
@@ -13453,7 +13462,7 @@ SFEM_DEF sfem_real sfem_law_tet(sfem_law law, sfem_real lambda, sfem_real mu, co
     if (!k) return energy;
     sfemi_law_modes(law, lambda, mu, grad, kind, &modes);
     sfemi_pairs_fill(&modes, g, 0, &pairs);
-    sfemi_pairs_portable(&modes, volume, &pairs);
+    sfemi_pairs_0(&modes, volume, &pairs);
     for (a = 0, n = 0; a < 4; ++a)
         for (b = 0; b <= a; ++b, ++n)
             for (i = 0; i < 9; ++i) {
@@ -13714,7 +13723,7 @@ typedef void (*sfemi_scatter)(const sfemi_block *block, const sfem_real d[9][SFE
                               sfem_real *out);
 /* spin_a += r of every lane, a = 0, 1, 2, 3: the same signature. */
 
-static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
+static void sfemi_gather_0(const sfemi_block *block, const sfem_real *u,
                                   sfem_real d[9][SFEMI_LANES])
 {
     int l, i;
@@ -13729,7 +13738,7 @@ static void sfemi_gather_portable(const sfemi_block *block, const sfem_real *u,
     }
 }
 
-static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
+static void sfemi_scatter_0(const sfemi_block *block, const sfem_real d[9][SFEMI_LANES],
                                    sfem_real *out)
 {
     int l, i;
@@ -13745,7 +13754,7 @@ static void sfemi_scatter_portable(const sfemi_block *block, const sfem_real d[9
     }
 }
 
-static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
+static void sfemi_spread_0(const sfemi_block *block, const sfem_real r[9][SFEMI_LANES],
                                   sfem_real *spin)
 {
     int l, i, a;
@@ -13758,7 +13767,7 @@ static void sfemi_spread_portable(const sfemi_block *block, const sfem_real r[9]
 
 #if SFEMI_X86
 /* Rows <-> columns of four vectors of four. */
-SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
+SFEMI_TARGET_1 static inline void sfemi_transpose_avx2(__m256d v[4])
 {
     const __m256d a = _mm256_unpacklo_pd(v[0], v[1]), b = _mm256_unpackhi_pd(v[0], v[1]);
     const __m256d c = _mm256_unpacklo_pd(v[2], v[3]), d = _mm256_unpackhi_pd(v[2], v[3]);
@@ -13768,7 +13777,7 @@ SFEMI_AVX2 static inline void sfemi_transpose_avx2(__m256d v[4])
     v[3] = _mm256_permute2f128_pd(b, d, 0x31);
 }
 
-SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_real *u,
+SFEMI_TARGET_1 static void sfemi_gather_1(const sfemi_block *block, const sfem_real *u,
                                          sfem_real d[9][SFEMI_LANES])
 {
     int l, a;
@@ -13792,12 +13801,12 @@ SFEMI_AVX2 static void sfemi_gather_avx2(const sfemi_block *block, const sfem_re
     }
 }
 
-SFEMI_AVX2 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
+SFEMI_TARGET_1 static inline void sfemi_add_avx2(sfem_real *to, __m256d v)
 {
     _mm256_storeu_pd(to, _mm256_add_pd(_mm256_loadu_pd(to), v));
 }
 
-SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
+SFEMI_TARGET_1 static void sfemi_scatter_1(const sfemi_block *block,
                                           const sfem_real d[9][SFEMI_LANES], sfem_real *out)
 {
     int l, a;
@@ -13827,7 +13836,7 @@ SFEMI_AVX2 static void sfemi_scatter_avx2(const sfemi_block *block,
     }
 }
 
-SFEMI_AVX2 static void sfemi_spread_avx2(const sfemi_block *block,
+SFEMI_TARGET_1 static void sfemi_spread_1(const sfemi_block *block,
                                          const sfem_real r[9][SFEMI_LANES], sfem_real *spin)
 {
     int l, i, a, k;
@@ -14205,37 +14214,28 @@ static SFEMI_INLINE void sfemi_lanes_blocks_##S(const sfemi_block *block, sfem_i
 SFEMI_LANE_KERNELS(double, d, SFEMI_MA_d, SFEMI_DOT_d, SFEMI_DET_d, 2e-6, 3e-2)
 SFEMI_LANE_KERNELS(float, f, SFEMI_MA_f, SFEMI_DOT_f, SFEMI_DET_f, 2e-3, 6e-2)
 
-#define SFEMI_BLOCKS_KERNEL(NAME, S, PATH, FUSED, TARGET)                                          \
-TARGET static void NAME(const sfemi_block *block, sfem_int count, const sfem_real *u,              \
-                        sfem_real *out, sfem_real *rotation, sfem_real *spin,                      \
-                        sfemi_totals *totals)                                                      \
+/* WAY 1: gathered, spread and with multiply-adds as AVX2 does it */
+#define SFEMI_BLOCKS_KERNEL(S, PATH, WAY)                                                          \
+SFEMI_TARGET_##PATH static void sfemi_blocks_##S##_##PATH(                                         \
+    const sfemi_block *block, sfem_int count, const sfem_real *u, sfem_real *out,                  \
+    sfem_real *rotation, sfem_real *spin, sfemi_totals *totals)                                    \
 {                                                                                                  \
-    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##PATH,      \
-                           sfemi_scatter_##PATH, sfemi_spread_##PATH, FUSED);                      \
+    sfemi_lanes_blocks_##S(block, count, u, out, rotation, spin, totals, sfemi_gather_##WAY,       \
+                           sfemi_scatter_##WAY, sfemi_spread_##WAY, WAY);                          \
 }
 
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_d, d, portable, 0, )
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_portable_f, f, portable, 0, )
+SFEMI_BLOCKS_KERNEL(d, 0, 0)
+SFEMI_BLOCKS_KERNEL(f, 0, 0)
 #if SFEMI_X86
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_d, d, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx2_f, f, avx2, 1, SFEMI_AVX2)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_d, d, avx2, 1, SFEMI_AVX512)
-SFEMI_BLOCKS_KERNEL(sfemi_blocks_avx512_f, f, avx2, 1, SFEMI_AVX512)
+SFEMI_BLOCKS_KERNEL(d, 1, 1)
+SFEMI_BLOCKS_KERNEL(f, 1, 1)
+SFEMI_BLOCKS_KERNEL(d, 2, 1)
+SFEMI_BLOCKS_KERNEL(f, 2, 1)
 #endif
-
-/* The widest path that this processor has. */
-static sfemi_blocks_kernel sfemi_blocks_pick(sfem_precision precision)
-{
-    const int mixed = precision == SFEM_MIXED;
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return mixed ? sfemi_blocks_avx512_f : sfemi_blocks_avx512_d;
-    case 1: return mixed ? sfemi_blocks_avx2_f : sfemi_blocks_avx2_d;
-    default: break;
-    }
-#endif
-    return mixed ? sfemi_blocks_portable_f : sfemi_blocks_portable_d;
-}
+#undef SFEMI_BLOCKS_KERNEL
+#define SFEMI_K(p) {sfemi_blocks_d_##p, sfemi_blocks_f_##p}
+static const sfemi_blocks_kernel sfemi_blocks_path[][2] = SFEMI_PATHS(SFEMI_K); /* SFEM_DOUBLE, SFEM_MIXED */
+#undef SFEMI_K
 
 #ifndef SFEM_NO_BODY
 /* Lanes without a matrix, and where over is 0, get the unit matrix. */
@@ -14284,30 +14284,23 @@ static SFEMI_INLINE void sfemi_lanes_polars(sfem_int count, const sfem_real *sum
     }
 }
 
-#define SFEMI_POLARS_KERNEL(NAME, FUSED, TARGET)                                                   \
-TARGET static void NAME(sfem_int count, const sfem_real *sum, const sfem_real *over,               \
-                        sfem_real *rotation, sfem_real *trace)                                     \
+#define SFEMI_POLARS_KERNEL(PATH, FUSED)                                                           \
+SFEMI_TARGET_##PATH static void sfemi_polars_##PATH(sfem_int count, const sfem_real *sum,          \
+                                                    const sfem_real *over, sfem_real *rotation,    \
+                                                    sfem_real *trace)                              \
 {                                                                                                  \
     sfemi_lanes_polars(count, sum, over, rotation, trace, FUSED);                                  \
 }
 
-SFEMI_POLARS_KERNEL(sfemi_polars_portable, 0, )
+SFEMI_POLARS_KERNEL(0, 0)
 #if SFEMI_X86
-SFEMI_POLARS_KERNEL(sfemi_polars_avx2, 1, SFEMI_AVX2)
-SFEMI_POLARS_KERNEL(sfemi_polars_avx512, 1, SFEMI_AVX512)
+SFEMI_POLARS_KERNEL(1, 1)
+SFEMI_POLARS_KERNEL(2, 1)
 #endif
-
-static sfemi_polars_kernel sfemi_polars_pick(void)
-{
-#if SFEMI_X86
-    switch (sfemi_path()) {
-    case 2: return sfemi_polars_avx512;
-    case 1: return sfemi_polars_avx2;
-    default: break;
-    }
-#endif
-    return sfemi_polars_portable;
-}
+#undef SFEMI_POLARS_KERNEL
+#define SFEMI_K(p) sfemi_polars_##p
+static const sfemi_polars_kernel sfemi_polars_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 #endif
 
 /* ============================================================================================
@@ -14369,29 +14362,6 @@ struct sfem_model {
     sfem_factor *factors;      /* those that bodies use now */
     sfem_real omega_max;       /* of the free body at rest, within a hundredth; 0: not known */
 };
-
-/* Sections this short need no more than a spin lock. */
-static void sfemi_lock(int *lock)
-{
-#if defined(__GNUC__)
-    while (__atomic_exchange_n(lock, 1, __ATOMIC_ACQUIRE)) continue;
-#elif defined(_MSC_VER)
-    while (_InterlockedExchange((volatile long *)lock, 1)) continue;
-#else
-    *lock = 1;
-#endif
-}
-
-static void sfemi_unlock(int *lock)
-{
-#if defined(__GNUC__)
-    __atomic_store_n(lock, 0, __ATOMIC_RELEASE);
-#elif defined(_MSC_VER)
-    _InterlockedExchange((volatile long *)lock, 0);
-#else
-    *lock = 0;
-#endif
-}
 
 SFEM_DEF sfem_material sfem_default_material(void)
 {
@@ -15231,7 +15201,7 @@ static sfem_real sfemi_fem_forces(const sfem_model *model, const sfemi_block *bl
     job.inverted = job.energy + chunks;
     job.moved = job.inverted + chunks;
     job.apart = sfemi_threads(ask->exec) > 1 ? 4 * (size_t)model->chunks.most : 0;
-    job.kernel = sfemi_blocks_pick(ask->precision);
+    job.kernel = sfemi_blocks_path[sfemi_path()][ask->precision == SFEM_MIXED];
     sfemi_run(ask->exec, sfemi_forces_tasks(&model->chunks), sfemi_forces_chunks, &job);
     sfemi_run(ask->exec, (nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_forces_nodes, &job);
     for (k = 0; k < chunks; ++k) {
@@ -15323,7 +15293,7 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
     job.u = u;
     job.kind = kind;
     job.val = tangent->val;
-    job.kernel = sfemi_pairs_pick();
+    job.kernel = sfemi_pairs_path[sfemi_path()];
     memset(job.val, 0, 9 * (size_t)model->row[model->mesh.nodes] * sizeof *job.val);
     for (n = 0; n < c->colors; ++n) {
         job.chunk = c->color_chunk + c->color_start[n];
@@ -15444,6 +15414,8 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
     }
 }
 
+#endif /* SFEM_NO_MODEL */
+
 #ifndef SFEM_NO_BODY
 /* ============================================================================================
  * >>damage   edge form of the tet, damage laws, criterion, pieces
@@ -15465,6 +15437,7 @@ SFEM_DEF void sfem_add_pressure(const sfem_mesh *mesh, const sfem_real *x, sfem_
  * and only its rounding would be left. A linear body subtracts: K u rounds by as much in any case.
  */
 
+#ifndef SFEM_NO_DAMAGE
 static const int sfemi_damage_place[6] = {1, 3, 6, 4, 7, 8}; /* of edges among the blocks a >= b */
 
 static void sfemi_damage_shape(const sfem_real x[12], sfem_real lambda, sfem_real mu,
@@ -15525,30 +15498,6 @@ SFEM_DEF void sfem_damage_prepare(const sfem_real x[12], sfem_real lambda, sfem_
         out->t_inverse[30 + k] = p * (a[0] * b[2] + a[2] * b[0]);
         for (l = 0; l < 6; ++l) out->s[6 * k + l] = sfemi_damage_entry(out, k, l);
     }
-}
-
-SFEM_DEF void sfem_damage_operators(const sfem_damage_tet *tet, sfem_real *a1, sfem_real *a2,
-                                    sfem_real *b)
-{
-    sfem_real dl[72], de[36];
-    int k, i, r, c;
-    SFEM_ASSERT(tet);
-    memset(dl, 0, sizeof dl);
-    for (k = 0; k < 6; ++k) {
-        const int *end = sfemi_edge_ends(3, k);
-        for (i = 0; i < 3; ++i) {
-            dl[6 * (3 * end[0] + i) + k] = tet->n[k][i];
-            dl[6 * (3 * end[1] + i) + k] = -tet->n[k][i];
-        }
-        for (i = 0; i < 6; ++i) de[6 * k + i] = tet->t_inverse[6 * i + k] / tet->length[k];
-    }
-    if (a1) memcpy(a1, dl, sizeof dl);
-    if (a2) memcpy(a2, de, sizeof de);
-    if (!b) return;
-    for (r = 0; r < 6; ++r)
-        for (c = 0; c < 12; ++c)
-            for (k = 0, b[12 * r + c] = 0; k < 6; ++k)
-                b[12 * r + c] += de[6 * k + r] * dl[6 * c + k];
 }
 
 /* W [6][6], S^-1 = W W^T: n n^T in an orthonormal basis of the deviators, and its trace. */
@@ -15782,7 +15731,7 @@ SFEM_DEF sfem_real sfem_damage_stiffening(const sfem_damage_tet *tet, sfem_damag
 enum { SFEMI_NEVER = 1, SFEMI_BLADE_ONLY = 2 };
 
 typedef struct sfemi_bonds {
-    sfem_allocator allocator;
+    sfemi_pool pool;         /* all of it */
     const sfem_model *model; /* kept alive by the body */
     sfem_damage_def def;     /* its arrays are NULL: they are in what follows */
     sfem_int edges, degree;  /* degree: most tets round an edge */
@@ -15805,11 +15754,12 @@ typedef struct sfemi_bonds {
  *
  * zeta, peak, mark and account are the state: sfemi_damage_attach says where they are. The rest is
  * derived: sfemi_damage_refresh makes it anew. */
+enum { SFEMI_PATIENCE = 16 }; /* rounds that a marked edge waits for a break that makes no energy */
 enum { SFEMI_RELEASED, SFEMI_PRICE, SFEMI_BROKEN, SFEMI_DELAYED, SFEMI_ACCOUNTS };
 enum { SFEMI_INTACT, SFEMI_DAMAGED, SFEMI_DISCONNECTED }; /* loose: intact edges do not connect its nodes */
 
 typedef struct sfemi_damage {
-    sfem_allocator allocator;
+    sfemi_pool pool;         /* all of it, but for the state */
     const sfemi_bonds *bonds;
     sfem_real *account;      /* [SFEMI_ACCOUNTS] J, J, edges, breaks put off */
     sfem_real *zeta;         /* [edges] */
@@ -15856,22 +15806,7 @@ SFEM_DEF sfem_damage_def sfem_default_damage_def(void)
 
 static void sfemi_bonds_free(sfemi_bonds *g) /* NULL allowed */
 {
-    sfem_allocator al;
-    if (!g) return;
-    al = g->allocator;
-    sfemi_delete(&al, g->end);
-    sfemi_delete(&al, g->length);
-    sfemi_delete(&al, g->tet_edge);
-    sfemi_delete(&al, g->tet_start);
-    sfemi_delete(&al, g->edge_tet);
-    sfemi_delete(&al, g->node_start);
-    sfemi_delete(&al, g->node_edge);
-    sfemi_delete(&al, g->area);
-    sfemi_delete(&al, g->price);
-    sfemi_delete(&al, g->factor);
-    sfemi_delete(&al, g->threshold);
-    sfemi_delete(&al, g->never);
-    sfemi_delete(&al, g);
+    if (g) sfemi_pool_free(&g->pool);
 }
 
 static int sfemi_damage_positive(sfem_real x) { return sfemi_finite(x) && x > 0; }
@@ -15934,22 +15869,21 @@ static sfem_status sfemi_damage_check(const sfem_model *model, const sfem_damage
 
 static sfem_status sfemi_bonds_allocate(sfemi_bonds *g, sfem_error *err)
 {
-    const sfem_allocator *al = &g->allocator;
     const size_t tets = (size_t)g->model->mesh.tets, nodes = (size_t)g->model->mesh.nodes;
     const size_t edges = (size_t)g->edges;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, g->end, al, 2 * edges);
-    SFEMI_NEW(sfem_real, g->length, al, edges);
-    SFEMI_NEW(sfem_int, g->tet_edge, al, 6 * tets);
-    SFEMI_NEW(sfem_int, g->tet_start, al, edges + 1);
-    SFEMI_NEW(sfem_int, g->edge_tet, al, 6 * tets);
-    SFEMI_NEW(sfem_int, g->node_start, al, nodes + 1);
-    SFEMI_NEW(sfem_int, g->node_edge, al, 2 * edges);
-    SFEMI_NEW(sfem_real, g->area, al, edges);
-    SFEMI_NEW(sfem_real, g->price, al, edges);
-    SFEMI_NEW(sfem_real, g->factor, al, edges);
-    SFEMI_NEW(sfem_real, g->threshold, al, tets);
-    SFEMI_NEW(unsigned char, g->never, al, edges);
+    SFEMI_TAKE(sfem_int, g->end, &g->pool, 2 * edges);
+    SFEMI_TAKE(sfem_real, g->length, &g->pool, edges);
+    SFEMI_TAKE(sfem_int, g->tet_edge, &g->pool, 6 * tets);
+    SFEMI_TAKE(sfem_int, g->tet_start, &g->pool, edges + 1);
+    SFEMI_TAKE(sfem_int, g->edge_tet, &g->pool, 6 * tets);
+    SFEMI_TAKE(sfem_int, g->node_start, &g->pool, nodes + 1);
+    SFEMI_TAKE(sfem_int, g->node_edge, &g->pool, 2 * edges);
+    SFEMI_TAKE(sfem_real, g->area, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->price, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->factor, &g->pool, edges);
+    SFEMI_TAKE(sfem_real, g->threshold, &g->pool, tets);
+    SFEMI_TAKE(unsigned char, g->never, &g->pool, edges);
 done:
     return status;
 }
@@ -16171,8 +16105,7 @@ static sfem_status sfemi_bonds_create(const sfem_model *model,
     SFEM_ASSERT(model && def && allocator && out);
     SFEM_ASSERT((def->line || !def->line_count) && (def->region_factor || !def->region_count));
     SFEMI_TRY(sfemi_damage_check(model, def, err));
-    SFEMI_NEW(sfemi_bonds, g, allocator, 1);
-    g->allocator = *allocator;
+    SFEMI_NEW_OWNER(sfemi_bonds, g, allocator);
     g->model = model;
     g->def = *def;
     g->def.tet_factor = g->def.region_factor = NULL;
@@ -16203,6 +16136,25 @@ static size_t sfemi_damage_state_bytes(const sfemi_bonds *g)
     return reals * sizeof(sfem_real) + (edges + 7) / 8 * 8;
 }
 
+/* Can this be the damage of a body? */
+static int sfemi_damage_check_state(const sfemi_bonds *g, const char *at)
+{
+    const size_t edges = (size_t)g->edges;
+    sfem_real account[SFEMI_ACCOUNTS], zeta;
+    size_t k;
+    memcpy(account, at, sizeof account);
+    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
+    at += sizeof account;
+    for (k = 0; k < edges; ++k) {
+        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
+        if (!(zeta >= 0 && zeta <= 1)) return 0;
+    }
+    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
+    for (k = 0; k < edges; ++k)
+        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
+    return 1;
+}
+
 /* The state lives in memory, aligned to 8, from now on; follow with reset or refresh. */
 static void sfemi_damage_attach(sfemi_damage *d, void *memory)
 {
@@ -16215,34 +16167,7 @@ static void sfemi_damage_attach(sfemi_damage *d, void *memory)
 
 static void sfemi_damage_free(sfemi_damage *d) /* NULL allowed */
 {
-    sfem_allocator al;
-    if (!d) return;
-    al = d->allocator;
-    sfemi_delete(&al, d->tet);
-    sfemi_delete(&al, d->kind);
-    sfemi_delete(&al, d->held);
-    sfemi_delete(&al, d->s);
-    sfemi_delete(&al, d->block);
-    sfemi_delete(&al, d->lane);
-    sfemi_delete(&al, d->piece_of);
-    sfemi_delete(&al, d->event);
-    sfemi_delete(&al, d->event_edge);
-    sfemi_delete(&al, d->force);
-    sfemi_delete(&al, d->rotation);
-    sfemi_delete(&al, d->energy);
-    sfemi_delete(&al, d->strain);
-    sfemi_delete(&al, d->stress);
-    sfemi_delete(&al, d->weight);
-    sfemi_delete(&al, d->ratio);
-    sfemi_delete(&al, d->most);
-    sfemi_delete(&al, d->candidate);
-    sfemi_delete(&al, d->near_candidate);
-    sfemi_delete(&al, d->local);
-    sfemi_delete(&al, d->fresh);
-    sfemi_delete(&al, d->merge);
-    sfemi_delete(&al, d->stamp);
-    sfemi_delete(&al, d->queue);
-    sfemi_delete(&al, d);
+    if (d) sfemi_pool_free(&d->pool);
 }
 
 /* All memory that damage needs but its state, about 800 bytes a tet; nothing else here allocates.
@@ -16256,35 +16181,34 @@ static sfem_status sfemi_damage_create(const sfemi_bonds *bonds,
     const size_t edges = (size_t)bonds->edges;
     sfemi_damage *d = NULL;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfemi_damage, d, allocator, 1);
-    d->allocator = *allocator;
+    SFEMI_NEW_OWNER(sfemi_damage, d, allocator);
     d->bonds = bonds;
-    SFEMI_NEW(sfem_int, d->tet, allocator, tets);
-    SFEMI_NEW(unsigned char, d->kind, allocator, tets);
-    SFEMI_NEW(unsigned char, d->held, allocator, edges);
-    SFEMI_NEW(sfem_real, d->s, allocator, 36 * tets);
+    SFEMI_TAKE(sfem_int, d->tet, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->kind, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->held, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->s, &d->pool, 36 * tets);
     if (model->rotates) {
-        SFEMI_NEW(sfemi_block, d->block, allocator, model->chunks.block_start[model->chunks.count]);
-        SFEMI_NEW(sfem_int, d->lane, allocator, tets);
-        SFEMI_NEW(sfem_real, d->rotation, allocator, 9 * tets);
+        SFEMI_TAKE(sfemi_block, d->block, &d->pool, model->chunks.block_start[model->chunks.count]);
+        SFEMI_TAKE(sfem_int, d->lane, &d->pool, tets);
+        SFEMI_TAKE(sfem_real, d->rotation, &d->pool, 9 * tets);
     }
-    SFEMI_NEW(sfem_int, d->piece_of, allocator, nodes);
-    SFEMI_NEW(sfem_break, d->event, allocator, edges);
-    SFEMI_NEW(sfem_int, d->event_edge, allocator, edges);
-    SFEMI_NEW(sfem_real, d->force, allocator, 12 * tets);
-    SFEMI_NEW(sfem_real, d->energy, allocator, tets);
-    SFEMI_NEW(sfem_real, d->strain, allocator, edges);
-    SFEMI_NEW(sfem_real, d->stress, allocator, 6 * tets);
-    SFEMI_NEW(sfem_real, d->weight, allocator, 6 * tets);
-    SFEMI_NEW(sfem_real, d->ratio, allocator, edges);
-    SFEMI_NEW(sfem_real, d->most, allocator, nodes);
-    SFEMI_NEW(unsigned char, d->candidate, allocator, tets);
-    SFEMI_NEW(unsigned char, d->near_candidate, allocator, edges);
-    SFEMI_NEW(sfem_real, d->local, allocator, 60 * (size_t)bonds->degree);
-    SFEMI_NEW(sfem_int, d->fresh, allocator, tets);
-    SFEMI_NEW(sfem_int, d->merge, allocator, tets);
-    SFEMI_NEW(sfem_int, d->stamp, allocator, nodes);
-    SFEMI_NEW(sfem_int, d->queue, allocator, 2 * nodes);
+    SFEMI_TAKE(sfem_int, d->piece_of, &d->pool, nodes);
+    SFEMI_TAKE(sfem_break, d->event, &d->pool, edges);
+    SFEMI_TAKE(sfem_int, d->event_edge, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->force, &d->pool, 12 * tets);
+    SFEMI_TAKE(sfem_real, d->energy, &d->pool, tets);
+    SFEMI_TAKE(sfem_real, d->strain, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->stress, &d->pool, 6 * tets);
+    SFEMI_TAKE(sfem_real, d->weight, &d->pool, 6 * tets);
+    SFEMI_TAKE(sfem_real, d->ratio, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->most, &d->pool, nodes);
+    SFEMI_TAKE(unsigned char, d->candidate, &d->pool, tets);
+    SFEMI_TAKE(unsigned char, d->near_candidate, &d->pool, edges);
+    SFEMI_TAKE(sfem_real, d->local, &d->pool, 60 * (size_t)bonds->degree);
+    SFEMI_TAKE(sfem_int, d->fresh, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->merge, &d->pool, tets);
+    SFEMI_TAKE(sfem_int, d->stamp, &d->pool, nodes);
+    SFEMI_TAKE(sfem_int, d->queue, &d->pool, 2 * nodes);
     *out = d;
     return SFEM_OK;
 done:
@@ -16836,6 +16760,28 @@ static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, s
     }
 }
 
+/* y += (K_frac - K) z, small strain about rest. */
+static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y)
+{
+    const sfem_model *model = d->bonds->model;
+    sfem_int k;
+    int a, c;
+    for (k = 0; k < d->tets; ++k) {
+        const sfem_int e = d->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
+        sfem_real x[12], u[12], f[12];
+        sfem_damage_tet tet;
+        for (a = 0; a < 4; ++a) {
+            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
+            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
+        }
+        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
+        for (a = 0; a < 36; ++a) tet.s[a] = d->s[36 * (size_t)e + (size_t)a] - tet.s[a];
+        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
+        for (a = 0; a < 4; ++a)
+            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
+    }
+}
+
 /* ---- criterion and propagation ---- */
 
 /* A step that ended, as the criterion sees it. Breaking changes the integrator's invariant by
@@ -17200,7 +17146,6 @@ static void sfemi_damage_record(sfemi_damage *d, sfem_int k, sfem_break_reason r
 
 /* Rounds after which a blade forces an edge. Edges without stress of their own may wait for ever
  * where their tets' switch to the edge form costs a little. */
-enum { SFEMI_PATIENCE = 16 };
 
 /* Lowers zeta of edge k to `to` unless that made energy; then it has to wait. */
 static int sfemi_damage_try(sfemi_damage *d, sfem_int k, sfem_real to, sfem_break_reason reason,
@@ -17575,6 +17520,32 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
         for (c = 0; c < 3; ++c) p->angular[c] += model->node_mass[i] * l[c];
     }
 }
+
+/* What bodies ask of their damage; NULL: they cannot break. */
+static sfem_int sfemi_damage_tets(const sfemi_damage *d) { return d ? d->tets : 0; }
+static sfem_int sfemi_damage_events(const sfemi_damage *d) { return d ? d->events : 0; }
+static sfem_real sfemi_damage_broken(const sfemi_damage *d) { return d ? d->account[SFEMI_BROKEN] : 0; }
+#else /* no body has any: the same for NULL, the rest is never called */
+typedef struct sfemi_bonds { int none; } sfemi_bonds;
+typedef struct sfemi_damage { int none; } sfemi_damage;
+static sfem_int sfemi_damage_tets(const sfemi_damage *d) { (void)d; return 0; }
+static sfem_int sfemi_damage_events(const sfemi_damage *d) { (void)d; return 0; }
+static sfem_real sfemi_damage_broken(const sfemi_damage *d) { (void)d; return 0; }
+static size_t sfemi_damage_state_bytes(const sfemi_bonds *g) { (void)g; return 0; }
+static int sfemi_damage_check_state(const sfemi_bonds *g, const char *at) { (void)g, (void)at; return 0; }
+static void sfemi_damage_multiply(const sfemi_damage *d, const sfem_real *z, sfem_real *y) { (void)d, (void)z, (void)y; }
+static void sfemi_damage_add_stiffness(const sfemi_damage *d, sfem_real scale, sfem_real *val)
+{
+    (void)d, (void)scale, (void)val;
+}
+static sfem_real sfemi_damage_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
+static sfem_real sfemi_damage_total_forces(sfemi_damage *d, const sfemi_forces *ask) { (void)d, (void)ask; return 0; }
+static void sfemi_damage_total_tangent(const sfemi_damage *d, const sfem_real *u, sfem_tangent kind,
+                                       sfem_matrix *tangent, const sfem_exec *exec)
+{
+    (void)d, (void)u, (void)kind, (void)tangent, (void)exec;
+}
+#endif /* SFEM_NO_DAMAGE */
 
 /* ============================================================================================
  * >>factor   the shared factor of a body's system matrix
@@ -18220,6 +18191,7 @@ enum { SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED };
 struct sfem_body {
     /* create */
     sfem_allocator allocator;
+    sfemi_pool pool;       /* the body itself, and what is allocated with it for good */
     sfem_exec exec;
     sfem_model *model;
     sfem_body_def def;     /* without its pins and its damage */
@@ -18339,22 +18311,7 @@ static int sfemi_state_check_handles(const void *shape, const char *at, size_t c
 
 static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
 {
-    const sfemi_bonds *g = ((const sfemi_state_shape *)shape)->bonds;
-    const size_t edges = g ? (size_t)g->edges : 0;
-    sfem_real account[SFEMI_ACCOUNTS], zeta;
-    size_t k;
-    if (!count) return 1;
-    memcpy(account, at, sizeof account);
-    if (!(account[SFEMI_BROKEN] >= 0 && account[SFEMI_BROKEN] <= g->edges)) return 0;
-    at += sizeof account;
-    for (k = 0; k < edges; ++k) {
-        memcpy(&zeta, at + k * sizeof zeta, sizeof zeta);
-        if (!(zeta >= 0 && zeta <= 1)) return 0;
-    }
-    at += (g->def.criterion == SFEM_BREAK_DUCTILE ? 2 : 1) * edges * sizeof zeta;
-    for (k = 0; k < edges; ++k)
-        if ((unsigned char)at[k] > SFEMI_PATIENCE) return 0;
-    return 1;
+    return !count || sfemi_damage_check_state(((const sfemi_state_shape *)shape)->bonds, at);
 }
 
 #define SFEMI_ROW(field, each, rows, check, name)                                                     \
@@ -18445,6 +18402,7 @@ static void sfemi_workspace_take_rotating(sfem_body *b, sfem_real *memory, size_
     for (k = 0; k < sizeof vector / sizeof *vector; ++k) sfemi_workspace_take(vector[k], n, memory, used);
 }
 
+#ifndef SFEM_NO_NEWTON
 /* What Newton's iteration has. */
 static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t *used)
 {
@@ -18457,6 +18415,7 @@ static void sfemi_workspace_take_newton(sfem_body *b, sfem_real *memory, size_t 
         sfemi_workspace_take(vector[k], 3 * (size_t)b->model->mesh.nodes, memory, used);
     if (b->model->rotates) sfemi_workspace_take(&m->work, sfem_model_work_size(b->model), memory, used);
 }
+#endif
 
 /* Points the body's arrays into memory; NULL: leaves them. Returns how many reals there are. */
 static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
@@ -18474,7 +18433,9 @@ static size_t sfemi_workspace_lay_out(sfem_body *b, sfem_real *memory)
         sfemi_workspace_take(&b->velocity, n, memory, &used);
     }
     if (b->scheme.rotates) sfemi_workspace_take_rotating(b, memory, &used);
+#ifndef SFEM_NO_NEWTON
     if (b->implicit.ready) sfemi_workspace_take_newton(b, memory, &used);
+#endif
     return used;
 }
 
@@ -18537,6 +18498,41 @@ static sfem_status sfemi_workspace_reserve_work(sfem_body *b, const sfem_factor 
     w->work = work;
     w->work_size = need;
 done:
+    return status;
+}
+
+/* ============================================================================================
+ * >>system   a matrix that changes, and its factor: of Newton's iteration, of the energy safeguard
+ * ============================================================================================ */
+
+static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
+{
+    sfem_matrix_free(&s->matrix);
+    sfemi_delete(&b->model->allocator, s->source);
+    memset(s, 0, sizeof *s);
+}
+
+/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
+static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
+                                     sfem_error *err)
+{
+    const sfem_model *model = b->model;
+    sfemi_system s;
+    sfem_status status = SFEM_OK;
+    sfem_int k, at, count = 0;
+    memset(&s, 0, sizeof s);
+    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
+    ++b->factors_made;
+    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
+    for (k = 0; k < s.factor->free_nodes; ++k)
+        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+    *out = s;
+    return SFEM_OK;
+done:
+    sfemi_factor_release(b->model, s.factor);
+    sfemi_system_close(b, &s);
     return status;
 }
 
@@ -19001,6 +18997,7 @@ static sfem_status sfemi_implicit_check(const sfem_body_def *d, sfem_error *err)
     return SFEM_OK;
 }
 
+#ifndef SFEM_NO_NEWTON
 /* Does Newton's matrix never change, so that a shared factor serves? */
 static int sfemi_implicit_constant(const sfem_body *b)
 {
@@ -19057,13 +19054,6 @@ done:
     return status;
 }
 
-static void sfemi_system_close(const sfem_body *b, sfemi_system *s)
-{
-    sfem_matrix_free(&s->matrix);
-    sfemi_delete(&b->model->allocator, s->source);
-    memset(s, 0, sizeof *s);
-}
-
 static void sfemi_implicit_destroy(sfem_body *b)
 {
     sfemi_implicit *m = &b->implicit;
@@ -19085,30 +19075,6 @@ static size_t sfemi_implicit_bytes(const sfem_body *b)
     }
     if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
     return reals * sizeof(sfem_real);
-}
-
-/* A factor of its own and the matrix to refactor it from. The caller releases the factor. */
-static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, sfemi_system *out,
-                                     sfem_error *err)
-{
-    const sfem_model *model = b->model;
-    sfemi_system s;
-    sfem_status status = SFEM_OK;
-    sfem_int k, at, count = 0;
-    memset(&s, 0, sizeof s);
-    SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
-    ++b->factors_made;
-    SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
-    SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
-    for (k = 0; k < s.factor->free_nodes; ++k)
-        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
-            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
-    *out = s;
-    return SFEM_OK;
-done:
-    sfemi_factor_release(b->model, s.factor);
-    sfemi_system_close(b, &s);
-    return status;
 }
 
 /* ---- stages ---- */
@@ -19875,6 +19841,16 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
                           m->info.residual, (int)m->info.iterations, reached);
     return status;
 }
+
+#else /* what other sections ask of it */
+static void sfemi_implicit_destroy(sfem_body *b) { (void)b; }
+static size_t sfemi_implicit_bytes(const sfem_body *b) { (void)b; return 0; }
+static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
+{
+    (void)b;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "this takes Newton's iteration: the library is compiled with SFEM_NO_NEWTON");
+}
+#endif /* SFEM_NO_NEWTON */
 
 /* ============================================================================================
  * >>alpha   dissipation on demand: KR-alpha, CR, Gui-lambda, Chang
@@ -20751,30 +20727,8 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     }
     job.body = b;
     job.frame = frame;
-    job.kernel = sfemi_polars_pick();
+    job.kernel = sfemi_polars_path[sfemi_path()];
     sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
-}
-
-/* y += (K_frac - K) z, small strain about rest. */
-static void sfemi_fracture_multiply(const sfem_body *b, const sfem_real *z, sfem_real *y)
-{
-    const sfem_model *model = b->model;
-    sfem_int k;
-    int a, c;
-    for (k = 0; k < b->damage->tets; ++k) {
-        const sfem_int e = b->damage->tet[k], *t = model->mesh.tet + 4 * (size_t)e;
-        sfem_real x[12], u[12], f[12];
-        sfem_damage_tet tet;
-        for (a = 0; a < 4; ++a) {
-            memcpy(x + 3 * a, model->mesh.x + 3 * (size_t)t[a], 3 * sizeof *x);
-            memcpy(u + 3 * a, z + 3 * (size_t)t[a], 3 * sizeof *u);
-        }
-        sfem_damage_prepare(x, model->lambda[e], model->mu[e], &tet);
-        for (a = 0; a < 36; ++a) tet.s[a] = b->damage->s[36 * (size_t)e + (size_t)a] - tet.s[a];
-        (void)sfem_damage_energy(&tet, tet.s, 1, u, SFEM_TANGENT_EXACT, f, NULL);
-        for (a = 0; a < 4; ++a)
-            for (c = 0; c < 3; ++c) y[3 * (size_t)t[a] + (size_t)c] += f[3 * a + c];
-    }
 }
 
 /* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
@@ -20786,14 +20740,14 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     const int projects = sfemi_rotated_projects(b);
     sfem_real *sum = b->rotated.v;
     size_t i;
-    if (!b->damage || !b->damage->tets) return;
+    if (!sfemi_damage_tets(b->damage)) return;
     if (projects) {
         sfemi_rotated_motion(b, u, z, 1);
         sfemi_rotated_add_motion(b, u, -1, 0, z);
     }
     sfemi_rotated_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
-    sfemi_fracture_multiply(b, z, sum);
+    sfemi_damage_multiply(b->damage, z, sum);
     if (b->refactor.live) { /* what was left when the factor was made is out already */
         sfem_real *kz = b->safeguard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
@@ -20873,7 +20827,7 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
-    return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
+    return b->scheme.rotates && (sfemi_damage_tets(b->damage) > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
 /* Does the projection of free pieces change B, so that it is not at hand? See 6. */
@@ -20921,7 +20875,7 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
         sfem_matrix_multiply(&model->stiffness, x, z, &b->exec);
-        sfemi_fracture_multiply(b, x, z);
+        sfemi_damage_multiply(b->damage, x, z);
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
@@ -20996,7 +20950,7 @@ static void sfemi_resume_mean_force(sfem_body *b)
         if (b->zd) b->zd[i] = s->w[i];
         b->acc[i] = 0;
     }
-    if (b->scheme.rotates && b->beta != 0) sfemi_fracture_multiply(b, b->zk, b->acc);
+    if (b->scheme.rotates && b->beta != 0) sfemi_damage_multiply(b->damage, b->zk, b->acc);
     sfemi_body_residual(b, load, b->alpha != 0);
     for (i = 0; b->scheme.rotates && i < n; ++i) b->rhs[i] -= (s->f[i] + s->f_past[i]) / 2 + b->acc[i];
 }
@@ -21453,7 +21407,7 @@ static void sfemi_resume_lessen(const sfem_body *b, sfem_real *rhs)
 }
 
 /* ============================================================================================
- * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard; breaking
+ * >>safeguard   (p,q,r) for bodies that rotate: trial, corrections, energy safeguard
  *
  * 1. A trial step of one solve (>>rotated), then corrections of it by L-BFGS.
  * 2. Two energies of the step, v_r and L_r being w' and the loads L without what moves the centre of mass of a free
@@ -21543,7 +21497,7 @@ static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_r
     ask.force = f;
     ask.work = b->rotated.work;
     ask.exec = &b->exec;
-    if (b->damage && b->damage->tets && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
+    if (sfemi_damage_tets(b->damage) && !b->model->rotates) { /* linear: damaged less intact, from the intact force */
         const sfem_real psi = sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->rotated.work, &b->exec);
         return psi + sfemi_damage_forces(b->damage, &ask);
     }
@@ -23087,15 +23041,18 @@ static void sfemi_safeguard_finish(sfem_body *b)
     head->started = g->rejected ? SFEMI_RESTARTED : SFEMI_RUNNING;
 }
 
-/* ---- breaking ----
+/* ============================================================================================
+ * >>breaking   bodies that break: what a break takes from the energy budget, the balance of energies
  *
  * Edges are judged in the middle of a step from u to u', and break only where the exact local energy
  *   (Psi + Psi')/2 - (u'-u).(f'-f)/4
  * does not rise; after a rejected step, which starts afresh from u', where Psi' does not. Then the forces at
  * both ends are those of what is left, so that the next step goes on as if it had never been otherwise,
  * and what the energy budget counts falls by what has been released. A and its factor stay: they bound
- * what is left of K. New pieces that nothing holds get the rigid projection of >>rotated at once. */
+ * what is left of K. New pieces that nothing holds get the rigid projection of >>rotated at once.
+ * ============================================================================================ */
 
+#ifndef SFEM_NO_DAMAGE
 /* T + U of the step just taken, which (p,q,r) conserves where it is linear and A belongs to K:
  * 1/2 w'.r M w' + (Psi + Psi')/2 + (p - 1/2)(u'-u).(f'-f)/2, after a redo 1/2 w'.r M w' + Psi'. */
 static sfem_real sfemi_fracture_energy(const sfem_body *b, sfem_real *kinetic)
@@ -23292,6 +23249,51 @@ static void sfemi_fracture_round(sfem_body *b)
         head->budget += g->rejected ? after.ec - before.ec : after.eb - before.eb;
     }
 }
+
+static void sfemi_fracture_destroy(sfem_body *b)
+{
+    sfemi_damage_free(b->damage);
+    sfemi_bonds_free(b->bonds);
+}
+
+/* Everything intact. */
+static void sfemi_fracture_reset(sfem_body *b)
+{
+    sfemi_damage_reset(b->damage);
+    sfemi_fracture_regroup(b);
+}
+
+static sfem_status sfemi_fracture_create(sfem_body *b, sfem_error *err)
+{
+    const sfem_status status = sfemi_damage_create(b->bonds, &b->allocator, &b->damage, err);
+    if (status != SFEM_OK) return status;
+    sfemi_damage_attach(b->damage, b->state.damage);
+    sfemi_fracture_reset(b);
+    return SFEM_OK;
+}
+
+/* Goes on with the damage that a state has, whose memory may be another than before. */
+static void sfemi_fracture_restore(sfem_body *b, const sfemi_state *s)
+{
+    if (!b->damage) return;
+    sfemi_damage_attach(b->damage, s->damage);
+    sfemi_damage_refresh(b->damage);
+    sfemi_fracture_regroup(b);
+}
+#else
+static sfem_real sfemi_fracture_least_p(const sfem_body *b) { (void)b; return 0; }
+static void sfemi_fracture_round(sfem_body *b) { (void)b; }
+static void sfemi_fracture_destroy(sfem_body *b) { (void)b; }
+static void sfemi_fracture_restore(sfem_body *b, const sfemi_state *s) { (void)b, (void)s; }
+static sfem_status sfemi_fracture_create(sfem_body *b, sfem_error *err) { (void)b, (void)err; return SFEM_OK; }
+static sfem_status sfemi_bonds_create(const sfem_model *model, const struct sfem_damage_def *def,
+                                      const sfem_allocator *al, sfemi_bonds **out, sfem_error *err)
+{
+    (void)model, (void)def, (void)al, (void)out;
+    return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies cannot break: the library is compiled with SFEM_NO_DAMAGE");
+}
+static void sfemi_fracture_protect(sfem_body *b) { (void)b; }
+#endif /* SFEM_NO_DAMAGE */
 
 /* ============================================================================================
  * >>sleep   bodies at rest, whose steps cost nothing
@@ -23532,7 +23534,7 @@ static void sfemi_refactor_begin(sfem_body *b, const sfem_matrix *k)
         sfemi_damage_add_stiffness(b->damage, 1, r->k[to].val);
         r->stage = SFEMI_REFACTOR_MATRIX;
     }
-    if (b->damage) r->broken = b->damage->account[SFEMI_BROKEN];
+    r->broken = sfemi_damage_broken(b->damage);
     r->next = 0;
     r->credit = r->done = 0;
     r->flops = sfemi_refactor_price(b, r->stage == SFEMI_REFACTOR_TANGENT);
@@ -23551,7 +23553,7 @@ static double sfemi_refactor_tangent(sfem_body *b)
     job.kind = SFEM_TANGENT_PSD;
     job.val = r->k[r->live == 1].val;
     job.chunk = c->color_chunk;
-    job.kernel = sfemi_pairs_pick();
+    job.kernel = sfemi_pairs_path[sfemi_path()];
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
@@ -23684,7 +23686,7 @@ static void sfemi_refactor_follow(sfem_body *b)
     sfemi_refactor *r = &b->refactor;
     if (!b->damage || !r->source) return;
     if (r->since_break < WAIT) ++r->since_break;
-    else if (r->stage == SFEMI_REFACTOR_IDLE && b->damage->account[SFEMI_BROKEN] != r->broken)
+    else if (r->stage == SFEMI_REFACTOR_IDLE && sfemi_damage_broken(b->damage) != r->broken)
         sfemi_refactor_begin(b, NULL);
 }
 
@@ -23907,6 +23909,7 @@ static void sfemi_linear_balance(sfem_body *b, sfem_real *v)
                         b->model->block_mass != NULL || b->alpha != 0 || b->state.head->started == SFEMI_RUNNING);
 }
 
+#ifndef SFEM_NO_NEWTON
 /* ---- Newton's ---- */
 
 static sfem_status sfemi_newton_accept(sfem_body *b, sfem_error *err)
@@ -23939,6 +23942,14 @@ static void sfemi_newton_balance(sfem_body *b, sfem_real *v)
     memcpy(b->zm, b->state.a, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zm);
     sfemi_implicit_balance(b, 0, v, b->zm, b->rhs);
 }
+
+static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
+                                                 sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
+                                                 sfemi_newton_balance};
+#define SFEMI_METHOD_NEWTON (&sfemi_method_newton)
+#else
+#define SFEMI_METHOD_NEWTON NULL /* such a body is refused */
+#endif
 
 /* ---- bodies that rotate ---- */
 
@@ -23994,9 +24005,6 @@ static void sfemi_rotated_balance(sfem_body *b, sfem_real *v)
 static const sfemi_method sfemi_method_linear = {sfemi_linear_predict, sfemi_linear_solve, sfemi_linear_accept,
                                                  sfemi_linear_finish, sfemi_linear_elastic, sfemi_linear_conserved,
                                                  sfemi_linear_balance};
-static const sfemi_method sfemi_method_newton = {sfemi_implicit_predict, sfemi_implicit_solve, sfemi_newton_accept,
-                                                 sfemi_newton_finish, sfemi_newton_elastic, sfemi_newton_conserved,
-                                                 sfemi_newton_balance};
 static const sfemi_method sfemi_method_rotated = {sfemi_rotated_predict,      sfemi_rotated_solve,
                                                   sfemi_safeguard_judge_step, sfemi_safeguard_finish,
                                                   sfemi_rotated_elastic,      sfemi_rotated_conserved,
@@ -24039,8 +24047,9 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     if (s->newmark) s->q = 2 * d->gamma;
     if (s->lagging) s->q = (3 - d->rho_inf) / ((1 + d->rho_inf) * (2 - d->rho_inf));
     sfemi_method_weigh(d, s);
-    s->method = s->rotates ? &sfemi_method_rotated : s->newton ? &sfemi_method_newton : &sfemi_method_linear;
+    s->method = s->rotates ? &sfemi_method_rotated : s->newton ? SFEMI_METHOD_NEWTON : &sfemi_method_linear;
 }
+#undef SFEMI_METHOD_NEWTON
 
 /* ============================================================================================
  * >>body   the pipeline that a user calls: create, prepare, step, read
@@ -24211,34 +24220,18 @@ static void sfemi_body_find_held(sfem_body *b)
     if (!b->scheme.rotates) sfemi_rotated_locate(b, NULL);
 }
 
-static void sfemi_body_free_schur(sfem_body *b, sfemi_schur *g)
-{
-    const sfem_allocator *al = &b->allocator;
-    sfem_int i;
-    for (i = 0; g->y && i < b->def.max_handles; ++i) sfemi_delete(al, g->y[i]);
-    sfemi_delete(al, g->y);
-    sfemi_delete(al, g->slot);
-    sfemi_delete(al, g->parts);
-    sfemi_delete(al, g->ready);
-    sfemi_delete(al, g->s);
-    sfemi_delete(al, g->wm);
-    sfemi_delete(al, g->lambda);
-    sfemi_delete(al, g->place);
-}
-
 static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur *g, sfem_error *err)
 {
-    const sfem_allocator *al = &b->allocator;
     sfem_status status = SFEM_OK;
     if (k == 0) return SFEM_OK;
-    SFEMI_NEW(sfem_int, g->slot, al, k);
-    SFEMI_NEW(sfem_real *, g->y, al, k);
-    SFEMI_NEW(sfem_int, g->parts, al, k);
-    SFEMI_NEW(sfem_int, g->ready, al, k);
-    SFEMI_NEW(sfem_real, g->s, al, 9 * k * k);
-    SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
-    SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
-    SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+    SFEMI_TAKE(sfem_int, g->slot, &b->pool, k);
+    SFEMI_TAKE(sfem_real *, g->y, &b->pool, k);
+    SFEMI_TAKE(sfem_int, g->parts, &b->pool, k);
+    SFEMI_TAKE(sfem_int, g->ready, &b->pool, k);
+    SFEMI_TAKE(sfem_real, g->s, &b->pool, 9 * k * k);
+    SFEMI_TAKE(sfem_real, g->wm, &b->pool, 3 * k * k);
+    SFEMI_TAKE(sfem_real, g->lambda, &b->pool, 3 * k);
+    SFEMI_TAKE(sfem_real, g->place, &b->pool, 3 * k);
 done:
     return status;
 }
@@ -24252,7 +24245,7 @@ static sfem_status sfemi_body_allocate_lever(sfem_body *b, sfem_error *err)
     sfem_status status = SFEM_OK;
     size_t i;
     if (model->block_mass) {
-        SFEMI_NEW(sfem_real, b->rotated.lever, &b->allocator, n);
+        SFEMI_TAKE(sfem_real, b->rotated.lever, &b->pool, n);
         sfem_model_multiply_mass(model, model->mesh.x, b->rotated.lever, &b->exec);
         for (i = 0; i < n; ++i)
             b->rotated.lever[i] = model->node_mass[i / 3] > 0
@@ -24266,16 +24259,15 @@ done:
 /* The pieces, and what only a body that rotates needs. */
 static sfem_status sfemi_body_allocate_rotated(sfem_body *b, sfem_error *err)
 {
-    const sfem_allocator *al = &b->allocator;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_status status = SFEM_OK;
-    SFEMI_NEW(sfem_int, b->rotated.piece_of, al, n / 3);
+    SFEMI_TAKE(sfem_int, b->rotated.piece_of, &b->pool, n / 3);
     SFEMI_TRY(sfem_mesh_components(&b->model->mesh, b->rotated.piece_of, &b->rotated.pieces, err));
-    SFEMI_NEW(sfemi_piece, b->rotated.piece, al, b->bonds ? b->model->mesh.nodes : b->rotated.pieces);
+    SFEMI_TAKE(sfemi_piece, b->rotated.piece, &b->pool, b->bonds ? b->model->mesh.nodes : b->rotated.pieces);
     b->rotated.still = !b->model->rotates;
     if (!b->scheme.rotates) return sfemi_body_allocate_lever(b, err);
-    SFEMI_NEW(sfem_real, b->rotated.over, al, n / 3);
-    SFEMI_NEW(sfem_real, b->rotated.diagonal, al, n / 3);
+    SFEMI_TAKE(sfem_real, b->rotated.over, &b->pool, n / 3);
+    SFEMI_TAKE(sfem_real, b->rotated.diagonal, &b->pool, n / 3);
 done:
     return status;
 }
@@ -24283,20 +24275,15 @@ done:
 static void sfemi_body_destroy(sfem_body *b)
 {
     const sfem_allocator al = b->allocator;
+    sfem_int i;
     sfemi_implicit_destroy(b);
     sfemi_refactor_destroy(b);
     sfemi_factor_release(b->model, b->factor);
     sfemi_factor_release(b->model, b->static_factor);
-    sfemi_body_free_schur(b, &b->schur);
+    for (i = 0; b->schur.y && i < b->def.max_handles; ++i) sfemi_delete(&al, b->schur.y[i]);
     sfemi_safeguard_close_system(b);
     sfemi_delete(&al, b->safeguard.tangent.val);
-    sfemi_delete(&al, b->rotated.piece_of);
-    sfemi_delete(&al, b->rotated.piece);
-    sfemi_delete(&al, b->rotated.over);
-    sfemi_delete(&al, b->rotated.diagonal);
-    sfemi_delete(&al, b->rotated.lever);
-    sfemi_damage_free(b->damage);
-    sfemi_bonds_free(b->bonds);
+    sfemi_fracture_destroy(b);
     sfemi_delete(&al, b->pin);
     sfemi_delete(&al, b->mask);
     sfemi_delete(&al, b->state.head);
@@ -24304,7 +24291,7 @@ static void sfemi_body_destroy(sfem_body *b)
     sfemi_delete(&al, b->own.memory);
     sfemi_delete(&al, b->own.work);
     sfem_model_free(b->model);
-    sfemi_delete(&al, b);
+    sfemi_pool_free(&b->pool);
 }
 
 static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, sfem_error *err)
@@ -24325,12 +24312,7 @@ static sfem_status sfemi_body_allocate(sfem_body *b, const sfem_body_def *def, s
     SFEMI_TRY(sfemi_body_allocate_schur(b, k, &b->schur, err));
     if (b->scheme.rotates || sfemi_body_corrects_momentum(b)) SFEMI_TRY(sfemi_body_allocate_rotated(b, err));
     if (b->scheme.newton) SFEMI_TRY(sfemi_implicit_reserve(b, err));
-    if (b->bonds) {
-        SFEMI_TRY(sfemi_damage_create(b->bonds, al, &b->damage, err));
-        sfemi_damage_attach(b->damage, b->state.damage);
-        sfemi_damage_reset(b->damage);
-        sfemi_fracture_regroup(b);
-    }
+    if (b->bonds) SFEMI_TRY(sfemi_fracture_create(b, err));
     if (b->scheme.rotates) sfemi_rotated_weigh(b);
     sfemi_body_find_held(b);
 done:
@@ -24344,7 +24326,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     sfem_status status;
     SFEM_ASSERT(model && def && out);
     SFEMI_TRY(sfemi_body_check(def, err));
-    SFEMI_NEW(sfem_body, b, &def->allocator, 1);
+    SFEMI_NEW_OWNER(sfem_body, b, &def->allocator);
     b->allocator = def->allocator;
     b->exec = def->exec;
     b->def = *def;
@@ -24482,6 +24464,7 @@ static int sfemi_body_is_prepared(const sfem_body *b, sfem_real h)
     return sfemi_body_has_factor(b, h) && !b->schur.dirty;
 }
 
+#ifndef SFEM_NO_NEWTON
 static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_real p, sfem_error *err)
 {
     sfem_factor *f;
@@ -24495,6 +24478,7 @@ static sfem_status sfemi_body_prepare_implicit(sfem_body *b, sfem_real h, sfem_r
     b->p = p;
     return sfemi_body_prepare_handles(b, err);
 }
+#endif
 
 static sfem_status sfemi_body_check_step(sfem_real h, sfem_error *err)
 {
@@ -24519,7 +24503,9 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
     if (!b->factor || h != b->h) {
         status = sfemi_body_choose_p(b, h, &p, err);
         if (status != SFEM_OK) return status;
+#ifndef SFEM_NO_NEWTON
         if (b->scheme.newton) return sfemi_body_prepare_implicit(b, h, p, err);
+#endif
         key.ck = p * h * h + b->scheme.q / 2 * h * b->beta;
         key.cm = b->scheme.r + b->scheme.q / 2 * h * b->alpha;
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
@@ -24733,7 +24719,7 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     b->state.head->p = b->p;
     ++b->state.head->steps;
     sfemi_body_age_load(b);
-    if (b->damage && b->damage->events) sfemi_sleep_wake_up(b);
+    if (sfemi_damage_events(b->damage)) sfemi_sleep_wake_up(b);
     sfemi_sleep_watch(b);
     sfemi_refactor_follow(b);
     sfemi_refactor_advance(b);
@@ -25073,10 +25059,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     if (status == SFEM_OK) status = sfemi_saved_fault(&sfemi_state_kind, &shape, memory, bytes, err);
     if (status != SFEM_OK) return status;
     memcpy(b->state.head, memory, bytes);
-    if (b->damage) {
-        sfemi_damage_refresh(b->damage);
-        sfemi_fracture_regroup(b);
-    }
+    sfemi_fracture_restore(b, &b->state);
     sfemi_body_find_held(b);
     sfemi_refactor_drop(b);
     sfemi_body_forget_columns(b);
@@ -25108,10 +25091,7 @@ SFEM_DEF sfem_status sfem_body_set_pins(sfem_body *b, sfem_int count, const sfem
     bytes = fresh.head->saved.size;
     memcpy(fresh.head, old.head, (size_t)((char *)fresh.pin - (char *)fresh.head));
     fresh.head->saved.size = bytes;
-    if (b->damage) {
-        sfemi_damage_attach(b->damage, fresh.damage);
-        sfemi_damage_refresh(b->damage);
-    }
+    sfemi_fracture_restore(b, &fresh);
     sfemi_delete(al, old.head);
     sfemi_delete(al, b->mask);
     sfemi_delete(al, b->pin);
@@ -25372,6 +25352,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     return info;
 }
 
+#ifndef SFEM_NO_DAMAGE
 /* ---- fracture ---- */
 
 SFEM_DEF sfem_fracture sfem_body_fracture(const sfem_body *b)
@@ -25481,8 +25462,7 @@ SFEM_DEF void sfem_body_heal(sfem_body *b)
 {
     SFEM_ASSERT(b && b->damage);
     sfemi_sleep_wake_up(b);
-    sfemi_damage_reset(b->damage);
-    sfemi_fracture_regroup(b);
+    sfemi_fracture_reset(b);
     memset(b->state.balance, 0, sizeof *b->state.balance);
     b->state.head->current = 0;
     sfemi_refactor_drop(b); /* or K would be larger than the factor's */
@@ -25784,6 +25764,8 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
     }
 }
 
+#endif /* SFEM_NO_DAMAGE */
+
 /* ============================================================================================
  * >>statics   f(u) = F with the body's pins and handles: a static solution
  *
@@ -25872,7 +25854,9 @@ static void sfemi_body_static_forces(sfem_body *b)
     memcpy(b->zk, b->state.u, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zk);
     if (b->zd) memset(b->zd, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *b->zd);
     if (sfemi_implicit_linear(b->model)) sfemi_body_residual(b, load, 0);
+#ifndef SFEM_NO_NEWTON
     else sfemi_implicit_balance(b, 0, NULL, NULL, b->rhs);
+#endif
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
         for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
@@ -25884,6 +25868,7 @@ static void sfemi_body_static_forces(sfem_body *b)
 }
 
 /* The static solution of a nonlinear model, to acc. */
+#ifndef SFEM_NO_NEWTON
 static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
 {
     sfemi_schur *g = &b->schur;
@@ -25908,6 +25893,13 @@ done:
     sfemi_system_close(b, &system);
     return status;
 }
+#else
+static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
+{
+    (void)key;
+    return sfemi_implicit_reserve(b, err);
+}
+#endif
 
 /* ---- which rigid motions pins and handles leave free: a sentence for a solution that failed ----
  *
@@ -26064,7 +26056,7 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     size_t i;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
-    if (b->damage && b->damage->tets)
+    if (sfemi_damage_tets(b->damage))
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
     SFEMI_TRY(sfemi_workspace_check(b, err));
@@ -26126,22 +26118,12 @@ typedef struct sfemi_modes_kernels {
     void (*scale)(const double *, const double *, double *);
 } sfemi_modes_kernels;
 
-static const sfemi_modes_kernels *sfemi_modes_kernels_of(int path)
-{
-#define SFEMI_TABLE(p)                                                                              \
+#define SFEMI_K(p)                                                                                  \
     {sfemi_modes_dots_64_##p, sfemi_modes_combine_64_##p, sfemi_modes_gram_64_##p,                  \
      sfemi_modes_rotate_64_##p, sfemi_modes_row_64_##p,     sfemi_modes_project_64_##p,               \
      sfemi_modes_scale_64_##p}
-    static const sfemi_modes_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+static const sfemi_modes_kernels sfemi_modes_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* What the solvers work on: the free nodes, renumbered as they come. Held axes keep a row of their own
  * with K's diagonal in it and no mass, so that they are eigenvalues at infinity and never counted.
@@ -26264,7 +26246,7 @@ done:
 /* y = M x for four vectors that are zero on held axes. */
 static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const sfem_int *row = s->k.row;
     sfem_int i;
     size_t r;
@@ -26281,7 +26263,7 @@ static void sfemi_modes_mass(const sfemi_modes_system *s, const sfem_real *x, sf
 /* y = K x for four vectors. */
 static void sfemi_modes_stiffness(const sfemi_modes_system *s, const sfem_real *x, sfem_real *y)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const sfem_int *row = s->k.row;
     sfem_int i;
     memset(y, 0, 12 * (size_t)s->n * sizeof *y);
@@ -26353,7 +26335,7 @@ static sfem_int sfemi_modes_allowed(sfem_real *g, sfem_real *motion)
  * displacements where s->half is set: then x -= root(M) Z (root(M) Z)^T x. */
 static void sfemi_modes_deflate(const sfemi_modes_system *s, sfem_real *x)
 {
-    const sfemi_modes_kernels *f = sfemi_modes_kernels_of(sfemi_path());
+    const sfemi_modes_kernels *f = &sfemi_modes_path[sfemi_path()];
     const size_t rows = 3 * (size_t)s->n;
     sfem_int i;
     if (s->rigid == 0) return;
@@ -27387,7 +27369,7 @@ static sfem_status sfemi_lanczos_create(sfemi_modes_system *s, sfem_modes_info *
     memset(z, 0, sizeof *z);
     z->s = s;
     z->pool = sfemi_pool_of(s->al);
-    z->f = sfemi_modes_kernels_of(sfemi_path());
+    z->f = &sfemi_modes_path[sfemi_path()];
     z->exec = &s->def->exec;
     z->info = info;
     z->rows = 3 * (size_t)s->n;
@@ -27884,23 +27866,9 @@ typedef struct sfemi_modal_kernels {
                     const sfem_int *, const float *, const float *, const float *, float *);
 } sfemi_modal_kernels;
 
-static const sfemi_modal_kernels *sfemi_modal_kernels_of(int path)
-{
-#define SFEMI_TABLE(p)                                                                             \
-    {                                                                                              \
-        sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p,                \
-            sfemi_modal_tiles_32_##p                                                               \
-    }
-    static const sfemi_modal_kernels table[] = {
-        SFEMI_TABLE(0),
-#if SFEMI_X86
-        SFEMI_TABLE(1),
-        SFEMI_TABLE(2),
-#endif
-    };
-#undef SFEMI_TABLE
-    return table + path;
-}
+#define SFEMI_K(p) {sfemi_modal_dot3_64_##p, sfemi_modal_add3_64_##p, sfemi_modal_tiles_64_##p, sfemi_modal_tiles_32_##p}
+static const sfemi_modal_kernels sfemi_modal_path[] = SFEMI_PATHS(SFEMI_K);
+#undef SFEMI_K
 
 /* --- rotations ------------------------------------------------------------------------------- */
 
@@ -28118,16 +28086,6 @@ static const sfemi_saved_array sfemi_reduced_array[] = {
 
 static const sfemi_saved_kind sfemi_reduced_kind = SFEMI_SAVED_KIND("sfemred", "reduced model", 2, sfemi_reduced_array);
 
-SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
-{
-    sfem_reduced_def def;
-    memset(&def, 0, sizeof def);
-    def.cookie = SFEMI_COOKIE_REDUCED;
-    def.free = -1;
-    def.gravity_groups = 16;
-    return def;
-}
-
 SFEM_DEF void sfem_reduced_free(sfem_reduced *r)
 {
     sfem_int left;
@@ -28166,6 +28124,7 @@ done:
     return status;
 }
 
+#ifndef SFEM_NO_MODES
 /* Psi: half the curl of each mode, constant in a tet, averaged at the nodes by volume. */
 static void sfemi_reduced_curl(sfem_reduced *r, const sfem_model *model, sfem_real *volume)
 {
@@ -28368,6 +28327,16 @@ static sfem_status sfemi_reduced_check(const sfem_model *model, const sfem_modes
     return SFEM_OK;
 }
 
+SFEM_DEF sfem_reduced_def sfem_default_reduced_def(void)
+{
+    sfem_reduced_def def;
+    memset(&def, 0, sizeof def);
+    def.cookie = SFEMI_COOKIE_REDUCED;
+    def.free = -1;
+    def.gravity_groups = 16;
+    return def;
+}
+
 SFEM_DEF sfem_status sfem_reduced_create(sfem_model *model, const sfem_modes *modes,
                                          const sfem_reduced_def *def, sfem_reduced **out,
                                          sfem_error *err)
@@ -28424,6 +28393,8 @@ done:
     sfem_reduced_free(r);
     return status;
 }
+
+#endif /* SFEM_NO_MODES */
 
 SFEM_DEF sfem_reduced_info sfem_reduced_get_info(const sfem_reduced *r)
 {
@@ -29026,7 +28997,7 @@ SFEM_DEF sfem_status sfem_modal_create(sfem_reduced *reduced, const sfem_modal_d
     b->def = *def;
     sfemi_reduced_retain(reduced);
     b->reduced = reduced;
-    b->kernels = sfemi_modal_kernels_of(sfemi_path());
+    b->kernels = &sfemi_modal_path[sfemi_path()];
     b->m = (size_t)reduced->head->modes;
     b->stride = (size_t)reduced->head->stride;
     shape = sfemi_modal_shape_of(b);
@@ -31529,9 +31500,9 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
 /* --- vectors ---------------------------------------------------------------------------------
  * Doubles are 4 wide, on AVX-512 8; floats 8 wide on every path. */
 #if SFEMI_PATH == 2 && !defined(SFEMI_EMULATE_AVX512) /* a test's, for processors without it */
-#define SFEMI_TARGET __attribute__((target("avx512f,avx2,fma")))
+#define SFEMI_TARGET SFEMI_TARGET_2
 #elif SFEMI_PATH >= 1
-#define SFEMI_TARGET __attribute__((target("avx2,fma")))
+#define SFEMI_TARGET SFEMI_TARGET_1
 #else
 #define SFEMI_TARGET
 #endif
@@ -31694,6 +31665,7 @@ static SFEMI_INLINE void SFEMI_KERNEL(sfemi_v_store)(SFEMI_R *p, SFEMI_V v)
     }
 #endif
 
+#ifndef SFEM_NO_MODEL
 /* --- the factor of one front -----------------------------------------------------------------
  *
  * A front has f rows, of which the first k are eliminated. Its rows stand in tiles of 3 vectors,
@@ -32443,6 +32415,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward8)(size_t per, size_t k,
 }
 #undef SFEMI_OUTER
 
+#endif /* SFEM_NO_MODEL */
+
 #ifndef SFEM_NO_REDUCED
 /* --- modal bodies ------------------------------------------------------------------------------ */
 
@@ -32757,6 +32731,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_ldl_backward4)(size_t per, size_t k,
     }
 }
 
+#if SFEMI_PATH < 2
 /* Tall matrices of the eigen-solver: a basis in panels of 24 columns, each [rows][24], stride numbers
  * apart, and blocks [rows][4]; rows a multiple of 24, 96 at a time so that they stay in the first-level
  * cache. */
@@ -32901,6 +32876,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
     for (c = 0; c < 3; ++c)
         SFEMI_ST4(to + 4 * c, SFEMI_MUL4(SFEMI_DUP4(factor[c]), SFEMI_LD4(from + 4 * c)));
 }
+#endif
 #undef SFEMI_V4
 #undef SFEMI_LD4
 #undef SFEMI_ST4

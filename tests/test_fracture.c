@@ -484,7 +484,7 @@ static double hidden(const scene *s, double h, double beta)
     const double *w = s->body->state.w;
     double kw[3 * MAX_NODES];
     memset(kw, 0, sizeof kw);
-    sfemi_fracture_multiply(s->body, w, kw);
+    sfemi_damage_multiply(s->body->damage, w, kw);
     return -(s->body->p * h * h + h * beta / 2) / 2 * dot(w, kw, 3 * (size_t)s->n);
 }
 

@@ -4,6 +4,7 @@
 #define SFEM_MINIMAL
 #define SFEM_ENABLE_MESHIO
 #define SFEM_ENABLE_MESHER
+#define SFEM_ENABLE_MODEL
 #include "support.h"
 #include "linear.h"
 
