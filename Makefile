@@ -62,6 +62,9 @@ test: check check-examples ## build and run every test, and every example once
 bench: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by body size
 	$(ENVIRONMENT) $(BUILD)/bench/bench
 
+bench-embed: $(BUILD)/bench/embed ## render surfaces that follow bodies: ns a point beside memory bandwidth
+	$(BUILD)/bench/embed
+
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
 

@@ -11,8 +11,8 @@ BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
-PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_BODY SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES SFEM_MINIMAL
-    SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_BODY SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
+PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES SFEM_MINIMAL
+    SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_EMBED SFEM_ENABLE_BODY SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
 # command COMPILER STANDARD: what compiles that, without files; nothing if it is not installed
@@ -132,6 +132,23 @@ static int makes(sfem_mesh *mesh) /* tets of a surface */
     return 1;
 }
 
+static int follows(const sfem_mesh *mesh) /* a point that a mesh takes along */
+{
+#ifndef SFEM_NO_EMBED
+    static const sfem_real x[3] = {0.5, 0.5, 0.5};
+    sfem_embed_def def = sfem_default_embed_def();
+    sfem_embed *embed = 0;
+    int good;
+    def.points = 1;
+    def.x = x;
+    good = sfem_embed_create(mesh, &def, &embed, 0) == SFEM_OK && sfem_embed_get_info(embed).outside == 0;
+    sfem_embed_destroy(embed);
+    return good;
+#else
+    return mesh->tets > 0;
+#endif
+}
+
 static int steps(sfem_model *model) /* a body, and in its modes */
 {
     int good = sfem_model_total_mass(model) > 0;
@@ -178,7 +195,7 @@ int main(void)
     def.mesh = &mesh;
     def.material.law = SFEM_COROTATIONAL;
     if (sfem_model_create(&def, &model, 0) != SFEM_OK) return 1;
-    good &= steps(model);
+    good &= steps(model) && follows(&mesh);
     sfem_model_free(model);
     sfem_mesh_free(&mesh);
     return !good;
@@ -191,6 +208,7 @@ for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
     for switches in SFEM_NO_MODES SFEM_NO_REDUCED 'SFEM_NO_MODES -DSFEM_NO_LINK' \
         'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
+        'SFEM_ENABLE_EMBED -DSFEM_NO_EMBED' \
         'SFEM_MINIMAL -DSFEM_ENABLE_REDUCED -DSFEM_NO_MODES' \
         'SFEM_STATIC -DSFEM_DEF='; do
         $command -I. -E -D$switches -o /dev/null "$BUILD/user.c" 2>&1 | grep -q 'error.*softfem[.]h: .* define ' ||
