@@ -2213,6 +2213,54 @@ SFEM_DEF void sfem_embed_point(const sfem_embed *embed, sfem_int point, sfem_int
  *   cost    5 ns a point without normals, 15 with them and 20 a tet (`make bench-embed`) */
 SFEM_DEF void sfem_embed_positions(sfem_embed *embed, const sfem_real *u, sfem_real *x, sfem_real *n);
 SFEM_DEF void sfem_embed_to_floats(sfem_embed *embed, const sfem_real *u, float *x, float *n, size_t stride);
+
+#ifndef SFEM_NO_BODY
+/* BROKEN BODIES. The render surface is cut where the body's pieces (sfem_body_piece_of) part, and each piece is closed by
+ * inner faces. A place belongs to the piece of the node with the largest coordinate in its tet: pieces are bounded by the
+ * planes w_a = w_b of tets with nodes in both, as those of sfem_fragments are. Cracks that end inside a piece are not
+ * opened: the surface stretches over them. A vertex of piece P in a tet with nodes of others goes with those in P:
+ *     x = sum_P w_k x_k + R (X - sum_P w_k X_k),  R = sum_P w_k R_k,  sum_P w_k = 1
+ * R_k the rotation of a node's intact edges; elsewhere as in a whole body. Both agree where they meet.
+ *
+ * EXACT, whatever the shapes: each triangle is of one piece, and is a part of one render triangle or of one of those
+ * planes. Closed, each edge used as often in one direction as in the other: if the render surface is closed, its points in
+ * the mesh or near it. open_edges counts what is not; at least the render surface's own open edges are. Points outside
+ * are cut as if they were at the nearest place of the mesh, and its planes extended by a quarter of an edge.
+ * NOT EXACT: which side of a plane is decided as if each point were moved by some 1e-5 of a tet's edge, at random but
+ * always alike; surfaces that cross themselves have inner faces that overlap. */
+typedef struct sfem_embed_pieces {
+    sfem_int vertices, triangles;
+    sfem_int inner;      /* the last so many triangles are inner faces */
+    sfem_int open_edges; /* 0: every piece is closed */
+    sfem_int *tri;       /* [triangles][3] vertices, counterclockwise from outside */
+    sfem_int *node;      /* [triangles] a node of the piece: sfem_body_piece_of tells which one */
+    sfem_int *source;    /* [triangles] the render triangle that it is part of, or -1 */
+    sfem_int *weld;      /* [vertices] the first one at the same place of the same piece: the borders of inner faces have
+                          * vertices of their own, and so have seams */
+    sfem_int *point;     /* [vertices][3] the points of the embedding that it lies between, -1 where there are fewer, and */
+    sfem_real *share;    /* [vertices][3] in what shares: for texture coordinates */
+    sfem_int *support;   /* [vertices][4] the nodes that it goes with, -1 where there are fewer, */
+    sfem_real *weight;   /* [vertices][4] w_k, */
+    sfem_real *arm;      /* [vertices][3] and X - sum w_k X_k, m: zero in tets of one piece */
+    float *normal;       /* [vertices][3] at rest; zero of inner faces */
+    sfem_allocator allocator;
+} sfem_embed_pieces;
+
+/* To be called again when sfem_body_fracture(body).pieces has changed.
+ *   errors  SFEM_MISMATCH  the body has another mesh than the embedding
+ *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
+ *   cost    O(points log points), and 5 us a render triangle and plane that meet */
+SFEM_DEF sfem_status sfem_embed_break(const sfem_embed *embed, const sfem_body *body, const sfem_allocator *allocator,
+                                      sfem_embed_pieces *out, sfem_error *err);
+SFEM_DEF void sfem_embed_pieces_free(sfem_embed_pieces *pieces); /* NULL allowed */
+
+/* Where its vertices are now, and their normals, as sfem_embed_positions does it; those of inner faces are means of their
+ * triangles. The embedding must have normals where n is not NULL. Between steps; one thread; allocates nothing. */
+SFEM_DEF void sfem_embed_pieces_positions(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body,
+                                          sfem_real *x, sfem_real *n);
+SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body, float *x,
+                                          float *n, size_t stride);
+#endif /* SFEM_NO_BODY */
 #endif /* SFEM_NO_EMBED */
 
 #ifdef __cplusplus
@@ -31334,6 +31382,1531 @@ SFEM_DEF void sfem_embed_to_floats(sfem_embed *e, const sfem_real *u, float *x, 
     j.floats = 1;
     sfemi_embed_apply(&j);
 }
+
+#ifndef SFEM_NO_BODY
+/* ---- broken bodies ----
+ *
+ * The planes of >>fragments, of the tets with nodes of several pieces, are triangles T: a cell's side of one is behind it.
+ * S are the render triangles. Both are cut along the segments in which they meet:
+ *   1. tets with several pieces, and beyond the mesh's surface prisms of three tets, whose outer nodes go with the inner
+ *   2. T: (edge, face, tet) of each edge between pieces, with points that are centroids of simplices
+ *   3. each pair S, T that meets has a segment. Its ends are hits: an edge of S meets T, or an edge of T meets S
+ *   4. along an edge of S hits change the piece; along an edge of T they change how often S winds round the place
+ *   5. the part of S in a piece is bounded by intervals of its edges and by segments, and so is the part of T inside. Both
+ *      chains close, because both have each segment, in opposite directions. They are triangulated in the plane.
+ * All is decided by the signs of volumes of four points. Points of S are moved at random by 1e-5 of an edge and no sign is
+ * taken that rounding could change (else other random numbers are tried), so all signs are those of one arrangement in
+ * general position, and 5 holds whatever the input was. */
+
+/* A map from four numbers to their own number, in the order of their coming. */
+typedef struct sfemi_table {
+    sfem_int count, room, slots; /* slots: a power of two, twice the room */
+    sfem_int *key;               /* [room][4] */
+    sfem_int *slot;              /* [slots] number + 1 */
+} sfemi_table;
+
+static size_t sfemi_table_slot(const sfemi_table *t, const sfem_int key[4])
+{
+    uint64_t h = 0x9e3779b97f4a7c15u;
+    int k;
+    for (k = 0; k < 4; ++k) {
+        h = (h ^ (uint64_t)(uint32_t)key[k]) * 0xbf58476d1ce4e5b9u;
+        h ^= h >> 29;
+    }
+    for (;; ++h) {
+        const size_t at = (size_t)h & (size_t)(t->slots - 1);
+        if (!t->slot[at] || !memcmp(t->key + 4 * (size_t)(t->slot[at] - 1), key, 4 * sizeof *key)) return at;
+    }
+}
+
+/* The number of a key, or -1. */
+static sfem_int sfemi_table_find(const sfemi_table *t, const sfem_int key[4])
+{
+    return t->count ? t->slot[sfemi_table_slot(t, key)] - 1 : -1;
+}
+
+/* The number of a key, which is new where it is the count before. */
+static sfem_status sfemi_table_add(sfemi_table *t, const sfem_int key[4], sfem_int *number, sfemi_pool *pool,
+                                   sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    size_t at;
+    if (t->count == t->room) {
+        const sfem_int *before = t->key;
+        sfem_int i;
+        if (t->room > INT32_MAX / 8) return sfemi_fail(err, SFEM_TOO_LARGE, "the cut surface cannot be numbered");
+        t->room = t->room ? 2 * t->room : 64;
+        t->slots = 2 * t->room;
+        SFEMI_TAKE(sfem_int, t->key, pool, 4 * (size_t)t->room);
+        SFEMI_TAKE(sfem_int, t->slot, pool, t->slots);
+        if (t->count) memcpy(t->key, before, 4 * (size_t)t->count * sizeof *t->key);
+        for (i = 0; i < t->count; ++i) t->slot[sfemi_table_slot(t, t->key + 4 * (size_t)i)] = i + 1;
+    }
+    at = sfemi_table_slot(t, key);
+    if (!t->slot[at]) {
+        memcpy(t->key + 4 * (size_t)t->count, key, 4 * sizeof *key);
+        t->slot[at] = ++t->count;
+    }
+    *number = t->slot[at] - 1;
+done:
+    return status;
+}
+
+typedef struct sfemi_clip_face {
+    sfem_int corner[3]; /* points of T, counterclockwise seen from piece[1] */
+    sfem_int piece[2];  /* behind and in front */
+    sfem_int tet;
+} sfemi_clip_face;
+
+typedef struct sfemi_clip_hit {
+    sfem_int kind;    /* 0: an edge of S meets a T, 1: an edge of T meets an S */
+    sfem_int edge[2]; /* ascending */
+    sfem_int face;    /* the triangle */
+    int sign;         /* 1: the edge goes from behind to the front */
+    sfem_real t, w[3]; /* where: along the edge; coordinates in the triangle */
+} sfemi_clip_hit;
+
+typedef struct sfemi_clip_segment {
+    sfem_int s, t, start, end; /* triangles, hits. The front of T and the inside of S are on the left, in S and in T */
+} sfemi_clip_segment;
+
+enum { SFEMI_CLIP_TRIES = 8 };
+enum { SFEMI_CLIP_POINT, SFEMI_CLIP_HIT, SFEMI_CLIP_CORNER }; /* kinds of vertices: of S, where S and T meet, of T */
+
+/* One plane of the arrangement: vertices, directed edges with pieces, triangles. */
+typedef struct sfemi_clip_plane {
+    sfem_int count, room, *id; /* [count] 4 number + kind */
+    sfem_real *xy;             /* [count][2] */
+    sfem_int edges, edge_room, *edge; /* [edges][3] from, to, piece (-1: used up) */
+    sfem_int loops, *loop_end; /* [loops + 1] */
+    sfem_int *loop;            /* [edges] vertices */
+    sfem_int *head, *next;     /* [count] [edges] edges that start at a vertex */
+    sfem_int *poly, *before, *after; /* [3 edges] of one polygon, with bridges to its holes */
+    sfem_int triangles, *tri;  /* [3 edges][3] */
+} sfemi_clip_plane;
+
+typedef struct sfemi_clip {
+    const sfem_embed *e;
+    const sfem_body *b;
+    const sfem_mesh *m;
+    const sfem_int *piece; /* [nodes] */
+    sfemi_pool pool;
+    sfem_embed_pieces out;
+    sfem_real length;  /* mean edge of the mesh */
+    /* S */
+    sfem_int points;   /* of the embedding */
+    sfem_int *first;   /* [points] the first at the same place: the one that counts */
+    sfem_real *near;   /* [points][4] coordinates of the nearest place in the point's tet */
+    sfem_int *label;   /* [points] its piece */
+    /* T */
+    sfem_real *x;      /* [2 nodes][3] nodes, and those beyond the surface */
+    sfem_int tets, tet_room, *tet; /* [tets][4] with several pieces */
+    sfemi_table point; /* points of T by the nodes of their simplex, ascending, then -1 */
+    sfem_int faces, face_room;
+    sfemi_clip_face *face;
+    sfem_real *p;      /* [points + points of T][3], where signs are taken */
+    sfemi_boxes tet_tree, face_tree;
+    int *winding;      /* [points of T] */
+    /* where they meet */
+    sfem_int hits, hit_room, segments, segment_room;
+    sfemi_clip_hit *hit;
+    sfemi_clip_segment *segment;
+    sfemi_table hit_of;   /* kind, edge (T: less the points), face */
+    sfemi_table edge_of;  /* edges with hits: kind, edge, 0 */
+    sfem_int *order, *edge_start; /* hits by edges and t; [edges + 1] */
+    sfem_int *local;      /* [hits] in the plane at work, -1 elsewhere */
+    int uncertain;        /* a sign that may be wrong */
+    sfemi_clip_plane plane;
+    sfemi_table vertex, place; /* of the result */
+    sfem_int vertex_room, triangle_room;
+    sfem_int *node_of_piece;
+} sfemi_clip;
+
+/* Makes room for one more in an array of `size` bytes each. */
+static sfem_status sfemi_clip_room(sfemi_clip *s, void **array, size_t size, sfem_int count, sfem_int *room,
+                                  sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    unsigned char *more;
+    if (count < *room) return SFEM_OK;
+    if (*room > INT32_MAX / 16) return sfemi_fail(err, SFEM_TOO_LARGE, "the cut surface cannot be numbered");
+    *room = *room ? 2 * *room : 64;
+    SFEMI_TAKE(unsigned char, more, &s->pool, (size_t)*room * size);
+    if (count) memcpy(more, *array, (size_t)count * size);
+    *array = more;
+done:
+    return status;
+}
+
+/* ---- 1, 2: the planes between pieces ---- */
+
+static sfem_int sfemi_clip_real(const sfemi_clip *s, sfem_int node) { return node % s->m->nodes; }
+static sfem_int sfemi_clip_piece(const sfemi_clip *s, sfem_int node) { return s->piece[sfemi_clip_real(s, node)]; }
+
+static int sfemi_clip_mixed(const sfemi_clip *s, const sfem_int *node, int count)
+{
+    int k;
+    for (k = 1; k < count; ++k)
+        if (sfemi_clip_piece(s, node[k]) != sfemi_clip_piece(s, node[0])) return 1;
+    return 0;
+}
+
+static sfem_status sfemi_clip_tet(sfemi_clip *s, sfem_int a, sfem_int b, const sfem_int cd[2], sfem_error *err)
+{
+    void *array = s->tet;
+    sfem_status status = sfemi_clip_room(s, &array, 4 * sizeof *s->tet, s->tets, &s->tet_room, err);
+    s->tet = (sfem_int *)array;
+    if (status != SFEM_OK) return status;
+    s->tet[4 * s->tets] = a;
+    s->tet[4 * s->tets + 1] = b;
+    s->tet[4 * s->tets + 2] = cd[0];
+    s->tet[4 * s->tets + 3] = cd[1];
+    ++s->tets;
+    return SFEM_OK;
+}
+
+/* The prism beyond a face: i < j < k inside, each with its own outside, in three tets that neighbours agree on. */
+static sfem_status sfemi_clip_prism(sfemi_clip *s, const sfem_int *face, sfem_error *err)
+{
+    const sfem_int n = s->m->nodes, zero[4] = {0, face[0], face[1], face[2]};
+    sfem_int v[3], cd[2];
+    const int even = sfemi_mesh_face_key(zero, 0, v);
+    sfem_status status = SFEM_OK;
+    cd[0] = even ? v[2] : v[2] + n;
+    cd[1] = even ? v[2] + n : v[2];
+    SFEMI_TRY(sfemi_clip_tet(s, v[0], v[1], cd, err));
+    cd[0] = even ? v[2] + n : v[1] + n;
+    cd[1] = even ? v[1] + n : v[2] + n;
+    SFEMI_TRY(sfemi_clip_tet(s, v[0], v[1], cd, err));
+    cd[0] = even ? v[1] + n : v[2] + n;
+    cd[1] = even ? v[2] + n : v[1] + n;
+    SFEMI_TRY(sfemi_clip_tet(s, v[0], v[0] + n, cd, err));
+done:
+    return status;
+}
+
+/* Places beyond the surface: along its normal, by a quarter of its edges there. */
+static sfem_status sfemi_clip_outer(sfemi_clip *s, const sfem_surface *surface, sfem_error *err)
+{
+    const sfem_mesh *m = s->m;
+    sfem_status status = SFEM_OK;
+    sfem_real *sum = NULL, u[3], v[3], n[3];
+    sfem_int i;
+    int k, c;
+    SFEMI_TAKE(sfem_real, s->x, &s->pool, 6 * (size_t)m->nodes);
+    SFEMI_TAKE(sfem_real, sum, &s->pool, 2 * (size_t)m->nodes); /* lengths and how many */
+    memcpy(s->x, m->x, 3 * (size_t)m->nodes * sizeof *s->x);
+    for (i = 0; i < surface->triangles; ++i) {
+        const sfem_int *f = surface->tri + 3 * (size_t)i;
+        sfemi_sub3(m->x + 3 * (size_t)f[1], m->x + 3 * (size_t)f[0], u);
+        sfemi_sub3(m->x + 3 * (size_t)f[2], m->x + 3 * (size_t)f[0], v);
+        sfemi_cross(u, v, n);
+        for (k = 0; k < 3; ++k) {
+            sfem_real *to = s->x + 3 * ((size_t)m->nodes + (size_t)f[k]);
+            sfemi_sub3(m->x + 3 * (size_t)f[(k + 1) % 3], m->x + 3 * (size_t)f[k], u);
+            sum[2 * f[k]] += sqrt(sfemi_dot3(u, u));
+            sum[2 * f[k] + 1] += 1;
+            for (c = 0; c < 3; ++c) to[c] += n[c];
+        }
+    }
+    for (i = 0; i < m->nodes; ++i) {
+        sfem_real *to = s->x + 3 * ((size_t)m->nodes + (size_t)i);
+        const sfem_real size = sqrt(sfemi_dot3(to, to));
+        for (c = 0; c < 3; ++c)
+            to[c] = m->x[3 * (size_t)i + (size_t)c] + (size > 0 ? 0.25 * sum[2 * i] / sum[2 * i + 1] * to[c] / size : 0);
+    }
+done:
+    return status;
+}
+
+static sfem_status sfemi_clip_collect_tets(sfemi_clip *s, sfem_error *err)
+{
+    const sfem_mesh *m = s->m;
+    sfem_status status = SFEM_OK;
+    sfem_surface surface;
+    sfem_int i;
+    int k;
+    memset(&surface, 0, sizeof surface);
+    SFEMI_TRY(sfem_mesh_surface(m, &s->pool.allocator, &surface, err));
+    SFEMI_TRY(sfemi_clip_outer(s, &surface, err));
+    for (i = 0; i < m->tets; ++i) {
+        const sfem_int *v = m->tet + 4 * (size_t)i;
+        for (k = 0; k < 3; ++k) {
+            sfem_real d[3];
+            sfemi_sub3(m->x + 3 * (size_t)v[k + 1], m->x + 3 * (size_t)v[k], d);
+            s->length += sqrt(sfemi_dot3(d, d)) / (3.0 * m->tets);
+        }
+        if (sfemi_clip_mixed(s, v, 4)) SFEMI_TRY(sfemi_clip_tet(s, v[0], v[1], v + 2, err));
+    }
+    for (i = 0; i < surface.triangles; ++i)
+        if (sfemi_clip_mixed(s, surface.tri + 3 * (size_t)i, 3))
+            SFEMI_TRY(sfemi_clip_prism(s, surface.tri + 3 * (size_t)i, err));
+    SFEMI_TAKE(sfem_int, s->node_of_piece, &s->pool, (size_t)s->b->damage->pieces + 1);
+    for (i = m->nodes - 1; i >= 0; --i)
+        if (s->piece[i] >= 0) s->node_of_piece[s->piece[i]] = i;
+done:
+    sfem_surface_free(&surface);
+    return status;
+}
+
+/* The point of T of some nodes of a tet (bits). */
+static sfem_status sfemi_clip_centroid(sfemi_clip *s, const sfem_int *tet, int among, sfem_int *point, sfem_error *err)
+{
+    sfem_int key[4] = {-1, -1, -1, -1};
+    int k, i, size = 0;
+    for (k = 0; k < 4; ++k) {
+        if (!(among >> k & 1)) continue;
+        for (i = size++; i > 0 && key[i - 1] > tet[k]; --i) key[i] = key[i - 1];
+        key[i] = tet[k];
+    }
+    return sfemi_table_add(&s->point, key, point, &s->pool, err);
+}
+
+static sfem_status sfemi_clip_collect_faces(sfemi_clip *s, sfem_error *err)
+{
+    /* the ends of an edge, then the other two nodes, so that all four are an even permutation */
+    static const unsigned char even[6][4] = {{0, 1, 2, 3}, {0, 2, 3, 1}, {0, 3, 1, 2},
+                                             {1, 2, 0, 3}, {1, 3, 2, 0}, {2, 3, 0, 1}};
+    sfem_status status = SFEM_OK;
+    sfem_int e, q[4];
+    int k, half;
+    for (e = 0; e < s->tets; ++e)
+        for (k = 0; k < 6; ++k) {
+            const sfem_int *t = s->tet + 4 * (size_t)e;
+            const unsigned char *p = even[k];
+            const int both = 1 << p[0] | 1 << p[1];
+            const sfem_int behind = sfemi_clip_piece(s, t[p[0]]), front = sfemi_clip_piece(s, t[p[1]]);
+            if (behind == front) continue;
+            SFEMI_TRY(sfemi_clip_centroid(s, t, both, q, err));
+            SFEMI_TRY(sfemi_clip_centroid(s, t, both | 1 << p[2], q + 1, err));
+            SFEMI_TRY(sfemi_clip_centroid(s, t, 15, q + 2, err));
+            SFEMI_TRY(sfemi_clip_centroid(s, t, both | 1 << p[3], q + 3, err));
+            for (half = 0; half < 2; ++half) {
+                void *array = s->face;
+                sfemi_clip_face *f;
+                SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *f, s->faces, &s->face_room, err));
+                s->face = (sfemi_clip_face *)array;
+                f = s->face + s->faces++;
+                f->corner[0] = q[0];
+                f->corner[1] = q[1 + half];
+                f->corner[2] = q[2 + half];
+                f->piece[0] = behind;
+                f->piece[1] = front;
+                f->tet = e;
+            }
+        }
+done:
+    return status;
+}
+
+/* ---- where signs are taken ---- */
+
+/* The nearest place in a tet, by coordinates. */
+static void sfemi_clip_nearest(const sfem_mesh *m, sfem_int tet, const sfem_real *p, sfem_real w[4])
+{
+    const sfem_int *v = m->tet + 4 * (size_t)tet;
+    sfem_real best = 1e300;
+    int f, k;
+    for (f = 0; f < 4; ++f) {
+        const sfem_real *corner[3];
+        sfem_real c[3], d;
+        for (k = 0; k < 3; ++k) corner[k] = m->x + 3 * (size_t)v[sfemi_mesh_face[f][k]];
+        d = sfemi_embed_triangle(p, corner, c);
+        if (!(d < best)) continue;
+        best = d;
+        w[f] = 0;
+        for (k = 0; k < 3; ++k) w[sfemi_mesh_face[f][k]] = c[k];
+    }
+}
+
+/* A number in [-1, 1] of two [splitmix64: Steele, Lea, Flood 2014]. */
+static sfem_real sfemi_clip_random(uint64_t seed, uint64_t i)
+{
+    uint64_t z = (seed << 40) + (i + 1) * 0x9e3779b97f4a7c15u;
+    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ z >> 27) * 0x94d049bb133111ebu;
+    z ^= z >> 31;
+    return (sfem_real)(z >> 11) / 4503599627370496.0 - 1;
+}
+
+/* Welds the points of S, finds their nearest places in the mesh, and places the points of T. */
+static sfem_status sfemi_clip_place(sfemi_clip *s, sfem_error *err)
+{
+    const sfem_embed *e = s->e;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int k, c, size;
+    SFEMI_TAKE(sfem_int, s->first, &s->pool, s->points);
+    SFEMI_TAKE(sfem_int, s->label, &s->pool, s->points);
+    SFEMI_TAKE(sfem_real, s->near, &s->pool, 4 * (size_t)s->points);
+    SFEMI_TAKE(sfem_real, s->p, &s->pool, 3 * ((size_t)s->points + (size_t)s->point.count));
+    SFEMI_TAKE(int, s->winding, &s->pool, (size_t)s->point.count + 1);
+    SFEMI_TRY(sfemi_mesh_weld(s->points, e->x, &s->pool.allocator, s->first, err));
+    for (i = 0; i < s->points; ++i)
+        if (e->distance[i] > 0) sfemi_clip_nearest(s->m, e->tet[i], e->x + 3 * (size_t)i, s->near + 4 * (size_t)i);
+        else memcpy(s->near + 4 * (size_t)i, e->bary + 4 * (size_t)i, 4 * sizeof *s->near);
+    for (i = 0; i < s->point.count; ++i) {
+        const sfem_int *v = s->point.key + 4 * (size_t)i;
+        sfem_real *to = s->p + 3 * ((size_t)s->points + (size_t)i);
+        for (size = 0; size < 4 && v[size] >= 0; ++size)
+            for (c = 0; c < 3; ++c) to[c] += s->x[3 * (size_t)v[size] + (size_t)c];
+        for (k = 0; k < 3; ++k) to[k] /= size;
+    }
+done:
+    return status;
+}
+
+static void sfemi_clip_move(sfemi_clip *s, int seed)
+{
+    sfem_int i;
+    int k, c;
+    s->uncertain = 0;
+    for (i = 0; i < s->points; ++i) {
+        const sfem_real *w = s->near + 4 * (size_t)i;
+        sfem_real *to = s->p + 3 * (size_t)i;
+        for (c = 0; c < 3; ++c) {
+            to[c] = 1e-5 * s->length * sfemi_clip_random((uint64_t)seed, 3 * (uint64_t)s->first[i] + (uint64_t)c);
+            if (s->e->distance[i] > 0)
+                for (k = 0; k < 4; ++k) to[c] += w[k] * s->m->x[3 * (size_t)s->e->node[4 * i + k] + (size_t)c];
+            else
+                to[c] += s->e->x[3 * (size_t)i + (size_t)c];
+        }
+    }
+}
+
+/* Six times the volume of four points, the same number but for its sign in any order; above 0 where the last is in front
+ * of the others. Rounding errors are below 7.8e-16 of the sum of the products' sizes [Shewchuk 1997]. */
+static sfem_real sfemi_clip_volume(sfemi_clip *s, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+{
+    sfem_int v[4], swap;
+    sfem_real x[3][3], det = 0, size = 0, sign = -1; /* of rows a-d, b-d, c-d */
+    int i, j, k;
+    v[0] = a, v[1] = b, v[2] = c, v[3] = d;
+    for (i = 1; i < 4; ++i)
+        for (j = i; j > 0 && v[j - 1] > v[j]; --j) swap = v[j], v[j] = v[j - 1], v[j - 1] = swap, sign = -sign;
+    for (k = 0; k < 3; ++k) sfemi_sub3(s->p + 3 * (size_t)v[k], s->p + 3 * (size_t)v[3], x[k]);
+    for (k = 0; k < 3; ++k) {
+        const sfem_real p = x[1][(k + 1) % 3] * x[2][(k + 2) % 3], q = x[1][(k + 2) % 3] * x[2][(k + 1) % 3];
+        det += x[0][k] * (p - q);
+        size += fabs(x[0][k]) * (fabs(p) + fabs(q));
+    }
+    if (!(fabs(det) > 1e-15 * size)) s->uncertain = 1;
+    return sign * det;
+}
+
+/* Pieces of the points: of the tet with several pieces that holds one, else of its own tet. */
+static void sfemi_clip_label(sfemi_clip *s)
+{
+    sfem_int i, n;
+    int k;
+    for (i = 0; i < s->points; ++i) {
+        const sfem_real *p = s->p + 3 * (size_t)i, *w = s->near + 4 * (size_t)i;
+        const sfem_int *v = s->e->node + 4 * (size_t)i;
+        sfem_int stack[SFEMI_BOX_STACK], found = s->tets;
+        int depth = 0, best = 0;
+        for (k = 1; k < 4; ++k)
+            if (w[k] > w[best]) best = k;
+        s->label[i] = s->piece[v[best]];
+        stack[depth++] = 0;
+        while (depth) {
+            const sfem_int at = stack[--depth];
+            const sfemi_box *box = s->tet_tree.node + at;
+            if (!sfemi_box_holds(box, p)) continue;
+            if (!box->count) {
+                stack[depth++] = box->right;
+                stack[depth++] = at + 1;
+            }
+            for (n = box->first; n < box->first + box->count; ++n) {
+                const sfem_int *t = s->tet + 4 * (size_t)s->tet_tree.item[n];
+                sfem_real g[3][3], d[3], b[4];
+                int inside = 1, most = 0;
+                if (s->tet_tree.item[n] > found || !sfemi_mesh_gradients(s->x, t, g)) continue;
+                sfemi_sub3(p, s->x + 3 * (size_t)t[0], d);
+                sfemi_mesh_barycentric(g, d, b);
+                for (k = 0; k < 4; ++k) {
+                    if (b[k] > b[most]) most = k;
+                    if (!(b[k] > 0)) inside = 0;
+                }
+                if (!inside) continue;
+                for (k = 0; k < 4; ++k) /* too close to tell */
+                    if (b[k] < 1e-13 || (k != most && b[most] - b[k] < 1e-13)) s->uncertain = 1;
+                found = s->tet_tree.item[n];
+                s->label[i] = sfemi_clip_piece(s, t[most]);
+            }
+        }
+    }
+}
+
+/* ---- 3: where S and T meet ---- */
+
+static sfem_status sfemi_clip_add_hit(sfemi_clip *s, const sfemi_clip_hit *h, sfem_int *number, sfem_error *err)
+{
+    sfem_status status;
+    void *array = s->hit;
+    sfem_int key[4];
+    key[0] = h->kind ? -1 - h->edge[0] : h->edge[0];
+    key[1] = h->edge[1];
+    key[2] = h->face;
+    key[3] = 0;
+    SFEMI_TRY(sfemi_table_add(&s->hit_of, key, number, &s->pool, err));
+    if (*number < s->hits) goto done;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *h, s->hits, &s->hit_room, err));
+    s->hit = (sfemi_clip_hit *)array;
+    s->hit[s->hits++] = *h;
+done:
+    return status;
+}
+
+/* Edge i of triangle a (corner numbers) through triangle b: sides of a's corners, and how it passes the edges of b. */
+static sfemi_clip_hit sfemi_clip_hit_of(const sfem_int *a, int i, const sfem_real *side, const sfem_real pass[3])
+{
+    const int next = (i + 1) % 3, low = a[i] < a[next] ? i : next, high = low == i ? next : i;
+    sfemi_clip_hit h;
+    sfem_real sum = pass[0] + pass[1] + pass[2];
+    int k;
+    memset(&h, 0, sizeof h);
+    h.edge[0] = a[low];
+    h.edge[1] = a[high];
+    h.sign = side[high] > 0 ? 1 : -1;
+    h.t = side[low] / (side[low] - side[high]);
+    for (k = 0; k < 3; ++k) h.w[(k + 2) % 3] = pass[k] / sum; /* of the corner opposite edge k */
+    return h;
+}
+
+static sfem_status sfemi_clip_pair(sfemi_clip *s, const sfem_int *a, sfem_int triangle, sfem_int face, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_clip_segment g;
+    void *array;
+    sfem_real front[3], outside[3], pass[3][3], column[3];
+    sfem_int c[3], number;
+    int i, j;
+    for (i = 0; i < 3; ++i) c[i] = s->points + s->face[face].corner[i];
+    for (i = 0; i < 3; ++i) front[i] = sfemi_clip_volume(s, c[0], c[1], c[2], a[i]);
+    if ((front[0] > 0) == (front[1] > 0) && (front[1] > 0) == (front[2] > 0)) return SFEM_OK;
+    for (i = 0; i < 3; ++i) outside[i] = sfemi_clip_volume(s, a[0], a[1], a[2], c[i]);
+    if ((outside[0] > 0) == (outside[1] > 0) && (outside[1] > 0) == (outside[2] > 0)) return SFEM_OK;
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 3; ++j) pass[i][j] = sfemi_clip_volume(s, a[i], a[(i + 1) % 3], c[j], c[(j + 1) % 3]);
+    g.s = triangle;
+    g.t = face;
+    g.start = g.end = -1;
+    for (i = 0; i < 3; ++i) { /* edges of S through T, then of T through S */
+        sfemi_clip_hit h;
+        const int next = (i + 1) % 3;
+        if ((front[i] > 0) != (front[next] > 0) && (pass[i][0] > 0) == (pass[i][1] > 0) &&
+            (pass[i][1] > 0) == (pass[i][2] > 0)) {
+            h = sfemi_clip_hit_of(a, i, front, pass[i]);
+            h.face = face;
+            SFEMI_TRY(sfemi_clip_add_hit(s, &h, &number, err));
+            *(front[i] > 0 ? &g.start : &g.end) = number;
+        }
+        for (j = 0; j < 3; ++j) column[j] = pass[j][i];
+        if ((outside[i] > 0) != (outside[next] > 0) && (column[0] > 0) == (column[1] > 0) &&
+            (column[1] > 0) == (column[2] > 0)) {
+            h = sfemi_clip_hit_of(c, i, outside, column);
+            h.kind = 1;
+            h.face = triangle;
+            SFEMI_TRY(sfemi_clip_add_hit(s, &h, &number, err));
+            *(outside[i] < 0 ? &g.start : &g.end) = number;
+        }
+    }
+    if (g.start < 0 || g.end < 0) goto done; /* they pass each other; one end alone is uncertain */
+    array = s->segment;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof g, s->segments, &s->segment_room, err));
+    s->segment = (sfemi_clip_segment *)array;
+    s->segment[s->segments++] = g;
+done:
+    return status;
+}
+
+static int sfemi_clip_corners(const sfemi_clip *s, sfem_int triangle, sfem_int a[3])
+{
+    int k;
+    for (k = 0; k < 3; ++k) a[k] = s->first[s->e->tri[3 * (size_t)triangle + (size_t)k]];
+    return a[0] != a[1] && a[1] != a[2] && a[2] != a[0];
+}
+
+static sfem_status sfemi_clip_meet(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int i, n, a[3];
+    int c;
+    s->hits = s->segments = 0;
+    if (s->hit_of.slots) memset(s->hit_of.slot, 0, (size_t)s->hit_of.slots * sizeof *s->hit_of.slot);
+    s->hit_of.count = 0;
+    for (i = 0; i < s->e->info.triangles; ++i) {
+        sfem_int stack[SFEMI_BOX_STACK];
+        sfem_real b[6];
+        int depth = 0;
+        if (!sfemi_clip_corners(s, i, a)) continue;
+        sfemi_boxes_bound(s->p, a, 3, 0, b);
+        stack[depth++] = 0;
+        while (depth) {
+            const sfem_int at = stack[--depth];
+            const sfemi_box *box = s->face_tree.node + at;
+            for (c = 0; c < 3; ++c)
+                if (b[c] > box->high[c] || b[c + 3] < box->low[c]) break;
+            if (c < 3) continue;
+            if (!box->count) {
+                stack[depth++] = box->right;
+                stack[depth++] = at + 1;
+            }
+            for (n = box->first; n < box->first + box->count; ++n)
+                SFEMI_TRY(sfemi_clip_pair(s, a, i, s->face_tree.item[n], err));
+        }
+    }
+done:
+    return status;
+}
+
+/* Are hits a, b in order: by kind, edge, and place on it? */
+static int sfemi_clip_before(sfemi_clip *s, sfem_int a, sfem_int b)
+{
+    const sfemi_clip_hit *p = s->hit + a, *q = s->hit + b;
+    int k;
+    if (p->kind != q->kind) return p->kind < q->kind;
+    for (k = 0; k < 2; ++k)
+        if (p->edge[k] != q->edge[k]) return p->edge[k] < q->edge[k];
+    if (a != b && !(fabs(p->t - q->t) > 1e-13)) s->uncertain = 1;
+    return p->t < q->t;
+}
+
+/* Sorts the hits, by merging, and tells where those of each edge begin. */
+static sfem_status sfemi_clip_sort(sfemi_clip *s, sfem_error *err)
+{
+    const size_t n = (size_t)s->hits;
+    sfem_status status = SFEM_OK;
+    sfem_int *from, *to, *swap, number;
+    size_t width, i, j, k, at, middle, end;
+    SFEMI_TAKE(sfem_int, from, &s->pool, n + 1);
+    SFEMI_TAKE(sfem_int, to, &s->pool, n + 1);
+    SFEMI_TAKE(sfem_int, s->edge_start, &s->pool, n + 2);
+    for (i = 0; i < n; ++i) from[i] = (sfem_int)i;
+    for (width = 1; width < n; width *= 2) {
+        for (at = 0; at < n; at = end) {
+            middle = at + width < n ? at + width : n;
+            end = at + 2 * width < n ? at + 2 * width : n;
+            for (i = at, j = middle, k = at; k < end; ++k)
+                to[k] = i < middle && (j == end || !sfemi_clip_before(s, from[j], from[i])) ? from[i++] : from[j++];
+        }
+        swap = from;
+        from = to;
+        to = swap;
+    }
+    s->order = from;
+    s->edge_of.count = 0;
+    if (s->edge_of.slots) memset(s->edge_of.slot, 0, (size_t)s->edge_of.slots * sizeof *s->edge_of.slot);
+    for (i = 0; i < n; ++i) {
+        const sfemi_clip_hit *h = s->hit + s->order[i];
+        sfem_int key[4];
+        key[0] = h->kind;
+        key[1] = h->edge[0];
+        key[2] = h->edge[1];
+        key[3] = 0;
+        SFEMI_TRY(sfemi_table_add(&s->edge_of, key, &number, &s->pool, err));
+        s->edge_start[number + 1] = (sfem_int)i + 1;
+    }
+done:
+    return status;
+}
+
+/* The hits of an edge, in s->order from *begin to *end. */
+static void sfemi_clip_edge_hits(const sfemi_clip *s, sfem_int kind, const sfem_int edge[2], sfem_int *begin, sfem_int *end)
+{
+    sfem_int key[4], number;
+    key[0] = kind;
+    key[1] = edge[0] < edge[1] ? edge[0] : edge[1];
+    key[2] = edge[0] < edge[1] ? edge[1] : edge[0];
+    key[3] = 0;
+    number = sfemi_table_find(&s->edge_of, key);
+    *begin = number < 0 ? 0 : s->edge_start[number];
+    *end = number < 0 ? 0 : s->edge_start[number + 1];
+}
+
+/* ---- 4: how often S winds round the points of T ---- */
+
+/* By solid angles [van Oosterom, Strackee 1983]. */
+static int sfemi_clip_wind(const sfemi_clip *s, const sfem_real *p)
+{
+    sfem_real sum = 0;
+    sfem_int i, v[3];
+    int k;
+    for (i = 0; i < s->e->info.triangles; ++i) {
+        sfem_real a[3][3], l[3], n[3];
+        if (!sfemi_clip_corners(s, i, v)) continue;
+        for (k = 0; k < 3; ++k) {
+            sfemi_sub3(s->p + 3 * (size_t)v[k], p, a[k]);
+            l[k] = sqrt(sfemi_dot3(a[k], a[k]));
+        }
+        sfemi_cross(a[0], a[1], n);
+        sum += atan2(sfemi_dot3(n, a[2]), l[0] * l[1] * l[2] + sfemi_dot3(a[0], a[1]) * l[2] +
+                                              sfemi_dot3(a[1], a[2]) * l[0] + sfemi_dot3(a[2], a[0]) * l[1]);
+    }
+    return (int)floor(sum / 6.283185307179586 + 0.5);
+}
+
+/* From one point of each connected part of T along its edges. */
+static sfem_status sfemi_clip_windings(sfemi_clip *s, sfem_error *err)
+{
+    const sfem_int n = s->point.count;
+    sfem_status status = SFEM_OK;
+    sfem_int *start, *to, *queue, i, j, k, begin, end;
+    unsigned char *known;
+    int c;
+    SFEMI_TAKE(sfem_int, start, &s->pool, (size_t)n + 2);
+    SFEMI_TAKE(sfem_int, to, &s->pool, 6 * (size_t)s->faces);
+    SFEMI_TAKE(sfem_int, queue, &s->pool, n);
+    SFEMI_TAKE(unsigned char, known, &s->pool, n);
+    for (i = 0; i < s->faces; ++i)
+        for (c = 0; c < 3; ++c) start[s->face[i].corner[c] + 2] += 2;
+    for (i = 0; i < n; ++i) start[i + 2] += start[i + 1];
+    for (i = 0; i < s->faces; ++i)
+        for (c = 0; c < 6; ++c) {
+            const sfem_int *v = s->face[i].corner;
+            to[start[v[c / 2] + 1]++] = v[(c / 2 + 1 + c % 2) % 3];
+        }
+    for (i = 0; i < n; ++i) {
+        sfem_int head = 0, tail = 0;
+        if (known[i]) continue;
+        known[i] = 1;
+        s->winding[i] = sfemi_clip_wind(s, s->p + 3 * ((size_t)s->points + (size_t)i));
+        for (queue[tail++] = i; head < tail; ++head)
+            for (j = start[queue[head]]; j < start[queue[head] + 1]; ++j) {
+                sfem_int edge[2];
+                int change = 0;
+                if (known[to[j]]) continue;
+                known[to[j]] = 1;
+                edge[0] = s->points + queue[head];
+                edge[1] = s->points + to[j];
+                sfemi_clip_edge_hits(s, 1, edge, &begin, &end);
+                for (k = begin; k < end; ++k) change -= s->hit[s->order[k]].sign;
+                s->winding[to[j]] = s->winding[queue[head]] + (edge[0] < edge[1] ? change : -change);
+                queue[tail++] = to[j];
+            }
+    }
+done:
+    return status;
+}
+
+/* ---- 5: parts of planes ---- */
+
+static sfem_int sfemi_plane_vertex(sfemi_clip *s, sfem_int id, sfem_real x, sfem_real y)
+{
+    sfemi_clip_plane *p = &s->plane;
+    const sfem_int hit = id % 4 == SFEMI_CLIP_HIT ? id / 4 : -1;
+    if (hit >= 0 && s->local[hit] >= 0) return s->local[hit];
+    p->id[p->count] = id;
+    p->xy[2 * p->count] = x;
+    p->xy[2 * p->count + 1] = y;
+    if (hit >= 0) s->local[hit] = p->count;
+    return p->count++;
+}
+
+static void sfemi_plane_edge(sfemi_clip_plane *p, sfem_int from, sfem_int to, sfem_int piece)
+{
+    p->edge[3 * p->edges] = from;
+    p->edge[3 * p->edges + 1] = to;
+    p->edge[3 * p->edges++ + 2] = piece;
+}
+
+/* Empties the plane, and makes room for so many edges. */
+static sfem_status sfemi_plane_clear(sfemi_clip *s, size_t edges, sfem_error *err)
+{
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    for (i = 0; i < p->count; ++i)
+        if (p->id[i] % 4 == SFEMI_CLIP_HIT) s->local[p->id[i] / 4] = -1;
+    p->count = p->edges = p->triangles = 0;
+    if (edges <= (size_t)p->room) return SFEM_OK;
+    if (edges > INT32_MAX / 32) return sfemi_fail(err, SFEM_TOO_LARGE, "the cut surface cannot be numbered");
+    p->room = 2 * (sfem_int)edges;
+    SFEMI_TAKE(sfem_int, p->id, &s->pool, 2 * (size_t)p->room);
+    SFEMI_TAKE(sfem_real, p->xy, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->edge, &s->pool, 3 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->loop, &s->pool, p->room);
+    SFEMI_TAKE(sfem_int, p->loop_end, &s->pool, (size_t)p->room + 1);
+    SFEMI_TAKE(sfem_int, p->head, &s->pool, 2 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->next, &s->pool, p->room);
+    SFEMI_TAKE(sfem_int, p->poly, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->before, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->after, &s->pool, 4 * (size_t)p->room);
+    SFEMI_TAKE(sfem_int, p->tri, &s->pool, 12 * (size_t)p->room);
+done:
+    if (status != SFEM_OK) p->room = 0;
+    return status;
+}
+
+static sfem_real sfemi_plane_area(const sfemi_clip_plane *p, sfem_int a, sfem_int b, sfem_int c)
+{
+    const sfem_real *x = p->xy + 2 * a, *y = p->xy + 2 * b, *z = p->xy + 2 * c;
+    return (y[0] - x[0]) * (z[1] - x[1]) - (y[1] - x[1]) * (z[0] - x[0]);
+}
+
+/* Loops of the edges of a piece; one that does not close is closed. */
+static void sfemi_plane_loops(sfemi_clip_plane *p, sfem_int piece)
+{
+    sfem_int i, e, at, n = 0;
+    for (i = 0; i < p->count; ++i) p->head[i] = -1;
+    for (i = p->edges - 1; i >= 0; --i) {
+        if (p->edge[3 * i + 2] != piece) continue;
+        p->next[i] = p->head[p->edge[3 * i]];
+        p->head[p->edge[3 * i]] = i;
+    }
+    p->loops = 0;
+    p->loop_end[0] = 0;
+    for (i = 0; i < p->edges; ++i) {
+        if (p->edge[3 * i + 2] != piece) continue;
+        at = p->edge[3 * i];
+        while ((e = p->head[at]) >= 0) {
+            p->head[at] = p->next[e];
+            p->edge[3 * e + 2] = -1;
+            p->loop[n++] = at;
+            at = p->edge[3 * e + 1];
+            if (at == p->edge[3 * i]) break;
+        }
+        if (n > p->loop_end[p->loops]) p->loop_end[++p->loops] = n;
+    }
+}
+
+static sfem_real sfemi_plane_loop_area(const sfemi_clip_plane *p, sfem_int loop)
+{
+    sfem_int i;
+    sfem_real sum = 0;
+    for (i = p->loop_end[loop] + 1; i + 1 < p->loop_end[loop + 1]; ++i)
+        sum += sfemi_plane_area(p, p->loop[p->loop_end[loop]], p->loop[i], p->loop[i + 1]);
+    return sum;
+}
+
+/* Is a vertex inside a loop? By crossings of a ray. */
+static int sfemi_plane_inside(const sfemi_clip_plane *p, sfem_int loop, sfem_int v)
+{
+    const sfem_int begin = p->loop_end[loop], end = p->loop_end[loop + 1];
+    const sfem_real *q = p->xy + 2 * v;
+    sfem_int i, j;
+    int inside = 0;
+    for (i = begin, j = end - 1; i < end; j = i++) {
+        const sfem_real *a = p->xy + 2 * p->loop[i], *b = p->xy + 2 * p->loop[j];
+        if ((a[1] > q[1]) != (b[1] > q[1]) && q[0] < (b[0] - a[0]) * (q[1] - a[1]) / (b[1] - a[1]) + a[0]) inside = !inside;
+    }
+    return inside;
+}
+
+static int sfemi_plane_cross(const sfemi_clip_plane *p, sfem_int a, sfem_int b, sfem_int c, sfem_int d)
+{
+    if (a == c || a == d || b == c || b == d) return 0;
+    return (sfemi_plane_area(p, a, b, c) > 0) != (sfemi_plane_area(p, a, b, d) > 0) &&
+           (sfemi_plane_area(p, c, d, a) > 0) != (sfemi_plane_area(p, c, d, b) > 0);
+}
+
+/* Joins a hole to poly[0..n) by a bridge from the pair of vertices that are nearest and see each other. */
+static sfem_int sfemi_plane_bridge(sfemi_clip_plane *p, sfem_int n, sfem_int hole)
+{
+    const sfem_int begin = p->loop_end[hole], size = p->loop_end[hole + 1] - begin;
+    sfem_int i, j, k, at = 0, from = 0;
+    sfem_real best = 1e300;
+    for (i = 0; i < n; ++i)
+        for (j = 0; j < size; ++j) {
+            const sfem_int a = p->poly[i], b = p->loop[begin + j];
+            const sfem_real x = p->xy[2 * a] - p->xy[2 * b], y = p->xy[2 * a + 1] - p->xy[2 * b + 1], d = x * x + y * y;
+            if (!(d < best)) continue;
+            for (k = 0; k < n; ++k)
+                if (sfemi_plane_cross(p, a, b, p->poly[k], p->poly[(k + 1) % n])) break;
+            if (k < n) continue;
+            for (k = 0; k < size; ++k)
+                if (sfemi_plane_cross(p, a, b, p->loop[begin + k], p->loop[begin + (k + 1) % size])) break;
+            if (k < size) continue;
+            best = d;
+            at = i;
+            from = j;
+        }
+    for (i = n - 1; i > at; --i) p->poly[i + size + 2] = p->poly[i];
+    for (j = 0; j <= size; ++j) p->poly[at + 1 + j] = p->loop[begin + (from + j) % size];
+    p->poly[at + size + 2] = p->poly[at];
+    return n + size + 2;
+}
+
+/* Is the corner at i an ear of what is left? The shape has to be of some area, and hold no other vertex. */
+static int sfemi_plane_ear(const sfemi_clip_plane *p, sfem_int i)
+{
+    const sfem_int a = p->poly[p->before[i]], b = p->poly[i], c = p->poly[p->after[i]];
+    const sfem_real area = sfemi_plane_area(p, a, b, c);
+    const sfem_real x = p->xy[2 * a] - p->xy[2 * c], y = p->xy[2 * a + 1] - p->xy[2 * c + 1];
+    sfem_int k;
+    if (!(area > 1e-9 * (x * x + y * y))) return 0;
+    for (k = p->after[p->after[i]]; k != p->before[i]; k = p->after[k]) {
+        const sfem_int v = p->poly[k];
+        if (v == a || v == b || v == c) continue;
+        if (sfemi_plane_area(p, a, b, v) >= 0 && sfemi_plane_area(p, b, c, v) >= 0 && sfemi_plane_area(p, c, a, v) >= 0)
+            return 0;
+    }
+    return 1;
+}
+
+/* Cuts off ears of poly[0..n) [Meisters 1975]; where there is none, the corner of the largest area. */
+static void sfemi_plane_ears(sfemi_clip_plane *p, sfem_int n)
+{
+    sfem_int i, at = 0, tried = 0, best = 0;
+    for (i = 0; i < n; ++i) {
+        p->before[i] = (i + n - 1) % n;
+        p->after[i] = (i + 1) % n;
+    }
+    while (n >= 3) {
+        const sfem_int a = p->poly[p->before[at]], b = p->poly[at], c = p->poly[p->after[at]];
+        int ear = n == 3 || sfemi_plane_ear(p, at);
+        if (tried == 0 || sfemi_plane_area(p, a, b, c) >
+                              sfemi_plane_area(p, p->poly[p->before[best]], p->poly[best], p->poly[p->after[best]]))
+            best = at;
+        if (!ear && ++tried >= n) {
+            at = best;
+            ear = 1;
+        }
+        if (ear) {
+            sfem_int *t = p->tri + 3 * p->triangles++;
+            t[0] = p->poly[p->before[at]];
+            t[1] = p->poly[at];
+            t[2] = p->poly[p->after[at]];
+            p->after[p->before[at]] = p->after[at];
+            p->before[p->after[at]] = p->before[at];
+            tried = 0;
+            --n;
+        }
+        at = p->after[at];
+    }
+}
+
+/* Triangles of what the edges of a piece bound. */
+static void sfemi_plane_fill(sfemi_clip_plane *p, sfem_int piece)
+{
+    sfem_int i, j, k, n;
+    p->triangles = 0;
+    sfemi_plane_loops(p, piece);
+    for (i = 0; i < p->loops; ++i) {
+        const sfem_real area = sfemi_plane_loop_area(p, i);
+        if (p->loop_end[i + 1] - p->loop_end[i] < 3) continue;
+        if (area < 0) { /* a hole, if something is round it; else this part is filled reversed */
+            for (j = 0; j < p->loops; ++j)
+                if (sfemi_plane_loop_area(p, j) > -area && sfemi_plane_inside(p, j, p->loop[p->loop_end[i]])) break;
+            if (j < p->loops) continue;
+        }
+        for (n = 0, k = p->loop_end[i]; k < p->loop_end[i + 1]; ++k) p->poly[n++] = p->loop[k];
+        for (j = 0; area > 0 && j < p->loops; ++j) { /* holes whose smallest surrounding loop this is */
+            const sfem_real hole = -sfemi_plane_loop_area(p, j);
+            if (!(hole > 0) || !(hole < area) || !sfemi_plane_inside(p, i, p->loop[p->loop_end[j]])) continue;
+            if (p->loop_end[j + 1] - p->loop_end[j] < 3) continue;
+            for (k = 0; k < p->loops; ++k) {
+                const sfem_real other = sfemi_plane_loop_area(p, k);
+                if (k != i && other > hole && (other < area || (other <= area && k < i)) &&
+                    sfemi_plane_inside(p, k, p->loop[p->loop_end[j]]))
+                    break;
+            }
+            if (k == p->loops) n = sfemi_plane_bridge(p, n, j);
+        }
+        if (area < 0) { /* ears are those of counterclockwise polygons */
+            const sfem_int first = p->triangles;
+            for (k = 0; k < n / 2; ++k) j = p->poly[k], p->poly[k] = p->poly[n - 1 - k], p->poly[n - 1 - k] = j;
+            sfemi_plane_ears(p, n);
+            for (k = first; k < p->triangles; ++k)
+                j = p->tri[3 * k], p->tri[3 * k] = p->tri[3 * k + 1], p->tri[3 * k + 1] = j;
+        } else
+            sfemi_plane_ears(p, n);
+    }
+}
+
+/* ---- the result ---- */
+
+/* Adds a simplex of T's point to coordinates in nodes. */
+static void sfemi_clip_spread(const sfemi_clip *s, sfem_int point, sfem_real share, sfem_int node[4], sfem_real w[4])
+{
+    const sfem_int *v = s->point.key + 4 * (size_t)point;
+    int size, i, k;
+    for (size = 0; size < 4 && v[size] >= 0; ++size) {}
+    for (i = 0; i < size; ++i) {
+        const sfem_int n = sfemi_clip_real(s, v[i]);
+        for (k = 0; k < 3 && node[k] >= 0 && node[k] != n; ++k) {}
+        node[k] = n;
+        w[k] += share / size;
+    }
+}
+
+/* The members of a piece among nodes, with weights that sum to 1; its first node where there are none. */
+static void sfemi_clip_support(sfemi_clip *s, sfem_int piece, const sfem_int node[4], const sfem_real w[4], sfem_int v)
+{
+    sfem_int *to = s->out.support + 4 * (size_t)v;
+    sfem_real *weight = s->out.weight + 4 * (size_t)v, sum = 0, size = 0;
+    int k, n = 0;
+    for (k = 0; k < 4; ++k) {
+        to[k] = -1;
+        weight[k] = 0;
+    }
+    for (k = 0; k < 4; ++k)
+        if (node[k] >= 0 && s->piece[node[k]] == piece) sum += w[k], size += fabs(w[k]);
+    for (k = 0; k < 4; ++k) {
+        if (node[k] < 0 || s->piece[node[k]] != piece || !(sum > 1e-3 * size)) continue;
+        to[n] = node[k];
+        weight[n++] = w[k] / sum;
+    }
+    if (n) return;
+    to[0] = s->node_of_piece[piece];
+    weight[0] = 1;
+}
+
+/* Where a vertex is at rest, what it goes with, and between which points it lies. */
+static void sfemi_clip_describe(sfemi_clip *s, sfem_int id, sfem_int triangle, sfem_int piece, sfem_int v)
+{
+    const sfem_embed *e = s->e;
+    sfem_int node[4] = {-1, -1, -1, -1}, *point = s->out.point + 3 * (size_t)v;
+    sfem_real w[4] = {0, 0, 0, 0}, x[3] = {0, 0, 0}, *share = s->out.share + 3 * (size_t)v;
+    const sfem_int number = id / 4;
+    int k, c, whole = 0;
+    for (k = 0; k < 3; ++k) {
+        point[k] = -1;
+        share[k] = 0;
+    }
+    if (id % 4 == SFEMI_CLIP_POINT) {
+        point[0] = number;
+        share[0] = 1;
+        memcpy(node, e->node + 4 * (size_t)number, sizeof node);
+        whole = !sfemi_clip_mixed(s, node, 4) && s->piece[node[0]] == piece;
+        memcpy(w, (whole ? e->bary : s->near) + 4 * (size_t)number, sizeof w);
+    } else if (id % 4 == SFEMI_CLIP_HIT) {
+        const sfemi_clip_hit *h = s->hit + number;
+        for (k = 0; k < (h->kind ? 2 : 3); ++k)
+            if (h->kind) sfemi_clip_spread(s, h->edge[k] - s->points, k ? h->t : 1 - h->t, node, w);
+            else sfemi_clip_spread(s, s->face[h->face].corner[k], h->w[k], node, w);
+        for (k = 0; k < (h->kind ? 3 : 2); ++k) {
+            point[k] = h->kind ? e->tri[3 * (size_t)h->face + (size_t)k] : h->edge[k];
+            share[k] = h->kind ? h->w[k] : k ? h->t : 1 - h->t;
+        }
+        for (k = 0; triangle >= 0 && !h->kind && k < 6; ++k) { /* the points of this side of a seam */
+            const sfem_int own = e->tri[3 * (size_t)triangle + (size_t)(k / 2)];
+            if (s->first[own] == h->edge[k % 2]) point[k % 2] = own;
+        }
+    } else {
+        sfemi_clip_spread(s, number, 1, node, w);
+        for (c = 0; c < 3; ++c) x[c] = s->p[3 * ((size_t)s->points + (size_t)number) + (size_t)c];
+    }
+    for (k = 0; k < 3 && point[k] >= 0; ++k)
+        for (c = 0; c < 3; ++c) {
+            x[c] += share[k] * e->x[3 * (size_t)point[k] + (size_t)c];
+            if (triangle >= 0 && e->normal)
+                s->out.normal[3 * (size_t)v + (size_t)c] +=
+                    (float)share[k] * e->normal[3 * (size_t)point[k] + (size_t)c];
+        }
+    sfemi_clip_support(s, piece, node, w, v);
+    for (c = 0; c < 3; ++c) {
+        sfem_real *arm = s->out.arm + 3 * (size_t)v + c;
+        *arm = whole ? 0 : x[c];
+        for (k = 0; !whole && k < 4 && s->out.support[4 * (size_t)v + (size_t)k] >= 0; ++k)
+            *arm -= s->out.weight[4 * (size_t)v + (size_t)k] *
+                    s->m->x[3 * (size_t)s->out.support[4 * (size_t)v + (size_t)k] + (size_t)c];
+    }
+}
+
+static sfem_status sfemi_clip_grow_vertices(sfemi_clip *s, sfem_error *err)
+{
+    sfem_embed_pieces *o = &s->out;
+    const sfem_int n = o->vertices;
+    sfem_status status = SFEM_OK;
+#define SFEMI_GROW(T, p, width)                                                                      \
+    do {                                                                                             \
+        void *array = (p);                                                                           \
+        sfem_int room = s->vertex_room;                                                              \
+        SFEMI_TRY(sfemi_clip_room(s, &array, (width) * sizeof(T), n, &room, err));                    \
+        (p) = (T *)array;                                                                            \
+    } while (0)
+    SFEMI_GROW(sfem_int, o->weld, 1);
+    SFEMI_GROW(sfem_int, o->point, 3);
+    SFEMI_GROW(sfem_real, o->share, 3);
+    SFEMI_GROW(sfem_int, o->support, 4);
+    SFEMI_GROW(sfem_real, o->weight, 4);
+    SFEMI_GROW(sfem_real, o->arm, 3);
+    SFEMI_GROW(float, o->normal, 3);
+#undef SFEMI_GROW
+    if (n == s->vertex_room) s->vertex_room = s->vertex_room ? 2 * s->vertex_room : 64;
+done:
+    return status;
+}
+
+/* The vertex of a plane's vertex in a piece; triangle is that of S, or -1: of an inner face. */
+static sfem_status sfemi_clip_vertex(sfemi_clip *s, sfem_int id, sfem_int triangle, sfem_int piece, sfem_int *v,
+                                    sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int key[4] = {-1, -1, -1, -1}, same;
+    int k;
+    key[0] = id;
+    key[1] = piece;
+    key[2] = triangle < 0 ? -2 : -1;
+    if (triangle >= 0 && id % 4 == SFEMI_CLIP_HIT && !s->hit[id / 4].kind)
+        for (k = 0; k < 6; ++k) { /* a seam has two pairs of points at each edge */
+            const sfem_int own = s->e->tri[3 * (size_t)triangle + (size_t)(k / 2)];
+            if (s->first[own] == s->hit[id / 4].edge[k % 2]) key[2 + k % 2] = own;
+        }
+    SFEMI_TRY(sfemi_table_add(&s->vertex, key, v, &s->pool, err));
+    if (*v < s->out.vertices) goto done;
+    SFEMI_TRY(sfemi_clip_grow_vertices(s, err));
+    if (id % 4 == SFEMI_CLIP_POINT) key[0] = 4 * s->first[id / 4] + SFEMI_CLIP_POINT;
+    key[2] = key[3] = -1;
+    SFEMI_TRY(sfemi_table_add(&s->place, key, &same, &s->pool, err));
+    ++s->out.vertices;
+    s->out.weld[*v] = same; /* the number of the place, for now */
+    sfemi_clip_describe(s, id, triangle, piece, *v);
+done:
+    return status;
+}
+
+/* A triangle of ids, of a piece. */
+static sfem_status sfemi_clip_triangle(sfemi_clip *s, const sfem_int id[3], sfem_int triangle, sfem_int piece, int reversed,
+                                      sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    const sfem_int n = s->out.triangles;
+    sfem_int room = s->triangle_room, v[3];
+    void *array;
+    int k;
+    for (k = 0; k < 3; ++k) SFEMI_TRY(sfemi_clip_vertex(s, id[k], triangle, piece, v + k, err));
+    array = s->out.tri;
+    SFEMI_TRY(sfemi_clip_room(s, &array, 3 * sizeof *s->out.tri, n, &room, err));
+    s->out.tri = (sfem_int *)array;
+    array = s->out.node;
+    room = s->triangle_room;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *s->out.node, n, &room, err));
+    s->out.node = (sfem_int *)array;
+    array = s->out.source;
+    room = s->triangle_room;
+    SFEMI_TRY(sfemi_clip_room(s, &array, sizeof *s->out.source, n, &room, err));
+    s->out.source = (sfem_int *)array;
+    s->triangle_room = room;
+    for (k = 0; k < 3; ++k) s->out.tri[3 * (size_t)n + (size_t)k] = v[reversed ? 2 - k : k];
+    s->out.node[n] = s->node_of_piece[piece];
+    s->out.source[n] = triangle;
+    ++s->out.triangles;
+    s->out.inner += triangle < 0;
+done:
+    return status;
+}
+
+/* Fills what a piece's edges bound in the plane, and adds it to a piece; of inner faces to one on each side. */
+static sfem_status sfemi_clip_emit(sfemi_clip *s, sfem_int bounds, sfem_int triangle, sfem_int piece, int reversed,
+                                  sfem_error *err)
+{
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int i, id[3];
+    int k;
+    if (bounds >= 0) sfemi_plane_fill(p, bounds);
+    for (i = 0; i < p->triangles; ++i) {
+        for (k = 0; k < 3; ++k) id[k] = p->id[p->tri[3 * i + k]];
+        SFEMI_TRY(sfemi_clip_triangle(s, id, triangle, piece, reversed, err));
+    }
+done:
+    return status;
+}
+
+/* Parts of a render triangle, whose segments are [begin, end). */
+static sfem_status sfemi_clip_render(sfemi_clip *s, sfem_int triangle, sfem_int begin, sfem_int end, sfem_error *err)
+{
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int a[3], corner[3], first[3], last[3], i, j;
+    size_t edges = 3 + 2 * (size_t)(end - begin);
+    int k;
+    if (!sfemi_clip_corners(s, triangle, a)) return SFEM_OK;
+    for (k = 0; k < 3; ++k) {
+        sfem_int edge[2];
+        edge[0] = a[k];
+        edge[1] = a[(k + 1) % 3];
+        sfemi_clip_edge_hits(s, 0, edge, first + k, last + k);
+        edges += (size_t)(last[k] - first[k]);
+    }
+    SFEMI_TRY(sfemi_plane_clear(s, edges, err));
+    for (k = 0; k < 3; ++k)
+        corner[k] = sfemi_plane_vertex(s, 4 * s->e->tri[3 * (size_t)triangle + (size_t)k] + SFEMI_CLIP_POINT, k == 1, k == 2);
+    for (k = 0; k < 3; ++k) {
+        const int next = (k + 1) % 3, along = a[k] < a[next];
+        const sfem_int count = last[k] - first[k];
+        sfem_int from = corner[k], piece = s->label[a[k]];
+        for (i = 0; i < count; ++i) {
+            const sfem_int number = s->order[along ? first[k] + i : last[k] - 1 - i];
+            const sfemi_clip_hit *h = s->hit + number;
+            const sfem_real t = along ? h->t : 1 - h->t;
+            const sfem_int to = sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
+                                                   k == 0 ? 0 : k == 1 ? t : 1 - t);
+            sfemi_plane_edge(p, from, to, piece);
+            piece = s->face[h->face].piece[(h->sign > 0) == along];
+            from = to;
+        }
+        sfemi_plane_edge(p, from, corner[next], piece);
+    }
+    for (i = begin; i < end; ++i) {
+        const sfemi_clip_segment *g = s->segment + i;
+        sfem_int v[2];
+        for (k = 0; k < 2; ++k) {
+            const sfem_int number = k ? g->end : g->start;
+            const sfemi_clip_hit *h = s->hit + number;
+            v[k] = sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, h->w[1], h->w[2]); /* those of edges are known */
+        }
+        sfemi_plane_edge(p, v[0], v[1], s->face[g->t].piece[1]);
+        sfemi_plane_edge(p, v[1], v[0], s->face[g->t].piece[0]);
+    }
+    for (i = 0; i < p->edges; ++i) {
+        j = p->edge[3 * i + 2];
+        if (j >= 0) SFEMI_TRY(sfemi_clip_emit(s, j, triangle, j, 0, err));
+    }
+done:
+    return status;
+}
+
+/* The part of a T inside of S, for the pieces on both sides; order[begin..end) are its segments. */
+static sfem_status sfemi_clip_inner(sfemi_clip *s, sfem_int face, const sfem_int *order, sfem_int count, sfem_error *err)
+{
+    const sfemi_clip_face *f = s->face + face;
+    sfemi_clip_plane *p = &s->plane;
+    sfem_status status = SFEM_OK;
+    sfem_int corner[3], first[3], last[3], i, j;
+    size_t edges = (size_t)count;
+    int k, rotates, most = 1;
+    for (k = 0; k < 3; ++k) {
+        sfem_int edge[2];
+        edge[0] = s->points + f->corner[k];
+        edge[1] = s->points + f->corner[(k + 1) % 3];
+        sfemi_clip_edge_hits(s, 1, edge, first + k, last + k);
+        rotates = abs(s->winding[f->corner[k]]) + (int)(last[k] - first[k]);
+        if (rotates > most) most = rotates;
+        edges += (size_t)(last[k] - first[k]) + 1;
+    }
+    SFEMI_TRY(sfemi_plane_clear(s, edges * (size_t)most, err));
+    for (k = 0; k < 3; ++k) corner[k] = sfemi_plane_vertex(s, 4 * f->corner[k] + SFEMI_CLIP_CORNER, k == 1, k == 2);
+    for (k = 0; k < 3; ++k) {
+        const int next = (k + 1) % 3, along = f->corner[k] < f->corner[next];
+        const sfem_int hits = last[k] - first[k];
+        sfem_int from = corner[k], to;
+        rotates = s->winding[f->corner[k]];
+        for (i = 0; i <= hits; ++i) {
+            const sfem_int number = i == hits ? -1 : s->order[along ? first[k] + i : last[k] - 1 - i];
+            const sfemi_clip_hit *h = s->hit + number;
+            const sfem_real t = number < 0 ? 1 : along ? h->t : 1 - h->t;
+            to = number < 0 ? corner[next]
+                            : sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
+                                                 k == 0 ? 0 : k == 1 ? t : 1 - t);
+            for (j = 0; j < abs(rotates); ++j) sfemi_plane_edge(p, rotates > 0 ? from : to, rotates > 0 ? to : from, 0);
+            if (number >= 0) rotates += (h->sign > 0) == along ? -1 : 1;
+            from = to;
+        }
+    }
+    for (i = 0; i < count; ++i) {
+        const sfemi_clip_segment *g = s->segment + order[i];
+        sfem_int v[2];
+        for (k = 0; k < 2; ++k) {
+            const sfem_int number = k ? g->end : g->start;
+            v[k] = sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, s->hit[number].w[1], s->hit[number].w[2]);
+        }
+        sfemi_plane_edge(p, v[0], v[1], 0);
+    }
+    SFEMI_TRY(sfemi_clip_emit(s, 0, -1, f->piece[0], 0, err));
+    SFEMI_TRY(sfemi_clip_emit(s, -1, -1, f->piece[1], 1, err));
+done:
+    return status;
+}
+
+static sfem_status sfemi_clip_all(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *order, *bucket, i, j, begin, n;
+    SFEMI_TAKE(sfem_int, s->local, &s->pool, (size_t)s->hits + 1);
+    for (i = 0; i < s->hits; ++i) s->local[i] = -1;
+    for (i = 0, begin = 0; i < s->e->info.triangles; ++i) {
+        for (j = begin; j < s->segments && s->segment[j].s == i; ++j) {}
+        SFEMI_TRY(sfemi_clip_render(s, i, begin, j, err));
+        begin = j;
+    }
+    SFEMI_TAKE(sfem_int, order, &s->pool, (size_t)s->segments + 1);
+    SFEMI_TAKE(sfem_int, bucket, &s->pool, (size_t)s->faces + 1);
+    if (s->segments)
+        sfemi_mesh_sort(&s->segment->t, sizeof *s->segment / sizeof(sfem_int), s->segments, s->faces, NULL, order, bucket);
+    for (i = 0, begin = 0; i < s->faces; ++i) {
+        for (n = 0; begin + n < s->segments && s->segment[order[begin + n]].t == i; ++n) {}
+        SFEMI_TRY(sfemi_clip_inner(s, i, order + begin, n, err));
+        begin += n;
+    }
+done:
+    return status;
+}
+
+/* weld becomes the first vertex of a place; edges that are not used equally in both directions are counted. */
+static sfem_status sfemi_clip_finish(sfemi_clip *s, sfem_error *err)
+{
+    sfem_embed_pieces *o = &s->out;
+    sfem_status status = SFEM_OK;
+    sfemi_table edges;
+    sfem_int *first, *use, i, number;
+    int k;
+    memset(&edges, 0, sizeof edges);
+    SFEMI_TAKE(sfem_int, first, &s->pool, (size_t)s->place.count + 1);
+    SFEMI_TAKE(sfem_int, use, &s->pool, 3 * (size_t)o->triangles + 1);
+    for (i = o->vertices - 1; i >= 0; --i) first[o->weld[i]] = i;
+    for (i = 0; i < o->vertices; ++i) o->weld[i] = first[o->weld[i]];
+    for (i = 0; i < o->triangles; ++i)
+        for (k = 0; k < 3; ++k) {
+            const sfem_int a = o->weld[o->tri[3 * (size_t)i + (size_t)k]];
+            const sfem_int b = o->weld[o->tri[3 * (size_t)i + (size_t)((k + 1) % 3)]];
+            sfem_int key[4] = {0, 0, 0, 0};
+            if (a == b) continue;
+            key[0] = a < b ? a : b;
+            key[1] = a < b ? b : a;
+            SFEMI_TRY(sfemi_table_add(&edges, key, &number, &s->pool, err));
+            use[number] += a < b ? 1 : -1;
+        }
+    for (i = 0; i < edges.count; ++i) o->open_edges += use[i] != 0;
+done:
+    return status;
+}
+
+/* The result in memory of its own, as long as need be. */
+static sfem_status sfemi_clip_copy(const sfem_embed_pieces *from, const sfem_allocator *al, sfem_embed_pieces *out,
+                                  sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    const size_t v = (size_t)from->vertices, t = (size_t)from->triangles;
+    sfem_embed_pieces o = *from;
+    o.allocator = *al;
+    o.tri = o.node = o.source = o.weld = o.point = o.support = NULL;
+    o.share = o.weight = o.arm = NULL;
+    o.normal = NULL;
+#define SFEMI_COPY(T, p, count)                                                                      \
+    do {                                                                                             \
+        SFEMI_NEW(T, o.p, al, (count) + 1);                                                          \
+        if ((count) > 0) memcpy(o.p, from->p, (count) * sizeof(T));                                  \
+    } while (0)
+    SFEMI_COPY(sfem_int, tri, 3 * t);
+    SFEMI_COPY(sfem_int, node, t);
+    SFEMI_COPY(sfem_int, source, t);
+    SFEMI_COPY(sfem_int, weld, v);
+    SFEMI_COPY(sfem_int, point, 3 * v);
+    SFEMI_COPY(sfem_real, share, 3 * v);
+    SFEMI_COPY(sfem_int, support, 4 * v);
+    SFEMI_COPY(sfem_real, weight, 4 * v);
+    SFEMI_COPY(sfem_real, arm, 3 * v);
+    SFEMI_COPY(float, normal, 3 * v);
+#undef SFEMI_COPY
+    *out = o;
+done:
+    if (status != SFEM_OK) sfem_embed_pieces_free(&o);
+    return status;
+}
+
+/* The trees of tets and T. */
+static sfem_status sfemi_clip_trees(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_real *bound;
+    sfem_int i, k, v[3];
+    SFEMI_TAKE(sfem_real, bound, &s->pool, 6 * (size_t)s->tets);
+    for (i = 0; i < s->tets; ++i)
+        sfemi_boxes_bound(s->x, s->tet + 4 * (size_t)i, 4, 1e-9, bound + 6 * (size_t)i);
+    SFEMI_TRY(sfemi_boxes_make(&s->tet_tree, s->tets, bound, &s->pool, err));
+    SFEMI_TAKE(sfem_real, bound, &s->pool, 6 * (size_t)s->faces);
+    for (i = 0; i < s->faces; ++i) {
+        for (k = 0; k < 3; ++k) v[k] = s->points + s->face[i].corner[k];
+        sfemi_boxes_bound(s->p, v, 3, 0, bound + 6 * (size_t)i);
+    }
+    SFEMI_TRY(sfemi_boxes_make(&s->face_tree, s->faces, bound, &s->pool, err));
+done:
+    return status;
+}
+
+SFEM_DEF void sfem_embed_pieces_free(sfem_embed_pieces *o)
+{
+    if (!o) return;
+    sfemi_delete(&o->allocator, o->tri);
+    sfemi_delete(&o->allocator, o->node);
+    sfemi_delete(&o->allocator, o->source);
+    sfemi_delete(&o->allocator, o->weld);
+    sfemi_delete(&o->allocator, o->point);
+    sfemi_delete(&o->allocator, o->share);
+    sfemi_delete(&o->allocator, o->support);
+    sfemi_delete(&o->allocator, o->weight);
+    sfemi_delete(&o->allocator, o->arm);
+    sfemi_delete(&o->allocator, o->normal);
+    memset(o, 0, sizeof *o);
+}
+
+SFEM_DEF sfem_status sfem_embed_break(const sfem_embed *e, const sfem_body *b, const sfem_allocator *allocator,
+                                      sfem_embed_pieces *out, sfem_error *err)
+{
+    const sfem_mesh *m = &b->model->mesh;
+    sfem_status status = SFEM_OK;
+    sfem_allocator al;
+    sfemi_clip s;
+    sfem_int i;
+    int k;
+    SFEM_ASSERT(e && b && b->damage && out);
+    if (e->info.nodes != m->nodes || e->tets != m->tets || memcmp(e->corner, m->tet, 4 * (size_t)m->tets * sizeof *m->tet))
+        return sfemi_fail(err, SFEM_MISMATCH, "the body's mesh is not the one that the points are embedded in");
+    memset(&al, 0, sizeof al);
+    if (allocator) al = *allocator;
+    memset(&s, 0, sizeof s);
+    s.pool = sfemi_pool_of(&al);
+    s.e = e;
+    s.b = b;
+    s.m = m;
+    s.piece = b->damage->piece_of;
+    s.points = e->info.points;
+    SFEMI_TRY(sfemi_clip_collect_tets(&s, err));
+    SFEMI_TRY(sfemi_clip_collect_faces(&s, err));
+    SFEMI_TRY(sfemi_clip_place(&s, err));
+    if (s.faces) SFEMI_TRY(sfemi_clip_trees(&s, err));
+    for (k = 0; k < SFEMI_CLIP_TRIES; ++k) {
+        sfemi_clip_move(&s, k);
+        if (!s.faces) break;
+        sfemi_clip_label(&s);
+        SFEMI_TRY(sfemi_clip_meet(&s, err));
+        SFEMI_TRY(sfemi_clip_sort(&s, err));
+        if (!s.uncertain) break;
+    }
+    for (i = 0; !s.faces && i < s.points; ++i) s.label[i] = s.piece[e->node[4 * (size_t)i]];
+    if (s.faces) SFEMI_TRY(sfemi_clip_windings(&s, err));
+    SFEMI_TRY(sfemi_clip_all(&s, err));
+    SFEMI_TRY(sfemi_clip_finish(&s, err));
+    SFEMI_TRY(sfemi_clip_copy(&s.out, &al, out, err));
+done:
+    sfemi_pool_free(&s.pool);
+    return status;
+}
+
+/* ---- where the pieces are ---- */
+
+/* N_k of the tets in one piece; of nodes without any, their rotation. */
+static void sfemi_embed_pieces_nodes(sfem_embed *e, const sfem_body *b)
+{
+    const sfem_int *piece = b->damage->piece_of;
+    sfem_int i, k;
+    int c;
+    for (i = 0; i < e->info.nodes; ++i) {
+        sfem_real *to = e->cof + 9 * (size_t)i, volume = 0;
+        memset(to, 0, 9 * sizeof *to);
+        for (k = e->start[i]; k < e->start[i + 1]; ++k) {
+            const sfem_int *v = e->corner + 4 * (size_t)e->of[k];
+            const sfem_real *from = e->tets_cof + 9 * (size_t)e->of[k], *edge = e->edge + 9 * (size_t)e->of[k];
+            sfem_real n[3];
+            for (c = 1; c < 4; ++c)
+                if (piece[v[c]] != piece[v[0]]) break;
+            if (c < 4) continue;
+            sfemi_cross(edge, edge + 3, n);
+            volume += 36 * sfemi_dot3(n, edge + 6);
+            for (c = 0; c < 9; ++c) to[c] += from[c];
+        }
+        for (c = 0; c < 9; ++c) to[c] = volume > 0 ? to[c] / volume : b->rotated.sum[9 * (size_t)i + (size_t)c];
+    }
+}
+
+static void sfemi_embed_pieces_vertex(const sfem_embed *e, const sfem_embed_pieces *o, const sfem_body *b, sfem_int v,
+                                      sfem_real x[3], sfem_real n[3])
+{
+    const sfem_int *node = o->support + 4 * (size_t)v;
+    const sfem_real *w = o->weight + 4 * (size_t)v, *arm = o->arm + 3 * (size_t)v;
+    const float *normal = o->normal + 3 * (size_t)v;
+    const int rotates = arm[0] > 0 || arm[0] < 0 || arm[1] > 0 || arm[1] < 0 || arm[2] > 0 || arm[2] < 0;
+    sfem_real size;
+    int k, c;
+    for (c = 0; c < 3; ++c) x[c] = n[c] = 0;
+    for (k = 0; k < 4 && node[k] >= 0; ++k) {
+        const size_t at = 3 * (size_t)node[k];
+        for (c = 0; c < 3; ++c) {
+            x[c] += w[k] * (b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c]);
+            if (rotates) x[c] += w[k] * sfemi_dot3(b->rotated.sum + 3 * at + 3 * c, arm);
+            if (e && w[k] > 0) {
+                const sfem_real *row = e->cof + 3 * at + 3 * c;
+                n[c] += w[k] * (row[0] * (sfem_real)normal[0] + row[1] * (sfem_real)normal[1] + row[2] * (sfem_real)normal[2]);
+            }
+        }
+    }
+    size = sqrt(sfemi_dot3(n, n));
+    size = size > 0 ? 1 / size : 0;
+    for (c = 0; c < 3; ++c) n[c] *= size;
+}
+
+/* Normals of inner faces, from places that are floats or not: sums of the triangles' areas, then of unit length. */
+static void sfemi_embed_pieces_inner(const sfem_embed_pieces *o, const sfemi_embed_job *j)
+{
+    sfem_int i;
+    int k, c, round;
+    for (round = 0; round < 2; ++round)
+        for (i = o->triangles - o->inner; i < o->triangles; ++i) {
+            const sfem_int *v = o->tri + 3 * (size_t)i;
+            sfem_real x[3][3], u[3], w[3], n[3], size;
+            for (k = 0; k < 3; ++k)
+                for (c = 0; c < 3; ++c) {
+                    const char *from = (round ? j->n : j->x) + (size_t)v[k] * j->stride;
+                    x[k][c] = j->floats ? (sfem_real)((const float *)(const void *)from)[c]
+                                        : ((const sfem_real *)(const void *)from)[c];
+                }
+            sfemi_sub3(x[1], x[0], u);
+            sfemi_sub3(x[2], x[0], w);
+            sfemi_cross(u, w, n);
+            for (k = 0; k < 3; ++k) {
+                char *to = j->n + (size_t)v[k] * j->stride;
+                size = sqrt(sfemi_dot3(x[k], x[k]));
+                size = size > 0 ? 1 / size : 0;
+                for (c = 0; c < 3; ++c) u[c] = x[k][c] * size;
+                if (round) sfemi_embed_store(to, j->floats, u);
+                else
+                    for (c = 0; c < 3; ++c)
+                        if (j->floats) ((float *)(void *)to)[c] += (float)n[c];
+                        else ((sfem_real *)(void *)to)[c] += n[c];
+            }
+        }
+}
+
+static void sfemi_embed_pieces_apply(sfemi_embed_job *j, const sfem_embed_pieces *o, sfem_body *b)
+{
+    sfem_embed *e = j->embed;
+    sfem_int v;
+    SFEM_ASSERT(e && o && b && b->damage && j->x && (!j->n || e->normal));
+    sfemi_workspace_bind(b);
+    sfemi_fragments_rotate(b);
+    if (j->n) {
+        j->u = b->state.u;
+        sfemi_run(&e->exec, sfemi_embed_blocks(e->tets), sfemi_embed_tets_task, j);
+        sfemi_embed_pieces_nodes(e, b);
+    }
+    for (v = 0; v < o->vertices; ++v) {
+        sfem_real x[3], n[3];
+        sfemi_embed_pieces_vertex(j->n ? e : NULL, o, b, v, x, n);
+        sfemi_embed_store(j->x + (size_t)v * j->stride, j->floats, x);
+        if (j->n) sfemi_embed_store(j->n + (size_t)v * j->stride, j->floats, n);
+    }
+    if (j->n) sfemi_embed_pieces_inner(o, j);
+}
+
+SFEM_DEF void sfem_embed_pieces_positions(sfem_embed *e, const sfem_embed_pieces *o, sfem_body *b, sfem_real *x,
+                                          sfem_real *n)
+{
+    sfemi_embed_job j;
+    memset(&j, 0, sizeof j);
+    j.embed = e;
+    j.x = (char *)x;
+    j.n = (char *)n;
+    j.stride = 3 * sizeof *x;
+    sfemi_embed_pieces_apply(&j, o, b);
+}
+
+SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *e, const sfem_embed_pieces *o, sfem_body *b, float *x, float *n,
+                                          size_t stride)
+{
+    sfemi_embed_job j;
+    SFEM_ASSERT(stride >= 3 * sizeof(float) && stride % sizeof(float) == 0);
+    memset(&j, 0, sizeof j);
+    j.embed = e;
+    j.x = (char *)x;
+    j.n = (char *)n;
+    j.stride = stride;
+    j.floats = 1;
+    sfemi_embed_pieces_apply(&j, o, b);
+}
+#endif /* SFEM_NO_BODY */
 #endif /* SFEM_NO_EMBED */
 
 #ifdef __cplusplus

@@ -461,6 +461,244 @@ static void failing_allocations_leak_nothing(void **state)
     assert_true(fail_every_allocation(attempt_create, NULL) > 15);
 }
 
+/* ---- broken bodies ---- */
+
+typedef struct broken {
+    sfem_mesh mesh;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_embed *embed;
+    sfem_embed_pieces pieces;
+} broken;
+
+/* The part of space that a node is in: three planes through the middle, by how many are asked for. */
+static int part_of(const double *x, int planes)
+{
+    int part = 0, k;
+    for (k = 0; k < planes; ++k) part |= (x[k] + 0.1 * x[(k + 1) % 3] > 0.05) << k;
+    return part;
+}
+
+/* Breaks all edges between parts of a mesh, which the scene takes, and cuts a surface with it. */
+static broken break_body(sfem_mesh mesh, const sfem_embed_def *d, int planes, sfem_real speed)
+{
+    sfem_model_def model = sfem_default_model_def();
+    sfem_body_def body = sfem_default_body_def();
+    sfem_damage_def damage = sfem_default_damage_def();
+    broken s;
+    sfem_error err;
+    sfem_int i, round;
+    int j, k;
+    double *v = (double *)calloc(3 * (size_t)mesh.nodes, sizeof *v);
+    memset(&s, 0, sizeof s);
+    s.mesh = mesh;
+    model.mesh = &s.mesh;
+    model.material.young = 1e4;
+    model.material.density = 1000;
+    damage.line_only = 1;
+    body.damage = &damage;
+    body.gravity[0] = body.gravity[1] = body.gravity[2] = 0;
+    assert_ok(sfem_model_create(&model, &s.model, &err), err);
+    assert_ok(sfem_body_create(s.model, &body, &s.body, &err), err);
+    for (i = 0; i < s.mesh.nodes; ++i)
+        for (k = 0; k < planes; ++k) v[3 * i + k] = part_of(s.mesh.x + 3 * i, planes) >> k & 1 ? speed : -speed;
+    for (i = 0; i < s.mesh.tets; ++i)
+        for (j = 0; j < 4; ++j)
+            for (k = 0; k < j; ++k) {
+                const sfem_int a = s.mesh.tet[4 * i + j], b = s.mesh.tet[4 * i + k];
+                if (part_of(s.mesh.x + 3 * a, planes) != part_of(s.mesh.x + 3 * b, planes))
+                    assert_ok(sfem_body_break_edge(s.body, a, b, &err), err);
+            }
+    for (round = 0; round < 17; ++round) assert_ok(sfem_body_step(s.body, 1e-3, &err), err);
+    assert_ok(sfem_body_set_state(s.body, sfem_body_displacement(s.body), v, &err), err);
+    for (round = 0; round < 5; ++round) assert_ok(sfem_body_step(s.body, 1e-3, &err), err);
+    free(v);
+    assert_ok(sfem_embed_create(&s.mesh, d, &s.embed, &err), err);
+    assert_ok(sfem_embed_break(s.embed, s.body, NULL, &s.pieces, &err), err);
+    return s;
+}
+
+static void drop_broken(broken *s)
+{
+    sfem_embed_pieces_free(&s->pieces);
+    sfem_embed_destroy(s->embed);
+    sfem_body_free(s->body);
+    sfem_model_free(s->model);
+    sfem_mesh_free(&s->mesh);
+}
+
+static int compare_edges(const void *a, const void *b)
+{
+    const sfem_int *p = (const sfem_int *)a, *q = (const sfem_int *)b;
+    if (p[0] != q[0]) return p[0] < q[0] ? -1 : 1;
+    return p[1] < q[1] ? -1 : p[1] > q[1];
+}
+
+/* Edges that are not used equally in both directions, and those in other than two triangles: by sorting. */
+static void count_edges(const sfem_embed_pieces *p, sfem_int *open, sfem_int *many)
+{
+    sfem_int (*edge)[3] = (sfem_int(*)[3])malloc((3 * (size_t)p->triangles + 1) * sizeof *edge), n = 0, i, j, sum;
+    int k;
+    *open = *many = 0;
+    for (i = 0; i < p->triangles; ++i)
+        for (k = 0; k < 3; ++k) {
+            const sfem_int a = p->weld[p->tri[3 * i + k]], b = p->weld[p->tri[3 * i + (k + 1) % 3]];
+            if (a == b) continue;
+            edge[n][0] = a < b ? a : b;
+            edge[n][1] = a < b ? b : a;
+            edge[n++][2] = a < b ? 1 : -1;
+        }
+    qsort(edge, (size_t)n, sizeof *edge, compare_edges);
+    for (i = 0; i < n; i = j) {
+        for (j = i, sum = 0; j < n && !compare_edges(edge[i], edge[j]); ++j) sum += edge[j][2];
+        *open += sum != 0;
+        *many += j - i != 2;
+    }
+    free(edge);
+}
+
+/* What holds of every cut: corners in one piece, weights, open edges as told, shares, places at rest. */
+static void check_pieces(const broken *s, const sfem_embed_def *d)
+{
+    const sfem_embed_pieces *p = &s->pieces;
+    const sfem_int *piece_of = sfem_body_piece_of(s->body);
+    sfem_int i, k, open, many, *piece = (sfem_int *)malloc((size_t)(p->vertices + 1) * sizeof *piece);
+    double *rest = (double *)calloc(3 * (size_t)p->vertices + 1, sizeof *rest), size = 0;
+    int c;
+    assert_true(p->triangles >= 0 && p->inner <= p->triangles);
+    for (i = 0; i < 3 * s->mesh.nodes; ++i) size = fmax(size, fabs(s->mesh.x[i]));
+    for (i = 0; i < 3 * d->points; ++i) size = fmax(size, fabs(d->x[i]));
+    for (i = 0; i < p->vertices; ++i) {
+        double sum = 0, share = 0, at[3] = {0, 0, 0};
+        piece[i] = piece_of[p->support[4 * i]];
+        for (c = 0; c < 3; ++c) rest[3 * i + c] = p->arm[3 * i + c];
+        for (k = 0; k < 4 && p->support[4 * i + k] >= 0; ++k) {
+            const sfem_int node = p->support[4 * i + k];
+            assert_int_equal(piece_of[node], piece[i]); /* nothing goes with two pieces */
+            sum += p->weight[4 * i + k];
+            for (c = 0; c < 3; ++c) rest[3 * i + c] += p->weight[4 * i + k] * s->mesh.x[3 * node + c];
+        }
+        assert_near(sum, 1, 0, 1e-12);
+        for (k = 0; k < 3 && p->point[3 * i + k] >= 0; ++k) {
+            share += p->share[3 * i + k];
+            assert_true(p->share[3 * i + k] >= 0);
+            for (c = 0; c < 3; ++c) at[c] += p->share[3 * i + k] * d->x[3 * p->point[3 * i + k] + c];
+        }
+        if (k) {
+            assert_near(share, 1, 0, 1e-12);
+            assert_all_near(at, rest + 3 * i, 3, 0, 1e-11 * size);
+        }
+        assert_true(p->weld[i] <= i && p->weld[p->weld[i]] == p->weld[i]);
+        assert_int_equal(piece[p->weld[i]], piece[i]);
+        assert_all_near(rest + 3 * p->weld[i], rest + 3 * i, 3, 0, 1e-11 * size);
+    }
+    for (i = 0; i < p->triangles; ++i) {
+        for (c = 0; c < 3; ++c) {
+            assert_in_range(p->tri[3 * i + c], 0, p->vertices - 1);
+            assert_int_equal(piece[p->tri[3 * i + c]], piece_of[p->node[i]]);
+        }
+        if (i < p->triangles - p->inner) assert_in_range(p->source[i], 0, d->triangles - 1);
+        else assert_int_equal(p->source[i], -1);
+    }
+    count_edges(p, &open, &many);
+    assert_int_equal(open, p->open_edges);
+    free(rest);
+    free(piece);
+}
+
+/* Volume of each piece at rest, from its own closed surface, by the divergence theorem; areas of the render surface and
+ * of the inner faces. */
+static void measure(const broken *s, double *volume, double area[2])
+{
+    const sfem_embed_pieces *p = &s->pieces;
+    const sfem_int *piece_of = sfem_body_piece_of(s->body);
+    sfem_int i;
+    int c, k, j;
+    area[0] = area[1] = 0;
+    for (i = 0; i < p->triangles; ++i) {
+        double x[3][3], n[3], u[3], v[3];
+        for (k = 0; k < 3; ++k)
+            for (c = 0; c < 3; ++c) {
+                const sfem_int w = p->tri[3 * i + k];
+                x[k][c] = p->arm[3 * w + c];
+                for (j = 0; j < 4 && p->support[4 * w + j] >= 0; ++j)
+                    x[k][c] += p->weight[4 * w + j] * s->mesh.x[3 * p->support[4 * w + j] + c];
+            }
+        for (c = 0; c < 3; ++c) u[c] = x[1][c] - x[0][c], v[c] = x[2][c] - x[0][c];
+        for (c = 0; c < 3; ++c) n[c] = u[(c + 1) % 3] * v[(c + 2) % 3] - u[(c + 2) % 3] * v[(c + 1) % 3];
+        for (c = 0; c < 3; ++c) volume[piece_of[p->node[i]]] += n[c] * x[0][c] / 6;
+        area[p->source[i] < 0] += sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) / 2;
+    }
+}
+
+static double area_of(const sfem_surface *s)
+{
+    double sum = 0;
+    sfem_int i;
+    int c;
+    for (i = 0; i < s->triangles; ++i) {
+        const double *a = s->x + 3 * s->tri[3 * i], *b = s->x + 3 * s->tri[3 * i + 1], *d = s->x + 3 * s->tri[3 * i + 2];
+        double n[3], u[3], v[3];
+        for (c = 0; c < 3; ++c) u[c] = b[c] - a[c], v[c] = d[c] - a[c];
+        for (c = 0; c < 3; ++c) n[c] = u[(c + 1) % 3] * v[(c + 2) % 3] - u[(c + 2) % 3] * v[(c + 1) % 3];
+        sum += sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) / 2;
+    }
+    return sum;
+}
+
+/* A sphere inside a block: each place of the ball belongs to the node with the largest coordinate, so that volumes are
+ * also found by points that are thrown. */
+static void a_sphere_in_a_broken_block_is_cut_into_closed_pieces(void **state)
+{
+    const sfem_int cells[3] = {5, 5, 5};
+    const sfem_real size[3] = {2, 2, 2};
+    sfem_int planes;
+    (void)state;
+    for (planes = 1; planes <= 3; ++planes) {
+        sfem_surface surface = sphere(0.8, 10);
+        sfem_embed_def d = def_of(&surface);
+        sfem_error err;
+        sfem_mesh m;
+        broken s;
+        double volume[8] = {0}, thrown[8] = {0}, area[2], whole = 0, all = 0;
+        sfem_int i, open, many, tet;
+        test_random r = {11};
+        int c;
+        assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &m, &err), err);
+        for (i = 0; i < 3 * m.nodes; ++i) m.x[i] -= 1;
+        s = break_body(m, &d, planes, 1);
+        assert_int_equal(sfem_body_fracture(s.body).pieces, 1 << planes);
+        check_pieces(&s, &d);
+        count_edges(&s.pieces, &open, &many);
+        assert_int_equal(open, 0);
+        assert_int_equal(many, 0);
+        measure(&s, volume, area);
+        assert_near(area[0], area_of(&surface), 1e-9, 0); /* nothing of it is lost or doubled */
+        for (i = 0; i < surface.triangles; ++i) {
+            const double *a = surface.x + 3 * surface.tri[3 * i], *b = surface.x + 3 * surface.tri[3 * i + 1];
+            const double *e = surface.x + 3 * surface.tri[3 * i + 2];
+            for (c = 0; c < 3; ++c)
+                whole += a[c] * (b[(c + 1) % 3] * e[(c + 2) % 3] - b[(c + 2) % 3] * e[(c + 1) % 3]) / 6;
+        }
+        for (i = 0; i < 1 << planes; ++i) all += volume[i];
+        assert_near(all, whole, 1e-9, 0);
+        for (i = 0; i < 40000; ++i) {
+            double x[3], b[4];
+            int most = 0;
+            for (c = 0; c < 3; ++c) x[c] = random_uniform(&r, -0.8, 0.8);
+            if (x[0] * x[0] + x[1] * x[1] + x[2] * x[2] > 0.64) continue;
+            if (!sfem_mesh_locate(&s.mesh, NULL, x, &tet, b)) continue;
+            for (c = 1; c < 4; ++c)
+                if (b[c] > b[most]) most = c;
+            thrown[sfem_body_piece_of(s.body)[s.mesh.tet[4 * tet + most]]] += 1.6 * 1.6 * 1.6 / 40000;
+        }
+        for (i = 0; i < 1 << planes; ++i) assert_near(volume[i], thrown[i], 0, 0.03); /* 4 sigma is .03 */
+        assert_true(area[1] > 2 * planes * 1.5);
+        drop_broken(&s);
+        drop(&surface);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -473,6 +711,7 @@ int main(void)
         cmocka_unit_test(wrong_input_is_named),
         cmocka_unit_test(a_surface_much_larger_than_the_mesh_stays_finite),
         cmocka_unit_test(failing_allocations_leak_nothing),
+        cmocka_unit_test(a_sphere_in_a_broken_block_is_cut_into_closed_pieces),
     };
     return run_all_tests(tests);
 }
