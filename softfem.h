@@ -2163,7 +2163,7 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
  * Affine motions are exact to rounding, and x = X where u = 0. Every point is taken: one outside of all tets goes with
  * the nearest, by coordinates of which some are negative; far away it exaggerates what that tet does.
  *
- * NORMALS are transformed, not made of the deformed triangles: n = sum_k w_k N_k n_0, unit length, N_k the mean of
+ * NORMALS are transformed, not made of the deformed triangles: n = sum_k w_k N_k n_0, unit length, in floats, N_k the mean of
  * cof F = det F F^-T over the tets of node k, by volume; w_k outside as if negative ones were 0. For affine motions that
  * is exact, and it is smooth where F jumps between tets. Bars bent and twisted by 70 to 170 degrees, 10 x 3 x 3 and
  * 20 x 6 x 6 cells: mean errors of 0.5 to 0.8 and 0.1 to 0.2 degrees; of the deformed triangles' normals 1 to 6 and
@@ -2188,7 +2188,7 @@ SFEM_DEF sfem_embed_def sfem_default_embed_def(void);
  *           SFEM_NOT_FINITE    a coordinate or a normal, err->node
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
  *   cost    O(tets log tets), 1 us a point inside, 4 us outside: by trees of boxes, which graded meshes do not slow
- *   memory  104 bytes a point, 120 with normals; 80 a tet and 80 a node for normals */
+ *   memory  84 bytes a point, 96 with normals, and for these 60 a node and 164 a tet near the points; 16 a tet */
 SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_def *def, sfem_embed **out,
                                        sfem_error *err);
 SFEM_DEF void sfem_embed_destroy(sfem_embed *embed); /* NULL allowed */
@@ -31028,11 +31028,12 @@ struct sfem_embed {
     sfem_int tets, *corner; /* the mesh's [tets][4] */
     /* normals; NULL where there are none */
     float *normal;       /* [points][3] at rest, unit length or zero */
-    sfem_real *edge;     /* [tets][9] E^T/6, the columns of E the edges from node 0 at rest: V cof F = cof(D) E^T/6 */
-    sfem_int *start, *of; /* [nodes+1], [4 tets] the tets of each node */
+    sfem_int live, *of_live; /* [live] the tets of nodes that have points */
+    sfem_real *edge;     /* [live][9] E^T/6, the columns of E the edges from node 0 at rest: V cof F = cof(D) E^T/6 */
+    sfem_int *start, *of; /* [nodes+1], [4 live] the live tets of each node that has points */
     sfem_real *volume;   /* [nodes] 1/(that of its tets), or 0 */
-    sfem_real *tets_cof; /* [tets][9] V cof F */
-    sfem_real *cof;      /* [nodes][9] N_k */
+    sfem_real *tets_cof; /* [live][9] V cof F */
+    float *cof;          /* [nodes][3][4] N_k by columns; the last row is 0 */
 };
 
 SFEM_DEF sfem_embed_def sfem_default_embed_def(void)
@@ -31136,38 +31137,62 @@ done:
     return status;
 }
 
+/* The tets that N_k of the points' nodes take: how many, and, where there is room, which. */
+static sfem_int sfemi_embed_live(const sfem_mesh *m, const unsigned char *used, sfem_int *out)
+{
+    sfem_int t, n = 0;
+    for (t = 0; t < m->tets; ++t) {
+        const sfem_int *v = m->tet + 4 * (size_t)t;
+        if (!used[v[0]] && !used[v[1]] && !used[v[2]] && !used[v[3]]) continue;
+        if (out) out[n] = t;
+        ++n;
+    }
+    return n;
+}
+
 /* What N_k takes. */
 static sfem_status sfemi_embed_tets(sfem_embed *e, const sfem_mesh *m, sfem_error *err)
 {
     sfem_status status = SFEM_OK;
-    sfem_int t;
+    unsigned char *used = NULL;
+    sfem_int t, i;
     int k, c;
-    SFEMI_TAKE(float, e->normal, &e->pool, 3 * (size_t)e->info.points);
-    SFEMI_TAKE(sfem_real, e->edge, &e->pool, 9 * (size_t)m->tets);
-    SFEMI_TAKE(sfem_real, e->tets_cof, &e->pool, 9 * (size_t)m->tets);
-    SFEMI_TAKE(sfem_real, e->cof, &e->pool, 9 * (size_t)m->nodes);
+    SFEMI_NEW(unsigned char, used, &e->pool.allocator, m->nodes);
+    for (i = 0; i < e->info.points; ++i)
+        for (k = 0; k < 4; ++k) used[e->node[4 * (size_t)i + (size_t)k]] = 1;
+    e->live = sfemi_embed_live(m, used, NULL);
+    SFEMI_TAKE(sfem_int, e->of_live, &e->pool, e->live);
+    SFEMI_TAKE(sfem_real, e->edge, &e->pool, 9 * (size_t)e->live);
+    SFEMI_TAKE(sfem_real, e->tets_cof, &e->pool, 9 * (size_t)e->live);
+    SFEMI_TAKE(float, e->cof, &e->pool, 12 * (size_t)m->nodes);
     SFEMI_TAKE(sfem_real, e->volume, &e->pool, m->nodes);
     SFEMI_TAKE(sfem_int, e->start, &e->pool, (size_t)m->nodes + 2);
-    SFEMI_TAKE(sfem_int, e->of, &e->pool, 4 * (size_t)m->tets);
-    for (t = 0; t < m->tets; ++t) {
-        const sfem_int *v = m->tet + 4 * (size_t)t;
+    SFEMI_TAKE(sfem_int, e->of, &e->pool, 4 * (size_t)e->live);
+    sfemi_embed_live(m, used, e->of_live);
+    for (t = 0; t < e->live; ++t) {
+        const sfem_int *v = m->tet + 4 * (size_t)e->of_live[t];
         sfem_real *edge = e->edge + 9 * (size_t)t;
         const sfem_real volume =
             sfemi_volume6(m->x + 3 * (size_t)v[0], m->x + 3 * (size_t)v[1], m->x + 3 * (size_t)v[2],
                           m->x + 3 * (size_t)v[3]) / 6;
         for (k = 0; k < 4; ++k) {
             e->volume[v[k]] += volume;
-            ++e->start[v[k] + 2];
+            e->start[v[k] + 2] += used[v[k]];
             for (c = 0; k < 3 && c < 3; ++c)
                 edge[3 * k + c] = (m->x[3 * (size_t)v[k + 1] + (size_t)c] - m->x[3 * (size_t)v[0] + (size_t)c]) / 6;
         }
     }
-    for (t = 0; t < m->nodes; ++t) {
-        e->start[t + 2] += e->start[t + 1];
-        e->volume[t] = e->volume[t] > 0 ? 1 / e->volume[t] : 0;
+    for (i = 0; i < m->nodes; ++i) {
+        e->start[i + 2] += e->start[i + 1];
+        e->volume[i] = e->volume[i] > 0 ? 1 / e->volume[i] : 0;
     }
-    for (t = 0; t < 4 * m->tets; ++t) e->of[e->start[m->tet[t] + 1]++] = t / 4;
+    for (t = 0; t < e->live; ++t)
+        for (k = 0; k < 4; ++k) {
+            const sfem_int v = m->tet[4 * (size_t)e->of_live[t] + (size_t)k];
+            if (used[v]) e->of[e->start[v + 1]++] = t;
+        }
 done:
+    sfemi_delete(&e->pool.allocator, used);
     return status;
 }
 
@@ -31211,13 +31236,14 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     memcpy(e->x, def->x, 3 * (size_t)def->points * sizeof *e->x);
     memcpy(e->corner, mesh->tet, 4 * (size_t)mesh->tets * sizeof *e->corner);
     if (def->triangles) memcpy(e->tri, def->tri, 3 * (size_t)def->triangles * sizeof *e->tri);
-    if (def->triangles || def->normal) {
-        SFEMI_TRY(sfemi_embed_tets(e, mesh, err));
-        SFEMI_TRY(sfemi_embed_normals(e, def, err));
-    }
     job.embed = e;
     job.search = &search;
     sfemi_run(&def->exec, sfemi_embed_blocks(def->points), sfemi_embed_locate_task, &job);
+    if (def->triangles || def->normal) {
+        SFEMI_TAKE(float, e->normal, &e->pool, 3 * (size_t)def->points);
+        SFEMI_TRY(sfemi_embed_tets(e, mesh, err));
+        SFEMI_TRY(sfemi_embed_normals(e, def, err));
+    }
     for (i = 0; i < def->points; ++i) {
         if (!(e->distance[i] > 0)) continue;
         ++e->info.outside;
@@ -31228,8 +31254,8 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     e->info.bytes = sizeof *e + (size_t)def->points * (8 * sizeof(sfem_real) + 5 * sizeof(sfem_int)) +
                     3 * (size_t)def->triangles * sizeof(sfem_int) + 4 * (size_t)mesh->tets * sizeof(sfem_int);
     if (e->normal)
-        e->info.bytes += 3 * (size_t)def->points * sizeof(float) + (size_t)mesh->nodes * (10 * sizeof(sfem_real) + 4) +
-                         (size_t)mesh->tets * (18 * sizeof(sfem_real) + 4 * sizeof(sfem_int));
+        e->info.bytes += 3 * (size_t)def->points * sizeof(float) + (size_t)mesh->nodes * (12 * sizeof(float) + 12) +
+                         (size_t)e->live * (18 * sizeof(sfem_real) + 5 * sizeof(sfem_int));
     *out = e;
     e = NULL;
 done:
@@ -31262,9 +31288,9 @@ static void sfemi_embed_tets_task(void *data, sfem_int index)
     sfem_embed *e = j->embed;
     sfem_int t = index * SFEMI_EMBED_BLOCK, end = t + SFEMI_EMBED_BLOCK;
     int k, c, r;
-    if (end > e->tets) end = e->tets;
+    if (end > e->live) end = e->live;
     for (; t < end; ++t) {
-        const sfem_int *v = e->corner + 4 * (size_t)t;
+        const sfem_int *v = e->corner + 4 * (size_t)e->of_live[t];
         const sfem_real *edge = e->edge + 9 * (size_t)t, *u0 = j->u + 3 * (size_t)v[0];
         sfem_real d[3][3], cof[3][3], *out = e->tets_cof + 9 * (size_t)t;
         for (k = 0; k < 3; ++k)
@@ -31289,11 +31315,11 @@ static void sfemi_embed_nodes_task(void *data, sfem_int index)
             const sfem_real *from = e->tets_cof + 9 * (size_t)e->of[k];
             for (c = 0; c < 9; ++c) sum[c] += from[c];
         }
-        for (c = 0; c < 9; ++c) e->cof[9 * (size_t)i + (size_t)c] = sum[c] * e->volume[i];
+        for (c = 0; c < 9; ++c) e->cof[12 * (size_t)i + (size_t)(4 * (c % 3) + c / 3)] = (float)(sum[c] * e->volume[i]);
     }
 }
 
-static void sfemi_embed_store(char *to, int floats, const sfem_real v[3])
+static SFEMI_INLINE void sfemi_embed_store(char *to, int floats, const sfem_real v[3])
 {
     if (floats) {
         float *f = (float *)(void *)to;
@@ -31304,23 +31330,21 @@ static void sfemi_embed_store(char *to, int floats, const sfem_real v[3])
         memcpy(to, v, 3 * sizeof *v);
 }
 
-/* sum_k w_k N_k n_0, to unit length; zero for zero. */
-static void sfemi_embed_normal(const sfem_embed *e, size_t i, sfem_real n[3])
+/* sum_k w_k N_k n_0 to unit length, in floats, four at a time; zero for zero. Negative w count as 0, and those left need
+ * not sum to 1. */
+static SFEMI_INLINE void sfemi_embed_normal(const float *const *cof, const sfem_real *w, const float *rest, float n[4])
 {
-    const sfem_int *v = e->node + 4 * i;
-    const float *from = e->normal + 3 * i;
-    const sfem_real a = (sfem_real)from[0], b = (sfem_real)from[1], c = (sfem_real)from[2];
-    sfem_real size;
+    float size;
     int k, r;
-    n[0] = n[1] = n[2] = 0;
+    for (r = 0; r < 4; ++r) n[r] = 0;
     for (k = 0; k < 4; ++k) {
-        const sfem_real w = e->bary[4 * i + (size_t)k], *m = e->cof + 9 * (size_t)v[k];
-        if (!(w > 0)) continue; /* positive ones need not sum to 1 */
-        for (r = 0; r < 3; ++r) n[r] += w * (m[3 * r] * a + m[3 * r + 1] * b + m[3 * r + 2] * c);
+        const float *m = cof[k], s = w[k] > 0 ? (float)w[k] : 0;
+        const float a = s * rest[0], b = s * rest[1], c = s * rest[2];
+        for (r = 0; r < 4; ++r) n[r] += m[r] * a + m[4 + r] * b + m[8 + r] * c;
     }
-    size = sqrt(sfemi_dot3(n, n));
+    size = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
     size = size > 0 ? 1 / size : 0;
-    for (r = 0; r < 3; ++r) n[r] *= size;
+    for (r = 0; r < 4; ++r) n[r] *= size;
 }
 
 static void sfemi_embed_points_task(void *data, sfem_int index)
@@ -31334,13 +31358,18 @@ static void sfemi_embed_points_task(void *data, sfem_int index)
         const sfem_int *v = e->node + 4 * i;
         const sfem_real *w = e->bary + 4 * i, *rest = e->x + 3 * i, *a = j->u + 3 * (size_t)v[0];
         const sfem_real *b = j->u + 3 * (size_t)v[1], *d = j->u + 3 * (size_t)v[2], *f = j->u + 3 * (size_t)v[3];
-        sfem_real to[3];
         if (j->x) {
+            sfem_real to[3];
             for (c = 0; c < 3; ++c) to[c] = rest[c] + ((w[0] * a[c] + w[1] * b[c]) + (w[2] * d[c] + w[3] * f[c]));
             sfemi_embed_store(j->x + i * j->stride, j->floats, to);
         }
         if (j->n) {
-            sfemi_embed_normal(e, i, to);
+            const float *cof[4];
+            float n[4];
+            sfem_real to[3];
+            for (c = 0; c < 4; ++c) cof[c] = e->cof + 12 * (size_t)v[c];
+            sfemi_embed_normal(cof, w, e->normal + 3 * i, n);
+            for (c = 0; c < 3; ++c) to[c] = (sfem_real)n[c];
             sfemi_embed_store(j->n + i * j->stride, j->floats, to);
         }
     }
@@ -31351,7 +31380,7 @@ static void sfemi_embed_apply(sfemi_embed_job *j)
     sfem_embed *e = j->embed;
     SFEM_ASSERT(e && j->u && (!j->n || e->normal));
     if (j->n) {
-        sfemi_run(&e->exec, sfemi_embed_blocks(e->tets), sfemi_embed_tets_task, j);
+        sfemi_run(&e->exec, sfemi_embed_blocks(e->live), sfemi_embed_tets_task, j);
         sfemi_run(&e->exec, sfemi_embed_blocks(e->info.nodes), sfemi_embed_nodes_task, j);
     }
     sfemi_run(&e->exec, sfemi_embed_blocks(e->info.points), sfemi_embed_points_task, j);
@@ -32785,10 +32814,10 @@ static void sfemi_embed_pieces_nodes(sfem_embed *e, const sfem_body *b)
     sfem_int i, k;
     int c;
     for (i = 0; i < e->info.nodes; ++i) {
-        sfem_real *to = e->cof + 9 * (size_t)i, volume = 0;
-        memset(to, 0, 9 * sizeof *to);
+        float *to = e->cof + 12 * (size_t)i;
+        sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, volume = 0;
         for (k = e->start[i]; k < e->start[i + 1]; ++k) {
-            const sfem_int *v = e->corner + 4 * (size_t)e->of[k];
+            const sfem_int *v = e->corner + 4 * (size_t)e->of_live[e->of[k]];
             const sfem_real *from = e->tets_cof + 9 * (size_t)e->of[k], *edge = e->edge + 9 * (size_t)e->of[k];
             sfem_real n[3];
             for (c = 1; c < 4; ++c)
@@ -32796,9 +32825,10 @@ static void sfemi_embed_pieces_nodes(sfem_embed *e, const sfem_body *b)
             if (c < 4) continue;
             sfemi_cross(edge, edge + 3, n);
             volume += 36 * sfemi_dot3(n, edge + 6);
-            for (c = 0; c < 9; ++c) to[c] += from[c];
+            for (c = 0; c < 9; ++c) sum[c] += from[c];
         }
-        for (c = 0; c < 9; ++c) to[c] = volume > 0 ? to[c] / volume : b->rotated.sum[9 * (size_t)i + (size_t)c];
+        for (c = 0; c < 9; ++c)
+            to[4 * (c % 3) + c / 3] = (float)(volume > 0 ? sum[c] / volume : b->rotated.sum[9 * (size_t)i + (size_t)c]);
     }
 }
 
@@ -32807,9 +32837,9 @@ static void sfemi_embed_pieces_vertex(const sfem_embed *e, const sfem_embed_piec
 {
     const sfem_int *node = o->support + 4 * (size_t)v;
     const sfem_real *w = o->weight + 4 * (size_t)v, *arm = o->arm + 3 * (size_t)v;
-    const float *normal = o->normal + 3 * (size_t)v;
     const int rotates = arm[0] > 0 || arm[0] < 0 || arm[1] > 0 || arm[1] < 0 || arm[2] > 0 || arm[2] < 0;
-    sfem_real size;
+    const float *cof[4];
+    float normal[4];
     int k, c;
     for (c = 0; c < 3; ++c) x[c] = n[c] = 0;
     for (k = 0; k < 4 && node[k] >= 0; ++k) {
@@ -32817,15 +32847,12 @@ static void sfemi_embed_pieces_vertex(const sfem_embed *e, const sfem_embed_piec
         for (c = 0; c < 3; ++c) {
             x[c] += w[k] * (b->model->mesh.x[at + (size_t)c] + b->state.u[at + (size_t)c]);
             if (rotates) x[c] += w[k] * sfemi_dot3(b->rotated.sum + 3 * at + 3 * c, arm);
-            if (e && w[k] > 0) {
-                const sfem_real *row = e->cof + 3 * at + 3 * c;
-                n[c] += w[k] * (row[0] * (sfem_real)normal[0] + row[1] * (sfem_real)normal[1] + row[2] * (sfem_real)normal[2]);
-            }
         }
     }
-    size = sqrt(sfemi_dot3(n, n));
-    size = size > 0 ? 1 / size : 0;
-    for (c = 0; c < 3; ++c) n[c] *= size;
+    if (!e) return;
+    for (k = 0; k < 4; ++k) cof[k] = e->cof + 12 * (size_t)(node[k] >= 0 ? node[k] : node[0]); /* w = 0 of those missing */
+    sfemi_embed_normal(cof, w, o->normal + 3 * (size_t)v, normal);
+    for (c = 0; c < 3; ++c) n[c] = (sfem_real)normal[c];
 }
 
 /* Normals of inner faces, from places that are floats or not: sums of the triangles' areas, then of unit length. */
@@ -32869,7 +32896,7 @@ static void sfemi_embed_pieces_apply(sfemi_embed_job *j, const sfem_embed_pieces
     sfemi_fragments_rotate(b);
     if (j->n) {
         j->u = b->state.u;
-        sfemi_run(&e->exec, sfemi_embed_blocks(e->tets), sfemi_embed_tets_task, j);
+        sfemi_run(&e->exec, sfemi_embed_blocks(e->live), sfemi_embed_tets_task, j);
         sfemi_embed_pieces_nodes(e, b);
     }
     for (v = 0; v < o->vertices; ++v) {

@@ -257,7 +257,7 @@ static void affine_motions_are_exact_to_rounding(void **state)
         affine(&m, shear, shift, u);
     }
     assert_true(worst < 1e-13);
-    assert_true(turned < 1e-13);
+    assert_true(turned < 5e-7); /* floats */
     sfem_embed_positions(e, u, x, n);
     sfem_embed_to_floats(e, u, f, f + 3, 8 * sizeof *f);
     for (i = 0; i < s.nodes; ++i)
@@ -699,6 +699,83 @@ static void a_sphere_in_a_broken_block_is_cut_into_closed_pieces(void **state)
     }
 }
 
+/* The hardest case for signs: every point of the render surface on a plane of the mesh, and of the cracks. */
+static void the_surface_of_the_mesh_itself_is_cut_and_closed(void **state)
+{
+    const sfem_int cells[3] = {4, 3, 3};
+    const sfem_real size[3] = {2, 1.5, 1.5};
+    int kind, planes;
+    (void)state;
+    for (kind = 0; kind < 3; ++kind)
+        for (planes = 1; planes <= 3; planes += 2) {
+            sfem_embed_def d = sfem_default_embed_def();
+            sfem_surface surface;
+            sfem_error err;
+            sfem_mesh m, copy;
+            broken s;
+            double volume[64] = {0}, area[2], all = 0, *x;
+            sfem_int i, open, many;
+            if (kind < 2)
+                assert_ok(sfem_mesh_block(cells, size, kind ? SFEM_CELL_6_TETS : SFEM_CELL_5_TETS, NULL, &m, &err), err);
+            else
+                m = ball(1, 3);
+            for (i = 0; kind < 2 && i < 3 * m.nodes; ++i) m.x[i] -= size[i % 3] / 2;
+            assert_ok(sfem_mesh_copy(m.nodes, m.x, m.tets, m.tet, NULL, &copy, &err), err);
+            assert_ok(sfem_mesh_surface(&m, NULL, &surface, &err), err);
+            d.points = copy.nodes;
+            d.x = copy.x;
+            d.triangles = surface.triangles;
+            d.tri = surface.tri;
+            s = break_body(m, &d, planes, 1);
+            check_pieces(&s, &d);
+            count_edges(&s.pieces, &open, &many);
+            assert_int_equal(open, 0);
+            surface.x = copy.x;
+            measure(&s, volume, area);
+            for (i = 0; i < 64; ++i) all += volume[i];
+            assert_near(all, kind < 2 ? 4.5 : 4.0 / 3 * TEST_PI, 0, kind < 2 ? 1e-4 : 0.25);
+            assert_near(area[0], area_of(&surface), 1e-9, 0);
+            x = (double *)malloc(3 * (size_t)s.pieces.vertices * sizeof *x);
+            sfem_embed_pieces_positions(s.embed, &s.pieces, s.body, x, NULL);
+            for (i = 0; i < s.pieces.vertices; ++i) {
+                const sfem_int point = s.pieces.point[3 * i];
+                const double *u = sfem_body_displacement(s.body) + 3 * point;
+                double at[3];
+                int c;
+                if (s.pieces.share[3 * i] < 1) continue; /* nodes are where the body's are */
+                for (c = 0; c < 3; ++c) at[c] = copy.x[3 * point + c] + u[c];
+                assert_all_near(x + 3 * i, at, 3, 1e-12, 0);
+            }
+            free(x);
+            surface.x = NULL;
+            drop_broken(&s);
+            sfem_surface_free(&surface);
+            sfem_mesh_free(&copy);
+        }
+}
+
+static void points_outside_are_cut_with_their_nearest_places(void **state)
+{
+    double radius;
+    (void)state;
+    for (radius = 1; radius < 1.5; radius += 0.2) {
+        sfem_surface surface = sphere(radius, 13);
+        sfem_embed_def d = def_of(&surface);
+        broken s = break_body(ball(1, 4), &d, 3, 1);
+        double volume[64] = {0}, area[2];
+        sfem_int open, many;
+        assert_in_range(sfem_body_fracture(s.body).pieces, 8, 64);
+        assert_true(sfem_embed_get_info(s.embed).outside > surface.nodes / 2);
+        check_pieces(&s, &d);
+        count_edges(&s.pieces, &open, &many);
+        assert_int_equal(open, 0);
+        measure(&s, volume, area);
+        assert_near(area[0], area_of(&surface), 1e-9, 0);
+        drop_broken(&s);
+        drop(&surface);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -712,6 +789,8 @@ int main(void)
         cmocka_unit_test(a_surface_much_larger_than_the_mesh_stays_finite),
         cmocka_unit_test(failing_allocations_leak_nothing),
         cmocka_unit_test(a_sphere_in_a_broken_block_is_cut_into_closed_pieces),
+        cmocka_unit_test(the_surface_of_the_mesh_itself_is_cut_and_closed),
+        cmocka_unit_test(points_outside_are_cut_with_their_nearest_places),
     };
     return run_all_tests(tests);
 }
