@@ -2225,7 +2225,8 @@ SFEM_DEF void sfem_embed_to_floats(sfem_embed *embed, const sfem_real *u, float 
  * EXACT, whatever the shapes: each triangle is of one piece, and is a part of one render triangle or of one of those
  * planes. Closed, each edge used as often in one direction as in the other: if the render surface is closed, its points in
  * the mesh or near it. open_edges counts what is not; at least the render surface's own open edges are. Points outside
- * are cut as if they were at the nearest place of the mesh, and its planes extended by a quarter of an edge.
+ * are cut as if they were at the nearest place of the mesh, and its planes extended by half an edge; where a render triangle comes from one
+ * piece to another past them, as at parts that the mesh leaves out, it is cut between, and edges stay open.
  * NOT EXACT: which side of a plane is decided as if each point were moved by some 1e-5 of a tet's edge, at random but
  * always alike; surfaces that cross themselves have inner faces that overlap. */
 typedef struct sfem_embed_pieces {
@@ -31490,7 +31491,8 @@ typedef struct sfemi_clip_face {
 typedef struct sfemi_clip_hit {
     sfem_int kind;    /* 0: an edge of S meets a T, 1: an edge of T meets an S */
     sfem_int edge[2]; /* ascending */
-    sfem_int face;    /* the triangle */
+    sfem_int face;    /* the triangle, or below 0: a gap, where the piece changes and no T is, from */
+    sfem_int gap[2];  /* this piece to that */
     int sign;         /* 1: the edge goes from behind to the front */
     sfem_real t, w[3]; /* where: along the edge; coordinates in the triangle */
 } sfemi_clip_hit;
@@ -31499,14 +31501,14 @@ typedef struct sfemi_clip_segment {
     sfem_int s, t, start, end; /* triangles, hits. The front of T and the inside of S are on the left, in S and in T */
 } sfemi_clip_segment;
 
-enum { SFEMI_CLIP_TRIES = 8 };
+enum { SFEMI_CLIP_TRIES = 8, SFEMI_CLIP_REST = -2 };
 enum { SFEMI_CLIP_POINT, SFEMI_CLIP_HIT, SFEMI_CLIP_CORNER }; /* kinds of vertices: of S, where S and T meet, of T */
 
 /* One plane of the arrangement: vertices, directed edges with pieces, triangles. */
 typedef struct sfemi_clip_plane {
     sfem_int count, room, *id; /* [count] 4 number + kind */
     sfem_real *xy;             /* [count][2] */
-    sfem_int edges, edge_room, *edge; /* [edges][3] from, to, piece (-1: used up) */
+    sfem_int edges, *edge;     /* [edges][3] from, to, piece (-1: used up) */
     sfem_int loops, *loop_end; /* [loops + 1] */
     sfem_int *loop;            /* [edges] vertices */
     sfem_int *head, *next;     /* [count] [edges] edges that start at a vertex */
@@ -31614,7 +31616,7 @@ done:
     return status;
 }
 
-/* Places beyond the surface: along its normal, by a quarter of its edges there. */
+/* Places beyond the surface: along its normal, by half of its edges there. */
 static sfem_status sfemi_clip_outer(sfemi_clip *s, const sfem_surface *surface, sfem_error *err)
 {
     const sfem_mesh *m = s->m;
@@ -31642,7 +31644,7 @@ static sfem_status sfemi_clip_outer(sfemi_clip *s, const sfem_surface *surface, 
         sfem_real *to = s->x + 3 * ((size_t)m->nodes + (size_t)i);
         const sfem_real size = sqrt(sfemi_dot3(to, to));
         for (c = 0; c < 3; ++c)
-            to[c] = m->x[3 * (size_t)i + (size_t)c] + (size > 0 ? 0.25 * sum[2 * i] / sum[2 * i + 1] * to[c] / size : 0);
+            to[c] = m->x[3 * (size_t)i + (size_t)c] + (size > 0 ? 0.5 * sum[2 * i] / sum[2 * i + 1] * to[c] / size : 0);
     }
 done:
     return status;
@@ -32053,6 +32055,48 @@ static void sfemi_clip_edge_hits(const sfemi_clip *s, sfem_int kind, const sfem_
     *end = number < 0 ? 0 : s->edge_start[number + 1];
 }
 
+/* Where points of S are far outside, or between parts of the mesh, its edges may come from one piece to another without
+ * meeting a T: half way a hit is put there, where this edge's triangles are cut all the same. */
+static sfem_status sfemi_clip_gaps(sfemi_clip *s, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    const sfem_int *order = s->order;
+    sfem_int i, j, number, begin, end, a[3];
+    int k;
+    for (i = 0; i < s->e->info.triangles; ++i) {
+        if (!sfemi_clip_corners(s, i, a)) continue;
+        for (k = 0; k < 3; ++k) {
+            const sfem_int p = a[k], q = a[(k + 1) % 3];
+            sfem_int edge[2], piece;
+            sfem_real t = 0;
+            edge[0] = p < q ? p : q;
+            edge[1] = p < q ? q : p;
+            piece = s->label[edge[0]];
+            sfemi_clip_edge_hits(s, 0, edge, &begin, &end);
+            for (j = begin; j <= end; ++j) {
+                const sfemi_clip_hit *h = j < end ? s->hit + order[j] : NULL;
+                const sfem_int next = h ? s->face[h->face].piece[h->sign < 0] : s->label[edge[1]];
+                const sfem_real until = h ? h->t : 1;
+                sfemi_clip_hit gap;
+                memset(&gap, 0, sizeof gap);
+                gap.edge[0] = edge[0];
+                gap.edge[1] = edge[1];
+                gap.face = begin - 1 - j;
+                gap.gap[0] = piece;
+                gap.gap[1] = next;
+                gap.sign = 1;
+                gap.t = (t + until) / 2;
+                if (h) piece = s->face[h->face].piece[h->sign > 0];
+                t = until;
+                if (gap.gap[0] != gap.gap[1]) SFEMI_TRY(sfemi_clip_add_hit(s, &gap, &number, err));
+            }
+        }
+    }
+    if (s->hits > s->edge_start[s->edge_of.count]) SFEMI_TRY(sfemi_clip_sort(s, err));
+done:
+    return status;
+}
+
 /* ---- 4: how often S winds round the points of T ---- */
 
 /* By solid angles [van Oosterom, Strackee 1983]. */
@@ -32154,7 +32198,7 @@ static sfem_status sfemi_plane_clear(sfemi_clip *s, size_t edges, sfem_error *er
     SFEMI_TAKE(sfem_int, p->id, &s->pool, 2 * (size_t)p->room);
     SFEMI_TAKE(sfem_real, p->xy, &s->pool, 4 * (size_t)p->room);
     SFEMI_TAKE(sfem_int, p->edge, &s->pool, 3 * (size_t)p->room);
-    SFEMI_TAKE(sfem_int, p->loop, &s->pool, p->room);
+    SFEMI_TAKE(sfem_int, p->loop, &s->pool, 2 * (size_t)p->room);
     SFEMI_TAKE(sfem_int, p->loop_end, &s->pool, (size_t)p->room + 1);
     SFEMI_TAKE(sfem_int, p->head, &s->pool, 2 * (size_t)p->room);
     SFEMI_TAKE(sfem_int, p->next, &s->pool, p->room);
@@ -32173,30 +32217,44 @@ static sfem_real sfemi_plane_area(const sfemi_clip_plane *p, sfem_int a, sfem_in
     return (y[0] - x[0]) * (z[1] - x[1]) - (y[1] - x[1]) * (z[0] - x[0]);
 }
 
-/* Loops of the edges of a piece; one that does not close is closed. */
+/* Loops of the edges of a piece. A path that does not close is closed, and what that leaves is of piece SFEMI_CLIP_REST. */
 static void sfemi_plane_loops(sfemi_clip_plane *p, sfem_int piece)
 {
-    sfem_int i, e, at, n = 0;
-    for (i = 0; i < p->count; ++i) p->head[i] = -1;
-    for (i = p->edges - 1; i >= 0; --i) {
+    const sfem_int edges = p->edges;
+    sfem_int *surplus = p->before, i, e, at, n = 0; /* edges that start at a vertex, less those that end */
+    int pass;
+    for (i = 0; i < p->count; ++i) {
+        p->head[i] = -1;
+        surplus[i] = 0;
+    }
+    for (i = edges - 1; i >= 0; --i) {
         if (p->edge[3 * i + 2] != piece) continue;
         p->next[i] = p->head[p->edge[3 * i]];
         p->head[p->edge[3 * i]] = i;
+        ++surplus[p->edge[3 * i]];
+        --surplus[p->edge[3 * i + 1]];
     }
     p->loops = 0;
     p->loop_end[0] = 0;
-    for (i = 0; i < p->edges; ++i) {
-        if (p->edge[3 * i + 2] != piece) continue;
-        at = p->edge[3 * i];
-        while ((e = p->head[at]) >= 0) {
-            p->head[at] = p->next[e];
-            p->edge[3 * e + 2] = -1;
-            p->loop[n++] = at;
-            at = p->edge[3 * e + 1];
-            if (at == p->edge[3 * i]) break;
+    for (pass = 0; pass < 2; ++pass) /* paths first */
+        for (i = 0; i < edges; ++i) {
+            const sfem_int first = p->edge[3 * i];
+            if (p->edge[3 * i + 2] != piece || (!pass && surplus[first] <= 0)) continue;
+            at = first;
+            while ((e = p->head[at]) >= 0) {
+                p->head[at] = p->next[e];
+                p->edge[3 * e + 2] = -1;
+                p->loop[n++] = at;
+                at = p->edge[3 * e + 1];
+                if (at == first) break;
+            }
+            if (at != first) {
+                p->loop[n++] = at;
+                --surplus[first];
+                if (piece != SFEMI_CLIP_REST) sfemi_plane_edge(p, first, at, SFEMI_CLIP_REST);
+            }
+            if (n > p->loop_end[p->loops]) p->loop_end[++p->loops] = n;
         }
-        if (n > p->loop_end[p->loops]) p->loop_end[++p->loops] = n;
-    }
 }
 
 static sfem_real sfemi_plane_loop_area(const sfemi_clip_plane *p, sfem_int loop)
@@ -32256,24 +32314,26 @@ static sfem_int sfemi_plane_bridge(sfemi_clip_plane *p, sfem_int n, sfem_int hol
     return n + size + 2;
 }
 
-/* Is the corner at i an ear of what is left? The shape has to be of some area, and hold no other vertex. */
-static int sfemi_plane_ear(const sfemi_clip_plane *p, sfem_int i)
+/* Is the corner at i an ear of what is left? It has to have an area, and hold no other vertex, not on its edges either:
+ * to within a margin, as parts of the squares of lengths. */
+static int sfemi_plane_ear(const sfemi_clip_plane *p, sfem_int i, sfem_real margin)
 {
     const sfem_int a = p->poly[p->before[i]], b = p->poly[i], c = p->poly[p->after[i]];
-    const sfem_real area = sfemi_plane_area(p, a, b, c);
     const sfem_real x = p->xy[2 * a] - p->xy[2 * c], y = p->xy[2 * a + 1] - p->xy[2 * c + 1];
+    const sfem_real least = margin * (x * x + y * y);
     sfem_int k;
-    if (!(area > 1e-9 * (x * x + y * y))) return 0;
+    if (!(sfemi_plane_area(p, a, b, c) > least)) return 0;
     for (k = p->after[p->after[i]]; k != p->before[i]; k = p->after[k]) {
         const sfem_int v = p->poly[k];
         if (v == a || v == b || v == c) continue;
-        if (sfemi_plane_area(p, a, b, v) >= 0 && sfemi_plane_area(p, b, c, v) >= 0 && sfemi_plane_area(p, c, a, v) >= 0)
+        if (sfemi_plane_area(p, a, b, v) >= -least && sfemi_plane_area(p, b, c, v) >= -least &&
+            sfemi_plane_area(p, c, a, v) >= -least)
             return 0;
     }
     return 1;
 }
 
-/* Cuts off ears of poly[0..n) [Meisters 1975]; where there is none, the corner of the largest area. */
+/* Cuts off ears of poly[0..n) [Meisters 1975], clear ones first; where there is none, the corner of the largest area. */
 static void sfemi_plane_ears(sfemi_clip_plane *p, sfem_int n)
 {
     sfem_int i, at = 0, tried = 0, best = 0;
@@ -32283,11 +32343,11 @@ static void sfemi_plane_ears(sfemi_clip_plane *p, sfem_int n)
     }
     while (n >= 3) {
         const sfem_int a = p->poly[p->before[at]], b = p->poly[at], c = p->poly[p->after[at]];
-        int ear = n == 3 || sfemi_plane_ear(p, at);
+        int ear = n == 3 || sfemi_plane_ear(p, at, tried < n ? 1e-9 : 0);
         if (tried == 0 || sfemi_plane_area(p, a, b, c) >
                               sfemi_plane_area(p, p->poly[p->before[best]], p->poly[best], p->poly[p->after[best]]))
             best = at;
-        if (!ear && ++tried >= n) {
+        if (!ear && ++tried >= 2 * n) {
             at = best;
             ear = 1;
         }
@@ -32401,7 +32461,13 @@ static void sfemi_clip_describe(sfemi_clip *s, sfem_int id, sfem_int triangle, s
         memcpy(w, (whole ? e->bary : s->near) + 4 * (size_t)number, sizeof w);
     } else if (id % 4 == SFEMI_CLIP_HIT) {
         const sfemi_clip_hit *h = s->hit + number;
-        for (k = 0; k < (h->kind ? 2 : 3); ++k)
+        for (k = 0; h->face < 0 && k < 2; ++k) /* the end of the edge that is in the piece */
+            if (k || s->label[h->edge[0]] == piece) {
+                memcpy(node, e->node + 4 * (size_t)h->edge[k], sizeof node);
+                memcpy(w, s->near + 4 * (size_t)h->edge[k], sizeof w);
+                break;
+            }
+        for (k = 0; h->face >= 0 && k < (h->kind ? 2 : 3); ++k)
             if (h->kind) sfemi_clip_spread(s, h->edge[k] - s->points, k ? h->t : 1 - h->t, node, w);
             else sfemi_clip_spread(s, s->face[h->face].corner[k], h->w[k], node, w);
         for (k = 0; k < (h->kind ? 3 : 2); ++k) {
@@ -32525,7 +32591,7 @@ static sfem_status sfemi_clip_emit(sfemi_clip *s, sfem_int bounds, sfem_int tria
     sfem_status status = SFEM_OK;
     sfem_int i, id[3];
     int k;
-    if (bounds >= 0) sfemi_plane_fill(p, bounds);
+    if (bounds != -1) sfemi_plane_fill(p, bounds);
     for (i = 0; i < p->triangles; ++i) {
         for (k = 0; k < 3; ++k) id[k] = p->id[p->tri[3 * i + k]];
         SFEMI_TRY(sfemi_clip_triangle(s, id, triangle, piece, reversed, err));
@@ -32550,7 +32616,7 @@ static sfem_status sfemi_clip_render(sfemi_clip *s, sfem_int triangle, sfem_int 
         sfemi_clip_edge_hits(s, 0, edge, first + k, last + k);
         edges += (size_t)(last[k] - first[k]);
     }
-    SFEMI_TRY(sfemi_plane_clear(s, edges, err));
+    SFEMI_TRY(sfemi_plane_clear(s, 2 * edges, err)); /* with those that close paths */
     for (k = 0; k < 3; ++k)
         corner[k] = sfemi_plane_vertex(s, 4 * s->e->tri[3 * (size_t)triangle + (size_t)k] + SFEMI_CLIP_POINT, k == 1, k == 2);
     for (k = 0; k < 3; ++k) {
@@ -32564,7 +32630,7 @@ static sfem_status sfemi_clip_render(sfemi_clip *s, sfem_int triangle, sfem_int 
             const sfem_int to = sfemi_plane_vertex(s, 4 * number + SFEMI_CLIP_HIT, k == 0 ? t : k == 1 ? 1 - t : 0,
                                                    k == 0 ? 0 : k == 1 ? t : 1 - t);
             sfemi_plane_edge(p, from, to, piece);
-            piece = s->face[h->face].piece[(h->sign > 0) == along];
+            piece = h->face < 0 ? h->gap[along] : s->face[h->face].piece[(h->sign > 0) == along];
             from = to;
         }
         sfemi_plane_edge(p, from, corner[next], piece);
@@ -32584,6 +32650,7 @@ static sfem_status sfemi_clip_render(sfemi_clip *s, sfem_int triangle, sfem_int 
         j = p->edge[3 * i + 2];
         if (j >= 0) SFEMI_TRY(sfemi_clip_emit(s, j, triangle, j, 0, err));
     }
+    SFEMI_TRY(sfemi_clip_emit(s, SFEMI_CLIP_REST, triangle, s->label[a[0]], 0, err));
 done:
     return status;
 }
@@ -32795,6 +32862,7 @@ SFEM_DEF sfem_status sfem_embed_break(const sfem_embed *e, const sfem_body *b, c
         SFEMI_TRY(sfemi_clip_sort(&s, err));
         if (!s.uncertain) break;
     }
+    if (s.faces) SFEMI_TRY(sfemi_clip_gaps(&s, err));
     for (i = 0; !s.faces && i < s.points; ++i) s.label[i] = s.piece[e->node[4 * (size_t)i]];
     if (s.faces) SFEMI_TRY(sfemi_clip_windings(&s, err));
     SFEMI_TRY(sfemi_clip_all(&s, err));

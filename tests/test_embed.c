@@ -776,6 +776,396 @@ static void points_outside_are_cut_with_their_nearest_places(void **state)
     }
 }
 
+/* Breaks each edge of a ball with a probability, so that there are pieces of single nodes and cracks that end. */
+static void random_breaks_make_closed_pieces(void **state)
+{
+    int run;
+    (void)state;
+    for (run = 0; run < 3; ++run) {
+        sfem_surface surface = sphere(0.9, 7);
+        sfem_embed_def d = def_of(&surface);
+        sfem_embed_pieces again;
+        broken s = break_body(ball(1, 3), &d, 0, 0);
+        test_random r = {20 + (uint64_t)run};
+        double *volume, area[2], *x, sum = 0, whole = 0, none = 0;
+        sfem_int i, open, many;
+        sfem_error err;
+        int j, k;
+        assert_int_equal(s.pieces.triangles, surface.triangles); /* not broken yet */
+        assert_int_equal(s.pieces.inner, 0);
+        measure(&s, &whole, area);
+        assert_int_equal(s.pieces.open_edges, 0);
+        for (i = 0; i < s.mesh.tets; ++i)
+            for (j = 0; j < 4; ++j)
+                for (k = 0; k < j; ++k)
+                    if (random_uniform(&r, 0, 1) < 0.4 + 0.1 * run)
+                        assert_ok(sfem_body_break_edge(s.body, s.mesh.tet[4 * i + j], s.mesh.tet[4 * i + k], &err), err);
+        for (i = 0; i < 17; ++i) assert_ok(sfem_body_step(s.body, 1e-3, &err), err);
+        assert_true(sfem_body_fracture(s.body).pieces > 5);
+        sfem_embed_pieces_free(&s.pieces);
+        assert_ok(sfem_embed_break(s.embed, s.body, NULL, &s.pieces, &err), err);
+        check_pieces(&s, &d);
+        count_edges(&s.pieces, &open, &many);
+        assert_int_equal(open, 0);
+        volume = (double *)calloc((size_t)sfem_body_fracture(s.body).pieces, sizeof *volume);
+        measure(&s, volume, area);
+        assert_near(area[0], area_of(&surface), 1e-9, 0);
+        for (i = 0; i < sfem_body_fracture(s.body).pieces; ++i) {
+            sum += volume[i];
+            none = fmin(none, volume[i]);
+        }
+        assert_near(sum, whole, 1e-9, 0);
+        assert_true(none > -1e-6); /* no piece is inside out */
+        x = (double *)malloc(3 * (size_t)s.pieces.vertices * sizeof *x);
+        sfem_embed_pieces_positions(s.embed, &s.pieces, s.body, x, NULL);
+        for (i = 0; i < 3 * s.pieces.vertices; ++i) assert_true(fabs(x[i]) < 2);
+        assert_ok(sfem_embed_break(s.embed, s.body, NULL, &again, &err), err); /* the same again */
+        assert_int_equal(again.vertices, s.pieces.vertices);
+        assert_int_equal(again.triangles, s.pieces.triangles);
+        assert_memory_equal(again.tri, s.pieces.tri, 3 * (size_t)again.triangles * sizeof *again.tri);
+        assert_memory_equal(again.arm, s.pieces.arm, 3 * (size_t)again.vertices * sizeof *again.arm);
+        sfem_embed_pieces_free(&again);
+        free(x);
+        free(volume);
+        drop_broken(&s);
+        drop(&surface);
+    }
+}
+
+/* Each piece turned and moved as a whole: vertices and normals follow, over the borders of tets of one piece, too. */
+static void pieces_that_move_as_wholes_stay_as_they_are(void **state)
+{
+    static const double turn[2][9] = {{0, -1, 0, 1, 0, 0, 0, 0, 1}, {0.8, 0, 0.6, 0, 1, 0, -0.6, 0, 0.8}};
+    sfem_surface surface = sphere(0.9, 9);
+    sfem_embed_def d = def_of(&surface);
+    broken s = break_body(ball(1, 4), &d, 1, 0);
+    const sfem_int *piece_of = sfem_body_piece_of(s.body);
+    const sfem_embed_pieces *p = &s.pieces;
+    double *u = (double *)malloc(3 * (size_t)s.mesh.nodes * sizeof *u), worst = 0, turned = 0, flat = 0;
+    double *x = (double *)malloc(6 * (size_t)p->vertices * sizeof *x), *n = x + 3 * p->vertices;
+    float *f = (float *)malloc(8 * (size_t)p->vertices * sizeof *f);
+    sfem_error err;
+    sfem_int i, k;
+    int c, r;
+    (void)state;
+    for (i = 0; i < s.mesh.nodes; ++i)
+        for (c = 0; c < 3; ++c) {
+            const double *by = turn[piece_of[i] % 2];
+            u[3 * i + c] = 5 * (piece_of[i] % 2) - s.mesh.x[3 * i + c];
+            for (r = 0; r < 3; ++r) u[3 * i + c] += by[3 * c + r] * s.mesh.x[3 * i + r];
+        }
+    assert_ok(sfem_body_set_state(s.body, u, NULL, &err), err);
+    sfem_embed_pieces_positions(s.embed, p, s.body, x, n);
+    sfem_embed_pieces_to_floats(s.embed, p, s.body, f, f + 4, 8 * sizeof *f);
+    for (i = 0; i < p->vertices; ++i) {
+        const int piece = piece_of[p->support[4 * i]] % 2, outer = p->normal[3 * i] != 0 || p->normal[3 * i + 1] != 0;
+        double rest[3], size = 0;
+        for (c = 0; c < 3; ++c) {
+            rest[c] = p->arm[3 * i + c];
+            for (k = 0; k < 4 && p->support[4 * i + k] >= 0; ++k)
+                rest[c] += p->weight[4 * i + k] * s.mesh.x[3 * p->support[4 * i + k] + c];
+            size += n[3 * i + c] * n[3 * i + c];
+        }
+        assert_near(size, 1, 0, 1e-6);
+        for (c = 0; c < 3; ++c) {
+            double at = 5 * piece, normal = 0, length = 0;
+            for (r = 0; r < 3; ++r) {
+                at += turn[piece][3 * c + r] * rest[r];
+                normal += turn[piece][3 * c + r] * (double)p->normal[3 * i + r];
+                length += (double)p->normal[3 * i + r] * (double)p->normal[3 * i + r];
+            }
+            worst = fmax(worst, fabs(at - x[3 * i + c]));
+            if (outer) turned = fmax(turned, fabs(normal / sqrt(length) - n[3 * i + c]));
+            assert_near(f[8 * i + c], x[3 * i + c], 0, 1e-6);
+            if (outer) flat = fmax(flat, fabs(f[8 * i + 4 + c] - n[3 * i + c])); /* inner ones: of places in floats */
+        }
+    }
+    assert_true(worst < 2e-5);  /* the rotations of >>fragments, whose unit part is some 1e-5 */
+    assert_true(turned < 1e-4);
+    assert_true(flat < 1e-6);
+    free(f);
+    free(x);
+    free(u);
+    drop_broken(&s);
+    drop(&surface);
+}
+
+static void one_broken_tet_cuts_a_sphere_in_four(void **state)
+{
+    sfem_real x[12] = {1, 1, 1, 1, -1, -1, -1, 1, -1, -1, -1, 1};
+    sfem_int tet[4] = {0, 1, 2, 3}, open, many, i;
+    sfem_surface surface = sphere(0.4, 6);
+    sfem_embed_def d = def_of(&surface);
+    sfem_mesh m;
+    sfem_error err;
+    double volume[4] = {0}, area[2];
+    broken s;
+    int j, k;
+    (void)state;
+    assert_ok(sfem_mesh_copy(4, x, 1, tet, NULL, &m, &err), err);
+    s = break_body(m, &d, 0, 0);
+    for (j = 0; j < 4; ++j)
+        for (k = 0; k < j; ++k) assert_ok(sfem_body_break_edge(s.body, j, k, &err), err);
+    for (i = 0; i < 17; ++i) assert_ok(sfem_body_step(s.body, 1e-3, &err), err);
+    assert_int_equal(sfem_body_fracture(s.body).pieces, 4);
+    sfem_embed_pieces_free(&s.pieces);
+    assert_ok(sfem_embed_break(s.embed, s.body, NULL, &s.pieces, &err), err);
+    check_pieces(&s, &d);
+    count_edges(&s.pieces, &open, &many);
+    assert_int_equal(open, 0);
+    measure(&s, volume, area);
+    for (i = 1; i < 4; ++i) assert_near(volume[i], volume[0], 0.02, 0); /* the geodesic sphere is not the tet's */
+    assert_true(volume[0] > 0.06 && volume[0] < 4.0 / 3 * TEST_PI * 0.064 / 4);
+    drop_broken(&s);
+    drop(&surface);
+}
+
+/* Triangles that share no points, as .stl has them: they are one surface where their corners are at one place. */
+static void soups_are_cut_as_the_surface_that_they_are(void **state)
+{
+    sfem_surface surface = sphere(0.9, 5), soup;
+    sfem_embed_def d;
+    broken s;
+    double volume[64] = {0}, area[2];
+    sfem_int i, open, many;
+    int c;
+    (void)state;
+    memset(&soup, 0, sizeof soup);
+    soup.nodes = 3 * surface.triangles;
+    soup.triangles = surface.triangles;
+    soup.x = (sfem_real *)malloc(9 * (size_t)soup.triangles * sizeof *soup.x);
+    soup.tri = (sfem_int *)malloc(3 * (size_t)soup.triangles * sizeof *soup.tri);
+    for (i = 0; i < soup.nodes; ++i) {
+        soup.tri[i] = i;
+        for (c = 0; c < 3; ++c) soup.x[3 * i + c] = surface.x[3 * surface.tri[i] + c];
+    }
+    d = def_of(&soup);
+    s = break_body(ball(1, 3), &d, 2, 1);
+    check_pieces(&s, &d);
+    count_edges(&s.pieces, &open, &many);
+    assert_int_equal(open, 0);
+    measure(&s, volume, area);
+    assert_near(area[0], area_of(&surface), 1e-9, 0);
+    drop_broken(&s);
+    free(soup.tri);
+    free(soup.x);
+    drop(&surface);
+}
+
+/* Half a sphere, and two spheres through each other: nothing is closed for sure, but all else holds. */
+static void open_and_crossing_surfaces_are_cut_too(void **state)
+{
+    int kind;
+    (void)state;
+    for (kind = 0; kind < 2; ++kind) {
+        sfem_surface surface = sphere(0.7, 8), other = sphere(0.7, 8);
+        sfem_embed_def d;
+        broken s;
+        double volume[64] = {0}, area[2];
+        sfem_int i, open, many;
+        if (kind == 0) surface.triangles /= 2;
+        else {
+            surface.x = (sfem_real *)realloc(surface.x, 6 * (size_t)surface.nodes * sizeof *surface.x);
+            surface.tri = (sfem_int *)malloc(6 * (size_t)other.triangles * sizeof *surface.tri);
+            for (i = 0; i < 3 * surface.nodes; ++i) surface.x[3 * surface.nodes + i] = other.x[i] + (i % 3 ? 0 : 0.25);
+            for (i = 0; i < 6 * other.triangles; ++i)
+                surface.tri[i] = other.tri[i % (3 * other.triangles)] + (i < 3 * other.triangles ? 0 : other.nodes);
+            surface.nodes *= 2;
+            surface.triangles *= 2;
+        }
+        d = def_of(&surface);
+        s = break_body(ball(1, 4), &d, 3, 1);
+        check_pieces(&s, &d);
+        count_edges(&s.pieces, &open, &many);
+        if (kind) assert_int_equal(open, 0);
+        else assert_true(open > 0);
+        measure(&s, volume, area);
+        assert_near(area[0], area_of(&surface), 1e-9, 0);
+        drop_broken(&s);
+        if (kind) free(surface.tri), surface.tri = NULL;
+        drop(&surface);
+        drop(&other);
+    }
+}
+
+static broken *shared; /* for attempt_break */
+
+static sfem_status attempt_break(sfem_allocator allocator, void *user, sfem_error *err)
+{
+    sfem_embed_pieces p;
+    sfem_status status;
+    (void)user;
+    memset(&p, 0, sizeof p);
+    status = sfem_embed_break(shared->embed, shared->body, &allocator, &p, err);
+    if (status != SFEM_OK) assert_int_equal(p.vertices, 0);
+    sfem_embed_pieces_free(&p);
+    return status;
+}
+
+static void failing_allocations_of_a_cut_leak_nothing_and_places_take_none(void **state)
+{
+    sfem_surface surface = sphere(0.8, 2);
+    sfem_embed_def d = def_of(&surface);
+    test_memory memory = {0};
+    sfem_mesh m = ball(1, 1);
+    broken s;
+    sfem_embed_pieces p;
+    sfem_embed *e;
+    sfem_error err;
+    size_t calls;
+    double *x;
+    (void)state;
+    d.allocator = test_allocator(&memory);
+    s = break_body(ball(1, 2), &d, 2, 1);
+    calls = memory.calls;
+    x = (double *)malloc(6 * (size_t)s.pieces.vertices * sizeof *x);
+    sfem_embed_pieces_positions(s.embed, &s.pieces, s.body, x, x + 3 * s.pieces.vertices);
+    assert_int_equal(memory.calls, calls);
+    free(x);
+    shared = &s;
+    assert_true(fail_every_allocation(attempt_break, NULL) > 40);
+    assert_ok(sfem_embed_create(&m, &d, &e, &err), err);
+    assert_status(sfem_embed_break(e, s.body, NULL, &p, &err), SFEM_MISMATCH);
+    assert_names(err, "not the one that the points are embedded in");
+    sfem_embed_destroy(e);
+    sfem_mesh_free(&m);
+    drop_broken(&s);
+    assert_no_leak(memory);
+    drop(&surface);
+}
+
+/* Surfaces of the real world in cages of tets, which hold them, and in fitted meshes, which leave thin parts out. */
+static void real_surfaces_are_taken_and_cut(void **state)
+{
+    static const char *const name[] = {"igl_cow.off", "igl_decimated-knight.off", "igl_fertility.off", "igl_screwdriver.off"};
+    sfem_int f, mode, i;
+    int c;
+    (void)state;
+    if (!getenv("SFEM_MESHES")) skip();
+    for (f = 0; f < (TEST_SANITIZED ? 2 : 4); ++f)
+        for (mode = 0; mode < 2; ++mode) {
+            sfem_mesher_def mesher = sfem_default_mesher_def();
+            char path[1100];
+            double low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300}, size = 0, area[2];
+            static double volume[1000];
+            sfem_surface surface;
+            sfem_embed_def d;
+            sfem_embed_info info;
+            sfem_mesh m;
+            sfem_error err;
+            broken s;
+            snprintf(path, sizeof path, "%s/../surfaces/%s", getenv("SFEM_MESHES"), name[f]);
+            if (access(path, R_OK) != 0) skip();
+            assert_ok(sfem_surface_read(path, NULL, &surface, &err), err);
+            for (i = 0; i < 3 * surface.nodes; ++i) {
+                low[i % 3] = fmin(low[i % 3], surface.x[i]);
+                high[i % 3] = fmax(high[i % 3], surface.x[i]);
+            }
+            for (c = 0; c < 3; ++c) size = fmax(size, high[c] - low[c]);
+            for (i = 0; i < 3 * surface.nodes; ++i)
+                surface.x[i] = (surface.x[i] - (low[i % 3] + high[i % 3]) / 2) / size * 2;
+            mesher.tets = 1500;
+            mesher.mode = mode ? SFEM_CAGE : SFEM_FITTED;
+            assert_ok(sfem_mesh_from_surface(&mesher, &surface, &m, NULL, &err), err);
+            d = def_of(&surface);
+            s = break_body(m, &d, 3, 1);
+            info = sfem_embed_get_info(s.embed);
+            if (mode) assert_int_equal(info.outside, 0);
+            check_pieces(&s, &d);
+            assert_in_range(sfem_body_fracture(s.body).pieces, 7, 1000);
+            measure(&s, volume, area);
+            /* lost or doubled at most where a triangle comes from piece to piece past the mesh */
+            assert_near(area[0], area_of(&surface), mode ? 1e-9 : 1e-3, 0);
+            if (mode) assert_int_equal(s.pieces.open_edges, 0);
+            else assert_true(s.pieces.open_edges < s.pieces.triangles / 50);
+            drop_broken(&s);
+            sfem_surface_free(&surface);
+        }
+}
+
+/* ---- bodies ---- */
+
+static void full_and_modal_bodies_take_points_along(void **state)
+{
+    const sfem_int cells[3] = {6, 2, 2};
+    const sfem_real size[3] = {3, 1, 1}, spin[3] = {0.3, 1, 0.2};
+    sfem_model_def model_def = sfem_default_model_def();
+    sfem_body_def body_def = sfem_default_body_def();
+    sfem_modes_def modes_def = sfem_default_modes_def();
+    sfem_reduced_def reduced_def = sfem_default_reduced_def();
+    sfem_modal_def modal_def = sfem_default_modal_def();
+    sfem_surface surface = sphere(0.6, 4);
+    sfem_embed_def d = def_of(&surface);
+    sfem_mesh mesh;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_modes modes;
+    sfem_reduced *reduced;
+    sfem_reduced_view *view;
+    sfem_modal *modal;
+    sfem_rigid rigid;
+    sfem_embed *e;
+    sfem_error err;
+    double *x, *u, *out;
+    sfem_int i, step, tet;
+    int c, k, kind;
+    (void)state;
+    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
+    for (i = 0; i < 3 * mesh.nodes; ++i) mesh.x[i] -= size[i % 3] / 2; /* the sphere sticks out */
+    model_def.mesh = &mesh;
+    model_def.material.young = 1e4;
+    assert_ok(sfem_model_create(&model_def, &model, &err), err);
+    assert_ok(sfem_body_create(model, &body_def, &body, &err), err);
+    modes_def.modes = 8;
+    modes_def.rigid = 1;
+    assert_ok(sfem_modes_create(model, &modes_def, &modes, &err), err);
+    assert_ok(sfem_reduced_create(model, &modes, &reduced_def, &reduced, &err), err);
+    assert_ok(sfem_reduced_view_create(reduced, 0, NULL, SFEM_DOUBLE, &view, &err), err);
+    assert_ok(sfem_modal_create(reduced, &modal_def, &modal, &err), err);
+    rigid = sfem_modal_rigid(modal); /* free: its frame spins */
+    memcpy(rigid.w, spin, sizeof rigid.w);
+    assert_ok(sfem_modal_set_rigid(modal, &rigid, &err), err);
+    assert_ok(sfem_modal_add_node_force(modal, 0, size, &err), err);
+    assert_ok(sfem_body_add_node_force(body, 0, size, &err), err);
+    assert_ok(sfem_embed_create(&mesh, &d, &e, &err), err);
+    x = (double *)malloc(6 * (size_t)mesh.nodes * sizeof *x);
+    u = x + 3 * mesh.nodes;
+    out = (double *)malloc(6 * (size_t)surface.nodes * sizeof *out);
+    for (step = 0; step < 20; ++step) {
+        assert_ok(sfem_body_step(body, 0.02, &err), err);
+        assert_ok(sfem_modal_step(modal, 0.02, &err), err);
+    }
+    for (kind = 0; kind < 2; ++kind) {
+        if (kind) {
+            sfem_modal_positions(modal, view, x);
+            sfem_modal_displacements(modal, view, u);
+        } else {
+            sfem_body_positions(body, x);
+            memcpy(u, sfem_body_displacement(body), 3 * (size_t)mesh.nodes * sizeof *u);
+        }
+        assert_true(fabs(u[0]) > 1e-3);
+        sfem_embed_positions(e, u, out, out + 3 * surface.nodes);
+        for (i = 0; i < surface.nodes; ++i) {
+            double b[4], at[3] = {0, 0, 0};
+            sfem_embed_point(e, i, &tet, b, NULL);
+            for (k = 0; k < 4; ++k)
+                for (c = 0; c < 3; ++c) at[c] += b[k] * x[3 * mesh.tet[4 * tet + k] + c];
+            assert_all_near(at, out + 3 * i, 3, 1e-13, 1e-13);
+        }
+    }
+    free(out);
+    free(x);
+    sfem_embed_destroy(e);
+    sfem_modal_free(modal);
+    sfem_reduced_view_free(view);
+    sfem_reduced_free(reduced);
+    sfem_modes_free(&modes);
+    sfem_body_free(body);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+    drop(&surface);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -791,6 +1181,14 @@ int main(void)
         cmocka_unit_test(a_sphere_in_a_broken_block_is_cut_into_closed_pieces),
         cmocka_unit_test(the_surface_of_the_mesh_itself_is_cut_and_closed),
         cmocka_unit_test(points_outside_are_cut_with_their_nearest_places),
+        cmocka_unit_test(random_breaks_make_closed_pieces),
+        cmocka_unit_test(pieces_that_move_as_wholes_stay_as_they_are),
+        cmocka_unit_test(one_broken_tet_cuts_a_sphere_in_four),
+        cmocka_unit_test(soups_are_cut_as_the_surface_that_they_are),
+        cmocka_unit_test(open_and_crossing_surfaces_are_cut_too),
+        cmocka_unit_test(failing_allocations_of_a_cut_leak_nothing_and_places_take_none),
+        cmocka_unit_test(real_surfaces_are_taken_and_cut),
+        cmocka_unit_test(full_and_modal_bodies_take_points_along),
     };
     return run_all_tests(tests);
 }
