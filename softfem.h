@@ -2187,8 +2187,8 @@ SFEM_DEF sfem_embed_def sfem_default_embed_def(void);
  *           SFEM_BAD_MESH      a triangle that names a point that is not there; what sfem_mesh_check objects to
  *           SFEM_NOT_FINITE    a coordinate or a normal, err->node
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
- *   cost    O(tets log tets), 1 us a point inside, 4 us outside: by trees of boxes, which graded meshes do not slow
- *   memory  84 bytes a point, 96 with normals, and for these 60 a node and 164 a tet near the points; 16 a tet */
+ *   cost    O(tets log tets), 1.3 us a point inside, 2 us outside: by trees of boxes, which graded meshes do not slow
+ *   memory  84 bytes a point, 112 with normals, and for these 56 a node and 104 a tet near the points; 16 a tet */
 SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_def *def, sfem_embed **out,
                                        sfem_error *err);
 SFEM_DEF void sfem_embed_destroy(sfem_embed *embed); /* NULL allowed */
@@ -2210,7 +2210,7 @@ SFEM_DEF void sfem_embed_point(const sfem_embed *embed, sfem_int point, sfem_int
  * sfem_body_displacement, what sfem_modal_displacements writes through a view of all nodes, or any other field. x or n
  * may be NULL. to_floats writes three floats for point i at i stride bytes from the first of each.
  * Allocates nothing. With normals it uses the embedding's own memory: one call at a time.
- *   cost    5 ns a point without normals, 15 with them and 20 a tet (`make bench-embed`) */
+ *   cost    4 ns a point, 18 with normals and 35 a tet near the points (`make bench-embed`; memory alone 2) */
 SFEM_DEF void sfem_embed_positions(sfem_embed *embed, const sfem_real *u, sfem_real *x, sfem_real *n);
 SFEM_DEF void sfem_embed_to_floats(sfem_embed *embed, const sfem_real *u, float *x, float *n, size_t stride);
 
@@ -31029,11 +31029,12 @@ struct sfem_embed {
     sfem_int tets, *corner; /* the mesh's [tets][4] */
     /* normals; NULL where there are none */
     float *normal;       /* [points][3] at rest, unit length or zero */
+    float *share;        /* [points][4] bary, or 0 where that is negative */
     sfem_int live, *of_live; /* [live] the tets of nodes that have points */
-    sfem_real *edge;     /* [live][9] E^T/6, the columns of E the edges from node 0 at rest: V cof F = cof(D) E^T/6 */
+    float *edge;         /* [live][9] E^T/6, the columns of E the edges from node 0 at rest: V cof F = cof(D) E^T/6 */
     sfem_int *start, *of; /* [nodes+1], [4 live] the live tets of each node that has points */
-    sfem_real *volume;   /* [nodes] 1/(that of its tets), or 0 */
-    sfem_real *tets_cof; /* [live][9] V cof F */
+    float *volume;       /* [nodes] 1/(that of its tets), or 0 */
+    float *tets_cof;     /* [live][3][4] V cof F, as N_k */
     float *cof;          /* [nodes][3][4] N_k by columns; the last row is 0 */
 };
 
@@ -31156,6 +31157,7 @@ static sfem_status sfemi_embed_tets(sfem_embed *e, const sfem_mesh *m, sfem_erro
 {
     sfem_status status = SFEM_OK;
     unsigned char *used = NULL;
+    sfem_real *volume = NULL;
     sfem_int t, i;
     int k, c;
     SFEMI_NEW(unsigned char, used, &e->pool.allocator, m->nodes);
@@ -31163,29 +31165,31 @@ static sfem_status sfemi_embed_tets(sfem_embed *e, const sfem_mesh *m, sfem_erro
         for (k = 0; k < 4; ++k) used[e->node[4 * (size_t)i + (size_t)k]] = 1;
     e->live = sfemi_embed_live(m, used, NULL);
     SFEMI_TAKE(sfem_int, e->of_live, &e->pool, e->live);
-    SFEMI_TAKE(sfem_real, e->edge, &e->pool, 9 * (size_t)e->live);
-    SFEMI_TAKE(sfem_real, e->tets_cof, &e->pool, 9 * (size_t)e->live);
+    SFEMI_TAKE(float, e->edge, &e->pool, 9 * (size_t)e->live);
+    SFEMI_TAKE(float, e->tets_cof, &e->pool, 12 * (size_t)e->live);
     SFEMI_TAKE(float, e->cof, &e->pool, 12 * (size_t)m->nodes);
-    SFEMI_TAKE(sfem_real, e->volume, &e->pool, m->nodes);
+    SFEMI_TAKE(float, e->volume, &e->pool, m->nodes);
+    SFEMI_NEW(sfem_real, volume, &e->pool.allocator, m->nodes);
     SFEMI_TAKE(sfem_int, e->start, &e->pool, (size_t)m->nodes + 2);
     SFEMI_TAKE(sfem_int, e->of, &e->pool, 4 * (size_t)e->live);
     sfemi_embed_live(m, used, e->of_live);
     for (t = 0; t < e->live; ++t) {
         const sfem_int *v = m->tet + 4 * (size_t)e->of_live[t];
-        sfem_real *edge = e->edge + 9 * (size_t)t;
-        const sfem_real volume =
+        float *edge = e->edge + 9 * (size_t)t;
+        const sfem_real own =
             sfemi_volume6(m->x + 3 * (size_t)v[0], m->x + 3 * (size_t)v[1], m->x + 3 * (size_t)v[2],
                           m->x + 3 * (size_t)v[3]) / 6;
         for (k = 0; k < 4; ++k) {
-            e->volume[v[k]] += volume;
+            volume[v[k]] += own;
             e->start[v[k] + 2] += used[v[k]];
             for (c = 0; k < 3 && c < 3; ++c)
-                edge[3 * k + c] = (m->x[3 * (size_t)v[k + 1] + (size_t)c] - m->x[3 * (size_t)v[0] + (size_t)c]) / 6;
+                edge[3 * k + c] =
+                    (float)((m->x[3 * (size_t)v[k + 1] + (size_t)c] - m->x[3 * (size_t)v[0] + (size_t)c]) / 6);
         }
     }
     for (i = 0; i < m->nodes; ++i) {
         e->start[i + 2] += e->start[i + 1];
-        e->volume[i] = e->volume[i] > 0 ? 1 / e->volume[i] : 0;
+        e->volume[i] = (float)(volume[i] > 0 ? 1 / volume[i] : 0);
     }
     for (t = 0; t < e->live; ++t)
         for (k = 0; k < 4; ++k) {
@@ -31193,6 +31197,7 @@ static sfem_status sfemi_embed_tets(sfem_embed *e, const sfem_mesh *m, sfem_erro
             if (used[v]) e->of[e->start[v + 1]++] = t;
         }
 done:
+    sfemi_delete(&e->pool.allocator, volume);
     sfemi_delete(&e->pool.allocator, used);
     return status;
 }
@@ -31242,6 +31247,8 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     sfemi_run(&def->exec, sfemi_embed_blocks(def->points), sfemi_embed_locate_task, &job);
     if (def->triangles || def->normal) {
         SFEMI_TAKE(float, e->normal, &e->pool, 3 * (size_t)def->points);
+        SFEMI_TAKE(float, e->share, &e->pool, 4 * (size_t)def->points);
+        for (i = 0; i < 4 * def->points; ++i) e->share[i] = e->bary[i] > 0 ? (float)e->bary[i] : 0;
         SFEMI_TRY(sfemi_embed_tets(e, mesh, err));
         SFEMI_TRY(sfemi_embed_normals(e, def, err));
     }
@@ -31255,8 +31262,8 @@ SFEM_DEF sfem_status sfem_embed_create(const sfem_mesh *mesh, const sfem_embed_d
     e->info.bytes = sizeof *e + (size_t)def->points * (8 * sizeof(sfem_real) + 5 * sizeof(sfem_int)) +
                     3 * (size_t)def->triangles * sizeof(sfem_int) + 4 * (size_t)mesh->tets * sizeof(sfem_int);
     if (e->normal)
-        e->info.bytes += 3 * (size_t)def->points * sizeof(float) + (size_t)mesh->nodes * (12 * sizeof(float) + 12) +
-                         (size_t)e->live * (18 * sizeof(sfem_real) + 5 * sizeof(sfem_int));
+        e->info.bytes += 7 * (size_t)def->points * sizeof(float) + (size_t)mesh->nodes * (13 * sizeof(float) + 4) +
+                         (size_t)e->live * (21 * sizeof(float) + 5 * sizeof(sfem_int));
     *out = e;
     e = NULL;
 done:
@@ -31282,41 +31289,53 @@ SFEM_DEF void sfem_embed_point(const sfem_embed *e, sfem_int point, sfem_int *te
 
 /* ---- applying it ---- */
 
-/* V cof F = cof(D) E^T/6 of each tet, D the deformed edges. */
+/* V cof F = cof(D) E^T/6 of each tet, D the deformed edges; in floats but for the displacements' differences. */
 static void sfemi_embed_tets_task(void *data, sfem_int index)
 {
     const sfemi_embed_job *j = (const sfemi_embed_job *)data;
-    sfem_embed *e = j->embed;
+    const sfem_embed *e = j->embed;
+    const sfem_real *u = j->u;
     sfem_int t = index * SFEMI_EMBED_BLOCK, end = t + SFEMI_EMBED_BLOCK;
     int k, c, r;
     if (end > e->live) end = e->live;
     for (; t < end; ++t) {
         const sfem_int *v = e->corner + 4 * (size_t)e->of_live[t];
-        const sfem_real *edge = e->edge + 9 * (size_t)t, *u0 = j->u + 3 * (size_t)v[0];
-        sfem_real d[3][3], cof[3][3], *out = e->tets_cof + 9 * (size_t)t;
-        for (k = 0; k < 3; ++k)
-            for (c = 0; c < 3; ++c) d[k][c] = 6 * edge[3 * k + c] + (j->u[3 * (size_t)v[k + 1] + (size_t)c] - u0[c]);
-        for (k = 0; k < 3; ++k) sfemi_cross(d[(k + 1) % 3], d[(k + 2) % 3], cof[k]);
-        for (r = 0; r < 3; ++r)
-            for (c = 0; c < 3; ++c)
-                out[3 * r + c] = cof[0][r] * edge[c] + cof[1][r] * edge[3 + c] + cof[2][r] * edge[6 + c];
+        const sfem_real *u0 = u + 3 * (size_t)v[0];
+        const float *edge = e->edge + 9 * (size_t)t;
+        float d[3][3], cof[3][4], *out = e->tets_cof + 12 * (size_t)t;
+        for (k = 0; k < 3; ++k) {
+            const sfem_real *own = u + 3 * (size_t)v[k + 1];
+            d[k][0] = 6 * edge[3 * k] + (float)(own[0] - u0[0]);
+            d[k][1] = 6 * edge[3 * k + 1] + (float)(own[1] - u0[1]);
+            d[k][2] = 6 * edge[3 * k + 2] + (float)(own[2] - u0[2]);
+        }
+        for (k = 0; k < 3; ++k) {
+            const float *a = d[(k + 1) % 3], *b = d[(k + 2) % 3];
+            cof[k][0] = a[1] * b[2] - a[2] * b[1];
+            cof[k][1] = a[2] * b[0] - a[0] * b[2];
+            cof[k][2] = a[0] * b[1] - a[1] * b[0];
+            cof[k][3] = 0;
+        }
+        for (c = 0; c < 3; ++c)
+            for (r = 0; r < 4; ++r)
+                out[4 * c + r] = (cof[0][r] * edge[c] + cof[1][r] * edge[3 + c]) + cof[2][r] * edge[6 + c];
     }
 }
 
 static void sfemi_embed_nodes_task(void *data, sfem_int index)
 {
     const sfemi_embed_job *j = (const sfemi_embed_job *)data;
-    sfem_embed *e = j->embed;
+    const sfem_embed *e = j->embed;
     sfem_int i = index * SFEMI_EMBED_BLOCK, end = i + SFEMI_EMBED_BLOCK, k;
     int c;
     if (end > e->info.nodes) end = e->info.nodes;
     for (; i < end; ++i) {
-        sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+        float sum[12] = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
         for (k = e->start[i]; k < e->start[i + 1]; ++k) {
-            const sfem_real *from = e->tets_cof + 9 * (size_t)e->of[k];
-            for (c = 0; c < 9; ++c) sum[c] += from[c];
+            const float *from = e->tets_cof + 12 * (size_t)e->of[k];
+            for (c = 0; c < 12; ++c) sum[c] += from[c];
         }
-        for (c = 0; c < 9; ++c) e->cof[12 * (size_t)i + (size_t)(4 * (c % 3) + c / 3)] = (float)(sum[c] * e->volume[i]);
+        for (c = 0; c < 12; ++c) e->cof[12 * (size_t)i + (size_t)c] = sum[c] * e->volume[i];
     }
 }
 
@@ -31331,16 +31350,12 @@ static SFEMI_INLINE void sfemi_embed_store(char *to, int floats, const sfem_real
         memcpy(to, v, 3 * sizeof *v);
 }
 
-static SFEMI_INLINE float sfemi_embed_positive(sfem_real w) { return w > 0 ? (float)w : 0; }
-
-/* sum_k w_k N_k n_0 to unit length, in floats, four at a time; zero for zero. Negative w count as 0, and those left need
- * not sum to 1. */
-static SFEMI_INLINE void sfemi_embed_normal(const float *cof, const sfem_int *v, const sfem_real *w, const float *rest,
+/* sum_k w_k N_k n_0 to unit length, in floats, four at a time; zero for zero. w need not sum to 1. */
+static SFEMI_INLINE void sfemi_embed_normal(const float *cof, const sfem_int *v, const float *w, const float *rest,
                                             float n[4])
 {
     const float *p = cof + 12 * (size_t)v[0], *q = cof + 12 * (size_t)v[1], *s = cof + 12 * (size_t)v[2];
-    const float *t = cof + 12 * (size_t)v[3], a = sfemi_embed_positive(w[0]), b = sfemi_embed_positive(w[1]);
-    const float c = sfemi_embed_positive(w[2]), d = sfemi_embed_positive(w[3]);
+    const float *t = cof + 12 * (size_t)v[3], a = w[0], b = w[1], c = w[2], d = w[3];
     float size;
     int r;
     for (r = 0; r < 4; ++r)
@@ -31352,33 +31367,55 @@ static SFEMI_INLINE void sfemi_embed_normal(const float *cof, const sfem_int *v,
     for (r = 0; r < 4; ++r) n[r] *= size;
 }
 
-/* Unrolled by hand: compilers do not, which takes twice the time. */
-static void sfemi_embed_points_task(void *data, sfem_int index)
+/* Both unrolled by hand and with pointers of their own: compilers do not see it, which takes half as much time again. */
+static void sfemi_embed_places(const sfemi_embed_job *j, size_t i, size_t end)
 {
-    const sfemi_embed_job *j = (const sfemi_embed_job *)data;
     const sfem_embed *e = j->embed;
-    size_t i = (size_t)index * SFEMI_EMBED_BLOCK, end = i + SFEMI_EMBED_BLOCK;
-    if (end > (size_t)e->info.points) end = (size_t)e->info.points;
-    for (; i < end; ++i) {
-        const sfem_int *v = e->node + 4 * i;
-        const sfem_real *w = e->bary + 4 * i, *rest = e->x + 3 * i, *a = j->u + 3 * (size_t)v[0];
-        const sfem_real *b = j->u + 3 * (size_t)v[1], *d = j->u + 3 * (size_t)v[2], *f = j->u + 3 * (size_t)v[3];
+    const sfem_int *v = e->node + 4 * i;
+    const sfem_real *w = e->bary + 4 * i, *rest = e->x + 3 * i, *u = j->u;
+    const size_t stride = j->stride;
+    const int floats = j->floats;
+    char *out = j->x + i * stride;
+    for (; i < end; ++i, v += 4, w += 4, rest += 3, out += stride) {
+        const sfem_real *a = u + 3 * (size_t)v[0], *b = u + 3 * (size_t)v[1];
+        const sfem_real *d = u + 3 * (size_t)v[2], *f = u + 3 * (size_t)v[3];
         sfem_real to[3];
-        if (j->x) {
-            to[0] = rest[0] + ((w[0] * a[0] + w[1] * b[0]) + (w[2] * d[0] + w[3] * f[0]));
-            to[1] = rest[1] + ((w[0] * a[1] + w[1] * b[1]) + (w[2] * d[1] + w[3] * f[1]));
-            to[2] = rest[2] + ((w[0] * a[2] + w[1] * b[2]) + (w[2] * d[2] + w[3] * f[2]));
-            sfemi_embed_store(j->x + i * j->stride, j->floats, to);
-        }
-        if (j->n) {
-            float n[4];
-            sfemi_embed_normal(e->cof, v, w, e->normal + 3 * i, n);
+        to[0] = rest[0] + ((w[0] * a[0] + w[1] * b[0]) + (w[2] * d[0] + w[3] * f[0]));
+        to[1] = rest[1] + ((w[0] * a[1] + w[1] * b[1]) + (w[2] * d[1] + w[3] * f[1]));
+        to[2] = rest[2] + ((w[0] * a[2] + w[1] * b[2]) + (w[2] * d[2] + w[3] * f[2]));
+        sfemi_embed_store(out, floats, to);
+    }
+}
+
+static void sfemi_embed_turned(const sfemi_embed_job *j, size_t i, size_t end)
+{
+    const sfem_embed *e = j->embed;
+    const sfem_int *v = e->node + 4 * i;
+    const float *w = e->share + 4 * i, *rest = e->normal + 3 * i, *cof = e->cof;
+    const size_t stride = j->stride;
+    const int floats = j->floats;
+    char *out = j->n + i * stride;
+    for (; i < end; ++i, v += 4, w += 4, rest += 3, out += stride) {
+        float n[4];
+        sfemi_embed_normal(cof, v, w, rest, n);
+        if (floats) memcpy(out, n, 3 * sizeof *n);
+        else {
+            sfem_real to[3];
             to[0] = (sfem_real)n[0];
             to[1] = (sfem_real)n[1];
             to[2] = (sfem_real)n[2];
-            sfemi_embed_store(j->n + i * j->stride, j->floats, to);
+            sfemi_embed_store(out, 0, to);
         }
     }
+}
+
+static void sfemi_embed_points_task(void *data, sfem_int index)
+{
+    const sfemi_embed_job *j = (const sfemi_embed_job *)data;
+    size_t i = (size_t)index * SFEMI_EMBED_BLOCK, end = i + SFEMI_EMBED_BLOCK;
+    if (end > (size_t)j->embed->info.points) end = (size_t)j->embed->info.points;
+    if (j->x) sfemi_embed_places(j, i, end);
+    if (j->n) sfemi_embed_turned(j, i, end);
 }
 
 static void sfemi_embed_apply(sfemi_embed_job *j)
@@ -32887,21 +32924,22 @@ static void sfemi_embed_pieces_nodes(sfem_embed *e, const sfem_body *b)
     sfem_int i, k;
     int c;
     for (i = 0; i < e->info.nodes; ++i) {
-        float *to = e->cof + 12 * (size_t)i;
-        sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, volume = 0;
+        float *to = e->cof + 12 * (size_t)i, volume = 0;
+        memset(to, 0, 12 * sizeof *to);
         for (k = e->start[i]; k < e->start[i + 1]; ++k) {
             const sfem_int *v = e->corner + 4 * (size_t)e->of_live[e->of[k]];
-            const sfem_real *from = e->tets_cof + 9 * (size_t)e->of[k], *edge = e->edge + 9 * (size_t)e->of[k];
-            sfem_real n[3];
+            const float *from = e->tets_cof + 12 * (size_t)e->of[k], *a = e->edge + 9 * (size_t)e->of[k];
             for (c = 1; c < 4; ++c)
                 if (piece[v[c]] != piece[v[0]]) break;
             if (c < 4) continue;
-            sfemi_cross(edge, edge + 3, n);
-            volume += 36 * sfemi_dot3(n, edge + 6);
-            for (c = 0; c < 9; ++c) sum[c] += from[c];
+            volume += 36 * (a[6] * (a[1] * a[5] - a[2] * a[4]) + a[7] * (a[2] * a[3] - a[0] * a[5]) +
+                            a[8] * (a[0] * a[4] - a[1] * a[3]));
+            for (c = 0; c < 12; ++c) to[c] += from[c];
         }
-        for (c = 0; c < 9; ++c)
-            to[4 * (c % 3) + c / 3] = (float)(volume > 0 ? sum[c] / volume : b->rotated.sum[9 * (size_t)i + (size_t)c]);
+        for (c = 0; c < 9; ++c) {
+            float *m = to + 4 * (c % 3) + c / 3;
+            *m = volume > 0 ? *m / volume : (float)b->rotated.sum[9 * (size_t)i + (size_t)c];
+        }
     }
 }
 
@@ -32912,7 +32950,7 @@ static void sfemi_embed_pieces_vertex(const sfem_embed *e, const sfem_embed_piec
     const sfem_real *w = o->weight + 4 * (size_t)v, *arm = o->arm + 3 * (size_t)v;
     const int rotates = arm[0] > 0 || arm[0] < 0 || arm[1] > 0 || arm[1] < 0 || arm[2] > 0 || arm[2] < 0;
     sfem_int members[4];
-    float normal[4];
+    float normal[4], share[4];
     int k, c;
     for (c = 0; c < 3; ++c) x[c] = n[c] = 0;
     for (k = 0; k < 4 && node[k] >= 0; ++k) {
@@ -32923,8 +32961,11 @@ static void sfemi_embed_pieces_vertex(const sfem_embed *e, const sfem_embed_piec
         }
     }
     if (!e) return;
-    for (k = 0; k < 4; ++k) members[k] = node[k] >= 0 ? node[k] : node[0]; /* w = 0 of those missing */
-    sfemi_embed_normal(e->cof, members, w, o->normal + 3 * (size_t)v, normal);
+    for (k = 0; k < 4; ++k) {
+        members[k] = node[k] >= 0 ? node[k] : node[0]; /* w = 0 of those missing */
+        share[k] = w[k] > 0 ? (float)w[k] : 0;
+    }
+    sfemi_embed_normal(e->cof, members, share, o->normal + 3 * (size_t)v, normal);
     for (c = 0; c < 3; ++c) n[c] = (sfem_real)normal[c];
 }
 

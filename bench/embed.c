@@ -3,7 +3,7 @@
  * Balls of 20 rings^3 tets, spheres of 2 n^2 points at 0.99 of their radius (outside of them at 1.02). The
  * nodes are displaced at random. Floats at a stride of 32 bytes, as a vertex of place, normal and texture has it; one
  * thread; medians of 31 processor times. Beside it a copy of as much memory as an application reads and writes: 72 bytes
- * a point read, 32 written, with normals 12 more and 72 for each node.
+ * a point read, 32 written, with normals 28 more and 48 for each node.
  *
  *     embed [--quick]
  */
@@ -91,7 +91,7 @@ static void row(sfem_int rings, sfem_int fine, double radius)
     place = apply(e, u, out, NULL);
     both = apply(e, u, out, out + 3);
     memory = copy((size_t)def.points * (72 + 32));
-    more = copy((size_t)def.points * (72 + 32 + 12) + (size_t)m.nodes * 72);
+    more = copy((size_t)def.points * (72 + 32 + 28) + (size_t)m.nodes * 48);
     printf("%8d %9d %8d %10.0f %9.1f %9.1f %9.1f %9.1f\n", (int)m.tets, (int)def.points,
            (int)sfem_embed_get_info(e).outside, 1e9 * made / def.points, 1e9 * place / def.points,
            1e9 * memory / def.points, 1e9 * both / def.points, 1e9 * more / def.points);
