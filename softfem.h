@@ -2250,13 +2250,15 @@ typedef struct sfem_embed_pieces {
 /* To be called again when sfem_body_fracture(body).pieces has changed.
  *   errors  SFEM_MISMATCH  the body has another mesh than the embedding
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY
- *   cost    O(points log points), and 5 us a render triangle and plane that meet */
+ *   cost    2 us a triangle that comes out: 140 000 render triangles round 20 000 tets in 8 pieces take 0.4 s */
 SFEM_DEF sfem_status sfem_embed_break(const sfem_embed *embed, const sfem_body *body, const sfem_allocator *allocator,
                                       sfem_embed_pieces *out, sfem_error *err);
 SFEM_DEF void sfem_embed_pieces_free(sfem_embed_pieces *pieces); /* NULL allowed */
 
 /* Where its vertices are now, and their normals, as sfem_embed_positions does it; those of inner faces are means of their
- * triangles. The embedding must have normals where n is not NULL. Between steps; one thread; allocates nothing. */
+ * triangles. The embedding must have normals where n is not NULL. Between steps; one thread; allocates nothing. x must
+ * not be NULL, n may.
+ *   cost    0.1 us a vertex, and the rotations of all edges, 20 ns each */
 SFEM_DEF void sfem_embed_pieces_positions(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body,
                                           sfem_real *x, sfem_real *n);
 SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body, float *x,
