@@ -7913,7 +7913,7 @@ static void sfemi_lattice_place(const sfemi_lattice *l, sfem_int p, sfem_real x[
 }
 
 /* The lattice for edges of length h: the box, and a cell and a half more on each side. */
-static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h)
+static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h, sfem_real phase)
 {
     sfem_status status = SFEM_OK;
     sfem_error *err = l->err;
@@ -7934,7 +7934,7 @@ static sfem_status sfemi_lattice_lay(sfemi_lattice *l, sfem_real h)
     l->points = (sfem_int)(points + 0.5);
     for (c = 0; c < 3; ++c) {
         l->n[c] = (sfem_int)(n[c] + 0.5);
-        l->origin[c] = 0.5 * (s->box[0][c] + s->box[1][c]) - 0.5 * h * (n[c] - 1);
+        l->origin[c] = 0.5 * (s->box[0][c] + s->box[1][c]) - h * (0.5 * (n[c] - 1) - phase);
     }
     l->step[2] = 2;
     l->step[1] = 2 * l->n[2];
@@ -8810,9 +8810,9 @@ static void sfemi_cage_share_task(void *data, sfem_int task)
     }
 }
 
-/* One lattice and its mesh, for edges of length h. */
-static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, sfem_real h, sfem_mesh *out,
-                                     sfem_mesher_info *info, sfem_error *err)
+/* One lattice and its mesh, for edges of length h; it is moved by a part of that, the phase, along all axes. */
+static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def *def, sfem_real h, sfem_real phase,
+                                     sfem_mesh *out, sfem_mesher_info *info, sfem_error *err)
 {
     sfem_status status;
     sfemi_lattice l;
@@ -8826,7 +8826,7 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     info->repaired = info->split = 0;
     info->size = h;
     ++info->passes;
-    SFEMI_TRY(sfemi_lattice_lay(&l, h));
+    SFEMI_TRY(sfemi_lattice_lay(&l, h, phase));
     info->lattice = l.points;
     sfemi_run(l.exec, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, &l);
     if (l.not_finite) {
@@ -8868,11 +8868,12 @@ static sfem_real sfemi_mesher_guess(const sfemi_solid *s, const sfem_mesher_def 
 }
 
 /* Lattices until the number of tets is right, each from what the ones before had; the best is kept. Where the number
- * jumps, as layers of a plate do, lengths on both sides of the jump are tried, for it goes up and down there. */
+ * jumps, as layers of a plate do, lengths on both sides of the jump are tried, for it goes up and down there; then
+ * lattices that are moved, whose layers are others. */
 static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_def *def, sfem_mesh *out,
                                        sfem_mesher_info *info, sfem_error *err)
 {
-    enum { PASSES = 40 };
+    enum { PASSES = 40, MOVES = 24 };
     sfem_real h = log(sfemi_mesher_guess(s, def)), best = HUGE_VAL, off, jump = 0;
     sfem_real low = -1e3, high = 1e3; /* log h with too many, and too few */
     sfem_mesher_info one = *info;
@@ -8880,8 +8881,10 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
     sfem_mesh mesh;
     int k, after = -1;
     memset(&mesh, 0, sizeof mesh);
-    for (k = 0; k < PASSES && best > (after < 0 ? 0.05 : 0.13); ++k) {
-        status = sfemi_mesher_pass(s, def, exp(h), &mesh, &one, err);
+    for (k = 0; k < PASSES + MOVES && best > (after < 0 ? 0.05 : 0.13); ++k) {
+        const sfem_real phase = k < PASSES ? 0 : k % 2 ? 0.25 : 0.5;
+        if (k == PASSES && best > 0.4) break; /* a plate of one layer, which shorter edges alone can hold */
+        status = sfemi_mesher_pass(s, def, exp(h), phase, &mesh, &one, err);
         info->passes = one.passes;
         if (status != SFEM_OK) break;
         off = mesh.tets ? log((sfem_real)mesh.tets / (sfem_real)def->tets) : -3;
@@ -8900,6 +8903,7 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
         if (!(h > low && h < high)) h = 0.5 * (low + high);
         if (after < 0 && (high - low < 1e-3 || k == 10)) after = 0, jump = 0.5 * (low + high);
         if (after >= 0) ++after, h = jump + (after % 2 ? 0.012 : -0.012) * (sfem_real)((after + 1) / 2);
+        if (k + 1 >= PASSES) h = jump + 0.03 * (sfem_real)((k + 1 - PASSES) / 4) * ((k - PASSES) / 2 % 2 ? 1 : -1);
     }
     sfem_mesh_free(&mesh);
     return out->tets && status == SFEM_TOO_LARGE ? SFEM_OK : status;
@@ -8913,7 +8917,7 @@ static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def
     memset(&mesh, 0, sizeof mesh);
     SFEMI_TRY(sfemi_mesher_box(s, err));
     if (def->size > 0)
-        SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, &mesh, info, err));
+        SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, 0, &mesh, info, err));
     else
         SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
     if (mesh.region) {
