@@ -965,6 +965,10 @@ static void open_and_crossing_surfaces_are_cut_too(void **state)
         sfem_int i, open, many;
         if (kind == 0) surface.triangles /= 2;
         else {
+            sfem_surface library = surface; /* its triangles go, those of both come */
+            library.x = NULL;
+            sfem_surface_free(&library);
+            surface.tet = NULL;
             surface.x = (sfem_real *)realloc(surface.x, 6 * (size_t)surface.nodes * sizeof *surface.x);
             surface.tri = (sfem_int *)malloc(6 * (size_t)other.triangles * sizeof *surface.tri);
             for (i = 0; i < 3 * surface.nodes; ++i) surface.x[3 * surface.nodes + i] = other.x[i] + (i % 3 ? 0 : 0.25);
