@@ -2163,9 +2163,9 @@ SFEM_DEF sfem_receiver_info sfem_receiver_get_info(const sfem_receiver *receiver
  * Affine motions are exact to rounding, and x = X where u = 0. Every point is taken: one outside of all tets goes with
  * the nearest, by coordinates of which some are negative; far away it exaggerates what that tet does.
  *
- * NORMALS are transformed, not made of the deformed triangles: n = sum_k w_k N_k n_0, unit length, in floats, N_k the mean of
- * cof F = det F F^-T over the tets of node k, by volume; w_k outside as if negative ones were 0. For affine motions that
- * is exact, and it is smooth where F jumps between tets. A bar bent by 137 degrees, twisted by 172 and stretched unevenly,
+ * NORMALS are transformed, not made of the deformed triangles: n = sum_k w_k N_k n_0, unit length, in floats, N_k the
+ * mean of cof F = det F F^-T over the tets of node k, by volume; w_k outside as if negative ones were 0. For affine
+ * motions that is exact to rounding, and it is smooth where F jumps between tets. A bar bent by 137 degrees, twisted by 172 and stretched unevenly,
  * of 10 x 3 x 3 and 20 x 6 x 6 cells: mean errors of 0.5 to 0.9 and 0.1 to 0.2 degrees; of the normals of the deformed
  * triangles 1 to 6 and 0.4 to 2.7; of each tet's own F 1.8 to 6.6 and 0.9 to 3.5. Normals of seams and sharp edges stay
  * as they are given. */
@@ -31473,9 +31473,9 @@ SFEM_DEF void sfem_embed_to_floats(sfem_embed *e, const sfem_real *u, float *x, 
  *   4. along an edge of S hits change the piece; along an edge of T they change how often S winds round the place
  *   5. the part of S in a piece is bounded by intervals of its edges and by segments, and so is the part of T inside. Both
  *      chains close, because both have each segment, in opposite directions. They are triangulated in the plane.
- * All is decided by the signs of volumes of four points. Points of S are moved at random by 1e-5 of an edge and no sign is
- * taken that rounding could change (else other random numbers are tried), so all signs are those of one arrangement in
- * general position, and 5 holds whatever the input was. */
+ * All is decided by the signs of volumes of four points. Points of S are moved at random by 1e-5 of an edge, and no sign
+ * is taken that rounding could change: else other random numbers are tried, eight times. So all signs are those of one
+ * arrangement in general position, and 5 holds whatever the input was. */
 
 /* A map from four numbers to their own number, in the order of their coming. */
 typedef struct sfemi_table {
@@ -34479,8 +34479,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  * CHANGES
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
- *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
- *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
+ *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; render
+ *           surfaces that follow and break; bodies may share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
  *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
