@@ -31394,7 +31394,7 @@ static void sfemi_embed_places(const sfemi_embed_job *j, size_t i, size_t end)
     }
 }
 
-static void sfemi_embed_turned(const sfemi_embed_job *j, size_t i, size_t end)
+static void sfemi_embed_rotated(const sfemi_embed_job *j, size_t i, size_t end)
 {
     const sfem_embed *e = j->embed;
     const sfem_int *v = e->node + 4 * i;
@@ -31422,7 +31422,7 @@ static void sfemi_embed_points_task(void *data, sfem_int index)
     size_t i = (size_t)index * SFEMI_EMBED_BLOCK, end = i + SFEMI_EMBED_BLOCK;
     if (end > (size_t)j->embed->info.points) end = (size_t)j->embed->info.points;
     if (j->x) sfemi_embed_places(j, i, end);
-    if (j->n) sfemi_embed_turned(j, i, end);
+    if (j->n) sfemi_embed_rotated(j, i, end);
 }
 
 static void sfemi_embed_apply(sfemi_embed_job *j)
