@@ -111,6 +111,9 @@ bench-body: $(BUILD)/bench/bench ## set-up, factor, solve, step and memory by bo
 bench-needs: $(BUILD)/bench/needs ## bodies without and with one thing: what a scene pays for what it asks for
 	OMP_THREAD_LIMIT=1 $(BUILD)/bench/needs --out $(BUILD)/bench
 
+bench-embed: $(BUILD)/bench/embed ## render surfaces that follow bodies: ns a point beside memory bandwidth
+	$(BUILD)/bench/embed
+
 bench-sleep: $(BUILD)/bench/sleep ## a step of a sleeping body, and what watching for sleep costs
 	$(ENVIRONMENT) $(BUILD)/bench/sleep
 

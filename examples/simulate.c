@@ -18,6 +18,9 @@ static const ex_option table[] = {
     {"MESH", "FILE", NULL,
      "Gmsh .msh, VTK legacy .vtk, Medit .mesh, Vega .veg or TetGen .node; without it a bar of 1 x "
      "0.2 x 0.2 m"},
+    {"--surface", "FILE", NULL,
+     "a .obj, .stl, .ply or .off that moves with the body and is drawn in its place; it is cut where "
+     "the body breaks"},
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},
@@ -68,6 +71,12 @@ static const ex_option table[] = {
     {"--quick", NULL, NULL, "a small run: fewer steps"},
     {NULL, NULL, NULL, NULL}};
 
+typedef struct look { /* the --surface in a frame: outer triangles, then inner ones */
+    double *x;
+    int32_t *tri;
+    sfem_int nodes, outer, inner;
+} look;
+
 typedef struct run {
     ex_options o;
     sfem_mesh mesh;
@@ -88,6 +97,9 @@ typedef struct run {
     int breaks;
     int32_t *whole[FRAMES]; /* surface triangles that were whole then */
     sfem_int wholes[FRAMES];
+    sfem_surface render;
+    sfem_embed *embed;
+    look look[FRAMES];
     int frames;
 } run;
 
@@ -120,6 +132,25 @@ static void read_mesh(run *r)
            (int)report.components, report.components == 1 ? "" : "s");
     if (report.unused > 0)
         printf("      %d nodes in no tet stay where they are\n", (int)report.unused);
+}
+
+/* The surface that is drawn: each of its points goes with a tet. */
+static void read_surface(run *r)
+{
+    const char *path = ex_text(&r->o, "--surface");
+    sfem_embed_def def = sfem_default_embed_def();
+    sfem_embed_info info;
+    sfem_error err;
+    if (!path) return;
+    must(sfem_surface_read(path, NULL, &r->render, &err), &err);
+    def.points = r->render.nodes;
+    def.x = r->render.x;
+    def.triangles = r->render.triangles;
+    def.tri = r->render.tri;
+    must(sfem_embed_create(&r->mesh, &def, &r->embed, &err), &err);
+    info = sfem_embed_get_info(r->embed);
+    printf("surface: %d points, %d triangles, %d points outside, up to %.3g m\n", (int)info.points,
+           (int)info.triangles, (int)info.outside, info.distance);
 }
 
 /* 2. Material and mass: K, M, D. */
@@ -438,6 +469,31 @@ static void keep_whole(run *r, int k)
     }
 }
 
+static void keep_look(run *r, look *out)
+{
+    sfem_embed_pieces pieces;
+    sfem_error err;
+    const sfem_int *tri = r->render.tri;
+    memset(&pieces, 0, sizeof pieces);
+    out->nodes = r->render.nodes;
+    out->outer = r->render.triangles;
+    if (r->breaks) {
+        must(sfem_embed_break(r->embed, r->body, NULL, &pieces, &err), &err);
+        tri = pieces.tri;
+        out->nodes = pieces.vertices;
+        out->outer = pieces.triangles - pieces.inner;
+        out->inner = pieces.inner;
+    }
+    out->x = (double *)ex_new(3 * (size_t)out->nodes, sizeof *out->x);
+    out->tri = (int32_t *)ex_new(3 * (size_t)(out->outer + out->inner), sizeof *out->tri);
+    memcpy(out->tri, tri, 3 * (size_t)(out->outer + out->inner) * sizeof *tri);
+    if (r->breaks)
+        sfem_embed_pieces_positions(r->embed, &pieces, r->body, out->x, NULL);
+    else
+        sfem_embed_positions(r->embed, displacement(r), out->x, NULL);
+    sfem_embed_pieces_free(&pieces);
+}
+
 static void record(run *r, sfem_int step)
 {
     const sfem_energy e = energy(r);
@@ -450,6 +506,7 @@ static void record(run *r, sfem_int step)
         r->frame[r->frames] = (double *)ex_new(3 * (size_t)r->mesh.nodes, sizeof(double));
         r->frame_time[r->frames] = r->time[step];
         if (r->breaks) keep_whole(r, r->frames);
+        if (r->embed) keep_look(r, r->look + r->frames);
         positions(r, r->frame[r->frames++]);
     }
 }
@@ -513,6 +570,18 @@ static void simulate(run *r)
     free(name);
 }
 
+static void draw_look(ex_picture *p, const look *l)
+{
+    ex_style style = ex_default_style();
+    style.edges = 0;
+    ex_view_surface(p, l->nodes, l->x, l->outer, l->tri, NULL, &style);
+    style.color[0] = 0.85; /* inner faces: as they are, in another colour */
+    style.color[1] = 0.62;
+    style.color[2] = 0.42;
+    style.flat = 1;
+    ex_view_surface(p, l->nodes, l->x, l->inner, l->tri + 3 * (size_t)l->outer, NULL, &style);
+}
+
 static void draw(const run *r)
 {
     const double direction[3] = {0.35, -1, 0.3};
@@ -522,9 +591,10 @@ static void draw(const run *r)
     double lower[3], upper[3], low, high;
     double *value[FRAMES];
     int k;
-    p->bar = !r->breaks;
+    p->bar = !r->breaks && !r->embed;
     for (k = 0; k < r->frames; ++k) {
         ex_bounds(r->frame[k], r->mesh.nodes, k == 0, lower, upper);
+        if (r->embed) ex_bounds(r->look[k].x, r->look[k].nodes, 0, lower, upper);
         value[k] = ex_node_stress(r->model, &r->mesh, r->frame[k]);
         ex_range(value[k], r->mesh.nodes, &low, &high);
         style.high = fmax(style.high * (k > 0), high);
@@ -533,7 +603,9 @@ static void draw(const run *r)
     for (k = 0; k < r->frames; ++k) {
         char caption[64];
         ex_view_begin(p, k, across, down, lower, upper, direction);
-        if (r->breaks) /* stresses across cracks would be those of whole tets */
+        if (r->embed)
+            draw_look(p, r->look + k);
+        else if (r->breaks) /* stresses across cracks would be those of whole tets */
             ex_view_surface(p, r->mesh.nodes, r->frame[k], r->wholes[k], r->whole[k], NULL, &style);
         else
             ex_view_surface(p, r->mesh.nodes, r->frame[k], r->surface.triangles, r->surface.tri,
@@ -543,7 +615,7 @@ static void draw(const run *r)
         ex_view_end(p, caption);
         free(value[k]);
     }
-    if (!r->breaks) ex_colorbar(p, "stress, Pa", 0, style.high);
+    if (p->bar) ex_colorbar(p, "stress, Pa", 0, style.high);
     ex_picture_write(p, ex_path(ex_text(&r->o, "--out"), "body.png"));
     ex_picture_free(p);
 }
@@ -615,6 +687,7 @@ int main(int argc, char **argv)
     if (ex_given(&r.o, "--static")) r.steps = 0;
     ex_make_directory(ex_text(&r.o, "--out"));
     read_mesh(&r);
+    read_surface(&r);
     start = ex_seconds();
     make_model(&r);
     make_body(&r);
@@ -627,7 +700,12 @@ int main(int argc, char **argv)
     for (k = 0; k < 3; ++k) r.energy[k] = r.tip + (k + 1) * (r.steps + 1);
     simulate(&r);
     report(&r);
-    for (k = 0; k < r.frames; ++k) free(r.frame[k]), free(r.whole[k]);
+    for (k = 0; k < r.frames; ++k) {
+        free(r.frame[k]);
+        free(r.whole[k]);
+        free(r.look[k].x);
+        free(r.look[k].tri);
+    }
     free(r.time);
     free(r.u);
     sfem_modal_free(r.modal);
@@ -636,6 +714,8 @@ int main(int argc, char **argv)
     sfem_modes_free(&r.modes);
     sfem_body_free(r.body);
     sfem_model_free(r.model);
+    sfem_embed_free(r.embed);
+    sfem_surface_free(&r.render);
     sfem_surface_free(&r.surface);
     sfem_mesh_free(&r.mesh);
     return 0;

@@ -11,8 +11,8 @@ BUILD=${BUILD:-build/strict}
 COMPILERS=${COMPILERS:-gcc clang}
 STANDARDS='c99 c11 c17 c++11 c++17 c++20'
 SWITCHES='plain SFEM_STATIC O2 O3 m32 openmp SFEM_NO_STDIO SFEM_NO_DISPATCH'
-PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES
-    SFEM_NO_MODEL SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_MODEL SFEM_ENABLE_BODY
+PARTS='SFEM_NO_MESHIO SFEM_NO_MESHER SFEM_NO_EMBED SFEM_NO_BODY SFEM_NO_DAMAGE SFEM_NO_NEWTON SFEM_NO_LINK SFEM_NO_REDUCED SFEM_NO_MODES
+    SFEM_NO_MODEL SFEM_MINIMAL SFEM_ENABLE_MESHIO SFEM_ENABLE_MESHER SFEM_ENABLE_EMBED SFEM_ENABLE_MODEL SFEM_ENABLE_BODY
     SFEM_ENABLE_DAMAGE SFEM_ENABLE_NEWTON SFEM_ENABLE_MODES SFEM_ENABLE_REDUCED SFEM_ENABLE_LINK SFEM_DEF'
 WARNINGS='-Werror -Wall -Wextra -Wpedantic -Wconversion -Wshadow'
 
@@ -141,6 +141,23 @@ static int makes(sfem_mesh *mesh) /* tets of a surface */
     return 1;
 }
 
+static int follows(const sfem_mesh *mesh) /* a point that a mesh takes along */
+{
+#ifndef SFEM_NO_EMBED
+    static const sfem_real x[3] = {0.5, 0.5, 0.5};
+    sfem_embed_def def = sfem_default_embed_def();
+    sfem_embed *embed = 0;
+    int good;
+    def.points = 1;
+    def.x = x;
+    good = sfem_embed_create(mesh, &def, &embed, 0) == SFEM_OK && sfem_embed_get_info(embed).outside == 0;
+    sfem_embed_free(embed);
+    return good;
+#else
+    return mesh->tets > 0;
+#endif
+}
+
 #ifndef SFEM_NO_REDUCED
 enum { MODES = 3, BLOCK = 1 << 16 };
 
@@ -266,6 +283,7 @@ int main(int count, char **argument)
     sfem_mesh mesh;
     int good = reads(&mesh) && makes(&mesh);
     if (sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, 0, &mesh, 0) != SFEM_OK) return 1;
+    good &= follows(&mesh);
 #ifndef SFEM_NO_MODEL
     {
         sfem_model_def def = sfem_default_model_def();
@@ -292,7 +310,7 @@ END
 for compiler in $COMPILERS; do
     command=$(command_for "$compiler" c99) || continue
     for switches in SFEM_NO_REDUCED 'SFEM_NO_MODEL -DSFEM_ENABLE_MODES' 'SFEM_NO_MODEL -DSFEM_ENABLE_BODY' \
-        'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_DAMAGE -DSFEM_NO_BODY' \
+        'SFEM_ENABLE_EMBED -DSFEM_NO_EMBED' 'SFEM_ENABLE_LINK -DSFEM_NO_LINK' 'SFEM_ENABLE_BODY -DSFEM_NO_BODY' 'SFEM_ENABLE_DAMAGE -DSFEM_NO_BODY' \
         'SFEM_ENABLE_DAMAGE -DSFEM_NO_DAMAGE' 'SFEM_ENABLE_NEWTON -DSFEM_NO_NEWTON' 'SFEM_ENABLE_MESHER -DSFEM_NO_MESHER' \
         'SFEM_MINIMAL -DSFEM_ENABLE_MODES -DSFEM_NO_MODES' 'SFEM_ENABLE_MODEL -DSFEM_NO_MODEL' \
         'SFEM_STATIC -DSFEM_DEF='; do

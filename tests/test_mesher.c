@@ -366,7 +366,7 @@ static void angles_stay_in_their_bounds_for_random_cuts(void **state)
         memset(&solid, 0, sizeof solid), memset(&l, 0, sizeof l), memset(&info, 0, sizeof info);
         for (c = 0; c < 3; ++c) solid.box[1][c] = 12;
         l.solid = &solid, l.a = &a, l.err = &err;
-        assert_ok(sfemi_lattice_lay(&l, 1), err);
+        assert_ok(sfemi_lattice_lay(&l, 1, 0), err);
         for (p = 0; p < l.points; ++p) {
             sfem_int at[3];
             sfemi_lattice_indices(&l, p, at);
@@ -430,6 +430,27 @@ static sfem_surface damaged(const sfem_surface *s, int how)
     }
     d.triangles = n;
     return d;
+}
+
+/* Layers come and go with the length of the edges, two at a time where the lattice is centred. */
+static void a_plate_of_few_layers_has_the_number_of_tets_too(void **state)
+{
+    static const double low[3] = {0, 0, 0}, high[3] = {1, 1, 0.1};
+    static const sfem_int wanted[3] = {600, 2000, 5000}; /* 5000 fitted and 2000 of a cage by moved lattices */
+    int mode, k;
+    (void)state;
+    for (mode = SFEM_FITTED; mode <= SFEM_CAGE; ++mode)
+        for (k = 0; k < 3; ++k) {
+            sfem_surface s;
+            sfem_mesher_info info;
+            sfem_mesh m;
+            memset(&s, 0, sizeof s);
+            add_box(&s, low, high);
+            m = mesh_of(&s, (sfem_mesher_mode)mode, 0, wanted[k], &info);
+            assert_near(m.tets, wanted[k], 0.15, 0);
+            sfem_mesh_free(&m);
+            drop_surface(&s);
+        }
 }
 
 static void flipped_and_missing_triangles_change_little(void **state)
@@ -916,6 +937,7 @@ int main(void)
         cmocka_unit_test(a_box_keeps_its_volume_and_faces),
         cmocka_unit_test(angles_stay_in_their_bounds_for_random_cuts),
         cmocka_unit_test(the_number_of_tets_is_what_was_asked_for),
+        cmocka_unit_test(a_plate_of_few_layers_has_the_number_of_tets_too),
         cmocka_unit_test(flipped_and_missing_triangles_change_little),
         cmocka_unit_test(doubled_triangles_give_the_same_bits),
         cmocka_unit_test(parts_that_overlap_touch_or_are_hollow_have_the_right_volume),
