@@ -422,7 +422,8 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  *   Gmsh 2.0 to 2.2 and 4.1 (.msh)  ASCII and binary, in either order of bytes, 2.2 with doubles or
  *                            floats; 4.1 also partitioned; node tags in any order and with gaps;
  *                            region is the first physical group of the tet, in 4.1 of its volume (0
- *                            without one), if any has one, else the number of its entity
+ *                            without one), if any has one, else the number of its entity. A tet of 2.2 that
+ *                            stands twice in a row, in two groups, is one
  *   VTK legacy (.vtk)        unstructured grids of versions 1.0 to 5.1, ASCII and binary
  *   VTK XML (.vtu)           of one piece; data in ASCII, base64 or raw, inline or appended, in either order of bytes,
  *                            not compressed. Region of both: the first cell array called region, medit:ref,
@@ -5401,7 +5402,7 @@ done:
 /* One entry for each number in m->region, in x->region. */
 static sfem_status sfemi_extra_regions(sfemi_extra *x, const sfem_mesh *m)
 {
-    sfem_region *known = x->region, *r;
+    sfem_region *known = x->region, *r = NULL;
     sfemi_tags number = x->number;
     const sfem_allocator *a = &x->def.allocator;
     sfem_status status = SFEM_OK;
@@ -6121,6 +6122,18 @@ done:
     return status;
 }
 
+/* 2.2: a tet in several groups is written once for each of them, with the same nodes: the last tet is then the one before
+ * it, of another group. */
+static void sfemi_gmsh_same_tet(sfemi_gmsh *g)
+{
+    const sfem_int t = g->m.tets - 1;
+    const sfem_int *tet = g->m.tet + 4 * (size_t)t, *region = g->m.region + t;
+    size_t i;
+    if (t < 1 || memcmp(tet, tet - 4, 4 * sizeof *tet) != 0 || region[0] == region[-1]) return;
+    for (i = 0; i < g->x->ins; ++i) g->x->member[g->x->members - 1 - i][1] = t - 1;
+    g->m.tets = t;
+}
+
 /* 2.2: one element of a block, behind what they share. */
 static sfem_status sfemi_gmsh_tagged_one(sfemi_gmsh *g, int64_t type, int64_t tags)
 {
@@ -6136,7 +6149,8 @@ static sfem_status sfemi_gmsh_tagged_one(sfemi_gmsh *g, int64_t type, int64_t ta
         g->x->in = &g->x->one;
         g->x->ins = g->x->one >= 0;
         g->m.region[g->m.tets] = g->any_group ? group : entity;
-        status = sfemi_gmsh_tet(g, type);
+        SFEMI_TRY(sfemi_gmsh_tet(g, type));
+        sfemi_gmsh_same_tet(g);
     } else if (g->m.tet) {
         SFEMI_TRY(sfemi_extra_in(g->x, sfemi_gmsh_type_of(type).dimension, group));
         status = sfemi_gmsh_cell(g, type);

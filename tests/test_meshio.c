@@ -645,7 +645,7 @@ static void malformed_gmsh_is_refused_with_its_line(void **state)
 {
     static const malformed table[] = {
         {1, "$Meshformat2", SFEM_FORMAT, 1, "$MeshFormat"},
-        {1, "", SFEM_FORMAT, 2, "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII"},
+        {1, "", SFEM_FORMAT, 2, "only Gmsh 2.2 and 4.1, VTK legacy and .vtu, Medit, Abaqus .inp"},
         {2, "1 0 8", SFEM_FORMAT, 2, "Gmsh 1: only 2.0 to 2.2 and 4.1"},
         {2, "4 0 8", SFEM_FORMAT, 2, "Gmsh 4: only 2.0 to 2.2 and 4.1"},
         {2, "4.1 1 7", SFEM_FORMAT, 2, "the data size of a binary file is 7"},
@@ -712,9 +712,9 @@ static void malformed_vtk_is_refused_with_its_line(void **state)
         {1, "# vtk DataFile Version", SFEM_FORMAT, 1, "expected a VTK version"},
         {1, "# vtk DataFile Version 6.0", SFEM_FORMAT, 1, "VTK legacy 6.0: only 1.0 to 5.1"},
         {1, "# vtk DataFile", SFEM_FORMAT, 1, "this begins with '#'"},
-        {1, "<VTKFile type=\"UnstructuredGrid\">", SFEM_FORMAT, 1, "begins with '<VTKFile'"},
-        {3, "BINARY", SFEM_FORMAT, 3, "VTK legacy binary"},
-        {3, "asci", SFEM_FORMAT, 3, "expected ASCII, found 'asci'"},
+        {1, "<VTKFile type=\"UnstructuredGrid\">", SFEM_FORMAT, 18, "there is no Piece"},
+        {3, "BINARY", SFEM_FORMAT, -1, "more than the rest of the data"},
+        {3, "asci", SFEM_FORMAT, 3, "expected ASCII or BINARY, found 'asci'"},
         {4, "DATASET POLYDATA", SFEM_FORMAT, 4, "expected UNSTRUCTURED_GRID, found 'POLYDATA'"},
         {4, "", SFEM_FORMAT, 5, "expected DATASET, found 'POINTS'"},
         {5, "POINTS 600000000 double", SFEM_FORMAT, 5, "more than the rest of the data can hold"},
