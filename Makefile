@@ -104,6 +104,14 @@ bench-eigen: $(BUILD)/bench/eigen ## modes beside ARPACK on CHOLMOD where instal
 
 examples: $(EXAMPLE_PROGRAMS) ## build every example
 
+INTEROP ?=
+INTEROP_PYTHON ?= $(firstword $(wildcard /usr/bin/python3) python3)
+INTEROP_PROGRAMS = $(BUILD)/tests/interop_dump $(BUILD)/examples/simulate $(BUILD)/examples/tetrahedralize
+test-interop: $(INTEROP_PROGRAMS) ## meshes to and from gmsh, TetGen, meshio, VTK, CalculiX; skips what is not installed (INTEROP=--need-all)
+	@mkdir -p $(BUILD)/interop/programs
+	@cp $^ $(BUILD)/interop/programs/
+	@$(INTEROP_PYTHON) tests/interop.py $(BUILD)/interop/programs $(BUILD)/interop/files $(INTEROP)
+
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
 	@if command -v python3 >/dev/null; then $(MAKE) -s structure; else echo 'left out: structure, which needs python3'; fi
 	@BUILD=$(BUILD)/strict sh tests/strict.sh

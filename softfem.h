@@ -616,6 +616,9 @@ typedef struct sfem_mesher_def {
     sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The number
                             * of small bodies, and of plates of one layer, may jump past it: the nearest is taken */
     sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
+    void (*progress)(sfem_real part, void *user); /* or NULL: called by the calling thread with the part of the work that
+                                                   * is done, an estimate: from 0, never less than before, 1 at the end */
+    void *progress_user;
     sfem_allocator allocator;
 } sfem_mesher_def;
 SFEM_DEF sfem_mesher_def sfem_default_mesher_def(void);
@@ -10030,7 +10033,24 @@ typedef struct sfemi_lattice {
     sfem_int *at;        /* [nodes] the code of each node */
     sfem_mesh mesh;
     int not_finite;
+    const sfem_mesher_def *def; /* whose progress is told, */
+    sfem_real part[2];          /* from, to, of this lattice */
+    sfem_int task;              /* the first one of those that run */
 } sfemi_lattice;
+
+/* Runs so many tasks, and tells the progress from part a to part b of the lattice's. */
+static void sfemi_lattice_run(sfemi_lattice *l, sfem_int tasks, sfem_task task, sfem_real a, sfem_real b)
+{
+    const sfem_int most = l->def->progress ? tasks / 20 + 1 : tasks;
+    sfem_int n;
+    for (l->task = 0; l->task < tasks; l->task += n) {
+        n = tasks - l->task < most ? tasks - l->task : most;
+        sfemi_run(l->exec, n, task, l);
+        if (l->def->progress)
+            l->def->progress(l->part[0] + (l->part[1] - l->part[0]) * (a + (b - a) * (l->task + n) / tasks),
+                             l->def->progress_user);
+    }
+}
 
 static void sfemi_lattice_free(sfemi_lattice *l)
 {
@@ -10101,7 +10121,7 @@ enum { SFEMI_LATTICE_TASK = 512 }; /* points or cuts of a task */
 static void sfemi_lattice_sign_task(void *data, sfem_int task)
 {
     sfemi_lattice *l = (sfemi_lattice *)data;
-    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int first = (l->task + task) * SFEMI_LATTICE_TASK;
     const sfem_int end = l->points - first < SFEMI_LATTICE_TASK ? l->points : first + SFEMI_LATTICE_TASK;
     sfem_real x[3], v;
     sfem_int p;
@@ -10127,7 +10147,7 @@ static int sfemi_lattice_edges(const sfemi_lattice *l, sfem_int p, sfem_int to[1
 static void sfemi_lattice_cut_task(void *data, sfem_int task)
 {
     sfemi_lattice *l = (sfemi_lattice *)data;
-    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int first = (l->task + task) * SFEMI_LATTICE_TASK;
     const sfem_int end = l->cuts - first < SFEMI_LATTICE_TASK ? l->cuts : first + SFEMI_LATTICE_TASK;
     sfem_real a[3], b[3];
     sfem_int i;
@@ -10160,7 +10180,7 @@ static sfem_status sfemi_lattice_cuts(sfemi_lattice *l)
         }
         l->first[p] = l->cuts;
     }
-    sfemi_run(l->exec, (l->cuts + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_cut_task, l);
+    sfemi_lattice_run(l, (l->cuts + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_cut_task, 0.4, 0.7);
 done:
     return status;
 }
@@ -10975,9 +10995,12 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     info->repaired = info->split = 0;
     info->size = h;
     ++info->passes;
+    l.def = def; /* it takes 3 to 5 lattices until the number of tets is right */
+    l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, info->passes - 1);
+    l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, info->passes);
     SFEMI_TRY(sfemi_lattice_lay(&l, h));
     info->lattice = l.points;
-    sfemi_run(l.exec, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, &l);
+    sfemi_lattice_run(&l, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, 0, 0.4);
     if (l.not_finite) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "a value of the function is not finite");
         goto done;
@@ -11065,6 +11088,7 @@ static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def
         SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, &mesh, info, err));
     else
         SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
+    if (def->progress) def->progress(1, def->progress_user);
     if (mesh.region) {
         sfemi_cage_shares w;
         w.solid = s;
