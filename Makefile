@@ -143,7 +143,7 @@ endif
 
 # Each target by itself, from the good inputs that it makes, in FUZZ_SECONDS; what is found stays in build/fuzz.
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS ?= gmsh vtk medit vega tetgen surface body modal reduced link
+FUZZ_TARGETS ?= gmsh vtk vtu medit inp vega tetgen surface body modal reduced link
 
 fuzz: $(BUILD)/fuzz/fuzz ## mesh and surface readers, state blocks and packets under libFuzzer, FUZZ_SECONDS=60 each (clang)
 	@for x in $(FUZZ_TARGETS); do \
@@ -156,7 +156,7 @@ fuzz: $(BUILD)/fuzz/fuzz ## mesh and surface readers, state blocks and packets u
 	done
 
 # Only the portable kernels: the others would take most of the time to compile, and read nothing from outside.
-$(BUILD)/fuzz/fuzz: tests/fuzz.c tests/fuzz.h softfem.h
+$(BUILD)/fuzz/fuzz: tests/fuzz.c tests/fuzz.h tests/mesh_files.h softfem.h
 	@mkdir -p $(@D)
 	clang -std=c99 $(WARNINGS) -I. -O1 -g -DSFEM_NO_DISPATCH -fsanitize=fuzzer,address,undefined \
 	    -fno-sanitize=$(subst pointer-overflow$(comma),,$(SLOW)) -fno-sanitize-recover=all -o $@ $< -lm

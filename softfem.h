@@ -526,7 +526,7 @@ typedef struct sfem_mesh_read_info {
  *             set of their nodes
  *   Vega      *SET, of tets
  *   TetGen    nodes with one marker other than 0: "point 5"
- *   errors    also those of sfem_mesh_weld; SFEM_TOO_LARGE: sets of more than 16 members a byte of the file */
+ *   errors    also those of sfem_mesh_weld; SFEM_TOO_LARGE: sets of more than 4 members a byte of the file */
 SFEM_DEF sfem_status sfem_mesh_parse_sets(const void *data, size_t bytes, const sfem_mesh_read_def *def, sfem_mesh *out,
                                           sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err);
 
@@ -5239,7 +5239,7 @@ static const char *sfemi_extra_name(sfemi_extra *x, sfemi_word w)
 {
     char *p = (char *)sfemi_pool_own(&x->pool, sfemi_new(&x->def.allocator, w.n + 1, 1));
     size_t i;
-    if (p) memcpy(p, w.p, w.n);
+    if (p && w.n) memcpy(p, w.p, w.n);
     for (i = 0; p && i < w.n; ++i)
         if ((unsigned char)p[i] < 32 || p[i] == 127) p[i] = '?';
     return p;
@@ -5284,7 +5284,7 @@ static sfem_status sfemi_extra_member(sfemi_extra *x, sfem_int set, sfem_int mem
 {
     sfem_int(*m)[2];
     if (x->members >= x->members_most)
-        return sfemi_fail(x->err, SFEM_TOO_LARGE, "the sets have more than %.0f members in all, 16 a byte of the file",
+        return sfemi_fail(x->err, SFEM_TOO_LARGE, "the sets have more than %.0f members in all, 4 a byte of the file",
                           (double)x->members_most);
     m = (sfem_int(*)[2])sfemi_grow(&x->def.allocator, x->member, x->members, &x->members_room, sizeof *m);
     if (!m) return sfemi_extra_full(x);
@@ -6127,7 +6127,7 @@ done:
 
 /* 2.2: a tet in several groups is written once for each of them, with the same nodes: the last tet is then the one before
  * it, of another group. */
-static void sfemi_gmsh_same_tet(sfemi_gmsh *g)
+static void sfemi_gmsh_same_tet(sfemi_gmsh *g, int64_t type)
 {
     const sfem_int t = g->m.tets - 1;
     const sfem_int *tet = g->m.tet + 4 * (size_t)t, *region = g->m.region + t;
@@ -6135,6 +6135,7 @@ static void sfemi_gmsh_same_tet(sfemi_gmsh *g)
     if (t < 1 || memcmp(tet, tet - 4, 4 * sizeof *tet) != 0 || region[0] == region[-1]) return;
     for (i = 0; i < g->x->ins; ++i) g->x->member[g->x->members - 1 - i][1] = t - 1;
     g->m.tets = t;
+    g->x->info.linear -= type == 11;
 }
 
 /* 2.2: one element of a block, behind what they share. */
@@ -6153,7 +6154,7 @@ static sfem_status sfemi_gmsh_tagged_one(sfemi_gmsh *g, int64_t type, int64_t ta
         g->x->ins = g->x->one >= 0;
         g->m.region[g->m.tets] = g->any_group ? group : entity;
         SFEMI_TRY(sfemi_gmsh_tet(g, type));
-        sfemi_gmsh_same_tet(g);
+        sfemi_gmsh_same_tet(g, type);
     } else if (g->m.tet) {
         SFEMI_TRY(sfemi_extra_in(g->x, sfemi_gmsh_type_of(type).dimension, group));
         status = sfemi_gmsh_cell(g, type);
@@ -6963,9 +6964,11 @@ static sfem_status sfemi_vtu_read(sfemi_vtu *r)
     v->numbers = INT32_MAX;
     SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_OFFSETS, r->cells, &s));
     SFEMI_TRY(sfemi_vtk_fill_offsets(v, &s, r->array[SFEMI_VTU_OFFSETS].type, v->cells, 1));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_OFFSETS, &s));
     v->numbers = v->offset[v->cells];
     SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_TYPES, r->cells, &s));
     SFEMI_TRY(sfemi_vtk_fill_types(v, &s, r->array[SFEMI_VTU_TYPES].type, v->cells));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_TYPES, &s));
     SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_CONNECTIVITY, v->numbers, &v->cell_scan));
     v->cell_type = r->array[SFEMI_VTU_CONNECTIVITY].type;
     if (r->array[SFEMI_VTU_REGION].type) {
@@ -6973,6 +6976,8 @@ static sfem_status sfemi_vtu_read(sfemi_vtu *r)
         v->region_type = r->array[SFEMI_VTU_REGION].type;
     }
     SFEMI_TRY(sfemi_vtk_tets(v));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_CONNECTIVITY, &v->cell_scan));
+    if (v->region_type) status = sfemi_vtu_close(r, SFEMI_VTU_REGION, &v->region_scan);
 done:
     return status;
 }
@@ -8143,7 +8148,7 @@ static sfem_status sfemi_inp_generate(sfemi_rows *r, const sfemi_inp_rows *p, sf
     count = last < first ? 0 : (last - first) / step + 1;
     r->work += (size_t)count < all->used ? (size_t)count : all->used;
     if (r->work > r->x->members_most)
-        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "GENERATE of more than 16 numbers a byte of the file");
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "GENERATE of more than 4 numbers a byte of the file");
     if ((size_t)count < all->used)
         for (; first <= last; first += step) SFEMI_TRY(sfemi_inp_put(r, p, text, first, 1));
     else
@@ -8229,12 +8234,13 @@ done:
 /* The first row of *ELASTIC (young and poisson, isotropic) or *DENSITY of the last material. */
 static sfem_status sfemi_inp_constants(sfemi_rows *r, const sfemi_inp_line *l, sfem_int material, int elastic)
 {
-    sfem_region *m = r->material + material;
+    sfem_region *m;
     sfem_status status = SFEM_OK;
     int any;
     if (material < 0 || (l->type.n && !sfemi_word_is(l->type, "ISOTROPIC") && !sfemi_word_is(l->type, "ISO"))) return SFEM_OK;
     SFEMI_TRY(sfemi_rows_next(r, &any));
     if (!any || *r->s.p == '*') return SFEM_OK;
+    m = r->material + material;
     if (elastic) {
         SFEMI_TRY(sfemi_scan_real(&r->s, "Young's modulus", &m->young));
         m->poisson = 0;
@@ -8532,7 +8538,7 @@ static sfemi_extra sfemi_extra_of(const sfem_mesh_read_def *def, const sfem_allo
     if (def) x.def = *def;
     if (a) x.def.allocator = *a;
     x.pool = sfemi_pool_of(&x.def.allocator);
-    x.members_most = bytes > INT32_MAX / 16 ? INT32_MAX : 16 * bytes;
+    x.members_most = bytes > INT32_MAX / 4 ? INT32_MAX : 4 * bytes;
     x.err = err;
     return x;
 }
@@ -9169,7 +9175,7 @@ static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, sfemi_e
         text[i].p = data[i];
         text[i].n = bytes[i];
     }
-    x->members_most = 16 * (bytes[0] < INT32_MAX / 16 ? bytes[0] : INT32_MAX / 16);
+    x->members_most = 4 * (bytes[0] < INT32_MAX / 4 ? bytes[0] : INT32_MAX / 4);
     status = sfemi_mesh_parse_tetgen(text, x, out, sets, info);
     if (status != SFEM_OK) sfemi_file_blame(path, err);
 done:
@@ -9198,7 +9204,7 @@ static sfem_status sfemi_mesh_read(const char *path, sfemi_extra *x, sfem_mesh *
     }
     status = sfemi_file_read(path, &a, &data, &bytes, err);
     if (status != SFEM_OK) return status;
-    x->members_most = 16 * (bytes < INT32_MAX / 16 ? bytes : INT32_MAX / 16);
+    x->members_most = 4 * (bytes < INT32_MAX / 4 ? bytes : INT32_MAX / 4);
     status = sfemi_mesh_parse_any(data, bytes, path, x, out, sets, info);
     sfemi_delete(&a, data);
     if (status != SFEM_OK) sfemi_file_blame(path, err);
