@@ -6866,13 +6866,49 @@ static sfem_status sfemi_vtu_appended(sfemi_vtu *r, const sfemi_tag *t)
     return sfemi_xml_past(&r->appended, "_");
 }
 
+/* Reads the size in front of binary data, which has to be `wanted` bytes, all of them there. */
+static sfem_status sfemi_vtu_size(sfemi_scan *s, int header, uint64_t wanted, const char *name)
+{
+    uint64_t bytes = 0;
+    const sfem_status status = sfemi_scan_bits(s, header, "the size of an array", &bytes);
+    if (status != SFEM_OK) return status;
+    if (bytes == wanted) return SFEM_OK;
+    return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, not %lld", name, (long long)bytes, (long long)wanted);
+}
+
+/* Decodes base64 of so many bytes behind their size; s is then the scan of them. */
+static sfem_status sfemi_vtu_decode(sfemi_vtu *r, int k, uint64_t bytes, const char *name, sfemi_scan *s)
+{
+    const uint64_t have = (uint64_t)(s->end - s->p) / 4 * 3 + 3;
+    unsigned char head[8];
+    sfem_error *err = s->err;
+    sfem_status status;
+    sfemi_scan size = *s;
+    size_t n = sfemi_base64(s->p, s->end, head, (size_t)r->header);
+    size.p = (const char *)head;
+    size.end = size.p + (n == (size_t)-1 ? 0 : n);
+    size.order = r->order;
+    if (n != (size_t)-1) SFEMI_TRY(sfemi_vtu_size(&size, r->header, bytes, name));
+    if (n != (size_t)-1 && bytes <= have) {
+        SFEMI_NEW(unsigned char, r->array[k].decoded, &r->v.m.allocator, bytes + 8);
+        n = sfemi_base64(s->p, s->end, r->array[k].decoded, (size_t)bytes + (size_t)r->header);
+    }
+    if (n == (size_t)-1) return sfemi_scan_fail(s, SFEM_FORMAT, "%s is not base64", name);
+    if (n != bytes + (uint64_t)r->header)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, but the data ends", name, (long long)bytes);
+    s->p = (const char *)r->array[k].decoded + r->header;
+    s->end = s->p + bytes;
+    s->order = r->order;
+done:
+    return status;
+}
+
 /* Makes s the scan of an array of `count` numbers, all of which are there, or wrong text. */
 static sfem_status sfemi_vtu_open(sfemi_vtu *r, int k, int64_t count, sfemi_scan *s)
 {
     static const char *const name[SFEMI_VTU_ARRAYS] = {"Points", "connectivity", "offsets", "types", "the regions"};
-    sfem_error *err = r->v.s.err;
     sfem_status status = SFEM_OK;
-    uint64_t bytes = 0, room, have;
+    uint64_t bytes;
     if (!r->array[k].type) return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "the array %s is missing", name[k]);
     *s = r->array[k].text;
     if (r->array[k].format == '+') {
@@ -6882,29 +6918,18 @@ static sfem_status sfemi_vtu_open(sfemi_vtu *r, int k, int64_t count, sfemi_scan
         *s = r->appended;
         s->p += r->array[k].offset;
     }
-    have = (uint64_t)(s->end - s->p);
     if (r->array[k].format == 'a') {
-        if ((uint64_t)count > (have + 1) / 2)
+        if ((uint64_t)count > ((uint64_t)(s->end - s->p) + 1) / 2)
             return sfemi_scan_fail(s, SFEM_FORMAT, "%s has less than %lld numbers", name[k], (long long)count);
         return SFEM_OK;
     }
-    room = (uint64_t)count * r->array[k].type->bytes + (uint64_t)r->header;
-    if (r->array[k].format == 'b' || r->base64) {
-        size_t n = have / 4 * 3 + 3;
-        if (n > room) n = (size_t)room;
-        SFEMI_NEW(unsigned char, r->array[k].decoded, &r->v.m.allocator, n);
-        n = sfemi_base64(s->p, s->end, r->array[k].decoded, n);
-        if (n == (size_t)-1) return sfemi_scan_fail(s, SFEM_FORMAT, "%s is not base64", name[k]);
-        s->p = (const char *)r->array[k].decoded;
-        s->end = s->p + n;
-        have = n;
-    } else
-        s->start = (const char *)r->v.s.start;
+    bytes = (uint64_t)count * r->array[k].type->bytes;
+    if (r->array[k].format == 'b' || r->base64) return sfemi_vtu_decode(r, k, bytes, name[k], s);
+    s->start = r->v.s.start;
     s->order = r->order;
-    SFEMI_TRY(sfemi_scan_bits(s, r->header, "the size of an array", &bytes));
-    if (have < room || bytes != room - (uint64_t)r->header)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, of which %lld are there; expected %lld", name[k],
-                               (long long)bytes, (long long)have - r->header, (long long)room - r->header);
+    SFEMI_TRY(sfemi_vtu_size(s, r->header, bytes, name[k]));
+    if (bytes > (uint64_t)(s->end - s->p))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, but the data ends", name[k], (long long)bytes);
     s->end = s->p + bytes;
 done:
     return status;
