@@ -10072,12 +10072,13 @@ typedef struct sfemi_lattice {
 /* Runs so many tasks, and tells the progress from part a to part b of the lattice's. */
 static void sfemi_lattice_run(sfemi_lattice *l, sfem_int tasks, sfem_task task, sfem_real a, sfem_real b)
 {
-    const sfem_int most = l->def->progress ? tasks / 20 + 1 : tasks;
+    const int told = l->def && l->def->progress;
+    const sfem_int most = told ? tasks / 20 + 1 : tasks;
     sfem_int n;
     for (l->task = 0; l->task < tasks; l->task += n) {
         n = tasks - l->task < most ? tasks - l->task : most;
         sfemi_run(l->exec, n, task, l);
-        if (l->def->progress)
+        if (told)
             l->def->progress(l->part[0] + (l->part[1] - l->part[0]) * (a + (b - a) * (l->task + n) / tasks),
                              l->def->progress_user);
     }

@@ -18,8 +18,8 @@ static const ex_option table[] = {
     {"MESH", "FILE", NULL,
      "tets: Gmsh .msh, VTK .vtk and .vtu, Medit .mesh and .meshb, Abaqus .inp, Vega .veg, TetGen .node; with --tets "
      "a surface: .obj, .stl, .ply, .off or the triangles of one of those; without it a bar of 1 x 0.2 x 0.2 m"},
-    {"--tets", "N", NULL, "fill the surface in the file with so many tets"},
-    {"--cage", NULL, NULL, "of --tets: whole tets of a lattice that contain the surface, filled in part"},
+    {"--tets", "N", "5000", "fill the surface in the file with so many tets; only if this or the next is given"},
+    {"--cage", NULL, NULL, "fill it with whole tets of a lattice that contain the surface, filled in part"},
     {"--linear", NULL, NULL, "10-node tets of the file become 4-node ones"},
     {"--weld", "D", NULL, "nodes at most D apart become one, m; 0: exactly at one place"},
     {"--info", NULL, NULL, "tell all about the mesh, its sets and regions, and stop"},
@@ -197,7 +197,7 @@ static void read_mesh(run *r)
     sfem_error err;
     if (!path)
         make_bar(r);
-    else if (ex_given(&r->o, "--tets"))
+    else if (ex_given(&r->o, "--tets") || ex_given(&r->o, "--cage"))
         fill_surface(r, path);
     else
         read_file(r, path);
