@@ -432,7 +432,7 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
  *                            dimension 3; region is the reference of the tet; keywords in either
  *                            case, Vertices before Tetrahedra, all others passed over, End may be
  *                            missing
- *   Abaqus (.inp)            one part, without a placed instance: *NODE; *ELEMENT of C3D4 and its kin; *NSET, *ELSET,
+ *   Abaqus (.inp)            one part, without a moved instance: *NODE; *ELEMENT of C3D4 and its kin; *NSET, *ELSET,
  *                            also GENERATE; *SOLID SECTION, *MATERIAL with an isotropic *ELASTIC and *DENSITY.
  *                            Region is the number of the last *SOLID SECTION with the tet, from 0 (-1 without one);
  *                            without any in the file that of its ELSET= among those of *ELEMENT, from 0
@@ -7285,7 +7285,7 @@ typedef struct sfemi_rows_region {
 /* Rows of Abaqus that are read at the end. */
 typedef struct sfemi_inp_rows {
     size_t name;
-    int elements, generate;
+    int elements, generate, outside; /* outside: numbers are of the assembly's own nodes */
     sfemi_scan s;
 } sfemi_inp_rows;
 
@@ -7312,7 +7312,7 @@ typedef struct sfemi_rows {
     size_t last_of_all; /* 1 + the last of region[] that names all tets */
     sfem_int materials;
     /* .inp: */
-    int inp, parts, instances;
+    int inp, parts, instances, assembly, instance; /* the last two: it is in one */
     sfemi_tags node, element;
     sfemi_inp_element *elements; /* [element.used of elements_room] */
     sfem_int *other;             /* [others of others_room] nodes of elements that are no tets */
@@ -7851,7 +7851,7 @@ done:
 /* A row that begins with a *: the keyword, and the parameters that matter. */
 typedef struct sfemi_inp_line {
     sfemi_word keyword, type, nset, elset, name, material;
-    int generate;
+    int generate, instance;
 } sfemi_inp_line;
 
 /* Did the row, which began at `row` and which s is at the end of, end in a comma? */
@@ -7899,6 +7899,7 @@ static sfem_status sfemi_inp_keyword(sfemi_rows *r, sfemi_inp_line *l)
         if (sfemi_word_is(key, "NAME")) l->name = value;
         if (sfemi_word_is(key, "MATERIAL")) l->material = value;
         if (sfemi_word_is(key, "GENERATE")) l->generate = 1;
+        if (sfemi_word_is(key, "INSTANCE")) l->instance = 1;
     }
 done:
     return status;
@@ -8144,6 +8145,7 @@ static sfem_status sfemi_inp_set(sfemi_rows *r, const sfemi_inp_line *l, int ele
     p->name = set;
     p->elements = elements;
     p->generate = l->generate;
+    p->outside = r->assembly && !r->instance && !l->instance;
     p->s = r->s;
     return SFEM_OK;
 }
@@ -8217,7 +8219,7 @@ static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any || *s->p == '*') break;
         if (p->generate) {
-            SFEMI_TRY(sfemi_inp_generate(r, p, text));
+            if (!p->outside) SFEMI_TRY(sfemi_inp_generate(r, p, text));
             sfemi_scan_rest(s);
             continue;
         }
@@ -8228,7 +8230,7 @@ static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
                 continue;
             }
             SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a number in a set", &v));
-            SFEMI_TRY(sfemi_inp_put(r, p, text, v, 0));
+            if (!p->outside) SFEMI_TRY(sfemi_inp_put(r, p, text, v, 0));
         }
     }
 done:
@@ -8309,8 +8311,12 @@ static sfem_status sfemi_inp_block(sfemi_rows *r, const sfemi_inp_line *l, sfem_
         if (sfemi_word_is(w, refused[k]))
             return sfemi_scan_fail(&r->s, SFEM_FORMAT, "%s is not read: write all nodes and elements",
                                    sfemi_word_text(w, text));
-    if (sfemi_word_is(w, "*NODE")) return sfemi_inp_nodes(r, l);
-    if (sfemi_word_is(w, "*ELEMENT")) return sfemi_inp_elements(r, l);
+    if (sfemi_word_is(w, "*ASSEMBLY") || sfemi_word_is(w, "*END ASSEMBLY")) r->assembly = w.n == 9;
+    if (sfemi_word_is(w, "*INSTANCE") || sfemi_word_is(w, "*END INSTANCE")) r->instance = w.n == 9;
+    if (!r->assembly || r->instance) { /* an assembly's own nodes, reference points, are passed over */
+        if (sfemi_word_is(w, "*NODE")) return sfemi_inp_nodes(r, l);
+        if (sfemi_word_is(w, "*ELEMENT")) return sfemi_inp_elements(r, l);
+    }
     if (sfemi_word_is(w, "*NSET")) return sfemi_inp_set(r, l, 0);
     if (sfemi_word_is(w, "*ELSET")) return sfemi_inp_set(r, l, 1);
     if (sfemi_word_is(w, "*SOLID SECTION")) return sfemi_inp_section(r, l);
@@ -8981,7 +8987,8 @@ typedef enum sfemi_mesh_kind {
 static int sfemi_scan_begins_inp(const sfemi_scan *s)
 {
     static const char *const word[] = {"*HEADING", "*NODE", "*PART", "*PREPRINT", "**", "*PARAMETER", "*ASSEMBLY", "*ELSET",
-                                       "*NSET", "*AMPLITUDE", "*MATERIAL,"};
+                                       "*NSET", "*AMPLITUDE", "*MATERIAL,", "*INCLUDE,", "*ELEMENT,", "*SOLID SECTION",
+                                       "*BOUNDARY", "*SYSTEM", "*RESTART"};
     size_t k;
     for (k = 0; k < sizeof word / sizeof *word; ++k)
         if (sfemi_scan_begins(s, word[k])) return 1;

@@ -99,6 +99,69 @@ def quiet(call, *arguments, **named):
         return call(*arguments, **named)
 
 
+# ---- the options of simulate, of files made here ----
+
+SEAM = """*NODE
+1, 0, 0, 0
+2, 1, 0, 0
+3, 0, 1, 0
+4, 0, 0, 1
+5, 1, 0, 0
+6, 0, 1, 0
+7, 0, 0, 1
+8, 1, 1, 1
+*ELEMENT, TYPE=C3D4, ELSET=low
+1, 1, 2, 3, 4
+*ELEMENT, TYPE=C3D4, ELSET=high
+2, 5, 6, 7, 8
+*NSET, NSET=held
+1, 2, 3, 4
+*NSET, NSET=tip
+8
+*MATERIAL, NAME=foam
+*ELASTIC
+1e4, 0.1
+*DENSITY
+30
+*SOLID SECTION, ELSET=low, MATERIAL=foam
+*SOLID SECTION, ELSET=high, MATERIAL=foam
+"""
+
+
+def simulate_names():
+    with open(path('seam.inp'), 'w') as f:
+        f.write(SEAM)
+    name = path('seam.inp')
+    text = ours('simulate', name, '--info')
+    for words in ('mesh: 8 nodes, 2 tets', '2 pieces', 'split the body along 1 faces: 2 components instead of 1; --weld 0',
+                  "region 'low': number 0, 1 tets, material 'foam', E 10000 Pa, nu 0.1, 30 kg/m^3", "set 'held': 4 nodes",
+                  "set 'tip': 1 nodes", 'Euler characteristic 4'):
+        require(words in text, "--info does not say '%s':\n%s" % (words, text))
+    text = ours('simulate', name, '--info', '--weld', '0')
+    require('3 nodes welded' in text and '1 piece\n' in text and 'warning' not in text, text)
+    for option, value in (('--fix', 'set:hold'), ('--load', 'set:hold:1,2,3')):
+        text = ours('simulate', name, '--weld', '0', option, value, code=2)
+        require("%s: there is no set 'hold' in this mesh. Regions: 'low' 'high'. Sets: 'held' 'tip' 'low' 'high'" % option in text,
+                text)
+    text = ours('simulate', name, '--region', 'middle:1,0.3,1', code=2)
+    require("there is no region 'middle' in this mesh. Regions: 'low' 'high'" in text, text)
+
+    def tip(*options):
+        text = ours('simulate', name, '--weld', '0', '--static', '--material', 'linear', '--gravity', '0,0,0', '--fix', 'set:held',
+                    '--load', 'set:tip:0,0,1', '--probe', '4', '--out', path('seam'), *options)
+        return float(re.search('probe 4 .* (.*)\n', text).group(1))
+
+    require(abs(tip('--region', 'high:5e3,0.1,30') / tip() - 2) < 1e-12, '--region: half the modulus is not twice the way')
+    require(abs(tip('--young', '2e4', '--poisson', '0.1') / tip() - 0.5) < 1e-12, "--young is not stronger than the file's")
+    with open(path('box.obj'), 'w') as f:
+        f.write(''.join('v %d %d %d\n' % (2 * (i & 1), i >> 1 & 1, i >> 2) for i in range(8)) +
+                'f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n')
+    text = ours('simulate', path('box.obj'), code=2)
+    require('this file has 12 triangles and no tets; --tets 5000 makes some' in text, text)
+    text = ours('simulate', path('box.obj'), '--tets', '800', '--cage', '--static', '--fix', 'x<0.1', '--out', path('box'))
+    require(680 < int(re.search('\ntets (.*)', text).group(1)) < 920, text)
+
+
 # ---- gmsh ----
 
 def gmsh(source, out, *options):
@@ -176,11 +239,16 @@ def gmsh_second_order():
         require(used == set(range(len(d['x']))), out + ': nodes that no tet uses')
 
 
+def torus():
+    """2000 tets that tetrahedralize makes of the triangles of a torus, in torus/mesh.msh; made once."""
+    if not os.path.exists(path('torus/done')):
+        ours('tetrahedralize', '--tets', '2000', '--out', path('torus'))
+        open(path('torus/done'), 'w').close()
+    return dump('torus/mesh.msh')
+
+
 def gmsh_reads_ours():
-    first = two_parts()
-    ours('simulate', path('two41.msh'), '--fix', 'set:left', '--static', '--out', path('simulate'), '--vtu', '1')
-    ours('tetrahedralize', '--tets', '2000', '--out', path('torus'))
-    d = dump('torus/mesh.msh')
+    d = torus()
     run(program('gmsh'), path('torus/mesh.msh'), '-save', '-o', path('torus.msh'), '-format', 'msh41', '-v', '2')
     equal(dump('torus.msh'), d['x'], d['tets'], 'ours through gmsh', 1e-15)  # it writes 16 digits
 
@@ -298,8 +366,7 @@ def meshio_sets():
 def meshio_reads_ours():
     meshio = module('meshio')
     numpy = module('numpy')
-    ours('tetrahedralize', '--tets', '2000', '--out', path('torus'))
-    d = dump('torus/mesh.msh')
+    d = torus()
     ours('tetrahedralize', path('torus/mesh.msh'), path('torus/copy.vtu'), '--out', path('torus'))
     ours('tetrahedralize', path('torus/mesh.msh'), path('torus/copy.veg'), '--out', path('torus'))
     for name in ('torus/mesh.msh', 'torus/copy.vtu'):
@@ -417,8 +484,7 @@ def write_inp(name, d, fixed):
 
 def calculix():
     ccx = program('ccx')
-    ours('tetrahedralize', '--tets', '3000', '--out', path('ccx'))  # of the triangles of a torus
-    d = dump('ccx/mesh.msh')
+    d = torus()
     held = [i for i, p in enumerate(d['x']) if p[0] < -0.9]
     require(len(held) > 20, 'few nodes are held')
     write_inp('rubber.inp', d, held)
@@ -443,7 +509,7 @@ def calculix():
     return 'displacements agree within %.1e of the largest, %.3g m' % (worst / size, size)
 
 
-TESTS = [gmsh_groups, gmsh_formats, gmsh_partitions, gmsh_second_order, gmsh_reads_ours, gmsh_surface, tetgen, meshio_writes,
+TESTS = [simulate_names, gmsh_groups, gmsh_formats, gmsh_partitions, gmsh_second_order, gmsh_reads_ours, gmsh_surface, tetgen, meshio_writes,
          meshio_sets, meshio_reads_ours, vtk_writes, vtk_reads_ours, calculix]
 
 
@@ -451,7 +517,8 @@ def main():
     names = [a for a in sys.argv[3:] if a != '--need-all']
     need_all = '--need-all' in sys.argv
     failed = skipped = 0
-    os.makedirs(SCRATCH, exist_ok=True)
+    shutil.rmtree(SCRATCH, ignore_errors=True)
+    os.makedirs(SCRATCH)
     for test in TESTS:
         if names and test.__name__ not in names:
             continue

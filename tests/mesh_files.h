@@ -242,7 +242,7 @@ static const char *const mesh_file_texts[] = {
     "*Heading\n*Preprint, echo=NO\n*Part, name=Part-1\n*Node\n1, 0, 0, 0\n2, 1, 0, 0\n3, 0, 1, 0\n4, 0, 0, 1\n5, 1, 1, 1\n"
     "*Element, type=C3D4\n1, 1, 2, 3, 4\n2, 2, 3, 4, 5\n*Elset, elset=\"Set 1\"\n1,\n*Elset, elset=two\n2\n"
     "*Solid Section, elset=\"Set 1\", material=m\n,\n*Solid Section, elset=two, material=m\n,\n*End Part\n*Assembly, name=A\n"
-    "*Instance, name=Part-1-1, part=Part-1\n*End Instance\n*Nset, nset=Fix, instance=Part-1-1\n1, 2,\n 3\n*End Assembly\n"
+    "*Instance, name=Part-1-1, part=Part-1\n*End Instance\n*Node\n1, 9., 9., 9.\n*Nset, nset=RP\n1,\n*Nset, nset=Fix, instance=Part-1-1\n1, 2,\n 3\n*End Assembly\n"
     "*Material, name=m\n*Density\n1000.\n*Elastic\n1e5, .3\n",
     /* Gmsh 4.1, in three partitions, with names */
     "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PhysicalNames\n3\n2 7 \"the top\"\n3 4 \"soft\"\n3 5 \"hard\"\n$EndPhysicalNames\n"

@@ -189,6 +189,7 @@ static void sets_and_materials_of_abaqus_are_read(void **state)
     mesh_file_sample(PART, &f);
     p = parse(f.data, f.n, NULL);
     assert_set(&p, "fix", 0, "0 1 2");
+    assert_set(&p, "RP", 0, ""); /* a reference point: the assembly has nodes of its own */
     assert_set(&p, "Set 1", 1, "0");
     assert_string_equal(p.s.region[1].name, "two");
     assert_true(p.s.region[1].young == 1e5 && p.s.region[1].density == 1000);
