@@ -141,7 +141,7 @@ def simulate_names():
     require('3 nodes welded' in text and '1 piece\n' in text and 'warning' not in text, text)
     for option, value in (('--fix', 'set:hold'), ('--load', 'set:hold:1,2,3')):
         text = ours('simulate', name, '--weld', '0', option, value, code=2)
-        require("%s: there is no set 'hold' in this mesh. Regions: 'low' 'high'. Sets: 'held' 'tip' 'low' 'high'" % option in text,
+        require("%s: there is no set 'hold' in this mesh. Regions: 'low' 'high'. Sets: 'low' 'high' 'held' 'tip'" % option in text,
                 text)
     text = ours('simulate', name, '--region', 'middle:1,0.3,1', code=2)
     require("there is no region 'middle' in this mesh. Regions: 'low' 'high'" in text, text)
