@@ -107,6 +107,12 @@ static void must(sfem_status status, const sfem_error *err)
 }
 
 /* 1. The mesh, and what is to be known about it. */
+static void show_progress(sfem_real part, void *user)
+{
+    (void)user;
+    ex_progress("tets", (long)(1000 * part), 1000);
+}
+
 static void fill_surface(run *r, const char *path)
 {
     sfem_mesher_def def = sfem_default_mesher_def();
@@ -116,6 +122,8 @@ static void fill_surface(run *r, const char *path)
     def.mode = ex_given(&r->o, "--cage") ? SFEM_CAGE : SFEM_FITTED;
     def.tets = (sfem_int)ex_integer(&r->o, "--tets");
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
+    def.progress = show_progress;
+    show_progress(0, NULL); /* the clock starts */
     must(sfem_mesh_from_surface(&def, &s, &r->mesh, &r->mesher, &err), &err);
     sfem_surface_free(&s);
 }

@@ -173,6 +173,7 @@ static sfem_mesh fill(const ex_options *o, const sfem_surface *surface)
     if (ex_given(o, "--size")) def.size = ex_positive(o, "--size");
     def.exec.threads = (sfem_int)ex_integer(o, "--threads");
     def.progress = show_progress;
+    show_progress(0, NULL); /* the clock starts */
     begin = ex_seconds();
     must(sfem_mesh_from_surface(&def, surface, &mesh, &info, &err), &err);
     begin = ex_seconds() - begin;
