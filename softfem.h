@@ -6086,6 +6086,7 @@ static sfem_status sfemi_gmsh_block(sfemi_gmsh *g, int64_t *elements, sfem_int *
     SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements in a block", &count));
     SFEMI_TRY(sfemi_gmsh_groups(g, (int)dimension, entity, &region));
     tet = sfemi_gmsh_is_tet(g, type);
+    if (tet ? dimension < 3 : dimension == 3 || sfemi_gmsh_type_of(type).dimension != dimension) g->x->ins = 0; /* not of its kind */
     wanted = g->m.tet && (tet || (type != 11 && (g->x->ins || g->x->faces)));
     if (s->order && !wanted && count > 0) {
         SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));

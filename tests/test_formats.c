@@ -166,6 +166,30 @@ static void names_of_gmsh_and_vega_and_medit_are_those_of_sets_and_regions(void 
     drop(&p);
 }
 
+/* Elements of another dimension than their block says, or volumes that are no tets, are in no set of that block. */
+static void elements_of_a_wrong_dimension_are_in_no_set(void **state)
+{
+    static const char head[] = "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PhysicalNames\n2\n2 7 \"top\"\n3 4 \"soft\"\n"
+                               "$EndPhysicalNames\n$Entities\n0 0 1 1\n1 0 0 0 1 1 0 1 7 0\n1 0 0 0 1 1 1 1 4 0\n$EndEntities\n"
+                               "$Nodes\n1 5 1 5\n3 1 0 5\n1\n2\n3\n4\n5\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 1 1\n$EndNodes\n$Elements\n";
+    static const char *const block[3] = {"2 2 1 2\n2 1 4 1\n1 1 2 3 4\n3 1 4 1\n2 2 3 4 5\n", /* a tet in a surface */
+                                         "2 2 1 2\n3 1 2 1\n1 3 4 5\n3 1 4 1\n2 1 2 3 4\n",   /* a triangle in a volume */
+                                         "2 2 1 2\n3 1 7 1\n1 1 2 3 4 5\n3 1 4 1\n2 1 2 3 4\n"}; /* a pyramid */
+    static const char *const soft[3] = {"1", "0", "0"};
+    char text[1000];
+    int k;
+    (void)state;
+    for (k = 0; k < 3; ++k) {
+        parsed p;
+        sprintf(text, "%s%s$EndElements\n", head, block[k]);
+        p = parse_text(text, NULL);
+        assert_set(&p, "soft", 1, soft[k]);
+        assert_set(&p, "top", 0, "");
+        assert_int_equal(p.info.others, k == 2);
+        drop(&p);
+    }
+}
+
 static void sets_and_materials_of_abaqus_are_read(void **state)
 {
     static mesh_file f;
@@ -863,6 +887,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(the_same_mesh_comes_from_each_file),
         cmocka_unit_test(names_of_gmsh_and_vega_and_medit_are_those_of_sets_and_regions),
+        cmocka_unit_test(elements_of_a_wrong_dimension_are_in_no_set),
         cmocka_unit_test(sets_and_materials_of_abaqus_are_read),
         cmocka_unit_test(tets_of_10_nodes_are_linear_on_request),
         cmocka_unit_test(medit_and_tetgen_have_tets_of_10_nodes),
