@@ -4479,7 +4479,8 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file formats 2.2 and 4.1. Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * manual, MSH file formats 2.2 and 4.1. Abaqus keywords reference guide. Marechal, libMeshb (codes of Medit's binary
+ * keywords). Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
  * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
  * interactive mesh visualization software, INRIA RT-0253, 2001. */
 
@@ -34327,8 +34328,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  * CHANGES
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
- *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
- *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
+ *           forces with (p,q,r); refactorise in place of renew; Medit, Abaqus, .vtu and binary VTK meshes; sets and
+ *           regions by name; welding; surfaces and tets from them; bodies may share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
  *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
