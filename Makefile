@@ -159,6 +159,14 @@ examples: $(EXAMPLE_PROGRAMS) ## build every example
 gallery: $(BUILD)/examples/gallery ## the pictures of examples/gallery/, the first of them that of README.md
 	$(BUILD)/examples/gallery --out examples/gallery
 
+INTEROP ?=
+INTEROP_PYTHON ?= $(firstword $(wildcard /usr/bin/python3) python3)
+INTEROP_PROGRAMS = $(BUILD)/tests/interop_dump $(BUILD)/examples/simulate $(BUILD)/examples/tetrahedralize
+test-interop: $(INTEROP_PROGRAMS) ## meshes to and from gmsh, TetGen, meshio, VTK, CalculiX; skips what is not installed (INTEROP=--need-all)
+	@mkdir -p $(BUILD)/interop/programs
+	@cp $^ $(BUILD)/interop/programs/
+	@$(INTEROP_PYTHON) tests/interop.py $(BUILD)/interop/programs $(BUILD)/interop/files $(INTEROP)
+
 strict: ## gcc and clang, C99 to C++20, every switch, no warning, no foreign symbol
 	@if command -v python3 >/dev/null; then $(MAKE) -s structure; else echo 'left out: structure, which needs python3'; fi
 	@BUILD=$(BUILD)/strict sh tests/strict.sh
@@ -190,7 +198,7 @@ endif
 
 # Each target by itself, from the good inputs that it makes, in FUZZ_SECONDS; what is found stays in build/fuzz.
 FUZZ_SECONDS ?= 60
-FUZZ_TARGETS ?= gmsh vtk medit vega tetgen surface body modal reduced link
+FUZZ_TARGETS ?= gmsh vtk vtu medit inp vega tetgen surface body modal reduced link
 
 fuzz: $(BUILD)/fuzz/fuzz ## mesh and surface readers, state blocks and packets under libFuzzer, FUZZ_SECONDS=60 each (clang)
 	@for x in $(FUZZ_TARGETS); do \
@@ -203,7 +211,7 @@ fuzz: $(BUILD)/fuzz/fuzz ## mesh and surface readers, state blocks and packets u
 	done
 
 # Only the portable kernels: the others would take most of the time to compile, and read nothing from outside.
-$(BUILD)/fuzz/fuzz: tests/fuzz.c tests/fuzz.h softfem.h
+$(BUILD)/fuzz/fuzz: tests/fuzz.c tests/fuzz.h tests/mesh_files.h softfem.h
 	@mkdir -p $(@D)
 	clang -std=c99 $(WARNINGS) -I. -O1 -g -DSFEM_NO_DISPATCH -fsanitize=fuzzer,address,undefined \
 	    -fno-sanitize=$(subst pointer-overflow$(comma),,$(SLOW)) -fno-sanitize-recover=all -o $@ $< -lm

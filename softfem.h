@@ -398,7 +398,10 @@ typedef struct sfem_mesh_report {
     sfem_int inverted;     /* left-handed tets */
     /* suspicious, but usable */
     sfem_int unused;      /* nodes in no tet */
-    sfem_int coincident;  /* nodes at the very place of one with a lower number: a seam? */
+    sfem_int coincident;  /* nodes at the very place of one with a lower number */
+    sfem_int seam;        /* surface triangles that lie on another one, node for node, but with other nodes: a seam of
+                           * duplicate nodes splits the body there, which sfem_mesh_weld joins */
+    sfem_int welded_components; /* what components (below) would be without the duplicate nodes */
     sfem_int overlapping; /* faces with two tets on one side: tets twice, or through one another */
     /* shape, over the tets without a fault of the first three kinds */
     sfem_real volume, min_volume, max_volume; /* m^3, signed */
@@ -470,6 +473,17 @@ SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, s
 SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old,
                                              sfem_error *err);
 
+/* Welds nodes that are at one place: each node goes to the lowest one that is kept and at most `distance` away, m; 0: at
+ * exactly the same coordinates. Joins parts that meet in duplicate nodes (sfem_mesh_report.seam). The others keep their
+ * order, the arrays their place.
+ *   new_of_old  [nodes before], or NULL: the new number of each node
+ *   welded      or NULL: how many nodes are gone
+ *   errors      SFEM_BAD_ARGUMENT (distance), SFEM_BAD_MESH (node number out of range; a tet that would lose its shape,
+ *               err->tet: the distance is above its edges), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY; the mesh is then as it was
+ *   cost        O(nodes log nodes + tets); scratch from the mesh's allocator */
+SFEM_DEF sfem_status sfem_mesh_weld(sfem_mesh *mesh, sfem_real distance, sfem_int *new_of_old, sfem_int *welded,
+                                    sfem_error *err);
+
 /* PICKING, in a mesh that passed sfem_mesh_check, at current positions x [nodes][3] (NULL = rest).
  * Both return 1 and fill the outputs (any may be NULL), or return 0 and do not write them. bary [4] is >= 0 and sums to
  * 1: the point is sum_i bary[i] x[tet[i]]. Tets that are flat in x are skipped, inverted ones are not. O(tets);
@@ -492,29 +506,37 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
 
 /* READING. Which format it is shows in the data itself, TetGen's in the name:
  *   Gmsh 2.0 to 2.2 and 4.1 (.msh)  ASCII and binary, in either order of bytes, 2.2 with doubles or
- *                            floats; node tags in any order and with gaps; 4-node tets (type 4);
+ *                            floats; 4.1 also partitioned; node tags in any order and with gaps;
  *                            region is the first physical group of the tet, in 4.1 of its volume (0
- *                            without one), if any has one, else the number of its entity
- *   VTK legacy ASCII (.vtk)  unstructured grids of versions 1.0 to 5.1; tets (type 10); no region
- *   Medit ASCII (.mesh)      format versions 1 to 4 (as text they are the same), dimension 3;
- *                            region is the reference of the tet; keywords in either case, Vertices
- *                            before Tetrahedra, all others passed over, End may be missing
+ *                            without one), if any has one, else the number of its entity. A tet of 2.2 that
+ *                            stands twice in a row, in two groups, is one
+ *   VTK legacy (.vtk)        unstructured grids of versions 1.0 to 5.1, ASCII and binary
+ *   VTK XML (.vtu)           of one piece; data in ASCII, base64 or raw, inline or appended, in either order of bytes,
+ *                            not compressed. Region of both: the first cell array called region, medit:ref,
+ *                            gmsh:physical, gmsh:geometrical, CellEntityIds, material or MaterialId, if any
+ *   Medit (.mesh, .meshb)    ASCII and binary in either order of bytes, format versions 1 to 4,
+ *                            dimension 3; region is the reference of the tet; keywords in either
+ *                            case, Vertices before Tetrahedra, all others passed over, End may be
+ *                            missing
+ *   Abaqus (.inp)            one part, without a moved instance: *NODE; *ELEMENT of C3D4 and its kin; *NSET, *ELSET,
+ *                            also GENERATE; *SOLID SECTION, *MATERIAL with an isotropic *ELASTIC and *DENSITY.
+ *                            Region is the number of the last *SOLID SECTION with the tet, from 0 (-1 without one);
+ *                            without any in the file that of its ELSET= among those of *ELEMENT, from 0
  *   Vega (.veg)              *ELEMENTS TET; region is the material's number, from 0 in the order of
  *                            *MATERIAL, by the last *REGION with the tet in its *SET (-1 if none
- *                            has; NULL without any); its constants are not read. sfem_mesh_read
- *                            follows *INCLUDE to files beside this one or below it, 16 at most; a
- *                            count has to stand in one file with what it counts
- *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number; attributes
- *                            and markers of nodes are passed over
- * The last two are numbered from 0, from 1 or from elsewhere, without gaps; the last three may have
- * comments (# to the end of the line). Cells that are not 4-node tets are skipped in Gmsh, VTK and
- * Medit files, and refused in the others, which hold one kind only. Nodes stand in the file's order, numbered from
- * 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed tets are
- * turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
+ *                            has; NULL without any). A count has to stand in one file with what it
+ *                            counts
+ *   TetGen (.node and .ele)  region is the first attribute of the tet, a whole number
+ * sfem_mesh_read follows *INCLUDE of the Abaqus and Vega files to files beside this one or below it, 16 at most.
+ * The last two are numbered from 0, from 1 or from elsewhere, without gaps; all with keywords may have
+ * comments (# to the end of the line, ** of Abaqus). Cells that are not tets are skipped in files that can hold
+ * others, and refused in the last two; for 10-node tets see sfem_mesh_read_def. Nodes stand in the file's
+ * order, numbered from 0, with those that no tet uses (sfem_mesh_remove_unused takes them out). Left-handed
+ * tets are turned, as by sfem_mesh_orient; flat ones and the like are left for sfem_mesh_check to find.
  * Numbers are read exactly, whatever the locale: the double nearest to the text.
  *   errors  SFEM_FORMAT      another format or version, or not what the format says; err->line, in
  *                            binary files -1, while the text tells the byte
- *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all
+ *           SFEM_BAD_MESH    a tet that names a node that is not there (err->line), no tets at all, 10-node tets
  *           SFEM_NOT_FINITE  a coordinate that is NaN or infinite, or overflows; err->line
  *           SFEM_TOO_LARGE, SFEM_OUT_OF_MEMORY, and for a file SFEM_IO
  *   cost    O(bytes). Memory follows the data that is there, not the counts that it claims. */
@@ -529,12 +551,78 @@ SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err);
 
+/* SETS AND REGIONS, by name, with options. */
+
+typedef struct sfem_mesh_read_def {
+    int linear;     /* 10-node tets are read as 4-node ones, without the nodes in the middle of their edges, which go with
+                     * all nodes that no tet uses. Default 0: a file with such tets is refused with their number */
+    int weld;       /* nodes at most weld_distance apart become one (sfem_mesh_weld). Default 0 */
+    sfem_real weld_distance; /* m; default 0: exactly at one place */
+    sfem_allocator allocator;
+} sfem_mesh_read_def;
+SFEM_DEF sfem_mesh_read_def sfem_default_mesh_read_def(void);
+
+/* Some nodes, or some tets. */
+typedef struct sfem_set {
+    const char *name;       /* the file's; never NULL */
+    int of_tets;            /* members are tets (1) or nodes (0) */
+    sfem_int count;
+    const sfem_int *member; /* [count] ascending, each once */
+} sfem_set;
+
+/* What the file says about the tets with one number in mesh->region. */
+typedef struct sfem_region {
+    sfem_int number, tets;
+    const char *name;     /* the file's, or the number as text; never NULL */
+    const char *material; /* the name of its material, or "" */
+    int has_elastic, has_density; /* the file gives the two, or the one, next */
+    sfem_real young, poisson;     /* Pa, - */
+    sfem_real density;            /* kg/m^3; as they stand in the file, of any value */
+} sfem_region;
+
+typedef struct sfem_mesh_sets {
+    sfem_int sets, regions;
+    sfem_set *set;       /* [sets] in the order of the file */
+    sfem_region *region; /* [regions] one of each number in mesh->region, in the order of their first tets; none without it */
+    sfem_allocator allocator;
+    void *memory; /* private: all of it */
+} sfem_mesh_sets;
+SFEM_DEF void sfem_mesh_sets_free(sfem_mesh_sets *sets); /* as sfem_mesh_free */
+
+/* The first of that name (capitals count as small letters), or NULL. A region is found by its number as text, too. */
+SFEM_DEF const sfem_set *sfem_mesh_sets_find(const sfem_mesh_sets *sets, const char *name, int of_tets);
+SFEM_DEF const sfem_region *sfem_mesh_sets_region(const sfem_mesh_sets *sets, const char *name);
+
+/* What was done to the file's mesh. */
+typedef struct sfem_mesh_read_info {
+    sfem_int swapped;   /* left-handed tets, whose last two nodes were swapped */
+    sfem_int linear;    /* 10-node tets read as 4-node ones */
+    sfem_int removed;   /* nodes left out with them */
+    sfem_int welded;    /* nodes that became one with another */
+    sfem_int triangles; /* of the file; quadrilaterals count as two */
+    sfem_int others;    /* volume cells that are no tets: hexahedra and the like, left out */
+} sfem_mesh_read_info;
+
+/* As sfem_mesh_parse and sfem_mesh_read; sets and info may be NULL. What becomes a set, besides the regions:
+ *   Gmsh      each physical group: of volumes the tets, of others the nodes of their elements. Without a name a group of
+ *             the last three is called point, curve or surface and its number: "surface 5"
+ *   VTK, VTU  nodes of the vertices, lines and polygons with the same region number other than 0: "surface 5"
+ *   Medit     nodes of a reference other than 0: "point 5"; of edges and triangles of one: "curve 5", "surface 5"
+ *   Abaqus    *NSET and *ELSET, also NSET= and ELSET= of *NODE and *ELEMENT. An *ELSET of other elements than tets is a
+ *             set of their nodes
+ *   Vega      *SET, of tets
+ *   TetGen    nodes with one marker other than 0: "point 5"
+ *   errors    also those of sfem_mesh_weld; SFEM_TOO_LARGE: sets of more than 4 members a byte of the file */
+SFEM_DEF sfem_status sfem_mesh_parse_sets(const void *data, size_t bytes, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                          sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err);
+
 /* SURFACES, of which sfem_mesh_from_surface makes tets. Which format it is shows in the data itself:
  *   Wavefront (.obj)   v and f, with numbers from 1 or from the end; all else is passed over
  *   STL (.stl)         ASCII and binary; vertices at exactly one place become one
  *   PLY (.ply)         ASCII and binary, in either order of bytes; x, y, z of element vertex, the list vertex_indices
  *                      (or vertex_index) of element face, other properties passed over
  *   OFF (.off)         ASCII, 3-dimensional; also COFF, NOFF and the like, whose extras are passed over
+ *   Gmsh, VTK, VTU, Medit, Abaqus   the triangles and quadrilaterals of a mesh file, of second order as flat ones
  * Polygons are cut into fans from their first vertex. Holes, doubled or flipped triangles and the like are left for
  * sfem_mesh_from_surface to repair. Fills x, nodes, tri, triangles.
  *   errors  as sfem_mesh_parse; SFEM_BAD_MESH: no faces
@@ -550,6 +638,8 @@ SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *a
 /* From a file, which is read whole; with x.node or x.ele, from both of them. */
 SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
                                     sfem_mesh *out, sfem_error *err);
+SFEM_DEF sfem_status sfem_mesh_read_sets(const char *path, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                         sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err);
 
 /* WRITING. Text has a decimal point in any locale, and as many digits (15 or 17) as bring the same
  * double back. A file that exists is overwritten; SFEM_IO tells if it could not be opened or not be
@@ -615,6 +705,9 @@ typedef struct sfem_mesher_def {
     sfem_int tets;         /* wanted, where size is 0; default 5000. Met within 15 % (tested at 2000 and 9000). The number
                             * of small bodies, and of plates of one layer, may jump past it: the nearest is taken */
     sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
+    void (*progress)(sfem_real part, void *user); /* or NULL: called by the calling thread with the part of the work that
+                                                   * is done, an estimate: from 0, never less than before, 1 at the end */
+    void *progress_user;
     sfem_allocator allocator;
 } sfem_mesher_def;
 SFEM_DEF sfem_mesher_def sfem_default_mesher_def(void);
@@ -3934,7 +4027,7 @@ SFEM_DEF sfem_status sfem_mesh_surface(const sfem_mesh *mesh, const sfem_allocat
 /* ---- vertices at one place ---- */
 
 /* Below or not, by x, then y, then z, then the number. */
-static SFEMI_UNUSED int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_int b)
+static int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_int b)
 {
     const sfem_real *p = x + 3 * (size_t)a, *q = x + 3 * (size_t)b;
     int c;
@@ -3944,8 +4037,8 @@ static SFEMI_UNUSED int sfemi_mesh_before(const sfem_real *x, sfem_int a, sfem_i
 }
 
 /* first[i] = the lowest node at the place of node i. By merge sort, which no input makes slow. */
-static SFEMI_UNUSED sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real *x, const sfem_allocator *a,
-                                                sfem_int *first, sfem_error *err)
+static sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real *x, const sfem_allocator *a, sfem_int *first,
+                                   sfem_error *err)
 {
     sfem_status status = SFEM_OK;
     sfem_int *memory = NULL, *from, *to, *swap;
@@ -3972,6 +4065,126 @@ static SFEMI_UNUSED sfem_status sfemi_mesh_weld(sfem_int nodes, const sfem_real 
     }
 done:
     sfemi_delete(a, memory);
+    return status;
+}
+
+/* Kept nodes by the cell of a grid, as wide as the distance, that they are in: at most eight in each. */
+typedef struct sfemi_mesh_grid {
+    const sfem_real *x;
+    sfem_real width;
+    sfem_int *head, *next; /* [mask+1], [nodes] 1 + a node, or 0 */
+    size_t mask;
+} sfemi_mesh_grid;
+
+/* The slot of the cell next to that of node i by step, each -1, 0 or 1. */
+static size_t sfemi_mesh_grid_slot(const sfemi_mesh_grid *g, sfem_int i, const int step[3])
+{
+    uint64_t hash = 0, bits;
+    int c;
+    for (c = 0; c < 3; ++c) {
+        const sfem_real cell = floor(g->x[3 * (size_t)i + (size_t)c] / g->width) + step[c] + 0.5; /* never -0 */
+        memcpy(&bits, &cell, sizeof bits);
+        hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
+        hash ^= hash >> 29;
+    }
+    return (size_t)hash & g->mask;
+}
+
+/* The lowest kept node within the width of node i, or i. */
+static sfem_int sfemi_mesh_grid_find(const sfemi_mesh_grid *g, sfem_int i)
+{
+    const sfem_real *p = g->x + 3 * (size_t)i;
+    sfem_int best = i, k;
+    int n, step[3];
+    for (n = 0; n < 27; ++n) {
+        step[0] = n % 3 - 1, step[1] = n / 3 % 3 - 1, step[2] = n / 9 - 1;
+        for (k = g->head[sfemi_mesh_grid_slot(g, i, step)]; k; k = g->next[k - 1]) {
+            const sfem_real *q = g->x + 3 * (size_t)(k - 1);
+            const sfem_real a = p[0] - q[0], b = p[1] - q[1], c = p[2] - q[2];
+            if (k - 1 < best && a * a + b * b + c * c <= g->width * g->width) best = k - 1;
+        }
+    }
+    return best;
+}
+
+/* first[i] = the node that node i goes to, as sfem_mesh_weld has it. */
+static sfem_status sfemi_mesh_weld_near(const sfem_mesh *m, sfem_real distance, sfem_int *first, sfem_error *err)
+{
+    static const int here[3] = {0, 0, 0};
+    sfem_status status = SFEM_OK;
+    sfemi_mesh_grid g;
+    sfem_real most = 0;
+    size_t k;
+    sfem_int i;
+    memset(&g, 0, sizeof g);
+    for (k = 0; k < 3 * (size_t)m->nodes; ++k) most = fmax(most, fabs(m->x[k]));
+    if (!(distance > 1e-15 * most)) return sfemi_mesh_weld(m->nodes, m->x, &m->allocator, first, err); /* rounding */
+    g.x = m->x;
+    g.width = distance;
+    for (g.mask = 15; g.mask < 2 * (size_t)m->nodes;) g.mask = 2 * g.mask + 1;
+    SFEMI_NEW(sfem_int, g.head, &m->allocator, g.mask + 1);
+    SFEMI_NEW(sfem_int, g.next, &m->allocator, m->nodes);
+    for (i = 0; i < m->nodes; ++i) {
+        first[i] = sfemi_mesh_grid_find(&g, i);
+        if (first[i] < i) continue;
+        k = sfemi_mesh_grid_slot(&g, i, here);
+        g.next[i] = g.head[k];
+        g.head[k] = i + 1;
+    }
+done:
+    sfemi_delete(&m->allocator, g.head);
+    sfemi_delete(&m->allocator, g.next);
+    return status;
+}
+
+/* Would a tet lose its shape if nodes went to first[]? */
+static sfem_status sfemi_mesh_weld_check(const sfem_mesh *m, const sfem_int *first, sfem_real distance, sfem_error *err)
+{
+    sfem_int t;
+    int e;
+    for (t = 0; t < m->tets; ++t) {
+        const sfem_int *v = m->tet + 4 * (size_t)t;
+        for (e = 0; e < 6; ++e) {
+            const sfem_int a = v[sfemi_mesh_edge[e][0]], b = v[sfemi_mesh_edge[e][1]];
+            if (a == b || first[a] != first[b]) continue;
+            return sfemi_fail_at(err, SFEM_BAD_MESH, a, t,
+                                 "welding within %g would make one of nodes %ld and %ld of tet %ld: take a smaller distance",
+                                 distance, (long)a, (long)b, (long)t);
+        }
+    }
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_mesh_weld(sfem_mesh *mesh, sfem_real distance, sfem_int *new_of_old, sfem_int *welded,
+                                    sfem_error *err)
+{
+    sfem_status status;
+    sfem_int *first = NULL, i, n = 0;
+    size_t k;
+    SFEM_ASSERT(mesh);
+    SFEMI_TRY(sfemi_mesh_in_range(mesh, err));
+    if (!(distance >= 0) || !sfemi_finite(distance) || !sfemi_finite(distance * distance))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the distance of welding is %g, not 0 or above", distance);
+    for (i = 0; i < mesh->nodes; ++i)
+        if (!sfemi_all_finite(mesh->x + 3 * (size_t)i, 3))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, i, -1, "node %ld has a coordinate that is not finite", (long)i);
+    SFEMI_NEW(sfem_int, first, &mesh->allocator, mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_weld_near(mesh, distance, first, err));
+    SFEMI_TRY(sfemi_mesh_weld_check(mesh, first, distance, err));
+    for (i = 0; i < mesh->nodes; ++i) { /* first[] becomes the new number: those it goes to are lower */
+        if (first[i] < i) {
+            first[i] = first[first[i]];
+            continue;
+        }
+        memmove(mesh->x + 3 * (size_t)n, mesh->x + 3 * (size_t)i, 3 * sizeof *mesh->x);
+        first[i] = n++;
+    }
+    for (k = 0; k < 4 * (size_t)mesh->tets; ++k) mesh->tet[k] = first[mesh->tet[k]];
+    if (new_of_old) memcpy(new_of_old, first, (size_t)mesh->nodes * sizeof *first);
+    if (welded) *welded = mesh->nodes - n;
+    mesh->nodes = n;
+done:
+    sfemi_delete(&mesh->allocator, first);
     return status;
 }
 
@@ -4093,6 +4306,30 @@ done:
     return status;
 }
 
+/* What duplicate nodes split: the mesh is looked at as if they were one. */
+static sfem_status sfemi_mesh_report_seam(const sfem_mesh *m, sfem_mesh_report *r, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfem_int *first = NULL, overlapping = 0;
+    sfem_mesh one = *m;
+    sfem_surface s;
+    size_t k;
+    memset(&s, 0, sizeof s);
+    one.tet = NULL;
+    SFEMI_NEW(sfem_int, first, &m->allocator, m->nodes);
+    SFEMI_NEW(sfem_int, one.tet, &m->allocator, 4 * (size_t)m->tets);
+    SFEMI_TRY(sfemi_mesh_weld(m->nodes, m->x, &m->allocator, first, err));
+    for (k = 0; k < 4 * (size_t)m->tets; ++k) one.tet[k] = first[m->tet[k]];
+    SFEMI_TRY(sfemi_mesh_surface(&one, &m->allocator, &s, &overlapping, err));
+    r->seam = r->surface_triangles > s.triangles ? r->surface_triangles - s.triangles : 0;
+    SFEMI_TRY(sfem_mesh_components(&one, first, &r->welded_components, err));
+done:
+    sfemi_delete(&m->allocator, first);
+    sfemi_delete(&m->allocator, one.tet);
+    sfem_surface_free(&s);
+    return status;
+}
+
 static sfem_status sfemi_mesh_report_topology(const sfem_mesh *m, sfem_mesh_report *r,
                                               sfem_error *err)
 {
@@ -4104,6 +4341,9 @@ static sfem_status sfemi_mesh_report_topology(const sfem_mesh *m, sfem_mesh_repo
     SFEMI_TRY(sfem_mesh_components(m, label, &r->components, err));
     for (i = 0, r->unused = 0; i < m->nodes; ++i) r->unused += label[i] < 0;
     SFEMI_TRY(sfemi_mesh_report_surface(m, r, err));
+    r->seam = 0;
+    r->welded_components = r->components;
+    if (r->coincident && !r->not_finite) SFEMI_TRY(sfemi_mesh_report_seam(m, r, err));
 done:
     sfemi_delete(&m->allocator, label);
     return status;
@@ -4187,7 +4427,7 @@ SFEM_DEF sfem_status sfem_mesh_check(const sfem_mesh *mesh, sfem_mesh_report *re
     SFEM_ASSERT(mesh);
     SFEM_ASSERT((mesh->x || mesh->nodes <= 0) && (mesh->tet || mesh->tets <= 0));
     memset(&r, 0, sizeof r);
-    r.worst_tet = r.unused = r.overlapping = r.components = -1;
+    r.worst_tet = r.unused = r.overlapping = r.components = r.seam = r.welded_components = -1;
     r.surface_triangles = r.surface_edges = r.surface_nodes = r.euler = -1;
     status = sfemi_mesh_counts(mesh->nodes, mesh->tets, err);
     if (status != SFEM_OK) {
@@ -4633,8 +4873,9 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
  * count is believed only as far as the bytes behind it could hold that many things.
  *
  * LITERATURE. Clinger, How to read floating point numbers accurately, PLDI 1990. Gmsh reference
- * manual, MSH file formats 2.2 and 4.1. Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and
- * later. Barbic, Sin, Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
+ * manual, MSH file formats 2.2 and 4.1. Abaqus keywords reference guide. Marechal, libMeshb (codes of Medit's binary
+ * keywords). Turk, The PLY polygon file format, 1994. The VTK file formats, for VTK 4.2 and later. Barbic, Sin,
+ * Schroeder, Vega FEM user's manual. Si, TetGen user's manual, file formats. Frey, Medit: an
  * interactive mesh visualization software, INRIA RT-0253, 2001. */
 
 /* ---- numbers as text, the same in any locale ---- */
@@ -5065,6 +5306,606 @@ static sfem_status sfemi_scan_skip_words(sfemi_scan *s, int64_t count, const cha
     return SFEM_OK;
 }
 
+/* ---- numbers of a named type, in text or binary ---- */
+
+typedef struct sfemi_type {
+    const char *name; /* in small letters */
+    unsigned char bytes;
+    char kind; /* i signed, u unsigned, f real */
+} sfemi_type;
+
+/* Place 0 is none; those of PLY, which VTK shares, end before SFEMI_TYPES_PLY. */
+enum { SFEMI_TYPES_PLY = 17, SFEMI_TYPES = 29 };
+static const sfemi_type sfemi_types[SFEMI_TYPES] = {
+    {"", 0, 0},               {"char", 1, 'i'},          {"int8", 1, 'i'},         {"uchar", 1, 'u'},
+    {"uint8", 1, 'u'},        {"short", 2, 'i'},         {"int16", 2, 'i'},        {"ushort", 2, 'u'},
+    {"uint16", 2, 'u'},       {"int", 4, 'i'},           {"int32", 4, 'i'},        {"uint", 4, 'u'},
+    {"uint32", 4, 'u'},       {"float", 4, 'f'},         {"float32", 4, 'f'},      {"double", 8, 'f'},
+    {"float64", 8, 'f'},      {"int64", 8, 'i'},         {"uint64", 8, 'u'},       {"unsigned_char", 1, 'u'},
+    {"signed_char", 1, 'i'},  {"unsigned_short", 2, 'u'}, {"unsigned_int", 4, 'u'}, {"long", 8, 'i'},
+    {"unsigned_long", 8, 'u'}, {"vtkidtype", 4, 'i'},    {"vtktypeint64", 8, 'i'}, {"vtktypeuint64", 8, 'u'},
+    {"vtktypeint32", 4, 'i'}};
+
+/* The type of that name among the first `count`, or place 0. */
+static const sfemi_type *sfemi_type_find(sfemi_word w, int count)
+{
+    int k;
+    for (k = 1; k < count; ++k)
+        if (sfemi_word_is(w, sfemi_types[k].name)) return sfemi_types + k;
+    return sfemi_types;
+}
+
+/* A whole number of the type, from text or binary; what holds reals has to hold whole ones. */
+static sfem_status sfemi_typed_integer(sfemi_scan *s, const sfemi_type *type, int64_t low, int64_t high, const char *what,
+                                       int64_t *out)
+{
+    const sfemi_scan before = *s;
+    uint64_t bits = 0;
+    sfem_real real = 0;
+    sfem_status status;
+    if (!s->order && type->kind != 'f') return sfemi_scan_integer(s, low, high, what, out);
+    if (type->kind == 'f') {
+        s->real = type->bytes;
+        status = sfemi_scan_real(s, what, &real);
+        if (status != SFEM_OK) return status;
+        if (!(fabs(real) < 9e15) || real != floor(real)) {
+            *s = before;
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s is %g, not a whole number", what, real);
+        }
+        *out = (int64_t)real;
+    } else {
+        status = sfemi_scan_bits(s, type->bytes, what, &bits);
+        if (status != SFEM_OK) return status;
+        *out = (int64_t)bits;
+        if (type->kind == 'i' && type->bytes < 8 && bits >> (8 * type->bytes - 1)) *out -= (int64_t)1 << 8 * type->bytes;
+    }
+    if (*out >= low && *out <= high) return SFEM_OK;
+    *s = before; /* the place of the fault */
+    return sfemi_scan_range(s, *out, low, high, what);
+}
+
+/* A real, or a whole number as one. */
+static sfem_status sfemi_typed_real(sfemi_scan *s, const sfemi_type *type, const char *what, sfem_real *out)
+{
+    int64_t v = 0;
+    sfem_status status;
+    if (!s->order || type->kind == 'f') {
+        s->real = type->bytes;
+        return sfemi_scan_real(s, what, out);
+    }
+    status = sfemi_typed_integer(s, type, INT64_MIN, INT64_MAX, what, &v);
+    *out = (sfem_real)v;
+    return status;
+}
+
+/* Goes past so many of them. */
+static sfem_status sfemi_typed_skip(sfemi_scan *s, const sfemi_type *type, int64_t count, const char *what)
+{
+    if (!s->order) return sfemi_scan_skip_words(s, count, what);
+    if (count > (s->end - s->p) / type->bytes) count = (s->end - s->p) / type->bytes + 1; /* too many, but no overflow */
+    return sfemi_scan_skip_bytes(s, (uint64_t)count * type->bytes, what);
+}
+
+/* ---- XML: tags and their attributes ---- */
+
+typedef struct sfemi_tag {
+    sfemi_word name, inside; /* inside: the attributes */
+    int closing, empty;      /* </name>, <name/> */
+} sfemi_tag;
+
+/* Goes on to p, which is not before s->p, and counts lines. */
+static void sfemi_scan_to(sfemi_scan *s, const char *p)
+{
+    const char *q;
+    while (s->p < p && (q = (const char *)memchr(s->p, '\n', (size_t)(p - s->p))) != NULL) {
+        s->p = q + 1;
+        if (s->line < INT32_MAX) ++s->line;
+    }
+    s->p = p;
+}
+
+/* Past the text, or SFEM_FORMAT. */
+static sfem_status sfemi_xml_past(sfemi_scan *s, const char *text)
+{
+    const size_t n = strlen(text);
+    const char *p = s->p;
+    for (; (size_t)(s->end - p) >= n; ++p) {
+        p = (const char *)memchr(p, text[0], (size_t)(s->end - p));
+        if (!p) break;
+        if ((size_t)(s->end - p) < n || memcmp(p, text, n) != 0) continue;
+        sfemi_scan_to(s, p + n);
+        return SFEM_OK;
+    }
+    sfemi_scan_to(s, s->end);
+    return sfemi_scan_fail(s, SFEM_FORMAT, "expected '%s', but the data ends", text);
+}
+
+/* The next tag, behind which s is then; comments and declarations are passed over. No name: there is none. */
+static sfem_status sfemi_xml_next(sfemi_scan *s, sfemi_tag *t)
+{
+    const char *p, *end;
+    char quote = 0;
+    memset(t, 0, sizeof *t);
+    for (;;) {
+        p = (const char *)memchr(s->p, '<', (size_t)(s->end - s->p));
+        sfemi_scan_to(s, p ? p : s->end);
+        if (!p) return SFEM_OK;
+        if (s->end - p >= 4 && !memcmp(p, "<!--", 4)) {
+            const sfem_status status = sfemi_xml_past(s, "-->");
+            if (status != SFEM_OK) return status;
+        } else if (s->end - p >= 2 && (p[1] == '?' || p[1] == '!')) {
+            const sfem_status status = sfemi_xml_past(s, ">");
+            if (status != SFEM_OK) return status;
+        } else
+            break;
+    }
+    for (end = ++p; end < s->end && (quote || *end != '>'); ++end)
+        if (quote ? *end == quote : *end == '"' || *end == '\'') quote = quote ? 0 : *end;
+    if (end == s->end) return sfemi_scan_fail(s, SFEM_FORMAT, "a tag does not end");
+    t->closing = *p == '/';
+    p += t->closing;
+    t->empty = end > p && end[-1] == '/';
+    for (t->name.p = p; p < end - t->empty && *p != '\n' && !sfemi_is_blank(*p);) ++p;
+    t->name.n = (size_t)(p - t->name.p);
+    if (!t->name.n) return sfemi_scan_fail(s, SFEM_FORMAT, "a tag without a name");
+    t->inside.p = p;
+    t->inside.n = (size_t)(end - t->empty - p);
+    sfemi_scan_to(s, end + 1);
+    return SFEM_OK;
+}
+
+/* The value of an attribute, without its quotes; n = 0 if it is not there. */
+static sfemi_word sfemi_xml_attribute(const sfemi_tag *t, const char *name)
+{
+    const char *p = t->inside.p, *end = p + t->inside.n;
+    sfemi_word key, value;
+    while (p < end) {
+        while (p < end && (*p == '\n' || sfemi_is_blank(*p))) ++p;
+        for (key.p = p; p < end && *p != '=' && *p != '\n' && !sfemi_is_blank(*p);) ++p;
+        key.n = (size_t)(p - key.p);
+        while (p < end && *p != '"' && *p != '\'') ++p;
+        if (p == end) break;
+        value.p = p + 1;
+        p = (const char *)memchr(value.p, *p, (size_t)(end - value.p));
+        if (!p) break;
+        value.n = (size_t)(p++ - value.p);
+        if (sfemi_word_is(key, name)) return value;
+    }
+    value.p = end;
+    value.n = 0;
+    return value;
+}
+
+/* It as a whole number; `missing` where it is not there. */
+static sfem_status sfemi_xml_integer(const sfemi_scan *s, const sfemi_tag *t, const char *name, int64_t missing,
+                                     int64_t *out)
+{
+    const sfemi_word w = sfemi_xml_attribute(t, name);
+    sfemi_scan inner = *s;
+    *out = missing;
+    if (!w.n) return SFEM_OK;
+    inner.p = w.p;
+    inner.end = w.p + w.n;
+    return sfemi_scan_integer(&inner, 0, INT64_MAX, name, out);
+}
+
+/* Base64 from text [p, end) into out, of at most `room` bytes; blanks are passed over, groups that end in = may be
+ * followed by others. Returns how many bytes there were, or (size_t)-1 if something else is in the text. */
+static size_t sfemi_base64(const char *p, const char *end, unsigned char *out, size_t room)
+{
+    size_t n = 0;
+    uint32_t bits = 0;
+    int have = 0, pad = 0;
+    for (; p < end && n < room; ++p) {
+        const char c = *p;
+        int v;
+        if (c == '\n' || sfemi_is_blank(c)) continue;
+        v = c >= 'A' && c <= 'Z' ? c - 'A' : c >= 'a' && c <= 'z' ? c - 'a' + 26 : c >= '0' && c <= '9' ? c - '0' + 52
+            : c == '+' ? 62 : c == '/' ? 63 : c == '=' && have >= 2 ? 64 : 65;
+        if (v == 65 || (pad && v != 64)) return (size_t)-1;
+        pad += v == 64;
+        bits = bits << 6 | (uint32_t)(v & 63);
+        if (++have < 4) continue;
+        for (v = 0; v < 3 - pad && n < room; ++v) out[n++] = (unsigned char)(bits >> (16 - 8 * v));
+        have = pad = 0;
+    }
+    return n;
+}
+
+/* ---- tables of numbers, sets, regions ---- */
+
+/* Room for one thing more behind `used` of them; NULL if there is no memory. */
+static void *sfemi_grow(const sfem_allocator *a, void *old, size_t used, size_t *room, size_t size)
+{
+    size_t more = *room ? 2 * *room : 16;
+    void *p;
+    if (used < *room) return old;
+    p = sfemi_new(a, more, size);
+    if (!p) return NULL;
+    if (used) memcpy(p, old, used * size);
+    sfemi_delete(a, old);
+    *room = more;
+    return p;
+}
+
+/* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
+typedef struct sfemi_tags {
+    int64_t *tag;    /* [(mask+1)/2] of which `used` are in */
+    sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
+    size_t mask, used;
+} sfemi_tags;
+
+static void sfemi_tags_free(sfemi_tags *g, const sfem_allocator *a)
+{
+    sfemi_delete(a, g->tag);
+    sfemi_delete(a, g->table);
+}
+
+/* The slot of a tag, or the empty one where it would go. */
+static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t h = (uint64_t)tag * 0x9e3779b97f4a7c15u;
+    size_t i = (size_t)(h ^ h >> 32) & g->mask;
+    while (g->table[i] && g->tag[g->table[i] - 1] != tag) i = (i + 1) & g->mask;
+    return g->table + i;
+}
+
+/* The place of a tag, or -1. */
+static sfem_int sfemi_tags_find(const sfemi_tags *g, int64_t tag)
+{
+    uint64_t k;
+    if (!g->used) return -1;
+    k = (uint64_t)tag - (uint64_t)g->tag[0]; /* most files count on by one */
+    if (k < g->used && g->tag[k] == tag) return (sfem_int)k;
+    return *sfemi_tags_slot(g, tag) - 1;
+}
+
+/* Puts a tag in, at the place `used`; 0 if it is there already. There has to be room. */
+static int sfemi_tags_add(sfemi_tags *g, int64_t tag)
+{
+    sfem_int *slot = sfemi_tags_slot(g, tag);
+    if (*slot) return 0;
+    g->tag[g->used++] = tag;
+    *slot = (sfem_int)g->used;
+    return 1;
+}
+
+/* Makes room for so many tags more. */
+static sfem_status sfemi_tags_room(sfemi_tags *g, size_t more, const sfem_allocator *a, sfem_error *err)
+{
+    sfem_status status = SFEM_OK;
+    sfemi_tags old = *g;
+    size_t size = 16, i;
+    if (more > INT32_MAX - old.used) return sfemi_fail(err, SFEM_TOO_LARGE, "more than 2^31 - 1 numbers of things");
+    while (size < 2 * (old.used + more)) size *= 2;
+    if (old.table && size <= old.mask + 1) return SFEM_OK;
+    g->tag = NULL;
+    g->table = NULL;
+    SFEMI_NEW(int64_t, g->tag, a, size / 2);
+    SFEMI_NEW(sfem_int, g->table, a, size);
+    g->mask = size - 1;
+    for (g->used = 0, i = 0; i < old.used; ++i) sfemi_tags_add(g, old.tag[i]);
+    sfemi_tags_free(&old, a);
+    return SFEM_OK;
+done:
+    sfemi_tags_free(g, a);
+    *g = old;
+    return status;
+}
+
+/* What a file holds beside nodes and tets, while it is read. */
+typedef struct sfemi_extra {
+    sfem_mesh_read_def def;
+    sfem_mesh_read_info info;
+    int sets, faces;  /* wanted: sets; triangles, of files that need not have tets then */
+    sfemi_pool pool;  /* names, in the end all of the sets */
+    sfem_error *err;
+    sfem_int tets10;  /* 10-node tets */
+    sfem_set *group;  /* [groups of groups_room] sets, without their members */
+    sfem_int (*member)[2];     /* [members of members_room] a set, and what is in it */
+    sfem_region *region;       /* [regions of regions_room] what is known of some numbers */
+    sfem_int (*triangle)[3];   /* [triangles of triangles_room] if faces are wanted */
+    size_t groups, groups_room, members, members_room, members_most, regions, regions_room, triangles, triangles_room;
+    sfemi_tags key, number;    /* of sets that are known by number, in the same order; of the regions */
+    const sfem_int *in;        /* [ins] the sets of the cell that is read */
+    size_t ins;
+    sfem_int one, corner, corners, fan[3]; /* that cell, if it is in one set; its polygon */
+} sfemi_extra;
+
+static void sfemi_extra_free(sfemi_extra *x)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_pool_free(&x->pool);
+    sfemi_delete(a, x->group);
+    sfemi_delete(a, x->member);
+    sfemi_delete(a, x->region);
+    sfemi_delete(a, x->triangle);
+    sfemi_tags_free(&x->key, a);
+    sfemi_tags_free(&x->number, a);
+}
+
+static sfem_status sfemi_extra_full(const sfemi_extra *x)
+{
+    return sfemi_fail(x->err, SFEM_OUT_OF_MEMORY, "out of memory: sets");
+}
+
+/* A copy that stays, NULL if there is no memory. What cannot be printed becomes a question mark. */
+static const char *sfemi_extra_name(sfemi_extra *x, sfemi_word w)
+{
+    char *p = (char *)sfemi_pool_own(&x->pool, sfemi_new(&x->def.allocator, w.n + 1, 1));
+    size_t i;
+    if (p && w.n) memcpy(p, w.p, w.n);
+    for (i = 0; p && i < w.n; ++i)
+        if ((unsigned char)p[i] < 32 || p[i] == 127) p[i] = '?';
+    return p;
+}
+
+/* A new set. */
+static sfem_status sfemi_extra_set(sfemi_extra *x, sfemi_word name, int of_tets, sfem_int *out)
+{
+    sfem_set *g = (sfem_set *)sfemi_grow(&x->def.allocator, x->group, x->groups, &x->groups_room, sizeof *g);
+    if (!g) return sfemi_extra_full(x);
+    x->group = g;
+    g += x->groups;
+    g->name = sfemi_extra_name(x, name);
+    g->of_tets = of_tets;
+    if (!g->name) return sfemi_extra_full(x);
+    *out = (sfem_int)x->groups++;
+    return SFEM_OK;
+}
+
+/* The set of cells of a dimension with a number: it is made if there is none, and then of the name, if any. */
+static sfem_status sfemi_extra_key(sfemi_extra *x, int dimension, sfem_int number, sfemi_word name, sfem_int *out)
+{
+    static const char *const what[4] = {"point", "curve", "surface", "volume"};
+    const int64_t key = 4 * (int64_t)number + dimension;
+    sfem_status status;
+    char text[32];
+    *out = sfemi_tags_find(&x->key, key);
+    if (*out >= 0) return SFEM_OK;
+    status = sfemi_tags_room(&x->key, 1, &x->def.allocator, x->err);
+    if (status != SFEM_OK) return status;
+    if (!name.n) {
+        snprintf(text, sizeof text, "%s %ld", what[dimension], (long)number);
+        name.p = text;
+        name.n = strlen(text);
+    }
+    status = sfemi_extra_set(x, name, dimension == 3, out);
+    if (status == SFEM_OK) sfemi_tags_add(&x->key, key);
+    return status;
+}
+
+static sfem_status sfemi_extra_member(sfemi_extra *x, sfem_int set, sfem_int member)
+{
+    sfem_int(*m)[2];
+    if (x->members >= x->members_most)
+        return sfemi_fail(x->err, SFEM_TOO_LARGE, "the sets have more than %.0f members in all, 4 a byte of the file",
+                          (double)x->members_most);
+    m = (sfem_int(*)[2])sfemi_grow(&x->def.allocator, x->member, x->members, &x->members_room, sizeof *m);
+    if (!m) return sfemi_extra_full(x);
+    x->member = m;
+    m[x->members][0] = set;
+    m[x->members++][1] = member;
+    return SFEM_OK;
+}
+
+/* A cell of so many corners, nodes of higher order not counted, begins, which is in the sets x->in. */
+static void sfemi_extra_begin(sfemi_extra *x, int dimension, int64_t corners)
+{
+    x->corner = 0;
+    x->corners = dimension == 2 && corners > 2 && corners < INT32_MAX ? (sfem_int)corners : 0;
+    if (x->corners && x->info.triangles <= INT32_MAX - x->corners) x->info.triangles += x->corners - 2;
+    if (dimension == 3 && x->info.others < INT32_MAX) ++x->info.others;
+}
+
+/* The next node of the cell: into its sets, and into the triangle that it ends. */
+static sfem_status sfemi_extra_node(sfemi_extra *x, sfem_int node)
+{
+    sfem_status status;
+    sfem_int(*t)[3];
+    size_t k;
+    for (k = 0; k < x->ins; ++k) {
+        status = sfemi_extra_member(x, x->in[k], node);
+        if (status != SFEM_OK) return status;
+    }
+    if (!x->faces || x->corner >= x->corners) return SFEM_OK;
+    x->fan[x->corner < 2 ? x->corner : 2] = node;
+    if (x->corner++ < 2) return SFEM_OK;
+    if (x->triangles == INT32_MAX / 3) return sfemi_fail(x->err, SFEM_TOO_LARGE, "more than (2^31 - 1)/3 triangles");
+    t = (sfem_int(*)[3])sfemi_grow(&x->def.allocator, x->triangle, x->triangles, &x->triangles_room, sizeof *t);
+    if (!t) return sfemi_fail(x->err, SFEM_OUT_OF_MEMORY, "out of memory: triangles");
+    x->triangle = t;
+    memcpy(t[x->triangles++], x->fan, sizeof x->fan);
+    x->fan[1] = node;
+    return SFEM_OK;
+}
+
+/* x->in for a cell of one set: those of its dimension with its number, unless that is 0 or sets are not wanted. */
+static sfem_status sfemi_extra_in(sfemi_extra *x, int dimension, int64_t number)
+{
+    sfemi_word none;
+    x->ins = 0;
+    x->in = &x->one;
+    if (!x->sets || !number || dimension > 2 || number < -INT32_MAX || number > INT32_MAX) return SFEM_OK;
+    x->ins = 1;
+    none.p = NULL;
+    none.n = 0;
+    return sfemi_extra_key(x, dimension, (sfem_int)number, none, &x->one);
+}
+
+/* What is known of a region's number; made if there is nothing yet. NULL if there is no memory. */
+static sfem_region *sfemi_extra_region(sfemi_extra *x, sfem_int number)
+{
+    const sfem_int at = sfemi_tags_find(&x->number, number);
+    sfem_region *r;
+    if (at >= 0) return x->region + at;
+    r = (sfem_region *)sfemi_grow(&x->def.allocator, x->region, x->regions, &x->regions_room, sizeof *r);
+    if (!r) return NULL;
+    x->region = r;
+    if (sfemi_tags_room(&x->number, 1, &x->def.allocator, NULL) != SFEM_OK) return NULL;
+    sfemi_tags_add(&x->number, number);
+    r += x->regions++;
+    r->number = number;
+    return r;
+}
+
+/* Nodes have new numbers, -1 for those that are gone. */
+static void sfemi_extra_map(sfemi_extra *x, const sfem_int *new_of_old)
+{
+    size_t i, n = 0;
+    for (i = 0; i < x->members; ++i) {
+        const sfem_int set = x->member[i][0];
+        const sfem_int member = x->group[set].of_tets ? x->member[i][1] : new_of_old[x->member[i][1]];
+        if (member < 0) continue;
+        x->member[n][0] = set;
+        x->member[n++][1] = member;
+    }
+    x->members = n;
+}
+
+/* Gives the sets their members, sorted, each once. */
+static sfem_status sfemi_extra_sort(sfemi_extra *x, const sfem_mesh *m)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    const sfem_int range = m->nodes > m->tets ? m->nodes : m->tets, n = (sfem_int)x->members;
+    const sfem_int buckets = (sfem_int)x->groups > range ? (sfem_int)x->groups : range;
+    sfem_status status = SFEM_OK;
+    sfem_error *err = x->err;
+    sfem_int *order = NULL, *other = NULL, *bucket = NULL, *member = NULL, i;
+    SFEMI_NEW(sfem_int, bucket, a, (size_t)buckets + 1);
+    SFEMI_NEW(sfem_int, order, a, n);
+    SFEMI_NEW(sfem_int, other, a, n);
+    SFEMI_TAKE(sfem_int, member, &x->pool, n);
+    if (n) {
+        sfemi_mesh_sort(x->member[0] + 1, 2, n, range, NULL, other, bucket);
+        sfemi_mesh_sort(x->member[0], 2, n, (sfem_int)x->groups, other, order, bucket);
+    }
+    for (i = 0; i < n; ++i) {
+        const sfem_int *p = x->member[order[i]];
+        sfem_set *g = x->group + p[0];
+        if (!g->member) g->member = member;
+        if (g->count && member[-1] == p[1]) continue;
+        *member++ = p[1];
+        ++g->count;
+    }
+    for (i = 0; i < (sfem_int)x->groups; ++i)
+        if (!x->group[i].member) x->group[i].member = member;
+done:
+    sfemi_delete(a, bucket);
+    sfemi_delete(a, order);
+    sfemi_delete(a, other);
+    return status;
+}
+
+/* One entry for each number in m->region, in x->region. */
+static sfem_status sfemi_extra_regions(sfemi_extra *x, const sfem_mesh *m)
+{
+    sfem_region *known = x->region, *r = NULL;
+    sfemi_tags number = x->number;
+    const sfem_allocator *a = &x->def.allocator;
+    sfem_status status = SFEM_OK;
+    sfemi_word w;
+    char text[16];
+    sfem_int t, at;
+    size_t i;
+    x->region = NULL; /* from here on the ones in use */
+    x->regions = x->regions_room = 0;
+    memset(&x->number, 0, sizeof x->number);
+    for (t = 0; m->region && t < m->tets; ++t) {
+        if (t && m->region[t] == m->region[t - 1]) {
+            ++r->tets;
+            continue;
+        }
+        r = sfemi_extra_region(x, m->region[t]);
+        if (!r) goto full;
+        ++r->tets;
+    }
+    for (i = 0; i < x->regions; ++i) {
+        r = x->region + i;
+        at = sfemi_tags_find(&number, r->number);
+        if (at >= 0) {
+            t = r->tets;
+            *r = known[at];
+            r->tets = t;
+        }
+        if (!r->name) {
+            snprintf(text, sizeof text, "%ld", (long)r->number);
+            w.p = text;
+            w.n = strlen(text);
+            r->name = sfemi_extra_name(x, w);
+            if (!r->name) goto full;
+        }
+        if (!r->material) r->material = "";
+    }
+    goto done;
+full:
+    status = sfemi_extra_full(x);
+done:
+    sfemi_delete(a, known);
+    sfemi_tags_free(&number, a);
+    return status;
+}
+
+/* Hands them over. */
+static sfem_status sfemi_extra_give(sfemi_extra *x, sfem_mesh_sets *out)
+{
+    sfem_mesh_sets s;
+    memset(&s, 0, sizeof s);
+    s.allocator = x->def.allocator;
+    s.sets = (sfem_int)x->groups;
+    s.regions = (sfem_int)x->regions;
+    s.set = (sfem_set *)sfemi_pool_own(&x->pool, sfemi_new(&s.allocator, x->groups, sizeof *s.set));
+    if (s.set) s.region = (sfem_region *)sfemi_pool_own(&x->pool, sfemi_new(&s.allocator, x->regions, sizeof *s.region));
+    if (!s.region) return sfemi_extra_full(x);
+    if (x->groups) memcpy(s.set, x->group, x->groups * sizeof *s.set);
+    if (x->regions) memcpy(s.region, x->region, x->regions * sizeof *s.region);
+    s.memory = x->pool.last;
+    x->pool.last = NULL;
+    *out = s;
+    return SFEM_OK;
+}
+
+SFEM_DEF void sfem_mesh_sets_free(sfem_mesh_sets *sets)
+{
+    sfemi_pool pool;
+    if (!sets) return;
+    pool = sfemi_pool_of(&sets->allocator);
+    pool.last = sets->memory;
+    sfemi_pool_free(&pool);
+    memset(sets, 0, sizeof *sets);
+}
+
+static int sfemi_name_is(const char *a, const char *b)
+{
+    sfemi_word w;
+    w.p = a;
+    w.n = strlen(a);
+    return sfemi_word_is(w, b);
+}
+
+SFEM_DEF const sfem_set *sfem_mesh_sets_find(const sfem_mesh_sets *sets, const char *name, int of_tets)
+{
+    sfem_int i;
+    SFEM_ASSERT(sets && name);
+    for (i = 0; i < sets->sets; ++i)
+        if (!sets->set[i].of_tets == !of_tets && sfemi_name_is(sets->set[i].name, name)) return sets->set + i;
+    return NULL;
+}
+
+SFEM_DEF const sfem_region *sfem_mesh_sets_region(const sfem_mesh_sets *sets, const char *name)
+{
+    char text[16];
+    sfem_int i;
+    SFEM_ASSERT(sets && name);
+    for (i = 0; i < sets->regions; ++i)
+        if (sfemi_name_is(sets->region[i].name, name)) return sets->region + i;
+    for (i = 0; i < sets->regions; ++i) {
+        snprintf(text, sizeof text, "%ld", (long)sets->region[i].number);
+        if (!strcmp(text, name)) return sets->region + i;
+    }
+    return NULL;
+}
+
 #ifndef SFEM_NO_STDIO
 
 /* ---- whole files ---- */
@@ -5129,69 +5970,38 @@ static void sfemi_file_blame(const char *path, sfem_error *err)
 
 /* ---- Gmsh 2.2 and 4.1 ---- */
 
-/* A table from tags, any whole numbers, to 0, 1, 2.. in the order of their coming. */
-typedef struct sfemi_tags {
-    int64_t *tag;    /* [count] of which `used` are in */
-    sfem_int *table; /* [mask+1] place in tag plus 1, or 0 */
-    size_t mask, used;
-} sfemi_tags;
+/* An element type: how many nodes, of what dimension, and the corners of those of dimension 2. */
+typedef struct sfemi_gmsh_type {
+    unsigned char nodes, dimension, corners;
+} sfemi_gmsh_type;
 
-static sfem_status sfemi_tags_new(sfemi_tags *g, sfem_int count, const sfem_allocator *a,
-                                  sfem_error *err)
+/* The types 1 .. 31, 92 and 93; no nodes: of unknown length. */
+static sfemi_gmsh_type sfemi_gmsh_type_of(int64_t type)
 {
-    sfem_status status = SFEM_OK;
-    size_t size = 16;
-    while (size < 2 * (size_t)count) size *= 2;
-    SFEMI_NEW(int64_t, g->tag, a, count);
-    SFEMI_NEW(sfem_int, g->table, a, size);
-    g->mask = size - 1;
-done:
-    return status; /* the caller frees what there is */
+    static const sfemi_gmsh_type table[32] = {
+        {0, 3, 0},  {2, 1, 0},  {3, 2, 3},  {4, 2, 4},  {4, 3, 0},  {8, 3, 0},  {6, 3, 0},  {5, 3, 0},
+        {3, 1, 0},  {6, 2, 3},  {9, 2, 4},  {10, 3, 0}, {27, 3, 0}, {18, 3, 0}, {14, 3, 0}, {1, 0, 0},
+        {8, 2, 4},  {20, 3, 0}, {15, 3, 0}, {13, 3, 0}, {9, 2, 3},  {10, 2, 3}, {12, 2, 3}, {15, 2, 3},
+        {15, 2, 3}, {21, 2, 3}, {4, 1, 0},  {5, 1, 0},  {6, 1, 0},  {20, 3, 0}, {35, 3, 0}, {56, 3, 0}};
+    static const sfemi_gmsh_type more[2] = {{64, 3, 0}, {125, 3, 0}};
+    return type < 32 ? table[type] : type == 92 || type == 93 ? more[type - 92] : table[0];
 }
 
-static void sfemi_tags_free(sfemi_tags *g, const sfem_allocator *a)
-{
-    sfemi_delete(a, g->tag);
-    sfemi_delete(a, g->table);
-}
-
-/* The slot of a tag, or the empty one where it would go. */
-static sfem_int *sfemi_tags_slot(const sfemi_tags *g, int64_t tag)
-{
-    uint64_t h = (uint64_t)tag * 0x9e3779b97f4a7c15u;
-    size_t i = (size_t)(h ^ h >> 32) & g->mask;
-    while (g->table[i] && g->tag[g->table[i] - 1] != tag) i = (i + 1) & g->mask;
-    return g->table + i;
-}
-
-/* The place of a tag, or -1. */
-static sfem_int sfemi_tags_find(const sfemi_tags *g, int64_t tag)
-{
-    uint64_t k;
-    if (!g->used) return -1;
-    k = (uint64_t)tag - (uint64_t)g->tag[0]; /* most files count on by one */
-    if (k < g->used && g->tag[k] == tag) return (sfem_int)k;
-    return *sfemi_tags_slot(g, tag) - 1;
-}
-
-/* Puts a tag in, at the place `used`; 0 if it is there already. */
-static int sfemi_tags_add(sfemi_tags *g, int64_t tag)
-{
-    sfem_int *slot = sfemi_tags_slot(g, tag);
-    if (*slot) return 0;
-    g->tag[g->used++] = tag;
-    *slot = (sfem_int)g->used;
-    return 1;
-}
+/* The physical groups of an entity. */
+typedef struct sfemi_gmsh_entity_groups {
+    size_t first, count; /* in group[] */
+} sfemi_gmsh_entity_groups;
 
 typedef struct sfemi_gmsh {
     sfemi_scan s;
     sfem_mesh m;
-    sfemi_tags node, volume;
-    sfem_int *group; /* [volume] first physical group, or 0 */
+    sfemi_extra *x;
+    sfemi_tags node, entity;          /* 4 tag + dimension of an entity */
+    sfemi_gmsh_entity_groups *groups; /* [entity.used of entities_room] */
+    sfem_int *group, *in;             /* [physical of physical_room], [in_room] sets of a block */
+    size_t entities_room, physical, physical_room, in_room;
     int version, order;       /* 2 or 4; of the bytes in binary sections, 0 in ASCII files */
-    int any_group, has_format, has_nodes, has_elements;
-    int64_t triangles, quadratic; /* tets of 10 nodes: what there is besides */
+    int any_group, has_format, has_entities[2], has_nodes, has_elements;
 } sfemi_gmsh;
 
 /* From here on numbers are binary, if the file is. */
@@ -5280,9 +6090,8 @@ done:
     return status;
 }
 
-/* What is left of an entity behind its box and first physical group: in text the line, in binary
- * the other groups and the entities that bound it. */
-static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t groups)
+/* What is left of an entity behind its physical groups: in text the line, in binary the entities that bound it. */
+static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
@@ -5291,69 +6100,146 @@ static sfem_status sfemi_gmsh_entity_end(sfemi_gmsh *g, int dimension, int64_t g
         sfemi_scan_skip_line(s);
         return SFEM_OK;
     }
-    SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)groups, "a physical group"));
-    if (dimension == 0) goto done;
+    if (dimension == 0) return SFEM_OK;
     SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of bounding entities", &bounds));
     SFEMI_TRY(sfemi_scan_skip_bytes(s, 4 * (uint64_t)bounds, "a bounding entity"));
 done:
     return status;
 }
 
-/* One entity: tag, place or box, physical groups, what bounds it. Only volumes are kept. */
-static sfem_status sfemi_gmsh_entity(sfemi_gmsh *g, int dimension)
+/* What partitions add to an entity: its parent, and the partitions that it is in. */
+static sfem_status sfemi_gmsh_partitions(sfemi_gmsh *g)
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
+    int64_t v, count = 0;
+    SFEMI_TRY(sfemi_scan_integer(s, -1, 3, "the dimension of a parent entity", &v));
+    SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of a parent entity", &v));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of partitions", &count));
+    for (; count > 0; --count) SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a partition", &v));
+done:
+    return status;
+}
+
+/* One entity: tag, place or box, physical groups, what bounds it. */
+static sfem_status sfemi_gmsh_entity(sfemi_gmsh *g, int dimension, int partitioned)
+{
+    sfemi_scan *s = &g->s;
+    const sfem_allocator *a = &g->m.allocator;
+    const size_t at = g->entity.used;
+    sfem_status status;
     sfem_real x;
-    int64_t v, groups, group = 0;
-    sfem_int at;
+    int64_t v, groups, group;
     int k;
     sfemi_scan_space(s);
     s->in_row = 1;
     SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &v));
+    if (partitioned) SFEMI_TRY(sfemi_gmsh_partitions(g));
     for (k = 0; k < (dimension ? 6 : 3); ++k)
         SFEMI_TRY(sfemi_scan_real(s, "a bound of the entity", &x));
     SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "a count of physical groups", &groups));
-    if (groups > 0)
-        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
-    if (dimension == 3) {
-        at = (sfem_int)g->volume.used;
-        if (!sfemi_tags_add(&g->volume, v)) {
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "volume %ld a second time", (long)v);
-            goto done;
-        }
-        g->group[at] = (sfem_int)(group < 0 ? -group : group); /* a sign tells the orientation */
-        if (groups > 0) g->any_group = 1;
+    if (!sfemi_tags_add(&g->entity, 4 * v + dimension)) {
+        static const char *const what[4] = {"point", "curve", "surface", "volume"};
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "%s %ld a second time", what[dimension], (long)v);
+        goto done;
     }
-    SFEMI_TRY(sfemi_gmsh_entity_end(g, dimension, groups - (groups > 0)));
+    g->groups[at].first = g->physical;
+    for (; groups > 0; --groups) {
+        sfem_int *grown;
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a physical group", &group));
+        grown = (sfem_int *)sfemi_grow(a, g->group, g->physical, &g->physical_room, sizeof *grown);
+        if (!grown) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: physical groups");
+        g->group = grown;
+        grown[g->physical++] = (sfem_int)(group < 0 ? -group : group); /* a sign tells the orientation */
+        ++g->groups[at].count;
+        if (dimension == 3) g->any_group = 1;
+    }
+    SFEMI_TRY(sfemi_gmsh_entity_end(g, dimension));
 done:
     s->in_row = 0;
     return status;
 }
 
-static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g)
+/* The counts of partitions and of entities that exist for cells of other partitions, and those. */
+static sfem_status sfemi_gmsh_ghosts(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_status status;
+    int64_t v, ghosts = 0;
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "the count of partitions", &v));
+    SFEMI_TRY(sfemi_scan_size(s, 0, INT32_MAX, "the count of ghost entities", &ghosts));
+    for (ghosts *= 2; ghosts > 0; --ghosts)
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "a ghost entity", &v));
+done:
+    return status;
+}
+
+/* $Entities, or $PartitionedEntities, whose numbers go on from those. */
+static sfem_status sfemi_gmsh_entities(sfemi_gmsh *g, int partitioned)
 {
     static const char *const what[4] = {"the count of points", "the count of curves",
                                         "the count of surfaces", "the count of volumes"};
+    static const char *const section[2] = {"$Entities", "$PartitionedEntities"},
+                             *const end[2] = {"$EndEntities", "$EndPartitionedEntities"};
     sfemi_scan *s = &g->s;
+    const sfem_allocator *a = &g->m.allocator;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
+    sfemi_gmsh_entity_groups *old = g->groups;
     sfem_int count[4], i;
+    size_t total = 0;
     int k;
-    if (g->group) return sfemi_scan_fail(s, SFEM_FORMAT, "a second $Entities section");
+    if (g->has_entities[partitioned]++)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "a second %s section", section[partitioned]);
     SFEMI_TRY(sfemi_gmsh_begin(g));
-    for (k = 0; k < 4; ++k) SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
-    SFEMI_TRY(sfemi_tags_new(&g->volume, count[3], &g->m.allocator, err));
-    SFEMI_NEW(sfem_int, g->group, &g->m.allocator, count[3]);
+    if (partitioned) SFEMI_TRY(sfemi_gmsh_ghosts(g));
+    for (k = 0; k < 4; total += (size_t)count[k++])
+        SFEMI_TRY(sfemi_scan_count(s, s->order ? 32 : 8, what[k], &count[k]));
+    SFEMI_TRY(sfemi_tags_room(&g->entity, total, a, err));
+    SFEMI_NEW(sfemi_gmsh_entity_groups, g->groups, a, g->entity.used + total);
+    if (g->entity.used) memcpy(g->groups, old, g->entity.used * sizeof *old);
+    sfemi_delete(a, old);
+    old = NULL;
     for (k = 0; k < 4; ++k)
         for (i = 0; i < count[k]; ++i) {
             SFEMI_TRY(sfemi_gmsh_more(g, "another entity"));
-            if (!s->order && k < 3)
-                sfemi_scan_skip_line(s);
-            else
-                SFEMI_TRY(sfemi_gmsh_entity(g, k));
+            SFEMI_TRY(sfemi_gmsh_entity(g, k, partitioned));
         }
-    SFEMI_TRY(sfemi_gmsh_end(g, "$EndEntities"));
+    SFEMI_TRY(sfemi_gmsh_end(g, end[partitioned]));
+done:
+    if (!g->groups) g->groups = old;
+    return status;
+}
+
+/* $PhysicalNames: a count, then rows of dimension, number and name in quotes. */
+static sfem_status sfemi_gmsh_names(sfemi_gmsh *g)
+{
+    sfemi_scan *s = &g->s;
+    sfem_region *region;
+    sfem_status status;
+    int64_t dimension, number;
+    sfem_int count = 0, set;
+    sfemi_word w;
+    SFEMI_TRY(sfemi_scan_count(s, 6, "the count of physical names", &count));
+    for (; count > 0; --count) {
+        SFEMI_TRY(sfemi_gmsh_more(g, "another physical name"));
+        SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of a physical name", &dimension));
+        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the number of a physical name", &number));
+        s->in_row = 1;
+        w = sfemi_scan_peek(s);
+        s->in_row = 0;
+        sfemi_scan_rest(s);
+        for (w.n = (size_t)(s->p - w.p); w.n && sfemi_is_blank(w.p[w.n - 1]);) --w.n;
+        if (w.n < 2 || w.p[0] != '"' || w.p[w.n - 1] != '"') return sfemi_scan_expected(s, "a name in quotes", w);
+        ++w.p, w.n -= 2;
+        number = number < 0 ? -number : number;
+        SFEMI_TRY(sfemi_extra_key(g->x, (int)dimension, (sfem_int)number, w, &set));
+        if (dimension < 3) continue;
+        region = sfemi_extra_region(g->x, (sfem_int)number);
+        if (!region) return sfemi_extra_full(g->x);
+        region->name = g->x->group[set].name;
+    }
+    SFEMI_TRY(sfemi_gmsh_end(g, "$EndPhysicalNames"));
 done:
     return status;
 }
@@ -5430,7 +6316,7 @@ static sfem_status sfemi_gmsh_nodes(sfemi_gmsh *g)
     } else
         SFEMI_TRY(sfemi_gmsh_begin(g));
     SFEMI_NEW(sfem_real, g->m.x, &g->m.allocator, 3 * (size_t)nodes);
-    SFEMI_TRY(sfemi_tags_new(&g->node, nodes, &g->m.allocator, err));
+    SFEMI_TRY(sfemi_tags_room(&g->node, (size_t)nodes, &g->m.allocator, err));
     g->m.nodes = nodes;
     for (; blocks > 0; --blocks) SFEMI_TRY(sfemi_gmsh_node_block(g));
     if (g->version == 2)
@@ -5449,13 +6335,25 @@ done:
     return status;
 }
 
-/* The nodes of the next tet, in the rest of its row. */
-static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g)
+/* The next node of an element, by its tag. */
+static sfem_status sfemi_gmsh_node(sfemi_gmsh *g, const char *what, sfem_int *node)
+{
+    int64_t v = 0;
+    const sfem_status status = sfemi_scan_size(&g->s, INT64_MIN, INT64_MAX, what, &v);
+    if (status != SFEM_OK) return status;
+    *node = sfemi_tags_find(&g->node, v);
+    if (*node >= 0) return SFEM_OK;
+    return sfemi_scan_fail(&g->s, SFEM_BAD_MESH, "an element names node tag %lld, which is not there", (long long)v);
+}
+
+/* The nodes of the next tet, of 4 or 10 nodes, in the rest of its row. */
+static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g, int64_t type)
 {
     sfemi_scan *s = &g->s;
     const sfem_int t = g->m.tets;
     sfem_status status = SFEM_OK;
     int64_t v;
+    size_t i;
     int k;
     for (k = 0; k < 4; ++k) {
         sfem_int node;
@@ -5470,61 +6368,102 @@ static sfem_status sfemi_gmsh_tet(sfemi_gmsh *g)
         }
         g->m.tet[4 * (size_t)t + (size_t)k] = node;
     }
+    if (type == 11) { /* the middles of edges */
+        ++g->x->info.linear;
+        for (k = 4; k < 10; ++k) SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a node tag of a tet", &v));
+    }
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the tet's line"));
+    for (i = 0; i < g->x->ins; ++i) SFEMI_TRY(sfemi_extra_member(g->x, g->x->in[i], t));
     ++g->m.tets;
 done:
     return status;
 }
 
-/* Of a file without 4-node tets: what it has instead. */
-static sfem_status sfemi_mesh_without_tets(sfem_int nodes, int64_t triangles, int64_t quadratic, sfem_error *err)
+/* The nodes of the next element that is no tet: in text the rest of its row. */
+static sfem_status sfemi_gmsh_cell(sfemi_gmsh *g, int64_t type)
 {
-    if (quadratic > 0)
-        return sfemi_fail(err, SFEM_BAD_MESH,
-                          "there are %ld nodes and %lld tets of 10 nodes, but no 4-node tets: write a mesh of the first order",
-                          (long)nodes, (long long)quadratic);
-    if (triangles > 0)
-        return sfemi_fail(err, SFEM_BAD_MESH,
-                          "there are %ld nodes and %lld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
-                          "triangles",
-                          (long)nodes, (long long)triangles);
-    return sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets", (long)nodes);
+    const sfemi_gmsh_type shape = sfemi_gmsh_type_of(type);
+    sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
+    sfem_int node, k;
+    if (s->order && !shape.nodes)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length", (long long)type);
+    sfemi_extra_begin(g->x, shape.dimension, shape.corners);
+    for (k = 0; s->order ? k < shape.nodes : sfemi_scan_peek(s).n > 0; ++k) {
+        SFEMI_TRY(sfemi_gmsh_node(g, "a node tag of an element", &node));
+        SFEMI_TRY(sfemi_extra_node(g->x, node));
+    }
+done:
+    return status;
 }
 
-/* Goes past `count` elements that are no tets, each with its tag and `more` numbers; in text past
- * the rest of the row of one. */
+/* Goes past `count` elements, each with its tag and `more` numbers; in text past the rest of the row of one. Those
+ * that are no tets are counted when the tets are read. */
 static sfem_status sfemi_gmsh_skip_elements(sfemi_gmsh *g, int64_t type, int64_t more,
                                             int64_t count)
 {
-    /* nodes of the types 1 .. 31, the second to fourth order of lines to pyramids among them */
-    static const unsigned char nodes[32] = {0,  2,  3,  4,  4, 8, 6,  5,  3,  6, 9,
-                                            10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10,
-                                            12, 15, 15, 21, 4, 5, 6,  20, 35, 56};
+    const sfemi_gmsh_type shape = sfemi_gmsh_type_of(type);
     sfemi_scan *s = &g->s;
+    sfem_status status = SFEM_OK;
     uint64_t each;
-    if (!g->m.tet && (type == 2 || type == 9)) g->triangles += count;
-    if (!g->m.tet && type == 11) g->quadratic += count;
     if (!s->order) {
         sfemi_scan_skip_line(s);
-        return SFEM_OK;
+        count = 1;
+    } else {
+        if (!shape.nodes)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
+                                   (long long)type);
+        each = (uint64_t)s->size * (1 + (uint64_t)more + shape.nodes);
+        if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
+        status = sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
     }
-    if (type != 92 && type != 93 && (type > 31 || !nodes[type]))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of type %lld, of unknown length",
-                               (long long)type);
-    each = (uint64_t)s->size * (1 + (uint64_t)more +
-                                (type == 92   ? 64u
-                                 : type == 93 ? 125u
-                                              : nodes[type]));
-    if ((uint64_t)count > (uint64_t)(s->end - s->p) / each)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "expected another element, but the data ends");
-    return sfemi_scan_skip_bytes(s, (uint64_t)count * each, "another element");
+    if (g->m.tet && type != 11)
+        for (; count > 0; --count) sfemi_extra_begin(g->x, shape.dimension, shape.corners);
+    return status;
 }
 
-static sfem_status sfemi_gmsh_count_tets(sfemi_scan *s, int64_t more, sfem_int *tets)
+/* Tets of 4 nodes, and of 10 where they are asked for. */
+static int sfemi_gmsh_is_tet(const sfemi_gmsh *g, int64_t type) { return type == 4 || (type == 11 && g->x->def.linear); }
+
+/* Counts so many elements, if they are tets. */
+static sfem_status sfemi_gmsh_count_tets(sfemi_gmsh *g, int64_t type, int64_t more, sfem_int *tets)
 {
+    if (g->m.tet || (type != 4 && type != 11)) return SFEM_OK;
+    if (type == 11) tets = sfemi_gmsh_is_tet(g, type) ? tets : &g->x->tets10;
     if (more > INT32_MAX - *tets)
-        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
+        return sfemi_scan_fail(&g->s, SFEM_TOO_LARGE, "more than 2^31 - 1 tets");
     *tets += (sfem_int)more;
+    return SFEM_OK;
+}
+
+/* 4.1: x->in for the elements of an entity, and the region of its tets. */
+static sfem_status sfemi_gmsh_groups(sfemi_gmsh *g, int dimension, int64_t entity, sfem_int *region)
+{
+    const sfem_int place = sfemi_tags_find(&g->entity, 4 * entity + dimension);
+    const sfemi_gmsh_entity_groups none = {0, 0}, e = place < 0 ? none : g->groups[place];
+    sfemi_word unnamed;
+    sfem_status status;
+    sfem_int set;
+    size_t i;
+    unnamed.p = NULL;
+    unnamed.n = 0;
+    *region = (sfem_int)entity;
+    if (g->any_group) *region = e.count ? g->group[e.first] : 0;
+    g->x->ins = 0;
+    for (i = 0; i < e.count && g->x->sets && g->m.tet; ++i) {
+        const sfem_int number = g->group[e.first + i];
+        sfem_int *in = (sfem_int *)sfemi_grow(&g->m.allocator, g->in, g->x->ins, &g->in_room, sizeof *in);
+        if (!in) return sfemi_extra_full(g->x);
+        g->in = in;
+        set = sfemi_tags_find(&g->x->key, 4 * (int64_t)number + dimension);
+        if (dimension < 3 && set < 0) {
+            status = sfemi_extra_key(g->x, dimension, number, unnamed, &set);
+            if (status != SFEM_OK) return status;
+        }
+        if (set >= 0) in[g->x->ins++] = set; /* of volumes those with a name */
+    }
+    g->x->in = g->in;
     return SFEM_OK;
 }
 
@@ -5533,40 +6472,41 @@ static sfem_status sfemi_gmsh_block(sfemi_gmsh *g, int64_t *elements, sfem_int *
 {
     sfemi_scan *s = &g->s;
     sfem_status status;
-    sfem_int place, region;
+    sfem_int region;
     int64_t dimension, entity, type, count, i, v;
+    int wanted, tet;
     SFEMI_TRY(sfemi_scan_integer(s, 0, 3, "the dimension of an entity", &dimension));
     SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the tag of an entity", &entity));
     SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "an element type", &type));
     SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements in a block", &count));
-    region = (sfem_int)entity;
-    if (g->any_group) {
-        place = sfemi_tags_find(&g->volume, entity);
-        region = place < 0 ? 0 : g->group[place];
-    }
-    for (i = 0; i < count; ++i) {
-        SFEMI_TRY(sfemi_gmsh_more(g, "another element"));
-        if (type == 4 && g->m.tet) {
-            g->m.region[g->m.tets] = region;
+    SFEMI_TRY(sfemi_gmsh_groups(g, (int)dimension, entity, &region));
+    tet = sfemi_gmsh_is_tet(g, type);
+    if (tet ? dimension < 3 : dimension == 3 || sfemi_gmsh_type_of(type).dimension != dimension) g->x->ins = 0; /* not of its kind */
+    wanted = g->m.tet && (tet || (type != 11 && (g->x->ins || g->x->faces)));
+    if (s->order && !wanted && count > 0) {
+        SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));
+    } else
+        for (i = 0; i < count; ++i) {
+            SFEMI_TRY(sfemi_gmsh_more(g, "another element"));
+            if (!wanted) {
+                SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, 1));
+                continue;
+            }
+            if (tet) g->m.region[g->m.tets] = region;
             s->in_row = 1;
             SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "an element tag", &v));
-            SFEMI_TRY(sfemi_gmsh_tet(g));
+            SFEMI_TRY(tet ? sfemi_gmsh_tet(g, type) : sfemi_gmsh_cell(g, type));
             s->in_row = 0;
-        } else if (s->order) {
-            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));
-            break;
-        } else
-            SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, 1));
-    }
+        }
     *elements += count;
-    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
+    SFEMI_TRY(sfemi_gmsh_count_tets(g, type, count, tets));
 done:
     s->in_row = 0;
     return status;
 }
 
 /* 2.2: the tags of an element: its physical group, its entity, and others. */
-static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, sfem_int *group, sfem_int *entity)
+static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, int tet, sfem_int *group, sfem_int *entity)
 {
     sfem_status status = SFEM_OK;
     int64_t k, v;
@@ -5576,7 +6516,48 @@ static sfem_status sfemi_gmsh_tags(sfemi_gmsh *g, int64_t tags, sfem_int *group,
         if (k == 0) *group = (sfem_int)(v < 0 ? -v : v);
         if (k == 1) *entity = (sfem_int)v;
     }
-    if (*group) g->any_group = 1;
+    if (*group && tet) g->any_group = 1;
+done:
+    return status;
+}
+
+/* 2.2: a tet in several groups is written once for each of them, with the same nodes: the last tet is then the one before
+ * it, of another group. */
+static void sfemi_gmsh_same_tet(sfemi_gmsh *g, int64_t type)
+{
+    const sfem_int t = g->m.tets - 1;
+    const sfem_int *tet = g->m.tet + 4 * (size_t)t, *region = g->m.region + t;
+    size_t i;
+    if (t < 1 || memcmp(tet, tet - 4, 4 * sizeof *tet) != 0 || region[0] == region[-1]) return;
+    for (i = 0; i < g->x->ins; ++i) g->x->member[g->x->members - 1 - i][1] = t - 1;
+    g->m.tets = t;
+    g->x->info.linear -= type == 11;
+}
+
+/* 2.2: one element of a block, behind what they share. */
+static sfem_status sfemi_gmsh_tagged_one(sfemi_gmsh *g, int64_t type, int64_t tags)
+{
+    sfemi_scan *s = &g->s;
+    const int tet = sfemi_gmsh_is_tet(g, type);
+    sfem_status status = SFEM_OK;
+    sfem_int group = 0, entity = 0;
+    int64_t v;
+    if (s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "an element tag", &v));
+    SFEMI_TRY(sfemi_gmsh_tags(g, tags, tet, &group, &entity));
+    if (tet && g->m.tet) {
+        g->x->one = g->x->sets ? sfemi_tags_find(&g->x->key, 4 * (int64_t)group + 3) : -1;
+        g->x->in = &g->x->one;
+        g->x->ins = g->x->one >= 0;
+        g->m.region[g->m.tets] = g->any_group ? group : entity;
+        SFEMI_TRY(sfemi_gmsh_tet(g, type));
+        sfemi_gmsh_same_tet(g, type);
+    } else if (g->m.tet) {
+        SFEMI_TRY(sfemi_extra_in(g->x, sfemi_gmsh_type_of(type).dimension, group));
+        status = sfemi_gmsh_cell(g, type);
+    } else if (s->order)
+        status = sfemi_scan_skip_bytes(s, 4u * sfemi_gmsh_type_of(type).nodes, "a node tag of a tet");
+    else
+        sfemi_scan_skip_line(s);
 done:
     return status;
 }
@@ -5586,7 +6567,6 @@ static sfem_status sfemi_gmsh_tagged(sfemi_gmsh *g, int64_t left, int64_t *eleme
 {
     sfemi_scan *s = &g->s;
     sfem_status status = SFEM_OK;
-    sfem_int group, entity;
     int64_t v, type, tags, count = 1, i;
     sfemi_scan_space(s);
     s->in_row = 1;
@@ -5595,20 +6575,12 @@ static sfem_status sfemi_gmsh_tagged(sfemi_gmsh *g, int64_t left, int64_t *eleme
     if (s->order)
         SFEMI_TRY(sfemi_scan_integer(s, 0, left, "the count of elements in a block", &count));
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tags", &tags));
-    if (type != 4) SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, tags, count));
-    for (i = 0; type == 4 && i < count; ++i) {
-        if (s->order) SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "an element tag", &v));
-        SFEMI_TRY(sfemi_gmsh_tags(g, tags, &group, &entity));
-        if (g->m.tet) {
-            g->m.region[g->m.tets] = g->any_group ? group : entity;
-            SFEMI_TRY(sfemi_gmsh_tet(g));
-        } else if (s->order)
-            SFEMI_TRY(sfemi_scan_skip_bytes(s, 16, "a node tag of a tet"));
-        else
-            sfemi_scan_skip_line(s);
-    }
+    if (sfemi_gmsh_is_tet(g, type) || (g->m.tet && type != 11 && (g->x->sets || g->x->faces))) {
+        for (i = 0; i < count; ++i) SFEMI_TRY(sfemi_gmsh_tagged_one(g, type, tags));
+    } else
+        SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, tags, count));
     *elements += count;
-    if (type == 4 && !g->m.tet) SFEMI_TRY(sfemi_gmsh_count_tets(s, count, tets));
+    SFEMI_TRY(sfemi_gmsh_count_tets(g, type, count, tets));
 done:
     s->in_row = 0;
     return status;
@@ -5657,7 +6629,6 @@ static sfem_status sfemi_gmsh_elements(sfemi_gmsh *g)
     *s = start;
     SFEMI_TRY(sfemi_gmsh_pass(g, blocks, elements, &tets));
     g->has_elements = 1;
-    if (tets < 1) status = sfemi_mesh_without_tets(g->m.nodes, g->triangles, g->quadratic, err);
 done:
     return status;
 }
@@ -5697,8 +6668,10 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
             status = sfemi_gmsh_format(g, start);
         else if (!g->has_format)
             return sfemi_scan_expected(s, "$MeshFormat", w);
-        else if (sfemi_word_is(w, "$Entities"))
-            status = sfemi_gmsh_entities(g);
+        else if (sfemi_word_is(w, "$Entities") || sfemi_word_is(w, "$PartitionedEntities"))
+            status = sfemi_gmsh_entities(g, w.n > 9);
+        else if (sfemi_word_is(w, "$PhysicalNames") && g->x->sets)
+            status = sfemi_gmsh_names(g);
         else if (sfemi_word_is(w, "$Nodes"))
             status = sfemi_gmsh_nodes(g);
         else if (sfemi_word_is(w, "$Elements"))
@@ -5711,21 +6684,208 @@ static sfem_status sfemi_gmsh_read(sfemi_gmsh *g)
     return status;
 }
 
-/* ---- VTK legacy ASCII ---- */
+/* ---- VTK: cells ---- */
 
 typedef struct sfemi_vtk {
     sfemi_scan s;
     sfem_mesh m;
-    sfemi_scan cell_scan;    /* the numbers behind CELLS, or behind CONNECTIVITY */
-    sfem_int cells, *offset; /* [cells+1] where each cell's nodes begin, in 5.1 */
+    sfemi_extra *x;
+    sfemi_scan cell_scan, region_scan;          /* the numbers behind CELLS, or behind CONNECTIVITY; of regions */
+    const sfemi_type *cell_type, *region_type;  /* of those; NULL: there are no regions */
+    sfem_int cells, *offset; /* [cells+1] where each cell's nodes begin, but for the old CELLS */
     sfem_int numbers;        /* how many stand there */
     unsigned char *type;     /* [cells] 255 for any type above */
+    int order;               /* of the bytes in binary files, else 0 */
     int has_points, has_cells, has_types;
 } sfemi_vtk;
+
+/* A type of cells: its nodes, 0 for any number, its dimension, and corners of those of dimension 2, which can be cut
+ * into a fan; 255: all its nodes. */
+typedef struct sfemi_vtk_shape {
+    unsigned char nodes, dimension, corners;
+} sfemi_vtk_shape;
+
+static sfemi_vtk_shape sfemi_vtk_shape_of(int type)
+{
+    static const sfemi_vtk_shape table[35] = {
+        {0, 0, 0}, {1, 0, 0}, {0, 0, 0}, {2, 1, 0}, {0, 1, 0},   {3, 2, 3},  {0, 2, 0},  {0, 2, 255}, {4, 2, 0},
+        {4, 2, 4}, {4, 3, 0}, {8, 3, 0}, {8, 3, 0}, {6, 3, 0},   {5, 3, 0},  {0, 3, 0},  {0, 3, 0},   {0, 0, 0},
+        {0, 0, 0}, {0, 0, 0}, {0, 0, 0}, {3, 1, 0}, {6, 2, 3},   {8, 2, 4},  {10, 3, 0}, {0, 3, 0},   {0, 3, 0},
+        {0, 3, 0}, {9, 2, 4}, {0, 3, 0}, {0, 2, 4}, {0, 3, 0},   {0, 3, 0},  {0, 3, 0},  {7, 2, 3}};
+    return table[type < 35 ? type : 0];
+}
+
+/* May the array of that name tell the regions of cells? */
+static int sfemi_vtk_names_region(sfemi_word w)
+{
+    static const char *const name[] = {"region",           "medit:ref", "gmsh:physical", "gmsh:geometrical",
+                                       "CellEntityIds", "material",  "MaterialId"};
+    size_t k;
+    for (k = 0; k < sizeof name / sizeof *name; ++k)
+        if (sfemi_word_is(w, name[k])) return 1;
+    return 0;
+}
+
+static sfem_status sfemi_vtk_fill_points(sfemi_vtk *r, sfemi_scan *s, const sfemi_type *type, sfem_int n)
+{
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
+    for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_typed_real(s, type, "a coordinate", r->m.x + i));
+    r->m.nodes = n;
+    r->has_points = 1;
+done:
+    return status;
+}
+
+static sfem_status sfemi_vtk_fill_types(sfemi_vtk *r, sfemi_scan *s, const sfemi_type *type, sfem_int n)
+{
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int i;
+    int64_t v;
+    SFEMI_NEW(unsigned char, r->type, &r->m.allocator, n);
+    for (i = 0; i < n; ++i) {
+        SFEMI_TRY(sfemi_typed_integer(s, type, 0, INT32_MAX, "a cell type", &v));
+        r->type[i] = (unsigned char)(v < 255 ? v : 255);
+    }
+    r->has_types = 1;
+done:
+    return status;
+}
+
+/* Where the cells' nodes begin, from place `first` on: with that of the first cell (0) or without. */
+static sfem_status sfemi_vtk_fill_offsets(sfemi_vtk *r, sfemi_scan *s, const sfemi_type *type, sfem_int n, int first)
+{
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    int64_t v, before = 0;
+    sfem_int i;
+    SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, (size_t)n + (size_t)first);
+    for (i = first; i < n + first; ++i) {
+        SFEMI_TRY(sfemi_typed_integer(s, type, before, i ? r->numbers : 0, "an offset", &v));
+        r->offset[i] = (sfem_int)v;
+        before = v;
+    }
+    if (n && before != r->numbers && !first)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "the last offset is %lld, not %ld",
+                                 (long long)before, (long)r->numbers);
+done:
+    return status;
+}
+
+/* The nodes of a cell that is a tet, of 4 or 10 nodes. */
+static sfem_status sfemi_vtk_tet(sfemi_vtk *r, int64_t nodes)
+{
+    sfemi_scan *s = &r->cell_scan;
+    sfem_status status;
+    int64_t v;
+    size_t k;
+    for (k = 0; k < 4; ++k) {
+        SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a tet", &v));
+        if (v < 0 || v >= r->m.nodes) {
+            status =
+                sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld",
+                                (long)r->m.tets, (long long)v, (long)r->m.nodes);
+            if (s->err) s->err->tet = r->m.tets;
+            goto done;
+        }
+        r->m.tet[4 * (size_t)r->m.tets + k] = (sfem_int)v;
+    }
+    if (nodes > 4) {
+        ++r->x->info.linear;
+        SFEMI_TRY(sfemi_typed_skip(s, r->cell_type, nodes - 4, "another number of a cell"));
+    }
+    ++r->m.tets;
+done:
+    return status;
+}
+
+/* The nodes of any other cell. */
+static sfem_status sfemi_vtk_other(sfemi_vtk *r, int type, int64_t nodes, int64_t region)
+{
+    const sfemi_vtk_shape shape = sfemi_vtk_shape_of(type);
+    sfemi_scan *s = &r->cell_scan;
+    sfem_status status;
+    int64_t v;
+    SFEMI_TRY(sfemi_extra_in(r->x, shape.dimension, region));
+    if (type != 24) sfemi_extra_begin(r->x, shape.dimension, shape.corners == 255 ? nodes : shape.corners);
+    if (!r->x->ins && !r->x->faces) return sfemi_typed_skip(s, r->cell_type, nodes, "another number of a cell");
+    for (; nodes > 0; --nodes) {
+        SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a cell", &v));
+        if (v < 0 || v >= r->m.nodes)
+            return sfemi_scan_fail(s, SFEM_BAD_MESH, "a cell names node %lld, the mesh has %ld", (long long)v,
+                                   (long)r->m.nodes);
+        SFEMI_TRY(sfemi_extra_node(r->x, (sfem_int)v));
+    }
+done:
+    return status;
+}
+
+/* How many nodes cell i has, of `left` numbers. */
+static sfem_status sfemi_vtk_cell_nodes(sfemi_vtk *r, sfem_int i, sfem_int *left, int64_t *nodes)
+{
+    sfemi_scan *s = &r->cell_scan;
+    const int wanted = sfemi_vtk_shape_of(r->type[i]).nodes;
+    sfem_status status;
+    if (r->offset)
+        *nodes = r->offset[i + 1] - r->offset[i];
+    else {
+        if (*left < 1)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS end in cell %ld of %ld", (long)i, (long)r->cells);
+        status = sfemi_typed_integer(s, r->cell_type, 0, *left - 1, "the count of nodes of a cell", nodes);
+        if (status != SFEM_OK) return status;
+        --*left;
+    }
+    if (wanted && *nodes != wanted) {
+        sfemi_scan_space(s);
+        return sfemi_scan_fail(s, SFEM_FORMAT, "cell %ld of type %d has %lld nodes, not %d", (long)i,
+                               r->type[i], (long long)*nodes, wanted);
+    }
+    *left -= (sfem_int)*nodes;
+    return SFEM_OK;
+}
+
+/* The tets among the cells, when all arrays are known. */
+static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
+{
+    sfemi_scan *s = &r->cell_scan;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int i, t = 0, left = r->numbers;
+    int64_t nodes, region = 0;
+    for (i = 0; i < r->cells; ++i) {
+        t += r->type[i] == 10 || (r->type[i] == 24 && r->x->def.linear);
+        r->x->tets10 += r->type[i] == 24 && !r->x->def.linear;
+    }
+    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)t);
+    if (r->region_type) SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, t);
+    for (i = 0; i < r->cells; ++i) {
+        const int type = r->type[i];
+        SFEMI_TRY(sfemi_vtk_cell_nodes(r, i, &left, &nodes));
+        if (r->region_type)
+            SFEMI_TRY(sfemi_typed_integer(&r->region_scan, r->region_type, -INT32_MAX, INT32_MAX, "the region of a cell",
+                                          &region));
+        if (type != 10 && (type != 24 || !r->x->def.linear)) {
+            SFEMI_TRY(sfemi_vtk_other(r, type, nodes, region));
+            continue;
+        }
+        if (r->m.region) r->m.region[r->m.tets] = (sfem_int)region;
+        SFEMI_TRY(sfemi_vtk_tet(r, nodes));
+    }
+    if (left)
+        status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
+done:
+    return status;
+}
+
+/* ---- VTK legacy, ASCII and binary ---- */
 
 static sfem_status sfemi_vtk_header(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
+    const char *start = s->p;
     sfemi_word w;
     sfem_real version;
     char text[25];
@@ -5742,28 +6902,50 @@ static sfem_status sfemi_vtk_header(sfemi_vtk *r)
     sfemi_scan_skip_line(s);
     sfemi_scan_skip_line(s); /* the title, which may be empty */
     w = sfemi_scan_peek(s);
-    if (sfemi_word_is(w, "BINARY"))
-        return sfemi_scan_fail(s, SFEM_FORMAT, "VTK legacy binary: only ASCII is read");
-    if (!sfemi_word_is(w, "ASCII")) return sfemi_scan_expected(s, "ASCII", w);
+    if (sfemi_word_is(w, "BINARY")) {
+        s->start = start;
+        r->order = 2;
+    } else if (!sfemi_word_is(w, "ASCII"))
+        return sfemi_scan_expected(s, "ASCII or BINARY", w);
     s->p += w.n;
+    return SFEM_OK;
+}
+
+/* The data behind a keyword's line: in binary files numbers are binary up to s->order = 0. */
+static sfem_status sfemi_vtk_begin(sfemi_vtk *r)
+{
+    sfem_status status;
+    if (!r->order) return SFEM_OK;
+    status = sfemi_scan_end_of_row(&r->s, "the end of the line");
+    if (status != SFEM_OK) return status;
+    sfemi_scan_skip_line(&r->s);
+    r->s.order = r->order;
+    return SFEM_OK;
+}
+
+/* A type by its name; in text, where it does not matter, any word will do. */
+static sfem_status sfemi_vtk_type(sfemi_vtk *r, const char *what, const sfemi_type **type)
+{
+    const sfemi_word w = sfemi_scan_peek(&r->s);
+    *type = sfemi_type_find(w, SFEMI_TYPES);
+    if (!w.n || (r->order && !(*type)->bytes)) return sfemi_scan_expected(&r->s, what, w);
+    r->s.p += w.n;
     return SFEM_OK;
 }
 
 static sfem_status sfemi_vtk_points(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
+    const sfemi_type *type;
+    sfem_status status;
     sfem_int n = 0;
-    size_t i;
     if (r->has_points) return sfemi_scan_fail(s, SFEM_FORMAT, "POINTS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 6, "the count of points", &n));
-    SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of the points"));
-    SFEMI_NEW(sfem_real, r->m.x, &r->m.allocator, 3 * (size_t)n);
-    for (i = 0; i < 3 * (size_t)n; ++i) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + i));
-    r->m.nodes = n;
-    r->has_points = 1;
+    SFEMI_TRY(sfemi_vtk_type(r, "the type of the points", &type));
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    SFEMI_TRY(sfemi_vtk_fill_points(r, s, type, n));
 done:
+    s->order = 0;
     return status;
 }
 
@@ -5773,48 +6955,46 @@ done:
 static sfem_status sfemi_vtk_cells(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
+    const sfemi_type *type;
     sfem_status status = SFEM_OK;
-    sfem_int n = 0, i;
-    int64_t v, before = 0;
+    sfem_int n = 0;
+    int offsets;
     if (r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELLS a second time");
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cells", &n));
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of numbers in CELLS", &r->numbers));
-    if (sfemi_word_is(sfemi_scan_peek(s), "OFFSETS")) {
-        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the offsets"));
-        SFEMI_NEW(sfem_int, r->offset, &r->m.allocator, n);
-        for (i = 0; i < n; ++i) {
-            SFEMI_TRY(sfemi_scan_integer(s, before, i ? r->numbers : 0, "an offset", &v));
-            r->offset[i] = (sfem_int)v;
-            before = v;
-        }
-        if (n && before != r->numbers) {
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "the last offset is %lld, not %ld",
-                                     (long long)before, (long)r->numbers);
-            goto done;
-        }
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    r->cell_type = sfemi_types + 10; /* int32 */
+    offsets = s->order ? s->end - s->p >= 7 && !memcmp(s->p, "OFFSETS", 7) : sfemi_word_is(sfemi_scan_peek(s), "OFFSETS");
+    if (offsets) {
+        s->order = 0;
+        sfemi_scan_word(s);
+        SFEMI_TRY(sfemi_vtk_type(r, "the type of the offsets", &type));
+        SFEMI_TRY(sfemi_vtk_begin(r));
+        SFEMI_TRY(sfemi_vtk_fill_offsets(r, s, type, n, 0));
+        s->order = 0;
         if (!sfemi_word_is(sfemi_scan_peek(s), "CONNECTIVITY")) {
             status = sfemi_scan_expected(s, "CONNECTIVITY", sfemi_scan_peek(s));
             goto done;
         }
-        SFEMI_TRY(sfemi_scan_skip_words(s, 2, "the type of the connectivity"));
+        sfemi_scan_word(s);
+        SFEMI_TRY(sfemi_vtk_type(r, "the type of the connectivity", &r->cell_type));
+        SFEMI_TRY(sfemi_vtk_begin(r));
         n -= n > 0;
     }
     r->cells = n;
     r->cell_scan = *s;
-    SFEMI_TRY(sfemi_scan_skip_words(s, r->numbers, "another number of a cell"));
+    SFEMI_TRY(sfemi_typed_skip(s, r->cell_type, r->numbers, "another number of a cell"));
     r->has_cells = 1;
 done:
+    s->order = 0;
     return status;
 }
 
 static sfem_status sfemi_vtk_types(sfemi_vtk *r)
 {
     sfemi_scan *s = &r->s;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
-    sfem_int n = 0, i;
-    int64_t v;
+    sfem_status status;
+    sfem_int n = 0;
     if (r->has_types) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES a second time");
     if (!r->has_cells) return sfemi_scan_fail(s, SFEM_FORMAT, "CELL_TYPES come before CELLS");
     SFEMI_TRY(sfemi_scan_count(s, 2, "the count of cell types", &n));
@@ -5823,29 +7003,56 @@ static sfem_status sfemi_vtk_types(sfemi_vtk *r)
                                  (long)r->cells);
         goto done;
     }
-    SFEMI_NEW(unsigned char, r->type, &r->m.allocator, n);
-    for (i = 0; i < n; ++i) {
-        SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a cell type", &v));
-        r->type[i] = (unsigned char)(v < 255 ? v : 255);
-    }
-    r->has_types = 1;
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    SFEMI_TRY(sfemi_vtk_fill_types(r, s, sfemi_types + 10, n));
 done:
+    s->order = 0;
+    return status;
+}
+
+/* An array of values, of which only the regions of `cells` cells are kept; 0: the values are no cells'. */
+static sfem_status sfemi_vtk_array(sfemi_vtk *r, sfemi_word name, const sfemi_type *type, int64_t components,
+                                   int64_t tuples, sfem_int cells)
+{
+    sfem_status status;
+    SFEMI_TRY(sfemi_vtk_begin(r));
+    if (cells && !r->region_type && components == 1 && tuples == cells && (type->kind == 'i' || type->kind == 'u') &&
+        sfemi_vtk_names_region(name)) {
+        r->region_scan = r->s;
+        r->region_type = type;
+    }
+    SFEMI_TRY(sfemi_typed_skip(&r->s, type, components * tuples, "another value of an array"));
+done:
+    r->s.order = 0;
     return status;
 }
 
 /* FIELD name count, then so many arrays: name, components, tuples, type, values. */
-static sfem_status sfemi_vtk_field(sfemi_scan *s)
+static sfem_status sfemi_vtk_field(sfemi_vtk *r, sfem_int cells)
 {
+    sfemi_scan *s = &r->s;
+    const sfemi_type *type;
     sfem_status status;
+    sfemi_word name;
     int64_t arrays, components, tuples;
     SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of a field"));
     SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "the count of arrays in a field", &arrays));
     for (; arrays > 0; --arrays) {
-        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the name of an array"));
+        name = sfemi_scan_word(s);
+        if (sfemi_word_is(name, "METADATA")) { /* of the array before */
+            do {
+                sfemi_scan_skip_line(s);
+                s->in_row = 1;
+                name = sfemi_scan_peek(s);
+                s->in_row = 0;
+            } while (name.n);
+            name = sfemi_scan_word(s);
+        }
+        if (!name.n) return sfemi_scan_expected(s, "the name of an array", name);
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of components", &components));
         SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a count of tuples", &tuples));
-        SFEMI_TRY(sfemi_scan_skip_words(s, 1, "the type of an array"));
-        SFEMI_TRY(sfemi_scan_skip_words(s, components * tuples, "another value of an array"));
+        SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+        SFEMI_TRY(sfemi_vtk_array(r, name, type, components, tuples, cells));
     }
 done:
     return status;
@@ -5863,81 +7070,59 @@ static void sfemi_vtk_skip_metadata(sfemi_scan *s)
     } while (w.n);
 }
 
-/* Nodes of a cell of a fixed shape, by type; 0 = any number. */
-static int sfemi_vtk_cell_nodes(int type)
+/* SCALARS name type [components] LOOKUP_TABLE name, and others of a name, a type and a fixed number of components. */
+static sfem_status sfemi_vtk_attribute(sfemi_vtk *r, int64_t components, sfem_int tuples, sfem_int cells)
 {
-    static const unsigned char nodes[15] = {0, 1, 0, 2, 0, 3, 0, 0, 4, 4, 4, 8, 8, 6, 5};
-    return type < 15 ? nodes[type] : 0;
-}
-
-static sfem_status sfemi_vtk_without_tets(const sfemi_vtk *r)
-{
-    int64_t triangles = 0, quadratic = 0;
-    sfem_int i;
-    for (i = 0; i < r->cells; ++i) {
-        triangles += r->type[i] == 5 || r->type[i] == 22;
-        quadratic += r->type[i] == 24;
+    sfemi_scan *s = &r->s;
+    const sfemi_word name = sfemi_scan_word(s);
+    const sfemi_type *type;
+    sfem_status status;
+    SFEMI_TRY(sfemi_vtk_type(r, "the type of an array", &type));
+    if (!components) { /* SCALARS */
+        components = 1;
+        s->in_row = 1;
+        if (sfemi_scan_peek(s).n) status = sfemi_scan_integer(s, 1, 4, "a count of components", &components);
+        s->in_row = 0;
+        if (status != SFEM_OK) return status;
+        if (sfemi_word_is(sfemi_scan_peek(s), "LOOKUP_TABLE")) SFEMI_TRY(sfemi_scan_skip_words(s, 2, "a table"));
     }
-    return sfemi_mesh_without_tets(r->m.nodes, triangles, quadratic, r->cell_scan.err);
-}
-
-/* The tets among the cells. */
-static sfem_status sfemi_vtk_tets(sfemi_vtk *r)
-{
-    sfemi_scan *s = &r->cell_scan;
-    sfem_error *err = s->err;
-    sfem_status status = SFEM_OK;
-    sfem_int i, t = 0, left = r->numbers;
-    int64_t nodes, v;
-    for (i = 0; i < r->cells; ++i) t += r->type[i] == 10;
-    SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)t);
-    for (i = 0; i < r->cells; ++i) {
-        int wanted = sfemi_vtk_cell_nodes(r->type[i]);
-        if (r->offset)
-            nodes = r->offset[i + 1] - r->offset[i];
-        else {
-            if (left < 1) {
-                status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS end in cell %ld of %ld", (long)i,
-                                         (long)r->cells);
-                goto done;
-            }
-            SFEMI_TRY(sfemi_scan_integer(s, 0, left - 1, "the count of nodes of a cell", &nodes));
-            --left;
-        }
-        if (wanted && nodes != wanted) {
-            sfemi_scan_space(s);
-            status = sfemi_scan_fail(s, SFEM_FORMAT, "cell %ld of type %d has %lld nodes, not %d",
-                                     (long)i, r->type[i], (long long)nodes, wanted);
-            goto done;
-        }
-        left -= (sfem_int)nodes;
-        if (r->type[i] != 10) {
-            SFEMI_TRY(sfemi_scan_skip_words(s, nodes, "another number of a cell"));
-            continue;
-        }
-        for (; nodes > 0; --nodes) {
-            SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a node of a tet", &v));
-            if (v < 0 || v >= r->m.nodes) {
-                status =
-                    sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld%s",
-                                    (long)r->m.tets, (long long)v, (long)r->m.nodes,
-                                    v == r->m.nodes && sfemi_mesh_counts_from_one(r->m.tet, 4 * (size_t)r->m.tets,
-                                                                                  r->m.nodes)
-                                        ? ": numbered from 1? Points are numbered from 0"
-                                        : "");
-                if (s->err) s->err->tet = r->m.tets;
-                goto done;
-            }
-            r->m.tet[4 * (size_t)r->m.tets + (size_t)(4 - nodes)] = (sfem_int)v;
-        }
-        ++r->m.tets;
-    }
-    if (left)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "CELLS have %ld numbers too many", (long)left);
-    else if (t < 1)
-        status = sfemi_vtk_without_tets(r);
+    status = sfemi_vtk_array(r, name, type, components, tuples, cells);
 done:
     return status;
+}
+
+/* What stands behind the mesh: the regions are looked for. What cannot be read there ends the search, not more: the
+ * mesh is complete. */
+static void sfemi_vtk_data(sfemi_vtk *r)
+{
+    static const struct {
+        const char *name;
+        int components; /* 0: told by a number */
+    } known[] = {{"SCALARS", 0}, {"VECTORS", 3}, {"NORMALS", 3}, {"TENSORS", 9}, {"GLOBAL_IDS", 1}, {"PEDIGREE_IDS", 1}};
+    sfemi_scan *s = &r->s;
+    sfem_error *err = s->err;
+    sfem_status status = SFEM_OK;
+    sfem_int tuples = 0, cells = 0;
+    sfemi_word w;
+    size_t k;
+    s->err = NULL;
+    while (status == SFEM_OK && !r->region_type && (w = sfemi_scan_word(s)).n) {
+        if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA")) {
+            status = sfemi_scan_count(s, 1, "a count of tuples", &tuples);
+            cells = sfemi_word_is(w, "CELL_DATA") ? r->cells : 0;
+        } else if (sfemi_word_is(w, "FIELD"))
+            status = sfemi_vtk_field(r, cells);
+        else if (sfemi_word_is(w, "METADATA"))
+            sfemi_vtk_skip_metadata(s);
+        else {
+            for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(w, known[k].name);) ++k;
+            if (k == sizeof known / sizeof *known) break;
+            status = sfemi_vtk_attribute(r, known[k].components, tuples, cells);
+        }
+    }
+    if (status != SFEM_OK) r->region_type = NULL;
+    s->err = err;
+    r->region_scan.err = err;
 }
 
 static sfem_status sfemi_vtk_read(sfemi_vtk *r)
@@ -5954,7 +7139,7 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
             s->p += w.n;
             has_dataset = 1;
         } else if (sfemi_word_is(w, "FIELD"))
-            status = sfemi_vtk_field(s);
+            status = sfemi_vtk_field(r, 0);
         else if (sfemi_word_is(w, "METADATA"))
             sfemi_vtk_skip_metadata(s);
         else if (!has_dataset)
@@ -5965,9 +7150,11 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
             status = sfemi_vtk_cells(r);
         else if (sfemi_word_is(w, "CELL_TYPES"))
             status = sfemi_vtk_types(r);
-        else if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA"))
+        else if (sfemi_word_is(w, "POINT_DATA") || sfemi_word_is(w, "CELL_DATA")) {
+            s->p = w.p;
+            if (r->has_types) sfemi_vtk_data(r);
             break;
-        else
+        } else
             return sfemi_scan_expected(s, "POINTS, CELLS or CELL_TYPES", w);
     }
     if (status != SFEM_OK) return status;
@@ -5979,12 +7166,251 @@ static sfem_status sfemi_vtk_read(sfemi_vtk *r)
     return sfemi_vtk_tets(r);
 }
 
-/* ---- Medit .mesh ---- */
+/* ---- VTK XML (.vtu) ---- */
 
-/* Keywords, each followed by numbers in free format: lines mean nothing. */
+enum { SFEMI_VTU_POINTS, SFEMI_VTU_CONNECTIVITY, SFEMI_VTU_OFFSETS, SFEMI_VTU_TYPES, SFEMI_VTU_REGION, SFEMI_VTU_ARRAYS };
+
+typedef struct sfemi_vtu {
+    sfemi_vtk v;
+    struct {
+        const sfemi_type *type; /* NULL: there is no such array */
+        char format;            /* 'a' text, 'b' base64, both in place, '+' appended */
+        int64_t offset;         /* of the last */
+        sfemi_scan text;        /* of the others */
+        unsigned char *decoded; /* of base64 */
+    } array[SFEMI_VTU_ARRAYS];
+    sfemi_scan appended; /* behind the _ that it begins with; no p: there is nothing */
+    int header, base64;  /* bytes of the count in front of binary data; the appended data is base64 */
+    int order, has_file, has_piece;
+    int64_t points, cells;
+} sfemi_vtu;
+
+/* <VTKFile type byte_order header_type compressor> */
+static sfem_status sfemi_vtu_file(sfemi_vtu *r, const sfemi_tag *t)
+{
+    const sfemi_word type = sfemi_xml_attribute(t, "type"), compressor = sfemi_xml_attribute(t, "compressor");
+    char text[25];
+    if (!sfemi_word_is(type, "UnstructuredGrid"))
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a VTK file of %s: only UnstructuredGrid is read",
+                               sfemi_word_text(type, text));
+    if (compressor.n)
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT,
+                               "compressed data is not read: write it raw (ParaView: Compressor Type None; vtk: "
+                               "SetCompressorTypeToNone(); meshio: compression=None)");
+    r->order = sfemi_word_is(sfemi_xml_attribute(t, "byte_order"), "BigEndian") ? 2 : 1;
+    r->header = sfemi_word_is(sfemi_xml_attribute(t, "header_type"), "UInt64") ? 8 : 4;
+    r->has_file = 1;
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_vtu_piece(sfemi_vtu *r, const sfemi_tag *t)
+{
+    sfem_status status;
+    if (r->has_piece)
+        return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "a second Piece: merge them to one, in ParaView by Merge Blocks");
+    status = sfemi_xml_integer(&r->v.s, t, "NumberOfPoints", 0, &r->points);
+    if (status == SFEM_OK) status = sfemi_xml_integer(&r->v.s, t, "NumberOfCells", 0, &r->cells);
+    if (status == SFEM_OK && (r->points > INT32_MAX || r->cells > INT32_MAX))
+        status = sfemi_scan_fail(&r->v.s, SFEM_TOO_LARGE, "more than 2^31 - 1 points or cells");
+    r->has_piece = 1;
+    return status;
+}
+
+/* <DataArray>, of the part of the piece that `parent` names: noted if it is needed. */
+static sfem_status sfemi_vtu_array_tag(sfemi_vtu *r, const sfemi_tag *t, char parent)
+{
+    const sfemi_word name = sfemi_xml_attribute(t, "Name"), format = sfemi_xml_attribute(t, "format");
+    sfemi_scan *s = &r->v.s;
+    int k = SFEMI_VTU_ARRAYS;
+    int64_t components;
+    sfem_status status = sfemi_xml_integer(s, t, "NumberOfComponents", 0, &components);
+    if (status != SFEM_OK) return status;
+    if (parent == 'P') k = SFEMI_VTU_POINTS;
+    if (parent == 'C')
+        k = sfemi_word_is(name, "connectivity") ? SFEMI_VTU_CONNECTIVITY
+            : sfemi_word_is(name, "offsets")    ? SFEMI_VTU_OFFSETS
+            : sfemi_word_is(name, "types")      ? SFEMI_VTU_TYPES
+                                                : SFEMI_VTU_ARRAYS;
+    if (parent == 'D' && components <= 1 && sfemi_vtk_names_region(name)) k = SFEMI_VTU_REGION;
+    if (k == SFEMI_VTU_ARRAYS || (k == SFEMI_VTU_REGION && r->array[k].type)) return SFEM_OK;
+    if (r->array[k].type) return sfemi_scan_fail(s, SFEM_FORMAT, "an array of the mesh a second time");
+    if (k == SFEMI_VTU_POINTS && components && components != 3)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "points of %lld components, not 3", (long long)components);
+    r->array[k].type = sfemi_type_find(sfemi_xml_attribute(t, "type"), SFEMI_TYPES);
+    if (!r->array[k].type->bytes) return sfemi_scan_expected(s, "a type of VTK", sfemi_xml_attribute(t, "type"));
+    if (k == SFEMI_VTU_REGION && r->array[k].type->kind == 'f') { /* some field of that name */
+        r->array[k].type = NULL;
+        return SFEM_OK;
+    }
+    r->array[k].format = sfemi_word_is(format, "appended") ? '+' : sfemi_word_is(format, "binary") ? 'b' : 'a';
+    r->array[k].text = *s;
+    if (t->empty)
+        r->array[k].text.end = s->p;
+    else {
+        const char *end = (const char *)memchr(s->p, '<', (size_t)(s->end - s->p));
+        r->array[k].text.end = end ? end : s->end;
+    }
+    return sfemi_xml_integer(s, t, "offset", 0, &r->array[k].offset);
+}
+
+/* <AppendedData encoding>, whose data begins behind a _. */
+static sfem_status sfemi_vtu_appended(sfemi_vtu *r, const sfemi_tag *t)
+{
+    r->base64 = sfemi_word_is(sfemi_xml_attribute(t, "encoding"), "base64");
+    r->appended = r->v.s;
+    if (t->empty) return SFEM_OK;
+    return sfemi_xml_past(&r->appended, "_");
+}
+
+/* Reads the size in front of binary data, which has to be `wanted` bytes, all of them there. */
+static sfem_status sfemi_vtu_size(sfemi_scan *s, int header, uint64_t wanted, const char *name)
+{
+    uint64_t bytes = 0;
+    const sfem_status status = sfemi_scan_bits(s, header, "the size of an array", &bytes);
+    if (status != SFEM_OK) return status;
+    if (bytes == wanted) return SFEM_OK;
+    return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, not %lld", name, (long long)bytes, (long long)wanted);
+}
+
+/* Decodes base64 of so many bytes behind their size; s is then the scan of them. */
+static sfem_status sfemi_vtu_decode(sfemi_vtu *r, int k, uint64_t bytes, const char *name, sfemi_scan *s)
+{
+    const uint64_t have = (uint64_t)(s->end - s->p) / 4 * 3 + 3;
+    unsigned char head[8];
+    sfem_error *err = s->err;
+    sfem_status status;
+    sfemi_scan size = *s;
+    size_t n = sfemi_base64(s->p, s->end, head, (size_t)r->header);
+    size.p = (const char *)head;
+    size.end = size.p + (n == (size_t)-1 ? 0 : n);
+    size.order = r->order;
+    if (n != (size_t)-1) SFEMI_TRY(sfemi_vtu_size(&size, r->header, bytes, name));
+    if (n != (size_t)-1 && bytes <= have) {
+        SFEMI_NEW(unsigned char, r->array[k].decoded, &r->v.m.allocator, bytes + 8);
+        n = sfemi_base64(s->p, s->end, r->array[k].decoded, (size_t)bytes + (size_t)r->header);
+    }
+    if (n == (size_t)-1) return sfemi_scan_fail(s, SFEM_FORMAT, "%s is not base64", name);
+    if (n != bytes + (uint64_t)r->header)
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, but the data ends", name, (long long)bytes);
+    s->p = (const char *)r->array[k].decoded + r->header;
+    s->end = s->p + bytes;
+    s->order = r->order;
+done:
+    return status;
+}
+
+/* Makes s the scan of an array of `count` numbers, all of which are there, or wrong text. */
+static sfem_status sfemi_vtu_open(sfemi_vtu *r, int k, int64_t count, sfemi_scan *s)
+{
+    static const char *const name[SFEMI_VTU_ARRAYS] = {"Points", "connectivity", "offsets", "types", "the regions"};
+    sfem_status status = SFEM_OK;
+    uint64_t bytes;
+    if (!r->array[k].type) return sfemi_scan_fail(&r->v.s, SFEM_FORMAT, "the array %s is missing", name[k]);
+    *s = r->array[k].text;
+    if (r->array[k].format == '+') {
+        if (!r->appended.p) return sfemi_scan_fail(s, SFEM_FORMAT, "there is no AppendedData for %s", name[k]);
+        if (r->array[k].offset > r->appended.end - r->appended.p)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s is beyond the end of AppendedData", name[k]);
+        *s = r->appended;
+        s->p += r->array[k].offset;
+    }
+    if (r->array[k].format == 'a') {
+        if ((uint64_t)count > ((uint64_t)(s->end - s->p) + 1) / 2)
+            return sfemi_scan_fail(s, SFEM_FORMAT, "%s has less than %lld numbers", name[k], (long long)count);
+        return SFEM_OK;
+    }
+    bytes = (uint64_t)count * r->array[k].type->bytes;
+    if (r->array[k].format == 'b' || r->base64) return sfemi_vtu_decode(r, k, bytes, name[k], s);
+    s->start = r->v.s.start;
+    s->order = r->order;
+    SFEMI_TRY(sfemi_vtu_size(s, r->header, bytes, name[k]));
+    if (bytes > (uint64_t)(s->end - s->p))
+        return sfemi_scan_fail(s, SFEM_FORMAT, "%s has %lld bytes, but the data ends", name[k], (long long)bytes);
+    s->end = s->p + bytes;
+done:
+    return status;
+}
+
+/* All tags, up to the appended data. */
+static sfem_status sfemi_vtu_tags(sfemi_vtu *r)
+{
+    static const char *const part[4] = {"Points", "Cells", "CellData", "PointData"};
+    sfemi_scan *s = &r->v.s;
+    sfem_status status;
+    sfemi_tag t;
+    char parent = 0;
+    int k;
+    for (;;) {
+        SFEMI_TRY(sfemi_xml_next(s, &t));
+        if (!t.name.n) break;
+        for (k = 0; k < 4; ++k)
+            if (sfemi_word_is(t.name, part[k])) parent = (char)(t.closing || t.empty ? 0 : "PCDN"[k]);
+        if (t.closing) continue;
+        if (sfemi_word_is(t.name, "VTKFile"))
+            SFEMI_TRY(sfemi_vtu_file(r, &t));
+        else if (!r->has_file)
+            return sfemi_scan_expected(s, "<VTKFile>", t.name);
+        else if (sfemi_word_is(t.name, "Piece"))
+            SFEMI_TRY(sfemi_vtu_piece(r, &t));
+        else if (sfemi_word_is(t.name, "DataArray") && parent)
+            SFEMI_TRY(sfemi_vtu_array_tag(r, &t, parent));
+        else if (sfemi_word_is(t.name, "AppendedData"))
+            return sfemi_vtu_appended(r, &t);
+    }
+done:
+    return status;
+}
+
+/* Text in place has to end with the last number. */
+static sfem_status sfemi_vtu_close(const sfemi_vtu *r, int k, sfemi_scan *s)
+{
+    const sfemi_word w = sfemi_scan_peek(s);
+    if (r->array[k].format != 'a' || !w.n) return SFEM_OK;
+    return sfemi_scan_expected(s, "the end of the array", w);
+}
+
+static sfem_status sfemi_vtu_read(sfemi_vtu *r)
+{
+    sfemi_vtk *v = &r->v;
+    const char *start = v->s.p;
+    sfem_status status;
+    sfemi_scan s;
+    SFEMI_TRY(sfemi_vtu_tags(r));
+    if (!r->has_piece) return sfemi_scan_fail(&v->s, SFEM_FORMAT, "there is no Piece");
+    v->s.start = start;
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_POINTS, 3 * r->points, &s));
+    SFEMI_TRY(sfemi_vtk_fill_points(v, &s, r->array[SFEMI_VTU_POINTS].type, (sfem_int)r->points));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_POINTS, &s));
+    v->cells = (sfem_int)r->cells;
+    v->numbers = INT32_MAX;
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_OFFSETS, r->cells, &s));
+    SFEMI_TRY(sfemi_vtk_fill_offsets(v, &s, r->array[SFEMI_VTU_OFFSETS].type, v->cells, 1));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_OFFSETS, &s));
+    v->numbers = v->offset[v->cells];
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_TYPES, r->cells, &s));
+    SFEMI_TRY(sfemi_vtk_fill_types(v, &s, r->array[SFEMI_VTU_TYPES].type, v->cells));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_TYPES, &s));
+    SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_CONNECTIVITY, v->numbers, &v->cell_scan));
+    v->cell_type = r->array[SFEMI_VTU_CONNECTIVITY].type;
+    if (r->array[SFEMI_VTU_REGION].type) {
+        SFEMI_TRY(sfemi_vtu_open(r, SFEMI_VTU_REGION, r->cells, &v->region_scan));
+        v->region_type = r->array[SFEMI_VTU_REGION].type;
+    }
+    SFEMI_TRY(sfemi_vtk_tets(v));
+    SFEMI_TRY(sfemi_vtu_close(r, SFEMI_VTU_CONNECTIVITY, &v->cell_scan));
+    if (v->region_type) status = sfemi_vtu_close(r, SFEMI_VTU_REGION, &v->region_scan);
+done:
+    return status;
+}
+
+/* ---- Medit .mesh and .meshb ---- */
+
+/* Keywords, each followed by numbers in free format: lines mean nothing. In binary files keywords are numbers, each
+ * with the place of the next one. */
 typedef struct sfemi_medit {
     sfemi_scan s;
     sfem_mesh m;
+    sfemi_extra *x;
     int has_dimension, has_vertices, has_tets;
     sfem_int triangles;
 } sfemi_medit;
@@ -6015,7 +7441,9 @@ static sfem_status sfemi_medit_vertices(sfemi_medit *r)
     for (i = 0; i < n; ++i) {
         for (k = 0; k < 3; ++k)
             SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + 3 * (size_t)i + k));
-        SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "the reference of a vertex", &v));
+        SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "the reference of a vertex", &v));
+        SFEMI_TRY(sfemi_extra_in(r->x, 0, v));
+        if (r->x->ins) SFEMI_TRY(sfemi_extra_member(r->x, r->x->one, i));
     }
     r->m.nodes = n;
     r->has_vertices = 1;
@@ -6023,8 +7451,8 @@ done:
     return status;
 }
 
-/* The count; rows of four vertices, numbered from 1, and the reference. */
-static sfem_status sfemi_medit_tets(sfemi_medit *r)
+/* The count; rows of 4 or 10 vertices, numbered from 1, and the reference. */
+static sfem_status sfemi_medit_tets(sfemi_medit *r, int nodes)
 {
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
@@ -6038,8 +7466,8 @@ static sfem_status sfemi_medit_tets(sfemi_medit *r)
     SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
     SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
     for (i = 0; i < n; ++i) {
-        for (k = 0; k < 4; ++k) {
-            SFEMI_TRY(sfemi_scan_integer(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
+        for (k = 0; k < nodes; ++k) {
+            SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a vertex of a tet", &v));
             if (v < 1 || v > r->m.nodes) {
                 status = sfemi_scan_fail(s, SFEM_BAD_MESH,
                                          "tet %ld names vertex %lld, the vertices are 1 .. %ld",
@@ -6047,13 +7475,44 @@ static sfem_status sfemi_medit_tets(sfemi_medit *r)
                 if (s->err) s->err->tet = i;
                 goto done;
             }
-            r->m.tet[4 * (size_t)i + (size_t)k] = (sfem_int)v - 1;
+            if (k < 4) r->m.tet[4 * (size_t)i + (size_t)k] = (sfem_int)v - 1;
         }
-        SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "the reference of a tet", &v));
+        SFEMI_TRY(sfemi_scan_size(s, -INT32_MAX, INT32_MAX, "the reference of a tet", &v));
         r->m.region[i] = (sfem_int)v;
     }
-    r->m.tets = n;
+    if (nodes > 4 && !r->x->def.linear)
+        r->x->tets10 = n;
+    else
+        r->m.tets = n;
+    if (nodes > 4) r->x->info.linear = n;
     r->has_tets = 1;
+done:
+    return status;
+}
+
+/* A keyword: how many numbers each thing has, and which dimension if it is a cell of one less number of vertices. */
+typedef struct sfemi_medit_keyword {
+    const char *name;
+    int code, numbers, dimension; /* of binary files, -1: not needed; -1: no cell */
+} sfemi_medit_keyword;
+
+/* Lines, polygons and others: the count; rows of vertices and the reference. */
+static sfem_status sfemi_medit_cells(sfemi_medit *r, const sfemi_medit_keyword *word)
+{
+    sfemi_scan *s = &r->s;
+    const int nodes = word->numbers - 1;
+    sfem_status status;
+    sfem_int n = 0;
+    int64_t v[9], reference;
+    int k;
+    SFEMI_TRY(sfemi_scan_count(s, (size_t)(2 * word->numbers), word->name, &n));
+    for (; n > 0; --n) {
+        for (k = 0; k < nodes; ++k) SFEMI_TRY(sfemi_scan_size(s, 1, r->m.nodes, "a vertex", &v[k]));
+        SFEMI_TRY(sfemi_scan_size(s, INT64_MIN, INT64_MAX, "a reference", &reference));
+        SFEMI_TRY(sfemi_extra_in(r->x, word->dimension, reference));
+        sfemi_extra_begin(r->x, word->dimension, nodes);
+        for (k = 0; k < nodes; ++k) SFEMI_TRY(sfemi_extra_node(r->x, (sfem_int)v[k] - 1));
+    }
 done:
     return status;
 }
@@ -6065,53 +7524,59 @@ static int sfemi_medit_at_keyword(sfemi_scan *s)
     return !w.n || (*w.p >= 'a' && *w.p <= 'z') || (*w.p >= 'A' && *w.p <= 'Z');
 }
 
+/* The keyword of that name, or of that code if there is no name; NULL if it is not known. */
+static const sfemi_medit_keyword *sfemi_medit_find(sfemi_word name, int64_t code)
+{
+    static const sfemi_medit_keyword known[] = {{"Edges", 5, 3, 1},
+                                                {"Triangles", 6, 4, 2},
+                                                {"Quadrilaterals", 7, 5, 2},
+                                                {"Pyramids", 49, 6, 3},
+                                                {"Prisms", 9, 7, 3},
+                                                {"Pentahedra", -1, 7, 3},
+                                                {"Hexahedra", 10, 9, 3},
+                                                {"Corners", -1, 1, -1},
+                                                {"Ridges", -1, 1, -1},
+                                                {"RequiredVertices", -1, 1, -1},
+                                                {"RequiredEdges", -1, 1, -1},
+                                                {"RequiredTriangles", -1, 1, -1},
+                                                {"RequiredQuadrilaterals", -1, 1, -1},
+                                                {"Normals", -1, 3, -1},
+                                                {"Tangents", -1, 3, -1},
+                                                {"NormalAtVertices", -1, 2, -1},
+                                                {"NormalAtTriangleVertices", -1, 3, -1},
+                                                {"NormalAtQuadrilateralVertices", -1, 4, -1},
+                                                {"TangentAtVertices", -1, 2, -1},
+                                                {"TangentAtEdgeVertices", -1, 3, -1}};
+    size_t k;
+    for (k = 0; k < sizeof known / sizeof *known; ++k)
+        if (name.n ? sfemi_word_is(name, known[k].name) : known[k].code == code) return known + k;
+    return NULL;
+}
+
 /* Goes past what belongs to a keyword that is not needed: its count, and the numbers of each thing,
  * if the keyword is known; else all up to the next keyword. */
 static sfem_status sfemi_medit_skip(sfemi_medit *r, sfemi_word name)
 {
-    static const struct {
-        const char *name;
-        int numbers;
-    } known[] = {{"Edges", 3},
-                 {"Triangles", 4},
-                 {"Quadrilaterals", 5},
-                 {"Pyramids", 6},
-                 {"Prisms", 7},
-                 {"Pentahedra", 7},
-                 {"Hexahedra", 9},
-                 {"Corners", 1},
-                 {"Ridges", 1},
-                 {"RequiredVertices", 1},
-                 {"RequiredEdges", 1},
-                 {"RequiredTriangles", 1},
-                 {"RequiredQuadrilaterals", 1},
-                 {"Normals", 3},
-                 {"Tangents", 3},
-                 {"NormalAtVertices", 2},
-                 {"NormalAtTriangleVertices", 3},
-                 {"NormalAtQuadrilateralVertices", 4},
-                 {"TangentAtVertices", 2},
-                 {"TangentAtEdgeVertices", 3}};
+    const sfemi_medit_keyword *word = sfemi_medit_find(name, 0);
     sfemi_scan *s = &r->s;
     char what[64];
     sfem_status status;
     sfem_int n = 0;
     int64_t left;
-    size_t k;
-    for (k = 0; k < sizeof known / sizeof *known && !sfemi_word_is(name, known[k].name);) ++k;
-    if (k == sizeof known / sizeof *known) {
+    if (!word) {
         while (!sfemi_medit_at_keyword(s)) sfemi_scan_word(s);
         return SFEM_OK;
     }
-    snprintf(what, sizeof what, "the count of %s", known[k].name);
-    status = sfemi_scan_count(s, (size_t)(2 * known[k].numbers), what, &n);
-    snprintf(what, sizeof what, "another number of %s", known[k].name);
-    for (left = (int64_t)n * known[k].numbers; left > 0 && status == SFEM_OK; --left)
+    if (word->dimension >= 0 && (r->x->sets || r->x->faces)) return sfemi_medit_cells(r, word);
+    snprintf(what, sizeof what, "the count of %s", word->name);
+    status = sfemi_scan_count(s, (size_t)(2 * word->numbers), what, &n);
+    snprintf(what, sizeof what, "another number of %s", word->name);
+    for (left = (int64_t)n * word->numbers; left > 0 && status == SFEM_OK; --left)
         if (sfemi_medit_at_keyword(s))
             status = sfemi_scan_expected(s, what, sfemi_scan_peek(s));
         else
             sfemi_scan_word(s);
-    if (sfemi_word_is(name, "Triangles")) r->triangles = n;
+    for (; n > 0 && word->dimension >= 0; --n) sfemi_extra_begin(r->x, word->dimension, word->numbers - 1);
     return status;
 }
 
@@ -6134,25 +7599,62 @@ static sfem_status sfemi_medit_read(sfemi_medit *r)
             SFEMI_TRY(sfemi_medit_dimension(r));
         else if (sfemi_word_is(w, "Vertices"))
             SFEMI_TRY(sfemi_medit_vertices(r));
-        else if (sfemi_word_is(w, "Tetrahedra"))
-            SFEMI_TRY(sfemi_medit_tets(r));
+        else if (sfemi_word_is(w, "Tetrahedra") || sfemi_word_is(w, "TetrahedraP2"))
+            SFEMI_TRY(sfemi_medit_tets(r, w.n > 10 ? 10 : 4));
         else
             SFEMI_TRY(sfemi_medit_skip(r, w));
     }
-    if (!r->has_tets && r->has_vertices && r->triangles > 0)
-        status = sfemi_scan_fail(s, SFEM_FORMAT,
-                                 "there are no Tetrahedra, but %ld Triangles: sfem_mesh_from_surface makes tets of triangles",
-                                 (long)r->triangles);
-    else if (!r->has_tets)
-        status = sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
-                                 r->has_vertices ? "Tetrahedra" : "Vertices");
-    else if (r->m.tets < 1)
-        status = sfemi_mesh_without_tets(r->m.nodes, r->triangles, 0, s->err);
 done:
     return status;
 }
 
-/* ---- Vega .veg, TetGen .node and .ele ---- */
+/* One keyword of a binary file, whose data ends with s. */
+static sfem_status sfemi_medit_block(sfemi_medit *r, int64_t code)
+{
+    const sfemi_medit_keyword *word;
+    sfemi_word none;
+    none.p = NULL;
+    none.n = 0;
+    switch (code) {
+    case 3: return sfemi_medit_dimension(r);
+    case 4: return sfemi_medit_vertices(r);
+    case 8: return sfemi_medit_tets(r, 4);
+    case 30: return sfemi_medit_tets(r, 10);
+    default: word = sfemi_medit_find(none, code);
+    }
+    return word ? sfemi_medit_cells(r, word) : SFEM_OK;
+}
+
+static sfem_status sfemi_medit_read_binary(sfemi_medit *r)
+{
+    sfemi_scan *s = &r->s;
+    const char *end = s->end;
+    sfem_status status;
+    int64_t version = 0, code = 0;
+    uint64_t next = 0;
+    s->start = s->p;
+    s->order = *s->p == 1 ? 1 : 2; /* the integer 1 led here */
+    s->p += 4;
+    SFEMI_TRY(sfemi_scan_integer(s, 1, 4, "the version of Medit's format", &version));
+    s->size = version == 4 ? 8 : 4;
+    s->real = version == 1 ? 4 : 8;
+    while (s->p < end) {
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "a keyword's number", &code));
+        if (code == 54) break; /* End */
+        SFEMI_TRY(sfemi_scan_bits(s, version >= 3 ? 8 : 4, "the place of the next keyword", &next));
+        if (next == 0) next = (uint64_t)(end - s->start); /* there is none */
+        if (next < (uint64_t)(s->p - s->start) || next > (uint64_t)(end - s->start))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "the next keyword is at byte %.0f, not behind this one", (double)next);
+        s->end = s->start + next;
+        SFEMI_TRY(sfemi_medit_block(r, code));
+        s->p = s->end;
+        s->end = end;
+    }
+done:
+    return status;
+}
+
+/* ---- rows of numbers: Vega .veg, Abaqus .inp, TetGen .node and .ele ---- */
 
 #define SFEMI_INCLUDES 16 /* files that one .veg may include */
 
@@ -6162,15 +7664,34 @@ done:
 typedef struct sfemi_rows_name {
     sfemi_word name;
     sfem_int material;    /* its number, or -1: it is a set */
-    size_t first, behind; /* its tets in member[] */
+    sfem_int set[2];      /* of nodes, of tets, or -1 */
+    size_t head;          /* Abaqus: 1 + the last of its members, a list by next[] */
+    int defined;          /* not only named */
     size_t last;          /* 1 + the last of region[] that names this set */
     size_t bit, child[2]; /* the tree: the bit that is asked for, names by its value */
 } sfemi_rows_name;
 
+enum { SFEMI_ROWS_MATERIAL, SFEMI_ROWS_TETS, SFEMI_ROWS_NODES, SFEMI_ROWS_KINDS }; /* of names */
+
 typedef struct sfemi_rows_region {
-    size_t set; /* 1 + its place in name[]; 0: all tets */
-    sfem_int material;
+    size_t set;      /* 1 + its place in name[]; 0: all tets */
+    sfem_int number; /* of the region */
+    size_t material; /* 1 + its place in name[]; 0: none */
 } sfemi_rows_region;
+
+/* Rows of Abaqus that are read at the end. */
+typedef struct sfemi_inp_rows {
+    size_t name;
+    int elements, generate, outside; /* outside: numbers are of the assembly's own nodes */
+    sfemi_scan s;
+} sfemi_inp_rows;
+
+/* An element of Abaqus. */
+typedef struct sfemi_inp_element {
+    sfem_int tet;        /* or -1: */
+    sfem_int count;      /* its nodes, */
+    size_t first;        /* in other[] */
+} sfemi_inp_element;
 
 /* Both are rows of numbers, with comments from # on and commas as good as blanks. */
 typedef struct sfemi_rows {
@@ -6178,14 +7699,24 @@ typedef struct sfemi_rows {
     sfem_mesh m;
     sfem_int node_base, tet_base; /* the numbers of the first node and tet, mostly 0 or 1 */
     int has_nodes, has_tets;
-    /* .veg: */
+    sfemi_extra *x;
+    /* .veg, .inp: */
     sfemi_rows_name *name;     /* [names of names_room] */
-    sfem_int *member;          /* [members of members_room] tets of all sets, from 0 */
     sfemi_rows_region *region; /* [regions of regions_room] */
-    size_t names, names_room, members, members_room, regions, regions_room;
-    size_t root[2];     /* 1 + the first name of materials, of sets; 0: there is none */
+    sfem_region *material;     /* [materials of materials_room] their constants */
+    size_t names, names_room, regions, regions_room, materials_room;
+    size_t root[SFEMI_ROWS_KINDS]; /* 1 + the first name; 0: there is none */
     size_t last_of_all; /* 1 + the last of region[] that names all tets */
     sfem_int materials;
+    /* .inp: */
+    int inp, parts, instances, assembly, instance; /* the last two: it is in one */
+    sfemi_tags node, element;
+    sfemi_inp_element *elements; /* [element.used of elements_room] */
+    sfem_int *other;             /* [others of others_room] nodes of elements that are no tets */
+    sfem_int *block;             /* [tets] 1 + the place in name[] of its block's ELSET, or 0 */
+    size_t *next;                /* [x->members] 1 + the member before it of the same name, or 0 */
+    sfemi_inp_rows *later;       /* [laters of laters_room] */
+    size_t x_room, tet_room, elements_room, others, others_room, block_room, next_room, laters, laters_room, work;
     const char *path; /* of the file, or NULL: there is nothing to include from */
     int included, depth;
     char *text[SFEMI_INCLUDES];       /* [included] the names are in there */
@@ -6198,23 +7729,15 @@ static void sfemi_rows_free(sfemi_rows *r, const sfem_allocator *a)
     int i;
     for (i = 0; i < r->included; ++i) sfemi_delete(a, r->text[i]);
     sfemi_delete(a, r->name);
-    sfemi_delete(a, r->member);
     sfemi_delete(a, r->region);
-}
-
-/* Room for one thing more behind `used` of them; NULL if there is no memory. */
-static void *sfemi_rows_grow(const sfem_allocator *a, void *old, size_t used, size_t *room,
-                             size_t size)
-{
-    size_t more = *room ? 2 * *room : 16;
-    void *p;
-    if (used < *room) return old;
-    p = sfemi_new(a, more, size);
-    if (!p) return NULL;
-    if (used) memcpy(p, old, used * size);
-    sfemi_delete(a, old);
-    *room = more;
-    return p;
+    sfemi_delete(a, r->material);
+    sfemi_tags_free(&r->node, a);
+    sfemi_tags_free(&r->element, a);
+    sfemi_delete(a, r->elements);
+    sfemi_delete(a, r->other);
+    sfemi_delete(a, r->block);
+    sfemi_delete(a, r->next);
+    sfemi_delete(a, r->later);
 }
 
 /* The words up to the end of the row, or to a comma. */
@@ -6255,8 +7778,8 @@ done:
 }
 #endif
 
-/* *INCLUDE name: goes on in that file, then behind this row. A name that could lead out of the
- * folder of the first file is refused: meshes come from strangers. */
+/* *INCLUDE name, of Abaqus *INCLUDE, INPUT=name: goes on in that file, then behind this row. A name that could lead
+ * out of the folder of the first file is refused: meshes come from strangers. */
 static sfem_status sfemi_rows_include(sfemi_rows *r)
 {
     sfemi_scan *s = &r->s;
@@ -6264,6 +7787,13 @@ static sfem_status sfemi_rows_include(sfemi_rows *r)
     char text[25];
     size_t i;
     w = sfemi_rows_words(s);
+    if (r->inp)
+        for (i = 0; i < w.n; ++i)
+            if (w.p[i] == '=') {
+                w.p += i + 1, w.n -= i + 1;
+                while (w.n && sfemi_is_blank(*w.p)) ++w.p, --w.n;
+                break;
+            }
     if (!w.n) return sfemi_scan_expected(s, "the name of a file", w);
     if (!r->path)
         return sfemi_scan_fail(s, SFEM_FORMAT, "*INCLUDE %s: there is no file to include from",
@@ -6293,6 +7823,10 @@ static sfem_status sfemi_rows_next(sfemi_rows *r, int *any)
         sfemi_scan_space(s);
         if (s->p == s->end && r->depth > 0) {
             *s = r->outer[--r->depth];
+            continue;
+        }
+        if (r->inp && s->end - s->p >= 2 && s->p[0] == '*' && s->p[1] == '*') { /* a comment */
+            sfemi_scan_skip_line(s);
             continue;
         }
         *any = s->p < s->end;
@@ -6354,7 +7888,7 @@ static sfem_status sfemi_rows_nodes(sfemi_rows *r)
     sfemi_scan *s = &r->s;
     sfem_error *err = s->err;
     sfem_status status = SFEM_OK;
-    int64_t small[3] = {3, 0, 0};
+    int64_t small[3] = {3, 0, 0}, m, v;
     sfem_int n = 0, i;
     int k;
     if (r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*VERTICES a second time");
@@ -6366,7 +7900,12 @@ static sfem_status sfemi_rows_nodes(sfemi_rows *r)
         SFEMI_TRY(sfemi_rows_number(r, i, "the number of a node", &r->node_base));
         for (k = 0; k < 3; ++k)
             SFEMI_TRY(sfemi_scan_real(s, "a coordinate", r->m.x + 3 * (size_t)i + k));
-        SFEMI_TRY(sfemi_scan_skip_words(s, small[1] + small[2], "an attribute or marker"));
+        SFEMI_TRY(sfemi_scan_skip_words(s, small[1] + (r->x->sets ? 0 : small[2]), "an attribute or marker"));
+        for (m = 0; m < small[2] && r->x->sets; ++m) {
+            SFEMI_TRY(sfemi_scan_integer(s, -INT32_MAX, INT32_MAX, "an attribute or marker", &v));
+            SFEMI_TRY(sfemi_extra_in(r->x, 0, v));
+            if (r->x->ins) SFEMI_TRY(sfemi_extra_member(r->x, r->x->one, i));
+        }
         SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the node's line"));
     }
     r->m.nodes = n;
@@ -6408,13 +7947,19 @@ static sfem_status sfemi_rows_tets(sfemi_rows *r)
     if (r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS a second time");
     if (!r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENTS come before *VERTICES");
     SFEMI_TRY(sfemi_rows_header(r, "the count of tets", &n, small));
-    if (small[0] != 4)
-        return sfemi_scan_fail(s, SFEM_FORMAT, "elements of %ld nodes, not 4", (long)small[0]);
+    if (small[0] != 4 && !(small[0] == 10 && r->x->def.linear))
+        return sfemi_scan_fail(s, SFEM_FORMAT,
+                               small[0] == 10 ? "elements of %ld nodes, not 4: %ld of them; the option 'linear' of "
+                                                "sfem_mesh_read_def reads them as 4-node tets"
+                                              : "elements of %ld nodes, not 4",
+                               (long)small[0], (long)n);
+    if (small[0] == 10) r->x->info.linear = n;
     SFEMI_NEW(sfem_int, r->m.tet, &r->m.allocator, 4 * (size_t)n);
     if (small[1]) SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, n);
     for (i = 0; i < n; ++i) {
         SFEMI_TRY(sfemi_rows_number(r, i, "the number of a tet", &r->tet_base));
         SFEMI_TRY(sfemi_rows_tet(r, i));
+        SFEMI_TRY(sfemi_scan_skip_words(s, small[0] - 4, "a node of a tet"));
         if (small[1]) {
             SFEMI_TRY(sfemi_scan_real(s, "the region of a tet", &region));
             if (!(fabs(region) <= INT32_MAX) || region != floor(region))
@@ -6454,15 +7999,15 @@ static size_t sfemi_rows_nearest(const sfemi_rows *r, sfemi_word w, size_t root)
 static int sfemi_rows_same(sfemi_word a, sfemi_word b) { return a.n == b.n && !memcmp(a.p, b.p, a.n); }
 
 /* The material or set of that name that came first, or NULL. */
-static sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int set)
+static sfemi_rows_name *sfemi_rows_find(const sfemi_rows *r, sfemi_word name, int kind)
 {
     sfemi_rows_name *p;
-    if (!r->root[set] || !name.n) return NULL;
-    p = r->name + sfemi_rows_nearest(r, name, r->root[set] - 1);
+    if (!r->root[kind] || !name.n) return NULL;
+    p = r->name + sfemi_rows_nearest(r, name, r->root[kind] - 1);
     return sfemi_rows_same(p->name, name) ? p : NULL;
 }
 
-/* Puts name[i] into the tree, unless the name is there. */
+/* Puts name[i] into the tree of its kind, unless the name is there. */
 static void sfemi_rows_insert(sfemi_rows *r, size_t i, int set)
 {
     sfemi_rows_name *const name = r->name;
@@ -6488,34 +8033,64 @@ static void sfemi_rows_insert(sfemi_rows *r, size_t i, int set)
     name[from].child[sfemi_rows_bit(w, name[from].bit)] = i;
 }
 
-static sfem_status sfemi_rows_new_name(sfemi_rows *r, sfem_int material)
+/* A new name, which came as `name` and is told apart as `key`. */
+static sfem_status sfemi_rows_add_name(sfemi_rows *r, sfemi_word name, sfemi_word key, int kind, size_t *out)
 {
     const sfem_allocator *a = &r->m.allocator;
-    sfemi_word w = sfemi_rows_words(&r->s);
-    sfemi_rows_name *p;
-    if (!w.n) return sfemi_scan_expected(&r->s, "a name", w);
-    p = (sfemi_rows_name *)sfemi_rows_grow(a, r->name, r->names, &r->names_room, sizeof *p);
+    sfemi_rows_name *p = (sfemi_rows_name *)sfemi_grow(a, r->name, r->names, &r->names_room, sizeof *p);
+    sfem_region *material;
+    sfem_status status = SFEM_OK;
     if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: names");
     r->name = p;
-    p += r->names++;
+    p += r->names;
     memset(p, 0, sizeof *p);
-    p->name = w;
-    p->material = material;
-    p->first = p->behind = r->members;
-    sfemi_rows_insert(r, r->names - 1, material < 0);
-    return sfemi_scan_end_of_row(&r->s, "the end of the line");
+    p->name = key;
+    p->material = p->set[0] = p->set[1] = -1;
+    if (kind == SFEMI_ROWS_MATERIAL) {
+        material = (sfem_region *)sfemi_grow(a, r->material, (size_t)r->materials, &r->materials_room, sizeof *material);
+        if (!material) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: materials");
+        r->material = material;
+        memset(material + r->materials, 0, sizeof *material);
+        material[r->materials].material = material[r->materials].name = sfemi_extra_name(r->x, name);
+        if (!material[r->materials].name) return sfemi_extra_full(r->x);
+        p->material = r->materials++;
+    } else if (!r->inp || kind == SFEMI_ROWS_NODES)
+        status = sfemi_extra_set(r->x, name, kind == SFEMI_ROWS_TETS, p->set + (kind == SFEMI_ROWS_TETS));
+    *out = r->names++;
+    sfemi_rows_insert(r, *out, kind);
+    return status;
 }
 
-/* *MATERIAL name, then a law with its constants, which are the caller's business. */
+static sfem_status sfemi_rows_new_name(sfemi_rows *r, int kind)
+{
+    const sfemi_word w = sfemi_rows_words(&r->s);
+    size_t name;
+    sfem_status status;
+    if (!w.n) return sfemi_scan_expected(&r->s, "a name", w);
+    status = sfemi_rows_add_name(r, w, w, kind, &name);
+    return status != SFEM_OK ? status : sfemi_scan_end_of_row(&r->s, "the end of the line");
+}
+
+/* *MATERIAL name, then a law with its constants, of which those of ENU are kept: density, E, nu. */
 static sfem_status sfemi_veg_material(sfemi_rows *r)
 {
+    sfemi_scan *s = &r->s;
+    sfem_region *m;
     sfem_status status;
-    SFEMI_TRY(sfemi_rows_new_name(r, r->materials));
-    ++r->materials;
+    sfemi_word w;
+    SFEMI_TRY(sfemi_rows_new_name(r, SFEMI_ROWS_MATERIAL));
     SFEMI_TRY(sfemi_rows_need(r, "the law of a material"));
-    if (*r->s.p == '*')
-        return sfemi_scan_expected(&r->s, "the law of a material", sfemi_scan_peek(&r->s));
-    sfemi_scan_rest(&r->s);
+    if (*s->p == '*')
+        return sfemi_scan_expected(s, "the law of a material", sfemi_scan_peek(s));
+    w = sfemi_scan_word(s);
+    m = r->material + r->materials - 1;
+    if (sfemi_word_is(w, "ENU") && sfemi_scan_peek(s).n) {
+        SFEMI_TRY(sfemi_scan_real(s, "the density", &m->density));
+        SFEMI_TRY(sfemi_scan_real(s, "Young's modulus", &m->young));
+        SFEMI_TRY(sfemi_scan_real(s, "Poisson's ratio", &m->poisson));
+        m->has_elastic = m->has_density = 1;
+    }
+    sfemi_scan_rest(s);
 done:
     return status;
 }
@@ -6523,38 +8098,41 @@ done:
 /* *SET name, then numbers of tets up to the next row that begins with a *. */
 static sfem_status sfemi_veg_set(sfemi_rows *r)
 {
-    const sfem_allocator *a = &r->m.allocator;
     sfemi_scan *s = &r->s;
     sfem_status status = SFEM_OK;
-    sfem_int *p;
     int64_t v;
     int any;
     if (!r->has_tets) return sfemi_scan_fail(s, SFEM_FORMAT, "*SET comes before *ELEMENTS");
-    SFEMI_TRY(sfemi_rows_new_name(r, -1));
+    SFEMI_TRY(sfemi_rows_new_name(r, SFEMI_ROWS_TETS));
     for (;;) {
         SFEMI_TRY(sfemi_rows_next(r, &any));
         if (!any || *s->p == '*') break;
         while (sfemi_scan_peek(s).n) {
             SFEMI_TRY(sfemi_scan_integer(s, r->tet_base, (int64_t)r->tet_base + r->m.tets - 1,
                                          "the number of a tet in a set", &v));
-            p = (sfem_int *)sfemi_rows_grow(a, r->member, r->members, &r->members_room, sizeof *p);
-            if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: sets");
-            r->member = p;
-            p[r->members++] = (sfem_int)v - r->tet_base;
+            SFEMI_TRY(sfemi_extra_member(r->x, r->name[r->names - 1].set[1], (sfem_int)v - r->tet_base));
         }
     }
-    r->name[r->names - 1].behind = r->members;
 done:
     return status;
+}
+
+static sfem_status sfemi_rows_add_region(sfemi_rows *r, const sfemi_rows_region *region)
+{
+    sfemi_rows_region *p =
+        (sfemi_rows_region *)sfemi_grow(&r->m.allocator, r->region, r->regions, &r->regions_room, sizeof *p);
+    if (!p) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: regions");
+    r->region = p;
+    p[r->regions++] = *region;
+    *(region->set ? &r->name[region->set - 1].last : &r->last_of_all) = r->regions;
+    return SFEM_OK;
 }
 
 /* *REGION, then a row "set, material", where the set allElements is always there. */
 static sfem_status sfemi_veg_region(sfemi_rows *r)
 {
-    const sfem_allocator *al = &r->m.allocator;
-    const sfemi_rows_name *material;
-    sfemi_rows_name *set;
-    sfemi_rows_region *p;
+    const sfemi_rows_name *material, *set;
+    sfemi_rows_region region;
     sfemi_scan *s = &r->s;
     sfem_status status;
     sfemi_word a, b;
@@ -6564,43 +8142,57 @@ static sfem_status sfemi_veg_region(sfemi_rows *r)
     a = sfemi_rows_words(s);
     b = sfemi_rows_words(s);
     SFEMI_TRY(sfemi_scan_end_of_row(s, "the end of the line"));
-    set = sfemi_rows_find(r, a, 1);
-    material = sfemi_rows_find(r, b, 0);
+    set = sfemi_rows_find(r, a, SFEMI_ROWS_TETS);
+    material = sfemi_rows_find(r, b, SFEMI_ROWS_MATERIAL);
     if (!set && !sfemi_word_is(a, "allElements"))
         return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *SET '%s' above",
                                sfemi_word_text(a, text));
     if (!material)
         return sfemi_scan_fail(s, SFEM_FORMAT, "there is no *MATERIAL '%s' above",
                                sfemi_word_text(b, text));
-    p = (sfemi_rows_region *)sfemi_rows_grow(al, r->region, r->regions, &r->regions_room, sizeof *p);
-    if (!p) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: regions");
-    r->region = p;
-    p += r->regions++;
-    p->set = set ? (size_t)(set - r->name) + 1 : 0;
-    p->material = material->material;
-    *(set ? &set->last : &r->last_of_all) = r->regions;
+    region.set = set ? (size_t)(set - r->name) + 1 : 0;
+    region.number = material->material;
+    region.material = (size_t)(material - r->name) + 1;
+    status = sfemi_rows_add_region(r, &region);
 done:
     return status;
 }
 
-/* Gives the tets their regions at the end, when of those that name one set only the last one counts: each set is
- * gone through once. */
-static sfem_status sfemi_veg_fill_regions(sfemi_rows *r)
+/* Gives the tets their regions at the end: each that of the last of region[] which names a set that it is in. */
+static sfem_status sfemi_rows_fill_regions(sfemi_rows *r)
 {
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_extra *x = r->x;
     sfem_error *err = r->s.err;
     sfem_status status = SFEM_OK;
-    size_t i, k;
+    sfem_region *known;
+    size_t *last = NULL, *rank = NULL, i;
     if (!r->regions) return SFEM_OK;
-    SFEMI_NEW(sfem_int, r->m.region, &r->m.allocator, r->m.tets);
-    for (k = 0; k < (size_t)r->m.tets; ++k) r->m.region[k] = -1;
-    for (i = 0; i < r->regions; ++i) {
+    SFEMI_NEW(sfem_int, r->m.region, a, r->m.tets);
+    SFEMI_NEW(size_t, last, a, x->groups);
+    SFEMI_NEW(size_t, rank, a, r->m.tets);
+    for (i = 0; i < r->names; ++i)
+        if (r->name[i].set[1] >= 0) last[r->name[i].set[1]] = r->name[i].last;
+    for (i = 0; i < (size_t)r->m.tets; ++i) rank[i] = r->last_of_all;
+    for (i = 0; i < x->members; ++i) {
+        const sfem_int set = x->member[i][0], t = x->member[i][1];
+        if (x->group[set].of_tets && last[set] > rank[t]) rank[t] = last[set];
+    }
+    for (i = 0; i < (size_t)r->m.tets; ++i) r->m.region[i] = rank[i] ? r->region[rank[i] - 1].number : -1;
+    for (i = 0; i < r->regions && x->sets; ++i) {
         const sfemi_rows_region *p = r->region + i;
-        const sfemi_rows_name *set = p->set ? r->name + (p->set - 1) : NULL;
-        if (i + 1 != (set ? set->last : r->last_of_all)) continue;
-        for (k = 0; !set && k < (size_t)r->m.tets; ++k) r->m.region[k] = p->material;
-        for (k = set ? set->first : 0; set && k < set->behind; ++k) r->m.region[r->member[k]] = p->material;
+        known = sfemi_extra_region(x, p->number);
+        if (!known) {
+            status = sfemi_extra_full(x);
+            goto done;
+        }
+        if (p->material) *known = r->material[r->name[p->material - 1].material];
+        known->number = p->number;
+        if (r->inp) known->name = p->set && r->name[p->set - 1].set[1] >= 0 ? x->group[r->name[p->set - 1].set[1]].name : NULL;
     }
 done:
+    sfemi_delete(a, last);
+    sfemi_delete(a, rank);
     return status;
 }
 
@@ -6646,10 +8238,563 @@ static sfem_status sfemi_veg_read(sfemi_rows *r)
     if (!r->has_tets)
         return sfemi_scan_fail(s, SFEM_FORMAT, "there are no %s",
                                r->has_nodes ? "*ELEMENTS" : "*VERTICES");
-    status = sfemi_veg_fill_regions(r);
+    status = sfemi_rows_fill_regions(r);
 done:
     return status;
 }
+
+/* ---- Abaqus .inp ---- */
+
+/* A row that begins with a *: the keyword, and the parameters that matter. */
+typedef struct sfemi_inp_line {
+    sfemi_word keyword, type, nset, elset, name, material;
+    int generate, instance;
+} sfemi_inp_line;
+
+/* Did the row, which began at `row` and which s is at the end of, end in a comma? */
+static int sfemi_inp_continues(const sfemi_scan *s, const char *row)
+{
+    const char *p = s->p;
+    while (p > row && sfemi_is_blank(p[-1])) --p;
+    return p > row && p[-1] == ',';
+}
+
+static sfemi_word sfemi_inp_trim(const char *p, const char *end)
+{
+    sfemi_word w;
+    while (p < end && (sfemi_is_blank(*p) || *p == '"')) ++p;
+    while (end > p && (sfemi_is_blank(end[-1]) || end[-1] == '"')) --end;
+    w.p = p;
+    w.n = (size_t)(end - p);
+    return w;
+}
+
+/* Reads the row, and those that it goes on in: s is then at the end of the last. */
+static sfem_status sfemi_inp_keyword(sfemi_rows *r, sfemi_inp_line *l)
+{
+    sfemi_scan *s = &r->s;
+    const char *row = s->p;
+    sfem_status status = SFEM_OK;
+    int any;
+    memset(l, 0, sizeof *l);
+    l->keyword = sfemi_rows_words(s);
+    for (;;) {
+        const sfemi_word w = sfemi_rows_words(s);
+        const char *equals = w.n ? (const char *)memchr(w.p, '=', w.n) : NULL;
+        const sfemi_word key = sfemi_inp_trim(w.p, equals ? equals : w.p + w.n);
+        const sfemi_word value = sfemi_inp_trim(equals ? equals + 1 : w.p + w.n, w.p + w.n);
+        if (!w.n) {
+            if (!sfemi_inp_continues(s, row)) return SFEM_OK;
+            SFEMI_TRY(sfemi_rows_next(r, &any));
+            if (!any || *s->p == '*') return SFEM_OK;
+            row = s->p;
+            continue;
+        }
+        if (sfemi_word_is(key, "TYPE")) l->type = value;
+        if (sfemi_word_is(key, "NSET")) l->nset = value;
+        if (sfemi_word_is(key, "ELSET")) l->elset = value;
+        if (sfemi_word_is(key, "NAME")) l->name = value;
+        if (sfemi_word_is(key, "MATERIAL")) l->material = value;
+        if (sfemi_word_is(key, "GENERATE")) l->generate = 1;
+        if (sfemi_word_is(key, "INSTANCE")) l->instance = 1;
+    }
+done:
+    return status;
+}
+
+/* The name, which is made if there is none. Capitals count as small letters. */
+static sfem_status sfemi_inp_name(sfemi_rows *r, sfemi_word w, int kind, size_t *out)
+{
+    const sfemi_rows_name *found;
+    sfemi_word key;
+    char *p = (char *)sfemi_pool_own(&r->x->pool, sfemi_new(&r->m.allocator, w.n + 1, 1));
+    size_t i;
+    if (!p) return sfemi_extra_full(r->x);
+    for (i = 0; i < w.n; ++i) p[i] = (char)(w.p[i] >= 'A' && w.p[i] <= 'Z' ? w.p[i] - 'A' + 'a' : w.p[i]);
+    key.p = p;
+    key.n = w.n;
+    found = sfemi_rows_find(r, key, kind);
+    if (found) {
+        *out = (size_t)(found - r->name);
+        return SFEM_OK;
+    }
+    return sfemi_rows_add_name(r, w, key, kind, out);
+}
+
+/* Puts a node or a tet into a set; one of elements has two parts, of nodes and of tets, made when needed. */
+static sfem_status sfemi_inp_add(sfemi_rows *r, size_t name, sfemi_word text, int of_tets, sfem_int member)
+{
+    sfemi_extra *x = r->x;
+    sfemi_rows_name *n = r->name + name;
+    sfem_status status = SFEM_OK;
+    size_t *next;
+    if (n->set[of_tets] < 0) SFEMI_TRY(sfemi_extra_set(x, text, of_tets, &n->set[of_tets]));
+    SFEMI_TRY(sfemi_extra_member(x, n->set[of_tets], member));
+    next = (size_t *)sfemi_grow(&r->m.allocator, r->next, x->members - 1, &r->next_room, sizeof *next);
+    if (!next) return sfemi_extra_full(x);
+    r->next = next;
+    next[x->members - 1] = n->head;
+    n->head = x->members;
+done:
+    return status;
+}
+
+/* *NODE: rows of number and place. */
+static sfem_status sfemi_inp_nodes(sfemi_rows *r, const sfemi_inp_line *l)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_scan *s = &r->s;
+    sfem_status status;
+    sfem_real *x;
+    size_t set = 0;
+    int64_t v;
+    int any, k;
+    if (l->nset.n) SFEMI_TRY(sfemi_inp_name(r, l->nset, SFEMI_ROWS_NODES, &set));
+    if (l->nset.n) r->name[set].defined = 1;
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the number of a node", &v));
+        SFEMI_TRY(sfemi_tags_room(&r->node, 1, a, s->err));
+        if (!sfemi_tags_add(&r->node, v))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "node %ld a second time", (long)v);
+        x = (sfem_real *)sfemi_grow(a, r->m.x, (size_t)r->m.nodes, &r->x_room, 3 * sizeof *x);
+        if (!x) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: nodes");
+        r->m.x = x;
+        x += 3 * (size_t)r->m.nodes;
+        for (k = 0; k < 3; ++k) SFEMI_TRY(sfemi_scan_real(s, "a coordinate", x + k));
+        if (l->nset.n) SFEMI_TRY(sfemi_inp_add(r, set, l->nset, 0, r->m.nodes));
+        ++r->m.nodes;
+        sfemi_scan_rest(s);
+    }
+    r->has_nodes = 1;
+done:
+    return status;
+}
+
+/* The cells that a type of elements names: nodes of a tet, else 0; the dimension; the corners of those of dimension 2. */
+static int sfemi_inp_shape(sfemi_word type, int *dimension, int *corners)
+{
+    static const struct {
+        const char *name; /* how the type begins */
+        int dimension, corners;
+    } known[] = {{"C3D", 3, 0},    {"DC3D", 3, 0}, {"AC3D", 3, 0}, {"SC", 3, 0},     {"STRI", 2, 3}, {"S3", 2, 3},
+                 {"S4", 2, 4},     {"S8", 2, 4},   {"S9", 2, 4},   {"S6", 2, 3},     {"CPS3", 2, 3}, {"CPS4", 2, 4},
+                 {"CPS6", 2, 3},   {"CPS8", 2, 4}, {"CPE3", 2, 3}, {"CPE4", 2, 4},   {"CPE6", 2, 3}, {"CPE8", 2, 4},
+                 {"M3D3", 2, 3},   {"M3D4", 2, 4}, {"M3D6", 2, 3}, {"M3D8", 2, 4},   {"R3D3", 2, 3}, {"R3D4", 2, 4},
+                 {"SFM3D3", 2, 3}, {"DS3", 2, 3},  {"DS4", 2, 4},  {"SFM3D4", 2, 4}};
+    sfemi_word w;
+    size_t k;
+    *dimension = 1;
+    *corners = 0;
+    for (k = 0; k < sizeof known / sizeof *known; ++k) {
+        w.p = type.p;
+        w.n = strlen(known[k].name);
+        if (w.n > type.n || !sfemi_word_is(w, known[k].name)) continue;
+        *dimension = known[k].dimension;
+        *corners = known[k].corners;
+        if (k > 0) return 0;
+        w.p += 3;
+        for (w.n = 0; w.p + w.n < type.p + type.n && w.p[w.n] >= '0' && w.p[w.n] <= '9';) ++w.n;
+        return sfemi_word_is(w, "4") ? 4 : sfemi_word_is(w, "10") ? 10 : 0;
+    }
+    return 0;
+}
+
+/* A node of an element by its number, in this row or the next: it may go on there. */
+static sfem_status sfemi_inp_node(sfemi_rows *r, sfem_int *node)
+{
+    sfem_status status = SFEM_OK;
+    int64_t v;
+    int any;
+    if (!sfemi_scan_peek(&r->s).n) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *r->s.p == '*') return sfemi_scan_expected(&r->s, "a node of an element", sfemi_scan_peek(&r->s));
+    }
+    SFEMI_TRY(sfemi_scan_integer(&r->s, 1, INT32_MAX, "a node of an element", &v));
+    *node = sfemi_tags_find(&r->node, v);
+    if (*node < 0)
+        status = sfemi_scan_fail(&r->s, SFEM_BAD_MESH, "an element names node %ld, which is not above", (long)v);
+done:
+    return status;
+}
+
+/* The next tet, of 4 or 10 nodes. */
+static sfem_status sfemi_inp_tet(sfemi_rows *r, int nodes, size_t block)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfem_status status;
+    sfem_int *tet = (sfem_int *)sfemi_grow(a, r->m.tet, (size_t)r->m.tets, &r->tet_room, 4 * sizeof *tet), *in, node;
+    int k;
+    if (tet) r->m.tet = tet;
+    in = (sfem_int *)sfemi_grow(a, r->block, (size_t)r->m.tets, &r->block_room, sizeof *in);
+    if (in) r->block = in;
+    if (!tet || !in) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: tets");
+    for (k = 0; k < nodes; ++k) {
+        SFEMI_TRY(sfemi_inp_node(r, &node));
+        if (k < 4) tet[4 * (size_t)r->m.tets + (size_t)k] = node;
+    }
+    r->x->info.linear += nodes > 4;
+    in[r->m.tets++] = (sfem_int)block;
+    sfemi_scan_rest(&r->s);
+done:
+    return status;
+}
+
+/* The nodes of another element: as many as stand in its row, and in the next ones while each ends in a comma. */
+static sfem_status sfemi_inp_other(sfemi_rows *r, sfemi_inp_element *e)
+{
+    sfemi_scan *s = &r->s;
+    const char *row = s->p;
+    sfem_status status = SFEM_OK;
+    sfem_int *grown, node;
+    int any;
+    e->first = r->others;
+    for (;;) {
+        if (!sfemi_scan_peek(s).n) {
+            if (!sfemi_inp_continues(s, row)) break;
+            SFEMI_TRY(sfemi_rows_next(r, &any));
+            if (!any || *s->p == '*') break;
+            row = s->p;
+        }
+        SFEMI_TRY(sfemi_inp_node(r, &node));
+        grown = (sfem_int *)sfemi_grow(&r->m.allocator, r->other, r->others, &r->others_room, sizeof *grown);
+        if (!grown) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: elements");
+        r->other = grown;
+        grown[r->others++] = node;
+        if (++e->count == INT32_MAX) return sfemi_fail(s->err, SFEM_TOO_LARGE, "an element of 2^31 - 1 nodes");
+        SFEMI_TRY(sfemi_extra_node(r->x, node));
+    }
+done:
+    return status;
+}
+
+/* An element goes into a set: a tet as itself, any other by its nodes. */
+static sfem_status sfemi_inp_add_element(sfemi_rows *r, size_t name, sfemi_word text, size_t element)
+{
+    const sfemi_inp_element *e = r->elements + element;
+    sfem_status status = SFEM_OK;
+    sfem_int k;
+    if (e->tet >= 0) return sfemi_inp_add(r, name, text, 1, e->tet);
+    for (k = 0; k < e->count; ++k) SFEMI_TRY(sfemi_inp_add(r, name, text, 0, r->other[e->first + (size_t)k]));
+done:
+    return status;
+}
+
+/* *ELEMENT: rows of number and nodes. */
+static sfem_status sfemi_inp_elements(sfemi_rows *r, const sfemi_inp_line *l)
+{
+    const sfem_allocator *a = &r->m.allocator;
+    sfemi_scan *s = &r->s;
+    sfemi_extra *x = r->x;
+    sfemi_inp_element *e;
+    sfem_status status;
+    size_t set = 0;
+    int64_t v;
+    int any, dimension, corners;
+    const int nodes = sfemi_inp_shape(l->type, &dimension, &corners);
+    if (!l->type.n) return sfemi_scan_fail(s, SFEM_FORMAT, "*ELEMENT without a TYPE=");
+    if (l->elset.n) SFEMI_TRY(sfemi_inp_name(r, l->elset, SFEMI_ROWS_TETS, &set));
+    if (l->elset.n) r->name[set].defined = 1;
+    x->ins = 0;
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the number of an element", &v));
+        SFEMI_TRY(sfemi_tags_room(&r->element, 1, a, s->err));
+        e = (sfemi_inp_element *)sfemi_grow(a, r->elements, r->element.used, &r->elements_room, sizeof *e);
+        if (!e) return sfemi_fail(s->err, SFEM_OUT_OF_MEMORY, "out of memory: elements");
+        r->elements = e;
+        e += r->element.used;
+        memset(e, 0, sizeof *e);
+        e->tet = -1;
+        if (!sfemi_tags_add(&r->element, v))
+            return sfemi_scan_fail(s, SFEM_FORMAT, "element %ld a second time", (long)v);
+        if (nodes == 4 || (nodes == 10 && x->def.linear)) {
+            e->tet = r->m.tets;
+            SFEMI_TRY(sfemi_inp_tet(r, nodes, l->elset.n ? set + 1 : 0));
+        } else {
+            if (nodes == 0) sfemi_extra_begin(x, dimension, corners);
+            x->tets10 += nodes == 10;
+            SFEMI_TRY(sfemi_inp_other(r, e));
+        }
+        if (l->elset.n) SFEMI_TRY(sfemi_inp_add_element(r, set, l->elset, r->element.used - 1));
+    }
+done:
+    return status;
+}
+
+/* *NSET, *ELSET: read at the end, when all nodes and elements are known. */
+static sfem_status sfemi_inp_set(sfemi_rows *r, const sfemi_inp_line *l, int elements)
+{
+    const sfemi_word name = elements ? l->elset : l->nset;
+    sfemi_inp_rows *p;
+    size_t set = 0;
+    sfem_status status;
+    if (!name.n) return sfemi_scan_fail(&r->s, SFEM_FORMAT, "a set without a name");
+    status = sfemi_inp_name(r, name, elements ? SFEMI_ROWS_TETS : SFEMI_ROWS_NODES, &set);
+    if (status != SFEM_OK) return status;
+    r->name[set].defined = 1;
+    p = (sfemi_inp_rows *)sfemi_grow(&r->m.allocator, r->later, r->laters, &r->laters_room, sizeof *p);
+    if (!p) return sfemi_extra_full(r->x);
+    r->later = p;
+    p += r->laters++;
+    p->name = set;
+    p->elements = elements;
+    p->generate = l->generate;
+    p->outside = r->assembly && !r->instance && !l->instance;
+    p->s = r->s;
+    return SFEM_OK;
+}
+
+/* A node or an element by number goes into a set; one that is not there does not, if it is `generated`. */
+static sfem_status sfemi_inp_put(sfemi_rows *r, const sfemi_inp_rows *p, sfemi_word text, int64_t number, int generated)
+{
+    const sfem_int at = sfemi_tags_find(p->elements ? &r->element : &r->node, number);
+    if (at >= 0)
+        return p->elements ? sfemi_inp_add_element(r, p->name, text, (size_t)at) : sfemi_inp_add(r, p->name, text, 0, at);
+    if (generated) return SFEM_OK;
+    return sfemi_scan_fail(&r->s, SFEM_BAD_MESH, "a set names %s %lld, which is not there", p->elements ? "element" : "node",
+                           (long long)number);
+}
+
+/* GENERATE: first, last, step. Numbers in between need not be there: the fewer of them and of all are tried. */
+static sfem_status sfemi_inp_generate(sfemi_rows *r, const sfemi_inp_rows *p, sfemi_word text)
+{
+    const sfemi_tags *all = p->elements ? &r->element : &r->node;
+    sfemi_scan *s = &r->s;
+    int64_t first, last, step = 1, count;
+    sfem_status status;
+    size_t i;
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the first number", &first));
+    SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the last number", &last));
+    if (sfemi_scan_peek(s).n) SFEMI_TRY(sfemi_scan_integer(s, 1, INT32_MAX, "the step", &step));
+    count = last < first ? 0 : (last - first) / step + 1;
+    r->work += (size_t)count < all->used ? (size_t)count : all->used;
+    if (r->work > r->x->members_most)
+        return sfemi_scan_fail(s, SFEM_TOO_LARGE, "GENERATE of more than 4 numbers a byte of the file");
+    if ((size_t)count < all->used)
+        for (; first <= last; first += step) SFEMI_TRY(sfemi_inp_put(r, p, text, first, 1));
+    else
+        for (i = 0; i < all->used; ++i)
+            if (all->tag[i] >= first && all->tag[i] <= last && (all->tag[i] - first) % step == 0)
+                SFEMI_TRY(sfemi_inp_put(r, p, text, all->tag[i], 1));
+done:
+    return status;
+}
+
+/* The set of that name, as it is so far, goes into another one. */
+static sfem_status sfemi_inp_include(sfemi_rows *r, const sfemi_inp_rows *p, sfemi_word text, sfemi_word name)
+{
+    sfem_status status;
+    char found[25];
+    size_t from = 0, at;
+    SFEMI_TRY(sfemi_inp_name(r, name, p->elements ? SFEMI_ROWS_TETS : SFEMI_ROWS_NODES, &from));
+    if (!r->name[from].defined)
+        return sfemi_scan_fail(&r->s, SFEM_FORMAT, "there is no set '%s'", sfemi_word_text(name, found));
+    if (from == p->name) return SFEM_OK;
+    for (at = r->name[from].head; at; at = r->next[at - 1]) {
+        const sfem_int *m = r->x->member[at - 1];
+        SFEMI_TRY(sfemi_inp_add(r, p->name, text, r->x->group[m[0]].of_tets, m[1]));
+    }
+done:
+    return status;
+}
+
+/* The rows of a set. */
+static sfem_status sfemi_inp_members(sfemi_rows *r, const sfemi_inp_rows *p)
+{
+    sfemi_scan *s = &r->s;
+    const sfemi_word text = r->name[p->name].name;
+    sfem_status status;
+    sfemi_word w;
+    int64_t v;
+    int any;
+    r->s = p->s;
+    r->depth = 0;
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any || *s->p == '*') break;
+        if (p->generate) {
+            if (!p->outside) SFEMI_TRY(sfemi_inp_generate(r, p, text));
+            sfemi_scan_rest(s);
+            continue;
+        }
+        while ((w = sfemi_scan_peek(s)).n) {
+            if (*w.p < '0' || *w.p > '9') {
+                w = sfemi_rows_words(s);
+                SFEMI_TRY(sfemi_inp_include(r, p, text, sfemi_inp_trim(w.p, w.p + w.n)));
+                continue;
+            }
+            SFEMI_TRY(sfemi_scan_integer(s, 0, INT32_MAX, "a number in a set", &v));
+            if (!p->outside) SFEMI_TRY(sfemi_inp_put(r, p, text, v, 0));
+        }
+    }
+done:
+    return status;
+}
+
+/* *SOLID SECTION: the tets of a set have a material, and a region of their own. */
+static sfem_status sfemi_inp_section(sfemi_rows *r, const sfemi_inp_line *l)
+{
+    sfemi_rows_region region;
+    sfem_status status;
+    size_t name = 0;
+    if (!l->elset.n) return sfemi_scan_fail(&r->s, SFEM_FORMAT, "*SOLID SECTION without an ELSET=");
+    if (r->regions == INT32_MAX) return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 sections");
+    SFEMI_TRY(sfemi_inp_name(r, l->elset, SFEMI_ROWS_TETS, &name));
+    region.set = name + 1;
+    region.number = (sfem_int)r->regions;
+    region.material = 0;
+    if (l->material.n) {
+        SFEMI_TRY(sfemi_inp_name(r, l->material, SFEMI_ROWS_MATERIAL, &name));
+        region.material = name + 1;
+    }
+    status = sfemi_rows_add_region(r, &region);
+done:
+    return status;
+}
+
+/* The first row of *ELASTIC (young and poisson, isotropic) or *DENSITY of the last material. */
+static sfem_status sfemi_inp_constants(sfemi_rows *r, const sfemi_inp_line *l, sfem_int material, int elastic)
+{
+    sfem_region *m;
+    sfem_status status = SFEM_OK;
+    int any;
+    if (material < 0 || (l->type.n && !sfemi_word_is(l->type, "ISOTROPIC") && !sfemi_word_is(l->type, "ISO"))) return SFEM_OK;
+    SFEMI_TRY(sfemi_rows_next(r, &any));
+    if (!any || *r->s.p == '*') return SFEM_OK;
+    m = r->material + material;
+    if (elastic) {
+        SFEMI_TRY(sfemi_scan_real(&r->s, "Young's modulus", &m->young));
+        m->poisson = 0;
+        if (sfemi_scan_peek(&r->s).n) SFEMI_TRY(sfemi_scan_real(&r->s, "Poisson's ratio", &m->poisson));
+        m->has_elastic = 1;
+    } else {
+        SFEMI_TRY(sfemi_scan_real(&r->s, "the density", &m->density));
+        m->has_density = 1;
+    }
+    sfemi_scan_rest(&r->s);
+done:
+    return status;
+}
+
+/* *PART and *INSTANCE: one of each, where the part is in its own place. */
+static sfem_status sfemi_inp_part(sfemi_rows *r, int instance)
+{
+    sfem_status status = SFEM_OK;
+    int any;
+    if (++*(instance ? &r->instances : &r->parts) > 1)
+        return sfemi_scan_fail(&r->s, SFEM_FORMAT,
+                               "a second %s: only one is read; write the input without parts and assemblies",
+                               instance ? "*INSTANCE" : "*PART");
+    if (!instance) return SFEM_OK;
+    SFEMI_TRY(sfemi_rows_next(r, &any));
+    if (any && *r->s.p != '*')
+        status = sfemi_scan_fail(&r->s, SFEM_FORMAT,
+                                 "an *INSTANCE that is moved is not read: write the input without parts and assemblies");
+done:
+    return status;
+}
+
+/* What a keyword begins; rows of others are passed over. */
+static sfem_status sfemi_inp_block(sfemi_rows *r, const sfemi_inp_line *l, sfem_int *material)
+{
+    static const char *const refused[] = {"*NGEN", "*NFILL", "*NCOPY", "*ELGEN", "*ELCOPY", "*NMAP"};
+    const sfemi_word w = l->keyword;
+    char text[25];
+    size_t k, name = 0;
+    for (k = 0; k < sizeof refused / sizeof *refused; ++k)
+        if (sfemi_word_is(w, refused[k]))
+            return sfemi_scan_fail(&r->s, SFEM_FORMAT, "%s is not read: write all nodes and elements",
+                                   sfemi_word_text(w, text));
+    if (sfemi_word_is(w, "*ASSEMBLY") || sfemi_word_is(w, "*END ASSEMBLY")) r->assembly = w.n == 9;
+    if (sfemi_word_is(w, "*INSTANCE") || sfemi_word_is(w, "*END INSTANCE")) r->instance = w.n == 9;
+    if (!r->assembly || r->instance) { /* an assembly's own nodes, reference points, are passed over */
+        if (sfemi_word_is(w, "*NODE")) return sfemi_inp_nodes(r, l);
+        if (sfemi_word_is(w, "*ELEMENT")) return sfemi_inp_elements(r, l);
+    }
+    if (sfemi_word_is(w, "*NSET")) return sfemi_inp_set(r, l, 0);
+    if (sfemi_word_is(w, "*ELSET")) return sfemi_inp_set(r, l, 1);
+    if (sfemi_word_is(w, "*SOLID SECTION")) return sfemi_inp_section(r, l);
+    if (sfemi_word_is(w, "*PART")) return sfemi_inp_part(r, 0);
+    if (sfemi_word_is(w, "*INSTANCE")) return sfemi_inp_part(r, 1);
+    if (sfemi_word_is(w, "*ELASTIC")) return sfemi_inp_constants(r, l, *material, 1);
+    if (sfemi_word_is(w, "*DENSITY")) return sfemi_inp_constants(r, l, *material, 0);
+    if (sfemi_word_is(w, "*MATERIAL")) {
+        const sfem_status status = sfemi_inp_name(r, l->name, SFEMI_ROWS_MATERIAL, &name);
+        if (status == SFEM_OK) {
+            *material = r->name[name].material;
+            r->name[name].defined = 1;
+        }
+        return status;
+    }
+    return SFEM_OK;
+}
+
+/* Without sections the ELSET= of the tets' blocks are regions. */
+static sfem_status sfemi_inp_block_regions(sfemi_rows *r)
+{
+    sfemi_rows_region region;
+    sfem_error *err = r->s.err;
+    sfem_status status = SFEM_OK;
+    sfem_int *number = NULL, t;
+    region.material = 0;
+    SFEMI_NEW(sfem_int, number, &r->m.allocator, r->names + 1);
+    for (t = 0; t < r->m.tets; ++t) {
+        if (!r->block[t] || number[r->block[t]]) continue;
+        region.set = (size_t)r->block[t];
+        region.number = (sfem_int)r->regions;
+        SFEMI_TRY(sfemi_rows_add_region(r, &region));
+        number[r->block[t]] = (sfem_int)r->regions;
+    }
+done:
+    sfemi_delete(&r->m.allocator, number);
+    return status;
+}
+
+/* Sets and materials that are only named are missing. */
+static sfem_status sfemi_inp_check(const sfemi_rows *r)
+{
+    char text[25];
+    size_t i;
+    for (i = 0; i < r->names; ++i)
+        if (!r->name[i].defined)
+            return sfemi_fail(r->s.err, SFEM_FORMAT, "a *SOLID SECTION names '%s', which is not there",
+                              sfemi_word_text(r->name[i].name, text));
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_inp_read(sfemi_rows *r)
+{
+    sfemi_scan *s = &r->s;
+    sfem_status status;
+    sfemi_inp_line l;
+    sfem_int material = -1;
+    size_t i;
+    int any;
+    r->inp = 1;
+    s->blank = ',';
+    for (;;) {
+        SFEMI_TRY(sfemi_rows_next(r, &any));
+        if (!any) break;
+        if (*s->p != '*') { /* rows that are not needed */
+            sfemi_scan_rest(s);
+            continue;
+        }
+        SFEMI_TRY(sfemi_inp_keyword(r, &l));
+        SFEMI_TRY(sfemi_inp_block(r, &l, &material));
+    }
+    if (!r->has_nodes) return sfemi_scan_fail(s, SFEM_FORMAT, "there are no *NODE");
+    for (i = 0; i < r->laters; ++i) SFEMI_TRY(sfemi_inp_members(r, r->later + i));
+    SFEMI_TRY(sfemi_inp_check(r));
+    if (!r->regions) SFEMI_TRY(sfemi_inp_block_regions(r));
+    status = sfemi_rows_fill_regions(r);
+done:
+    return status;
+}
+
+/* ---- TetGen .node and .ele ---- */
 
 /* One of the two files of TetGen, to its end. */
 static sfem_status sfemi_tetgen_file(sfemi_rows *r, const sfemi_scan *s, const char *file)
@@ -6669,88 +8814,161 @@ done:
 
 /* ---- any of them ---- */
 
-static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, const sfem_allocator *a,
-                                         sfem_mesh *out)
-{
-    sfemi_gmsh g;
-    sfem_status status;
-    memset(&g, 0, sizeof g);
-    g.s = *s;
-    g.m.allocator = *a;
-    status = sfemi_gmsh_read(&g);
-    sfemi_tags_free(&g.node, a);
-    sfemi_tags_free(&g.volume, a);
-    sfemi_delete(a, g.group);
-    *out = g.m;
-    return status;
-}
-
-static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, const sfem_allocator *a,
-                                        sfem_mesh *out)
-{
-    sfemi_vtk r;
-    sfem_status status;
-    memset(&r, 0, sizeof r);
-    r.s = *s;
-    r.m.allocator = *a;
-    status = sfemi_vtk_read(&r);
-    sfemi_delete(a, r.offset);
-    sfemi_delete(a, r.type);
-    *out = r.m;
-    return status;
-}
-
-static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, const sfem_allocator *a,
-                                          sfem_mesh *out)
-{
-    sfemi_medit r;
-    sfem_status status;
-    memset(&r, 0, sizeof r);
-    r.s = *s;
-    r.m.allocator = *a;
-    status = sfemi_medit_read(&r);
-    *out = r.m;
-    return status;
-}
-
-/* A .veg; with a second text, the .node and the .ele file of TetGen. */
-static sfem_status sfemi_mesh_parse_rows(const sfemi_scan *s, const sfemi_scan *ele,
-                                         const char *path, const sfem_allocator *a, sfem_mesh *out)
-{
-    sfemi_rows r;
-    sfem_status status;
-    memset(&r, 0, sizeof r);
-    r.s = *s;
-    r.path = path;
-    r.m.allocator = *a;
-    status = ele ? sfemi_tetgen_file(&r, s, ".node") : sfemi_veg_read(&r);
-    if (status == SFEM_OK && ele) status = sfemi_tetgen_file(&r, ele, ".ele");
-    sfemi_rows_free(&r, a);
-    *out = r.m;
-    return status;
-}
-
-/* What every reader ends with. */
-static sfem_status sfemi_mesh_parsed(sfem_status status, sfem_mesh *m, sfem_mesh *out,
-                                     sfem_error *err)
-{
-    if (status == SFEM_OK && m->tets < 1)
-        status = sfemi_fail(err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets",
-                            (long)m->nodes);
-    if (status == SFEM_OK) {
-        sfem_mesh_orient(m);
-        *out = *m;
-    } else
-        sfem_mesh_free(m);
-    return status;
-}
-
 static int sfemi_scan_begins(const sfemi_scan *s, const char *text)
 {
     sfemi_word w;
     w.p = s->p;
     w.n = strlen(text);
     return (size_t)(s->end - s->p) >= w.n && sfemi_word_is(w, text);
+}
+
+static sfem_status sfemi_mesh_parse_gmsh(const sfemi_scan *s, sfemi_extra *x, sfem_mesh *out)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_gmsh g;
+    sfem_status status;
+    memset(&g, 0, sizeof g);
+    g.s = *s;
+    g.x = x;
+    g.m.allocator = *a;
+    status = sfemi_gmsh_read(&g);
+    sfemi_tags_free(&g.node, a);
+    sfemi_tags_free(&g.entity, a);
+    sfemi_delete(a, g.groups);
+    sfemi_delete(a, g.group);
+    sfemi_delete(a, g.in);
+    *out = g.m;
+    return status;
+}
+
+static sfem_status sfemi_mesh_parse_vtk(const sfemi_scan *s, int xml, sfemi_extra *x, sfem_mesh *out)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_vtu r;
+    sfem_status status;
+    int k;
+    memset(&r, 0, sizeof r);
+    r.v.s = *s;
+    r.v.x = x;
+    r.v.m.allocator = *a;
+    status = xml ? sfemi_vtu_read(&r) : sfemi_vtk_read(&r.v);
+    for (k = 0; k < SFEMI_VTU_ARRAYS; ++k) sfemi_delete(a, r.array[k].decoded);
+    sfemi_delete(a, r.v.offset);
+    sfemi_delete(a, r.v.type);
+    *out = r.v.m;
+    return status;
+}
+
+static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, int binary, sfemi_extra *x, sfem_mesh *out)
+{
+    sfemi_medit r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.x = x;
+    r.m.allocator = x->def.allocator;
+    status = binary ? sfemi_medit_read_binary(&r) : sfemi_medit_read(&r);
+    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && x->faces))
+        status = sfemi_scan_fail(&r.s, SFEM_FORMAT, "there are no %s", r.has_vertices ? "Tetrahedra" : "Vertices");
+    *out = r.m;
+    return status;
+}
+
+/* A .veg, or with inp a .inp; with a second text the .node and the .ele file of TetGen. */
+static sfem_status sfemi_mesh_parse_rows(const sfemi_scan *s, const sfemi_scan *ele, int inp, const char *path,
+                                         sfemi_extra *x, sfem_mesh *out)
+{
+    const sfem_allocator *a = &x->def.allocator;
+    sfemi_rows r;
+    sfem_status status;
+    memset(&r, 0, sizeof r);
+    r.s = *s;
+    r.path = path;
+    r.x = x;
+    r.m.allocator = *a;
+    status = ele ? sfemi_tetgen_file(&r, s, ".node") : inp ? sfemi_inp_read(&r) : sfemi_veg_read(&r);
+    if (status == SFEM_OK && ele) status = sfemi_tetgen_file(&r, ele, ".ele");
+    sfemi_rows_free(&r, a);
+    *out = r.m;
+    return status;
+}
+
+/* Is this a mesh, with tets that can be used? */
+static sfem_status sfemi_mesh_parsed_check(const sfemi_extra *x, const sfem_mesh *m)
+{
+    if (x->tets10 && !x->def.linear)
+        return sfemi_fail(x->err, SFEM_BAD_MESH,
+                          "there are %ld tets of 10 nodes: the option 'linear' of sfem_mesh_read_def reads them as 4-node tets",
+                          (long)x->tets10);
+    if (m->tets > 0) return SFEM_OK;
+    if (x->info.triangles)
+        return sfemi_fail(x->err, SFEM_BAD_MESH,
+                          "there are %ld nodes, but no 4-node tets; of the %ld triangles sfem_mesh_from_surface makes tets",
+                          (long)m->nodes, (long)x->info.triangles);
+    return sfemi_fail(x->err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets", (long)m->nodes);
+}
+
+/* Takes out or joins the nodes that the options say. */
+static sfem_status sfemi_mesh_parsed_nodes(sfemi_extra *x, sfem_mesh *m)
+{
+    const sfem_int before = m->nodes;
+    sfem_error *err = x->err;
+    sfem_status status = SFEM_OK;
+    sfem_int *map = NULL;
+    if (!x->info.linear && !x->def.weld) return SFEM_OK;
+    SFEMI_NEW(sfem_int, map, &m->allocator, m->nodes);
+    if (x->info.linear) {
+        SFEMI_TRY(sfem_mesh_remove_unused(m, map, err));
+        sfemi_extra_map(x, map);
+        x->info.removed = before - m->nodes;
+    }
+    if (x->def.weld) {
+        SFEMI_TRY(sfem_mesh_weld(m, x->def.weld_distance, map, &x->info.welded, err));
+        sfemi_extra_map(x, map);
+    }
+done:
+    sfemi_delete(&m->allocator, map);
+    return status;
+}
+
+/* What every reader ends with. Frees x. */
+static sfem_status sfemi_mesh_parsed(sfem_status status, sfemi_extra *x, sfem_mesh *m, sfem_mesh *out, sfem_mesh_sets *sets,
+                                     sfem_mesh_read_info *info)
+{
+    if (status == SFEM_OK) status = sfemi_mesh_parsed_check(x, m);
+    if (status == SFEM_OK) status = sfemi_mesh_parsed_nodes(x, m);
+    if (status == SFEM_OK && sets) {
+        status = sfemi_extra_sort(x, m);
+        if (status == SFEM_OK) status = sfemi_extra_regions(x, m);
+        if (status == SFEM_OK) status = sfemi_extra_give(x, sets);
+    }
+    if (status == SFEM_OK) {
+        x->info.swapped = sfem_mesh_orient(m);
+        *out = *m;
+        if (info) *info = x->info;
+    } else
+        sfem_mesh_free(m);
+    sfemi_extra_free(x);
+    return status;
+}
+
+SFEM_DEF sfem_mesh_read_def sfem_default_mesh_read_def(void)
+{
+    sfem_mesh_read_def def;
+    memset(&def, 0, sizeof def);
+    return def;
+}
+
+static sfemi_extra sfemi_extra_of(const sfem_mesh_read_def *def, const sfem_allocator *a, size_t bytes, sfem_error *err)
+{
+    sfemi_extra x;
+    memset(&x, 0, sizeof x);
+    if (def) x.def = *def;
+    if (a) x.def.allocator = *a;
+    x.pool = sfemi_pool_of(&x.def.allocator);
+    x.members_most = bytes > INT32_MAX / 4 ? INT32_MAX : 4 * bytes;
+    x.err = err;
+    return x;
 }
 
 /* ---- surfaces: OBJ, STL, PLY, OFF ---- */
@@ -6771,7 +8989,7 @@ static sfem_status sfemi_soup_node(sfemi_soup *r, const sfem_real x[3])
     sfem_real *grown;
     if (r->out.nodes == INT32_MAX)
         return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than 2^31 - 1 vertices");
-    grown = (sfem_real *)sfemi_rows_grow(&r->out.allocator, r->out.x, (size_t)r->out.nodes, &r->node_room,
+    grown = (sfem_real *)sfemi_grow(&r->out.allocator, r->out.x, (size_t)r->out.nodes, &r->node_room,
                                          3 * sizeof *x);
     if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: vertices");
     r->out.x = grown;
@@ -6802,7 +9020,7 @@ static sfem_status sfemi_soup_corner(sfemi_soup *r, int64_t k, sfem_int node)
     if (r->out.triangles == INT32_MAX / 3)
         return sfemi_scan_fail(&r->s, SFEM_TOO_LARGE, "more than (2^31 - 1)/3 triangles");
     r->polygon[2] = node;
-    grown = (sfem_int *)sfemi_rows_grow(&r->out.allocator, r->out.tri, (size_t)r->out.triangles, &r->tri_room,
+    grown = (sfem_int *)sfemi_grow(&r->out.allocator, r->out.tri, (size_t)r->out.triangles, &r->tri_room,
                                         sizeof r->polygon);
     if (!grown) return sfemi_fail(r->s.err, SFEM_OUT_OF_MEMORY, "out of memory: triangles");
     r->out.tri = grown;
@@ -6976,7 +9194,7 @@ enum { SFEMI_PLY_PROPERTIES = 64, SFEMI_PLY_ELEMENTS = 16 };
 typedef struct sfemi_ply {
     struct {
         char role; /* 'x' 'y' 'z' coordinates, 'f' the vertices of a face, 0 passed over */
-        unsigned char type, count; /* place in sfemi_ply_types; count: of a list's length, else 0 */
+        const sfemi_type *type, *count; /* count: of a list's length, else NULL */
     } property[SFEMI_PLY_PROPERTIES];
     struct {
         char kind; /* 'v' vertices, 'f' faces, 0 others */
@@ -6987,23 +9205,11 @@ typedef struct sfemi_ply {
     sfem_int nodes;
 } sfemi_ply;
 
-/* Place 0 is none; odd places are old names, even ones new names of the same type. */
-static const struct {
-    const char *name;
-    unsigned char bytes;
-    char kind; /* i signed, u unsigned, f real */
-} sfemi_ply_types[17] = {{"", 0, 0},          {"char", 1, 'i'},    {"int8", 1, 'i'},    {"uchar", 1, 'u'},
-                         {"uint8", 1, 'u'},   {"short", 2, 'i'},   {"int16", 2, 'i'},   {"ushort", 2, 'u'},
-                         {"uint16", 2, 'u'},  {"int", 4, 'i'},     {"int32", 4, 'i'},   {"uint", 4, 'u'},
-                         {"uint32", 4, 'u'},  {"float", 4, 'f'},   {"float32", 4, 'f'}, {"double", 8, 'f'},
-                         {"float64", 8, 'f'}};
-
-static sfem_status sfemi_ply_type(sfemi_scan *s, unsigned char *type)
+static sfem_status sfemi_ply_type(sfemi_scan *s, const sfemi_type **type)
 {
     const sfemi_word w = sfemi_scan_peek(s);
-    for (*type = 1; *type < 17; ++*type)
-        if (sfemi_word_is(w, sfemi_ply_types[*type].name)) break;
-    if (*type == 17) return sfemi_scan_expected(s, "a type of PLY", w);
+    *type = sfemi_type_find(w, SFEMI_TYPES_PLY);
+    if (!(*type)->bytes) return sfemi_scan_expected(s, "a type of PLY", w);
     s->p += w.n;
     return SFEM_OK;
 }
@@ -7017,13 +9223,13 @@ static sfem_status sfemi_ply_property(sfemi_scan *s, sfemi_ply *y)
     if (i == SFEMI_PLY_PROPERTIES)
         return sfemi_scan_fail(s, SFEM_FORMAT, "more than %d properties", (int)SFEMI_PLY_PROPERTIES);
     w = sfemi_scan_peek(s);
-    y->property[i].count = 0;
+    y->property[i].count = NULL;
     y->property[i].role = 0;
     if (sfemi_word_is(w, "list")) {
         s->p += w.n;
         status = sfemi_ply_type(s, &y->property[i].count);
         if (status != SFEM_OK) return status;
-        if (sfemi_ply_types[y->property[i].count].kind == 'f')
+        if (y->property[i].count->kind == 'f')
             return sfemi_scan_fail(s, SFEM_FORMAT, "the length of a list is no whole number");
     }
     status = sfemi_ply_type(s, &y->property[i].type);
@@ -7034,7 +9240,7 @@ static sfem_status sfemi_ply_property(sfemi_scan *s, sfemi_ply *y)
     if (y->element[e].kind == 'f' && y->property[i].count &&
         (sfemi_word_is(w, "vertex_indices") || sfemi_word_is(w, "vertex_index")))
         y->property[i].role = 'f';
-    if (y->property[i].role == 'f' && sfemi_ply_types[y->property[i].type].kind == 'f')
+    if (y->property[i].role == 'f' && y->property[i].type->kind == 'f')
         return sfemi_scan_fail(s, SFEM_FORMAT, "the vertices of a face are no whole numbers");
     y->element[e].end = ++y->properties;
     return SFEM_OK;
@@ -7086,48 +9292,6 @@ done:
     return status;
 }
 
-/* A whole number of the type, from text or binary. */
-static sfem_status sfemi_ply_integer(sfemi_scan *s, unsigned char type, int64_t high, const char *what, int64_t *out)
-{
-    const int bytes = sfemi_ply_types[type].bytes;
-    const char *before = s->p;
-    uint64_t bits = 0;
-    sfem_status status;
-    if (!s->order) return sfemi_scan_integer(s, 0, high, what, out);
-    status = sfemi_scan_bits(s, bytes, what, &bits);
-    if (status != SFEM_OK) return status;
-    *out = (int64_t)bits;
-    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) *out -= (int64_t)1 << 8 * bytes;
-    s->p = before;
-    status = sfemi_scan_range(s, *out, 0, high, what);
-    if (status == SFEM_OK) s->p += bytes;
-    return status;
-}
-
-/* A coordinate: a real, or a whole number in binary. */
-static sfem_status sfemi_ply_real(sfemi_scan *s, unsigned char type, sfem_real *x)
-{
-    int64_t v = 0;
-    uint64_t bits = 0;
-    const int bytes = sfemi_ply_types[type].bytes;
-    sfem_status status;
-    if (!s->order || sfemi_ply_types[type].kind == 'f') {
-        s->real = bytes;
-        return sfemi_scan_real(s, "a coordinate of a vertex", x);
-    }
-    status = sfemi_scan_bits(s, bytes, "a coordinate of a vertex", &bits);
-    v = (int64_t)bits;
-    if (sfemi_ply_types[type].kind == 'i' && bits >> (8 * bytes - 1)) v -= (int64_t)1 << 8 * bytes;
-    *x = (sfem_real)v;
-    return status;
-}
-
-static sfem_status sfemi_ply_pass(sfemi_scan *s, unsigned char type, int64_t count)
-{
-    if (!s->order) return sfemi_scan_skip_words(s, count, "a property");
-    return sfemi_scan_skip_bytes(s, (uint64_t)count * sfemi_ply_types[type].bytes, "a property");
-}
-
 static sfem_status sfemi_ply_row(sfemi_soup *r, const sfemi_ply *y, int e)
 {
     sfemi_scan *s = &r->s;
@@ -7136,17 +9300,17 @@ static sfem_status sfemi_ply_row(sfemi_soup *r, const sfemi_ply *y, int e)
     int i;
     for (i = y->element[e].first; i < y->element[e].end; ++i) {
         const char role = y->property[i].role;
-        const unsigned char type = y->property[i].type;
+        const sfemi_type *type = y->property[i].type;
         int64_t k, v, n = 1;
         if (y->property[i].count)
-            SFEMI_TRY(sfemi_ply_integer(s, y->property[i].count, INT32_MAX, "the length of a list", &n));
+            SFEMI_TRY(sfemi_typed_integer(s, y->property[i].count, 0, INT32_MAX, "the length of a list", &n));
         if (!role)
-            SFEMI_TRY(sfemi_ply_pass(s, type, n));
+            SFEMI_TRY(sfemi_typed_skip(s, type, n, "a property"));
         else if (role != 'f')
-            SFEMI_TRY(sfemi_ply_real(s, type, x + (role - 'x')));
+            SFEMI_TRY(sfemi_typed_real(s, type, "a coordinate of a vertex", x + (role - 'x')));
         else
             for (k = 0; k < n; ++k) {
-                SFEMI_TRY(sfemi_ply_integer(s, type, (int64_t)y->nodes - 1, "the vertex of a face", &v));
+                SFEMI_TRY(sfemi_typed_integer(s, type, 0, (int64_t)y->nodes - 1, "the vertex of a face", &v));
                 SFEMI_TRY(sfemi_soup_corner(r, k, (sfem_int)v));
             }
     }
@@ -7212,15 +9376,118 @@ static sfemi_soup_kind sfemi_soup_find(const void *data, size_t bytes, const cha
     return sfemi_word_is(tail, ".stl") ? SFEMI_STL_BINARY : SFEMI_NO_SOUP;
 }
 
+typedef enum sfemi_mesh_kind {
+    SFEMI_NO_MESH, SFEMI_GMSH, SFEMI_VTK, SFEMI_VTU, SFEMI_MEDIT, SFEMI_MEDIT_BINARY, SFEMI_VEGA, SFEMI_INP
+} sfemi_mesh_kind;
+
+/* Does a scan behind comments begin with a keyword of Abaqus? Those of Vega are others, but for *MATERIAL, behind which
+ * Abaqus has a comma. */
+static int sfemi_scan_begins_inp(const sfemi_scan *s)
+{
+    static const char *const word[] = {"*HEADING", "*NODE", "*PART", "*PREPRINT", "**", "*PARAMETER", "*ASSEMBLY", "*ELSET",
+                                       "*NSET", "*AMPLITUDE", "*MATERIAL,", "*INCLUDE,", "*ELEMENT,", "*SOLID SECTION",
+                                       "*BOUNDARY", "*SYSTEM", "*RESTART"};
+    size_t k;
+    for (k = 0; k < sizeof word / sizeof *word; ++k)
+        if (sfemi_scan_begins(s, word[k])) return 1;
+    return 0;
+}
+
+/* Which kind of mesh file the data is, from where it does not begin with blanks. */
+static sfemi_mesh_kind sfemi_mesh_find(const sfemi_scan *s)
+{
+    static const char medit[2][4] = {{1, 0, 0, 0}, {0, 0, 0, 1}};
+    sfemi_scan behind = *s; /* the comments at the start */
+    behind.comment = '#';
+    sfemi_scan_space(&behind);
+    if (sfemi_scan_begins(s, "$")) return SFEMI_GMSH;
+    if (sfemi_scan_begins(s, "# vtk DataFile Version")) return SFEMI_VTK;
+    if (sfemi_scan_begins(s, "<?xml") || sfemi_scan_begins(s, "<VTKFile") || sfemi_scan_begins(s, "<!--")) return SFEMI_VTU;
+    if (s->end - s->p >= 8 && (!memcmp(s->p, medit[0], 4) || !memcmp(s->p, medit[1], 4))) return SFEMI_MEDIT_BINARY;
+    if (sfemi_scan_begins_inp(s)) return SFEMI_INP;
+    if (sfemi_scan_begins(&behind, "*")) return SFEMI_VEGA;
+    return sfemi_scan_begins(&behind, "MeshVersionFormatted") ? SFEMI_MEDIT : SFEMI_NO_MESH;
+}
+
+/* What is read of a file of that kind, into x and m. */
+static sfem_status sfemi_mesh_parse_kind(sfemi_mesh_kind kind, const sfemi_scan *s, const char *path, sfemi_extra *x,
+                                         sfem_mesh *m)
+{
+    switch (kind) {
+    case SFEMI_GMSH: return sfemi_mesh_parse_gmsh(s, x, m);
+    case SFEMI_VTK: return sfemi_mesh_parse_vtk(s, 0, x, m);
+    case SFEMI_VTU: return sfemi_mesh_parse_vtk(s, 1, x, m);
+    case SFEMI_MEDIT: return sfemi_mesh_parse_medit(s, 0, x, m);
+    case SFEMI_MEDIT_BINARY: return sfemi_mesh_parse_medit(s, 1, x, m);
+    case SFEMI_INP: return sfemi_mesh_parse_rows(s, NULL, 1, path, x, m);
+    default: return sfemi_mesh_parse_rows(s, NULL, 0, path, x, m);
+    }
+}
+
+/* Of the file at path, which is NULL if there is none. Frees x. */
+static sfem_status sfemi_mesh_parse_any(const void *data, size_t bytes, const char *path, sfemi_extra *x, sfem_mesh *out,
+                                        sfem_mesh_sets *sets, sfem_mesh_read_info *info)
+{
+    sfem_status status;
+    char begin[25];
+    sfem_mesh m;
+    sfemi_scan s = sfemi_scan_of(data, bytes, x->err);
+    sfemi_mesh_kind kind;
+    memset(&m, 0, sizeof m);
+    sfemi_scan_space(&s);
+    kind = sfemi_mesh_find(&s);
+    if (kind)
+        status = sfemi_mesh_parse_kind(kind, &s, path, x, &m);
+    else if (s.p == s.end)
+        status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
+    else if (sfemi_soup_find(data, bytes, path))
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
+                                 "sfem_mesh_from_surface");
+    else
+        status = sfemi_scan_fail(&s, SFEM_FORMAT,
+                                 "only Gmsh 2.2 and 4.1, VTK legacy and .vtu, Medit, Abaqus .inp and Vega .veg "
+                                 "are read, this begins with '%s'",
+                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
+    return sfemi_mesh_parsed(status, x, &m, out, sets, info);
+}
+
+/* The triangles of a mesh file. */
+static sfem_status sfemi_surface_parse_mesh(sfemi_mesh_kind kind, const sfemi_scan *s, size_t bytes, const char *path,
+                                            const sfem_allocator *a, sfem_surface *out)
+{
+    sfemi_extra x = sfemi_extra_of(NULL, a, bytes, s->err);
+    sfem_status status;
+    sfem_mesh m;
+    x.faces = 1;
+    memset(&m, 0, sizeof m);
+    status = sfemi_mesh_parse_kind(kind, s, path, &x, &m);
+    if (status == SFEM_OK) {
+        out->nodes = m.nodes;
+        out->triangles = (sfem_int)x.triangles;
+        out->x = m.x;
+        out->tri = (sfem_int *)(void *)x.triangle;
+        m.x = NULL;
+        x.triangle = NULL;
+    }
+    sfemi_extra_free(&x);
+    sfem_mesh_free(&m);
+    return status;
+}
+
 static sfem_status sfemi_surface_parse(const void *data, size_t bytes, const char *path, const sfem_allocator *a,
                                        sfem_surface *out, sfem_error *err)
 {
     sfem_status status;
     sfemi_soup r;
+    sfemi_scan s = sfemi_scan_of(data, bytes, err);
+    sfemi_mesh_kind kind;
     char begin[25];
     memset(&r, 0, sizeof r);
-    r.s = sfemi_scan_of(data, bytes, err);
+    r.s = s;
     r.out.allocator = *a;
+    sfemi_scan_space(&s);
+    kind = sfemi_mesh_find(&s);
     switch (sfemi_soup_find(data, bytes, path)) {
     case SFEMI_OBJ: status = sfemi_obj_read(&r); break;
     case SFEMI_STL: status = sfemi_stl_read(&r); break;
@@ -7228,8 +9495,12 @@ static sfem_status sfemi_surface_parse(const void *data, size_t bytes, const cha
     case SFEMI_PLY: status = sfemi_ply_read(&r); break;
     case SFEMI_OFF: status = sfemi_off_read(&r); break;
     default:
+        if (kind) {
+            status = sfemi_surface_parse_mesh(kind, &s, bytes, path, a, &r.out);
+            break;
+        }
         status = bytes ? sfemi_scan_fail(&r.s, SFEM_FORMAT,
-                                         "only the surfaces .obj, .stl, .ply and .off are read, this begins with '%s'",
+                                         "only the surfaces .obj, .stl, .ply and .off and mesh files are read, this begins with '%s'",
                                          sfemi_word_text(sfemi_scan_peek(&r.s), begin))
                        : sfemi_scan_fail(&r.s, SFEM_FORMAT, "there is no data");
     }
@@ -7272,78 +9543,57 @@ SFEM_DEF sfem_status sfem_surface_read(const char *path, const sfem_allocator *a
 }
 #endif
 
-/* Of the file at path, which is NULL if there is none. */
-static sfem_status sfemi_mesh_parse(const void *data, size_t bytes, const char *path,
-                                    const sfem_allocator *a, sfem_mesh *out, sfem_error *err)
+SFEM_DEF sfem_status sfem_mesh_parse_sets(const void *data, size_t bytes, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                          sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err)
 {
-    sfem_status status;
-    char begin[25];
-    sfem_mesh m;
-    sfemi_scan s = sfemi_scan_of(data, bytes, err), behind; /* the comments at the start */
-    memset(&m, 0, sizeof m);
-    sfemi_scan_space(&s);
-    behind = s;
-    behind.comment = '#';
-    sfemi_scan_space(&behind);
-    if (sfemi_scan_begins(&s, "$"))
-        status = sfemi_mesh_parse_gmsh(&s, a, &m);
-    else if (sfemi_scan_begins(&s, "# vtk DataFile Version"))
-        status = sfemi_mesh_parse_vtk(&s, a, &m);
-    else if (sfemi_scan_begins(&behind, "*"))
-        status = sfemi_mesh_parse_rows(&s, NULL, path, a, &m);
-    else if (sfemi_scan_begins(&behind, "MeshVersionFormatted"))
-        status = sfemi_mesh_parse_medit(&s, a, &m);
-    else if (s.p == s.end)
-        status = sfemi_scan_fail(&s, SFEM_FORMAT, "there is no data");
-    else if (sfemi_soup_find(data, bytes, path))
-        status =
-            sfemi_scan_fail(&s, SFEM_FORMAT,
-                            "this is a surface, without tets: read it by sfem_surface_read, and make tets of it by "
-                            "sfem_mesh_from_surface");
-    else
-        status = sfemi_scan_fail(&s, SFEM_FORMAT,
-                                 "only Gmsh 2.2 and 4.1, VTK legacy ASCII, Medit ASCII and Vega .veg "
-                                 "are read, this begins with '%s'",
-                                 sfemi_word_text(sfemi_scan_peek(&s), begin));
-    return sfemi_mesh_parsed(status, &m, out, err);
+    sfemi_extra x = sfemi_extra_of(def, NULL, bytes, err);
+    SFEM_ASSERT(out && (data || !bytes));
+    x.sets = sets != NULL;
+    return sfemi_mesh_parse_any(data, bytes, NULL, &x, out, sets, info);
 }
 
 SFEM_DEF sfem_status sfem_mesh_parse(const void *data, size_t bytes,
                                      const sfem_allocator *allocator, sfem_mesh *out,
                                      sfem_error *err)
 {
-    sfem_allocator a;
+    sfemi_extra x = sfemi_extra_of(NULL, allocator, bytes, err);
     SFEM_ASSERT(out && (data || !bytes));
-    memset(&a, 0, sizeof a);
-    if (allocator) a = *allocator;
-    return sfemi_mesh_parse(data, bytes, NULL, &a, out, err);
+    return sfemi_mesh_parse_any(data, bytes, NULL, &x, out, NULL, NULL);
+}
+
+static sfem_status sfemi_mesh_parse_tetgen(const sfemi_word text[2], sfemi_extra *x, sfem_mesh *out, sfem_mesh_sets *sets,
+                                           sfem_mesh_read_info *info)
+{
+    const sfemi_scan s = sfemi_scan_of(text[0].p, text[0].n, x->err), t = sfemi_scan_of(text[1].p, text[1].n, x->err);
+    sfem_mesh m;
+    sfem_status status;
+    memset(&m, 0, sizeof m);
+    status = sfemi_mesh_parse_rows(&s, &t, 0, NULL, x, &m);
+    return sfemi_mesh_parsed(status, x, &m, out, sets, info);
 }
 
 SFEM_DEF sfem_status sfem_mesh_parse_tetgen(const void *node, size_t node_bytes, const void *ele,
                                             size_t ele_bytes, const sfem_allocator *allocator,
                                             sfem_mesh *out, sfem_error *err)
 {
-    sfem_allocator a;
-    sfem_status status;
-    sfem_mesh m;
-    sfemi_scan s, t;
+    sfemi_extra x = sfemi_extra_of(NULL, allocator, node_bytes, err);
+    sfemi_word text[2];
     SFEM_ASSERT(out && (node || !node_bytes) && (ele || !ele_bytes));
-    memset(&a, 0, sizeof a);
-    memset(&m, 0, sizeof m);
-    if (allocator) a = *allocator;
-    s = sfemi_scan_of(node, node_bytes, err);
-    t = sfemi_scan_of(ele, ele_bytes, err);
-    status = sfemi_mesh_parse_rows(&s, &t, NULL, &a, &m);
-    return sfemi_mesh_parsed(status, &m, out, err);
+    text[0].p = (const char *)node, text[0].n = node_bytes;
+    text[1].p = (const char *)ele, text[1].n = ele_bytes;
+    return sfemi_mesh_parse_tetgen(text, &x, out, NULL, NULL);
 }
 
 #ifndef SFEM_NO_STDIO
 
 /* The two files of TetGen, of which one was named: stem is its name's length up to the point. */
-static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const sfem_allocator *a,
-                                          sfem_mesh *out, sfem_error *err)
+static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, sfemi_extra *x, sfem_mesh *out,
+                                          sfem_mesh_sets *sets, sfem_mesh_read_info *info)
 {
+    const sfem_allocator allocator = x->def.allocator, *a = &allocator;
     sfem_status status = SFEM_OK;
+    sfem_error *err = x->err;
+    sfemi_word text[2];
     char *data[2] = {NULL, NULL}, *name = NULL;
     size_t bytes[2] = {0, 0};
     int i, capital = path[stem + 1] >= 'A' && path[stem + 1] <= 'Z';
@@ -7352,8 +9602,11 @@ static sfem_status sfemi_mesh_read_tetgen(const char *path, size_t stem, const s
     for (i = 0; i < 2; ++i) {
         strcpy(name + stem, i ? (capital ? ".ELE" : ".ele") : capital ? ".NODE" : ".node");
         SFEMI_TRY(sfemi_file_read(name, a, &data[i], &bytes[i], err));
+        text[i].p = data[i];
+        text[i].n = bytes[i];
     }
-    status = sfem_mesh_parse_tetgen(data[0], bytes[0], data[1], bytes[1], a, out, err);
+    x->members_most = 4 * (bytes[0] < INT32_MAX / 4 ? bytes[0] : INT32_MAX / 4);
+    status = sfemi_mesh_parse_tetgen(text, x, out, sets, info);
     if (status != SFEM_OK) sfemi_file_blame(path, err);
 done:
     for (i = 0; i < 2; ++i) sfemi_delete(a, data[i]);
@@ -7361,32 +9614,48 @@ done:
     return status;
 }
 
-SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
-                                    sfem_mesh *out, sfem_error *err)
+static sfem_status sfemi_mesh_read(const char *path, sfemi_extra *x, sfem_mesh *out, sfem_mesh_sets *sets,
+                                   sfem_mesh_read_info *info)
 {
-    sfem_allocator a;
+    const sfem_allocator a = x->def.allocator;
+    sfem_error *err = x->err;
     sfem_status status;
     sfemi_word tail;
     char *data = NULL;
-    size_t bytes = 0, length;
-    SFEM_ASSERT(path && out);
-    memset(&a, 0, sizeof a);
-    if (allocator) a = *allocator;
-    length = strlen(path);
+    size_t bytes = 0;
+    const size_t length = strlen(path);
     for (tail.n = 0; tail.n < length && tail.n < 5; ++tail.n) {
         tail.p = path + length - tail.n - 1;
         if (*tail.p != '.') continue;
         ++tail.n;
         if (sfemi_word_is(tail, ".node") || sfemi_word_is(tail, ".ele"))
-            return sfemi_mesh_read_tetgen(path, length - tail.n, &a, out, err);
+            return sfemi_mesh_read_tetgen(path, length - tail.n, x, out, sets, info);
         break;
     }
     status = sfemi_file_read(path, &a, &data, &bytes, err);
     if (status != SFEM_OK) return status;
-    status = sfemi_mesh_parse(data, bytes, path, &a, out, err);
+    x->members_most = 4 * (bytes < INT32_MAX / 4 ? bytes : INT32_MAX / 4);
+    status = sfemi_mesh_parse_any(data, bytes, path, x, out, sets, info);
     sfemi_delete(&a, data);
     if (status != SFEM_OK) sfemi_file_blame(path, err);
     return status;
+}
+
+SFEM_DEF sfem_status sfem_mesh_read_sets(const char *path, const sfem_mesh_read_def *def, sfem_mesh *out,
+                                         sfem_mesh_sets *sets, sfem_mesh_read_info *info, sfem_error *err)
+{
+    sfemi_extra x = sfemi_extra_of(def, NULL, 0, err);
+    SFEM_ASSERT(path && out);
+    x.sets = sets != NULL;
+    return sfemi_mesh_read(path, &x, out, sets, info);
+}
+
+SFEM_DEF sfem_status sfem_mesh_read(const char *path, const sfem_allocator *allocator,
+                                    sfem_mesh *out, sfem_error *err)
+{
+    sfemi_extra x = sfemi_extra_of(NULL, allocator, 0, err);
+    SFEM_ASSERT(path && out);
+    return sfemi_mesh_read(path, &x, out, NULL, NULL);
 }
 
 #endif
@@ -8205,7 +10474,25 @@ typedef struct sfemi_lattice {
     sfem_int *at;        /* [nodes] the code of each node */
     sfem_mesh mesh;
     int not_finite;
+    const sfem_mesher_def *def; /* whose progress is told, */
+    sfem_real part[2];          /* from, to, of this lattice */
+    sfem_int task;              /* the first one of those that run */
 } sfemi_lattice;
+
+/* Runs so many tasks, and tells the progress from part a to part b of the lattice's. */
+static void sfemi_lattice_run(sfemi_lattice *l, sfem_int tasks, sfem_task task, sfem_real a, sfem_real b)
+{
+    const int told = l->def && l->def->progress;
+    const sfem_int most = told ? tasks / 20 + 1 : tasks;
+    sfem_int n;
+    for (l->task = 0; l->task < tasks; l->task += n) {
+        n = tasks - l->task < most ? tasks - l->task : most;
+        sfemi_run(l->exec, n, task, l);
+        if (told)
+            l->def->progress(l->part[0] + (l->part[1] - l->part[0]) * (a + (b - a) * (l->task + n) / tasks),
+                             l->def->progress_user);
+    }
+}
 
 static void sfemi_lattice_free(sfemi_lattice *l)
 {
@@ -8277,7 +10564,7 @@ enum { SFEMI_LATTICE_TASK = 512 }; /* points or cuts of a task */
 static void sfemi_lattice_sign_task(void *data, sfem_int task)
 {
     sfemi_lattice *l = (sfemi_lattice *)data;
-    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int first = (l->task + task) * SFEMI_LATTICE_TASK;
     const sfem_int end = l->points - first < SFEMI_LATTICE_TASK ? l->points : first + SFEMI_LATTICE_TASK;
     sfem_real x[3], v;
     sfem_int p;
@@ -8303,7 +10590,7 @@ static int sfemi_lattice_edges(const sfemi_lattice *l, sfem_int p, sfem_int to[1
 static void sfemi_lattice_cut_task(void *data, sfem_int task)
 {
     sfemi_lattice *l = (sfemi_lattice *)data;
-    const sfem_int first = task * SFEMI_LATTICE_TASK;
+    const sfem_int first = (l->task + task) * SFEMI_LATTICE_TASK;
     const sfem_int end = l->cuts - first < SFEMI_LATTICE_TASK ? l->cuts : first + SFEMI_LATTICE_TASK;
     sfem_real a[3], b[3];
     sfem_int i;
@@ -8336,7 +10623,7 @@ static sfem_status sfemi_lattice_cuts(sfemi_lattice *l)
         }
         l->first[p] = l->cuts;
     }
-    sfemi_run(l->exec, (l->cuts + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_cut_task, l);
+    sfemi_lattice_run(l, (l->cuts + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_cut_task, 0.4, 0.7);
 done:
     return status;
 }
@@ -9158,9 +11445,12 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     info->repaired = info->split = 0;
     info->size = h;
     ++info->passes;
+    l.def = def; /* it takes 3 to 5 lattices until the number of tets is right */
+    l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, info->passes - 1);
+    l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, info->passes);
     SFEMI_TRY(sfemi_lattice_lay(&l, h, phase));
     info->lattice = l.points;
-    sfemi_run(l.exec, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, &l);
+    sfemi_lattice_run(&l, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, 0, 0.4);
     if (l.not_finite) {
         status = sfemi_fail(err, SFEM_NOT_FINITE, "a value of the function is not finite");
         goto done;
@@ -9252,6 +11542,7 @@ static sfem_status sfemi_mesher_make(const sfemi_solid *s, const sfem_mesher_def
         SFEMI_TRY(sfemi_mesher_pass(s, def, def->size, 0, &mesh, info, err));
     else
         SFEMI_TRY(sfemi_mesher_search(s, def, &mesh, info, err));
+    if (def->progress) def->progress(1, def->progress_user);
     if (mesh.region) {
         sfemi_cage_shares w;
         w.solid = s;
@@ -35405,8 +37696,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  * CHANGES
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
- *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; render
- *           surfaces that follow and break; bodies may
+ *           forces with (p,q,r); refactorise in place of renew; Medit, Abaqus, .vtu and binary VTK meshes; sets and
+ *           regions by name; welding; surfaces and tets from them; render surfaces that follow and break; bodies may
  *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused. set_force and
  *           add_node_force are set_lasting_force and add_lasting_force; forces of one step; bodies are placed; normals;
  *           sfem_modal_velocities is of nodes; handles protect the edges that they hold; sfem_model_advice

@@ -1087,11 +1087,12 @@ static void calculix(void)
         double *force = reals(3 * b.n), *u = reals(3 * b.n);
         sfem_body_def def = sfem_default_body_def();
         uint64_t random = 9;
-        char command[600];
+        char command[700];
         sfem_body *body;
         sfem_error err;
         sfem_int i;
-        char directory[] = "/tmp/softfem_ccx_XXXXXX", path[300];
+        const char *scratch = getenv("SFEM_SCRATCH");
+        char directory[300], path[400];
         def.newton.tolerance = 1e-10;
         def.newton.load_steps = finite ? 10 : 1;
         for (i = 0; i < 3 * b.n; ++i) force[i] = uniform(&random, -10, 10) + (i % 3 == 2 ? -18 : 0);
@@ -1099,6 +1100,9 @@ static void calculix(void)
         body = hold(&b, def);
         bench_must(sfem_body_set_lasting_force(body, force, &err), &err);
         bench_must(sfem_body_solve_static(body, &err), &err);
+        if (!scratch || !*scratch) scratch = "/tmp";
+        ex_make_directory(scratch);
+        snprintf(directory, sizeof directory, "%s/softfem_ccx_XXXXXX", scratch);
         if (mkdtemp(directory)) name = directory;
         snprintf(path, sizeof path, "%s/bar", name);
         snprintf(command, sizeof command, "cd '%s' && OMP_NUM_THREADS=1 ccx bar >bar.log 2>&1",

@@ -293,6 +293,8 @@ MUTATIONS(modal_states, 6)
 MUTATIONS(reduced_models, 7)
 MUTATIONS(packets, 8)
 MUTATIONS(surfaces, 9)
+MUTATIONS(vtu_files, 10)
+MUTATIONS(inp_files, 11)
 
 int main(void)
 {
@@ -311,6 +313,8 @@ int main(void)
         cmocka_unit_test(mutated_reduced_models_are_refused_or_safe),
         cmocka_unit_test(mutated_packets_are_refused_or_safe),
         cmocka_unit_test(mutated_surfaces_are_refused_or_safe),
+        cmocka_unit_test(mutated_vtu_files_are_refused_or_safe),
+        cmocka_unit_test(mutated_inp_files_are_refused_or_safe),
     };
     return run_all_tests(tests);
 }

@@ -929,6 +929,53 @@ static void a_mesh_reader_that_gets_a_surface_names_the_cure(void **state)
     assert_status(sfem_surface_read(path, NULL, &s, &err), SFEM_IO);
 }
 
+/* ---- progress ---- */
+
+typedef struct told {
+    sfem_real last;
+    int calls;
+} told;
+
+static void hear(sfem_real part, void *user)
+{
+    told *t = (told *)user;
+    assert_true(part >= t->last && part <= 1);
+    t->last = part;
+    ++t->calls;
+}
+
+static sfem_real ball_distance(const sfem_real x[3], void *user)
+{
+    (void)user;
+    return sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]) - 1;
+}
+
+/* By size and by number of tets; the mesh is the same as without. */
+static void progress_goes_up_to_1(void **state)
+{
+    const sfem_real box[2][3] = {{-1.1, -1.1, -1.1}, {1.1, 1.1, 1.1}};
+    int k;
+    (void)state;
+    for (k = 0; k < 4; ++k) {
+        sfem_mesher_def def = sfem_default_mesher_def();
+        told t = {0, 0};
+        sfem_mesh heard, m;
+        sfem_error err;
+        def.mode = k % 2 ? SFEM_CAGE : SFEM_FITTED;
+        def.tets = 1500;
+        if (k > 1) def.size = 0.1;
+        assert_ok(sfem_mesh_from_sdf(&def, ball_distance, NULL, box, &m, NULL, &err), err);
+        def.progress = hear;
+        def.progress_user = &t;
+        assert_ok(sfem_mesh_from_sdf(&def, ball_distance, NULL, box, &heard, NULL, &err), err);
+        assert_true(t.last == 1 && t.calls >= (k > 1 ? 10 : 2));
+        assert_int_equal(heard.tets, m.tets);
+        assert_memory_equal(heard.x, m.x, 3 * (size_t)m.nodes * sizeof *m.x);
+        sfem_mesh_free(&heard);
+        sfem_mesh_free(&m);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -953,6 +1000,7 @@ int main(void)
         cmocka_unit_test(all_formats_of_surfaces_give_the_same_tetrahedron),
         cmocka_unit_test(bad_surface_files_are_refused_with_their_line),
         cmocka_unit_test(a_mesh_reader_that_gets_a_surface_names_the_cure),
+        cmocka_unit_test(progress_goes_up_to_1),
     };
     return run_all_tests(tests);
 }
