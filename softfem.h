@@ -1306,8 +1306,8 @@ typedef struct sfem_body_def {
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
-    sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use; of a body that
-                               * rotates up to 4 times that */
+    sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use */
+    sfem_int max_handle_nodes; /* nodes in all their regions, 512; at least 4 max_handles. 12 bytes each of state */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
     sfem_precision precision;
@@ -1474,7 +1474,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *
  * A step does def.refactorise times the operations of a step of one solve, counted, never timed, so that runs repeat bit
  * for bit on any number of threads. The finished factor is taken between two steps: w, the forces and the energy
- * budget stay. Handles cost three solves for each of their nodes in that step. Asking again starts over. A matrix that
+ * budget stay. Handles cost three solves each in that step. Asking again starts over. A matrix that
  * is not positive definite is given up, and counted as failed.
  *   cost    of all: that of 10 to 20 corrections
  *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
@@ -1515,6 +1515,8 @@ SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *body, sfem_int node, sfem_in
                                          sfem_error *err);
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *body, sfem_int tet, const sfem_real bary[4],
                                           sfem_int *handle, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *body, sfem_int count, const sfem_int *node,
+                                           const sfem_real *weight, sfem_int *handle, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, const sfem_real target[3],
                                            sfem_error *err);
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
@@ -17565,10 +17567,16 @@ typedef struct sfemi_target {
 
 typedef struct sfemi_handle {
     sfemi_target path;
-    sfem_int used, node[4];
-    sfem_real weight[4];
+    sfem_int used, first, count; /* its nodes and weights: where in the state's lists they begin, how many */
     sfem_real force[3]; /* N, on the body, over the last step */
 } sfemi_handle;
+
+/* The nodes whose weighted mean a handle holds. */
+typedef struct sfemi_region {
+    sfem_int count;
+    const sfem_int *node;     /* [count] */
+    const sfem_real *weight;  /* [count] */
+} sfemi_region;
 
 typedef struct sfemi_state_head {
     sfemi_saved_head saved;
@@ -17619,6 +17627,8 @@ typedef struct sfemi_state {
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_handle *handle;  /* [max_handles] */
+    sfem_int *region_node;    /* these two [capacity]: those of all handles, one after another without a gap */
+    sfem_real *region_weight;
     sfemi_energy_balance *balance;    /* these two only where the body may break */
     uint64_t *damage;      /* [] >>damage's own state */
     sfemi_target *pin;       /* [pin_count] last: what stands before it stays where pins change */
@@ -17634,7 +17644,7 @@ enum { SFEMI_MEMORY = 6 };
 typedef struct sfemi_state_shape {
     const sfem_model *model;
     const sfemi_bonds *bonds; /* NULL: the body cannot break */
-    sfem_int nodes, handles, pins;
+    sfem_int nodes, handles, regions, pins;
     sfem_int rotating, correcting, sleeping; /* nodes, or 0 where the body does no such thing */
     sfem_int breaking, damage; /* 1 or 0; 8 bytes of >>damage's own state each */
 } sfemi_state_shape;
@@ -17643,14 +17653,14 @@ typedef struct sfemi_state_shape {
 typedef struct sfemi_schur {
     sfem_int count;   /* handles in use */
     sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body rotates, so many
-                       * for each of the handle's nodes */
-    sfem_int *parts;  /* [max] for how many nodes there is room in y */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
     sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
     sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
     sfem_real *lambda; /* [3 max] */
     sfem_real *place;  /* [3 max] where the handles are before a step */
+    sfem_real *spread; /* [nodes] 0 but while one region's weights, or marks, are looked up by node */
+    sfem_int *group;   /* [max] handles that share nodes, by the lowest number of them: they share a frame */
     int dirty;        /* the set of handles or the factor changed */
 } sfemi_schur;
 
@@ -17942,23 +17952,33 @@ static int sfemi_state_check_targets(const void *shape, const char *at, size_t c
     return 1;
 }
 
-/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
+/* The regions of handles in use do not overlap and leave no gap. */
 static int sfemi_state_check_handles(const void *shape, const char *at, size_t count)
 {
-    const sfem_model *model = ((const sfemi_state_shape *)shape)->model;
-    size_t i;
-    int c;
+    const sfem_int most = ((const sfemi_state_shape *)shape)->regions;
+    sfem_int places = 0, top = 0;
+    size_t i, j;
     for (i = 0; i < count; ++i) {
         sfemi_handle h;
         memcpy(&h, at + i * sizeof h, sizeof h);
         if (h.used == 0) continue;
-        if (h.used != 1 || !sfemi_state_check_targets(shape, (const char *)&h.path, 1) || !sfemi_all_finite(h.weight, 4) ||
-            !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
+        if (h.used != 1 || !sfemi_state_check_targets(shape, (const char *)&h.path, 1) ||
+            h.count < 1 || h.first < 0 || h.count > most - places || h.first > most - h.count)
             return 0;
-        for (c = 0; c < 4; ++c)
-            if (h.node[c] < 0 || h.node[c] >= model->mesh.nodes || model->node_mass[h.node[c]] == 0) return 0;
+        places += h.count;
+        top = h.first + h.count > top ? h.first + h.count : top;
+        for (j = 0; j < i; ++j) {
+            sfemi_handle o;
+            memcpy(&o, at + j * sizeof o, sizeof o);
+            if (o.used && h.first < o.first + o.count && o.first < h.first + h.count) return 0;
+        }
     }
-    return 1;
+    return top == places;
+}
+
+static int sfemi_state_check_region_nodes(const void *shape, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_state_shape *)shape)->nodes, at, count);
 }
 
 static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
@@ -18001,13 +18021,15 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
     SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
     SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
+    SFEMI_ROW(region_node, 1, regions, sfemi_state_check_region_nodes, "a node of a handle"),
+    SFEMI_ROW(region_weight, 1, regions, sfemi_saved_finite, "a weight of a handle"),
     SFEMI_ROW(balance, 1, breaking, NULL, NULL),
     SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
     SFEMI_ROW(pin, 1, pins, sfemi_state_check_targets, "a pin")};
 #undef SFEMI_ROW
 #undef SFEMI_LOAD
 
-static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 5, sfemi_state_array);
+static const sfemi_saved_kind sfemi_state_kind = SFEMI_SAVED_KIND("sfemstat", "saved state", 6, sfemi_state_array);
 
 /* ============================================================================================
  * >>workspace   a step's temporaries, which bodies may share
@@ -18170,74 +18192,136 @@ done:
  * small dense solve and one sum over the columns, whatever moves.
  * ============================================================================================ */
 
-/* (H x) of one handle: the weighted mean over its nodes. */
-static void sfemi_schur_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
+static sfemi_region sfemi_region_of(const sfemi_state *s, sfem_int slot)
 {
-    int k, c;
+    const sfemi_handle *h = s->handle + slot;
+    sfemi_region r;
+    r.count = h->count;
+    r.node = s->region_node + h->first;
+    r.weight = s->region_weight + h->first;
+    return r;
+}
+
+/* (H x) of one handle: the weighted mean over its nodes. */
+static void sfemi_schur_mean(const sfemi_region *r, const sfem_real *x, sfem_real out[3])
+{
+    sfem_int k;
+    int c;
     for (c = 0; c < 3; ++c) {
         out[c] = 0;
-        for (k = 0; k < 4; ++k)
-            if (h->weight[k] != 0) out[c] += h->weight[k] * x[3 * (size_t)h->node[k] + (size_t)c];
+        for (k = 0; k < r->count; ++k)
+            if (r->weight[k] != 0) out[c] += r->weight[k] * x[3 * (size_t)r->node[k] + (size_t)c];
     }
 }
 
-/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
-static void sfemi_schur_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
-                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
+/* f += H^T l of one handle, on the axes that are not held. */
+static void sfemi_schur_spread(const sfemi_region *r, const sfem_real l[3], const unsigned char *mask, sfem_real *f)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < r->count; ++k)
+        for (c = 0; c < 3; ++c)
+            if (r->weight[k] != 0 && !(mask[r->node[k]] >> c & 1))
+                f[3 * (size_t)r->node[k] + (size_t)c] += r->weight[k] * l[c];
+}
+
+/* Y = A^-1 H^T of one handle. */
+static void sfemi_schur_columns(const sfem_factor *f, const sfemi_region *r, sfem_int nodes, sfem_real *y,
+                                sfem_real *work, const sfem_exec *exec)
 {
     const size_t n = 3 * (size_t)nodes;
-    int first, k, c;
-    for (first = 0; first < (apart ? 4 : 1); ++first) {
-        if (h->weight[first] == 0 && apart) continue;
-        memset(y, 0, 3 * n * sizeof *y);
-        for (c = 0; c < 3; ++c)
-            for (k = first; k < (apart ? first + 1 : 4); ++k)
-                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
-                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
-        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
-        y += 3 * n;
-    }
+    sfem_int k;
+    int c;
+    memset(y, 0, 3 * n * sizeof *y);
+    for (c = 0; c < 3; ++c)
+        for (k = 0; k < r->count; ++k)
+            if (r->weight[k] != 0 && !(f->mask[r->node[k]] >> c & 1))
+                y[(size_t)c * n + 3 * (size_t)r->node[k] + (size_t)c] += r->weight[k];
+    sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
 }
 
-/* Factors S = H Y, unless the body rotates, and W = H M^-1 H^T over the handles in g->slot. */
-static void sfemi_schur_gather(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
-                              int rotates, const unsigned char *mask)
+/* W = H M^-1 H^T over the handles in g->slot, an axis at a time, factored. */
+static void sfemi_schur_gather_mass(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, const unsigned char *mask)
+{
+    const sfem_int k = g->count;
+    sfem_int i, j, p;
+    int b;
+    for (j = 0; j < k; ++j) {
+        const sfemi_region rj = sfemi_region_of(s, g->slot[j]);
+        for (p = 0; p < rj.count; ++p) g->spread[rj.node[p]] += rj.weight[p];
+        for (i = j; i < k; ++i) {
+            const sfemi_region ri = sfemi_region_of(s, g->slot[i]);
+            for (b = 0; b < 3; ++b) {
+                sfem_real w = 0;
+                for (p = 0; p < ri.count; ++p)
+                    if (ri.weight[p] != 0 && g->spread[ri.node[p]] != 0 && !(mask[ri.node[p]] >> b & 1))
+                        w += ri.weight[p] * g->spread[ri.node[p]] / model->node_mass[ri.node[p]];
+                g->wm[(b * k + i) * k + j] = w;
+            }
+        }
+        for (p = 0; p < rj.count; ++p) g->spread[rj.node[p]] = 0;
+    }
+    for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
+}
+
+/* Factors S = H Y, unless the body rotates, and W over the handles in g->slot. */
+static void sfemi_schur_gather(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, int rotates,
+                               const unsigned char *mask)
 {
     const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_int k = g->count;
     sfem_int i, j;
-    int a, b, p, q;
-    for (i = 0; i < k; ++i) {
-        const sfemi_handle *hi = handle + g->slot[i];
-        for (j = 0; j <= i; ++j) {
-            const sfemi_handle *hj = handle + g->slot[j];
+    int a, b;
+    for (i = 0; i < k && !rotates; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        for (j = 0; j <= i; ++j)
             for (b = 0; b < 3; ++b) {
-                sfem_real mean[3], w = 0;
-                if (!rotates) sfemi_schur_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3 && !rotates; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
-                for (p = 0; p < 4; ++p)
-                    for (q = 0; q < 4; ++q)
-                        if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
-                            !(mask[hi->node[p]] >> b & 1))
-                            w += hi->weight[p] * hj->weight[q] / model->node_mass[hi->node[p]];
-                g->wm[(b * k + i) * k + j] = w;
+                sfem_real mean[3];
+                sfemi_schur_mean(&r, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
             }
-        }
     }
     if (!rotates) sfemi_small_factor(g->s, 3 * k, 3 * k);
-    for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
+    sfemi_schur_gather_mass(g, s, model, mask);
+}
+
+/* Which handles share nodes, after one was taken or let go. */
+static void sfemi_schur_group(sfemi_schur *g, const sfemi_state *s, sfem_int handles)
+{
+    sfem_int i, j, p;
+    for (i = 0; i < handles; ++i) {
+        sfemi_region r;
+        g->group[i] = i;
+        if (!s->handle[i].used) continue;
+        r = sfemi_region_of(s, i);
+        for (p = 0; p < r.count; ++p) {
+            const sfem_int owner = (sfem_int)g->spread[r.node[p]] - 1; /* the last handle that has this node */
+            const sfem_int one = g->group[i], other = owner < 0 ? one : g->group[owner];
+            const sfem_int low = one < other ? one : other, high = one < other ? other : one;
+            for (j = 0; low < high && j <= i; ++j)
+                if (g->group[j] == high) g->group[j] = low;
+            g->spread[r.node[p]] = i + 1;
+        }
+    }
+    for (i = 0; i < handles; ++i) {
+        sfemi_region r;
+        if (!s->handle[i].used) continue;
+        r = sfemi_region_of(s, i);
+        for (p = 0; p < r.count; ++p) g->spread[r.node[p]] = 0;
+    }
 }
 
 /* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
-static void sfemi_schur_apply(sfemi_schur *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
+static void sfemi_schur_apply(sfemi_schur *g, const sfemi_state *s, sfem_int nodes, sfem_real *a)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_int i;
     size_t k;
     int c;
     for (i = 0; i < g->count; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
         sfem_real mean[3];
-        sfemi_schur_mean(handle + g->slot[i], a, mean);
+        sfemi_schur_mean(&r, a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
@@ -18251,25 +18335,26 @@ static void sfemi_schur_apply(sfemi_schur *g, const sfemi_handle *handle, sfem_i
 
 /* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
  * lumped M serves: it only chooses among the changes. */
-static void sfemi_schur_project(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
+static void sfemi_schur_project(sfemi_schur *g, const sfemi_state *s, const sfem_model *model,
                                const unsigned char *mask, sfem_real *x)
 {
     const sfem_int k = g->count;
-    sfem_int i;
-    int c, p;
+    sfem_int i, p;
+    int c;
     for (i = 0; i < k; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
         sfem_real mean[3];
-        sfemi_schur_mean(handle + g->slot[i], x, mean);
+        sfemi_schur_mean(&r, x, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
     for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = handle + g->slot[i];
-        for (p = 0; p < 4; ++p)
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        for (p = 0; p < r.count; ++p)
             for (c = 0; c < 3; ++c)
-                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
-                    x[3 * (size_t)h->node[p] + (size_t)c] +=
-                        h->weight[p] * g->lambda[3 * i + c] / model->node_mass[h->node[p]];
+                if (r.weight[p] != 0 && !(mask[r.node[p]] >> c & 1))
+                    x[3 * (size_t)r.node[p] + (size_t)c] +=
+                        r.weight[p] * g->lambda[3 * i + c] / model->node_mass[r.node[p]];
     }
 }
 
@@ -18358,7 +18443,7 @@ static sfem_real sfemi_body_lumped_solve(sfem_body *b, sfem_real *r, sfem_real *
         z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / model->node_mass[i / 3];
     if (b->schur.count) {
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-        sfemi_schur_project(&b->schur, b->state.handle, model, b->mask, z);
+        sfemi_schur_project(&b->schur, &b->state, model, b->mask, z);
     }
     for (i = 0; i < n; ++i) {
         r[i] = model->node_mass[i / 3] * z[i];
@@ -18406,11 +18491,11 @@ static void sfemi_body_project(sfem_body *b, const sfem_real *y, sfem_real *x)
     size_t i;
     if (!b->model->block_mass) {
         for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : y[i];
-        if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
+        if (b->schur.count) sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, x);
         return;
     }
     for (i = 0; i < n; ++i) given[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : 0;
-    if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, given);
+    if (b->schur.count) sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, given);
     for (i = 0; i < n; ++i) x[i] = y[i] - given[i];
     sfem_model_multiply_mass(b->model, x, b->rhs, &b->exec);
     sfemi_body_mass_solve(b, x);
@@ -18442,9 +18527,10 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_schur *g, const sfem
     int c;
     for (i = 0; i < g->count; ++i) {
         const sfemi_handle *h = b->state.handle + g->slot[i];
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
         sfem_real rest[3], moved[3];
-        sfemi_schur_mean(h, b->model->mesh.x, rest);
-        sfemi_schur_mean(h, u, moved);
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, u, moved);
         for (c = 0; c < 3; ++c)
             g->lambda[3 * i + c] = (h->path.target[c] - rest[c] - moved[c]) / scale;
     }
@@ -18452,11 +18538,13 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_schur *g, const sfem
 
 SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
 {
+    sfemi_region r;
     sfem_real u[3];
     int c;
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    sfemi_schur_mean(b->state.handle + handle, b->model->mesh.x, x);
-    sfemi_schur_mean(b->state.handle + handle, b->state.u, u);
+    r = sfemi_region_of(&b->state, handle);
+    sfemi_schur_mean(&r, b->model->mesh.x, x);
+    sfemi_schur_mean(&r, b->state.u, u);
     for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
@@ -18525,7 +18613,7 @@ static void sfemi_newmark_solve(sfem_body *b)
     if (!b->schur.count) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, &b->zk[i], &v);
     sfemi_body_handle_gap(b, &b->schur, b->zk, b->def.beta * h * h);
-    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
+    sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
 }
 
 static void sfemi_newmark_finish(sfem_body *b)
@@ -19027,14 +19115,10 @@ static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
     sfem_real floor, norm;
     sfem_int k;
     size_t i;
-    int p, c;
     for (i = 0; i < n; ++i) m->step[i] = -(m->f[i] + m->q[i]);
     for (k = 0; k < g->count; ++k) {
-        const sfemi_handle *h = b->state.handle + g->slot[k];
-        for (p = 0; p < 4; ++p)
-            for (c = 0; c < 3; ++c)
-                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
-                    m->step[3 * (size_t)h->node[p] + (size_t)c] += h->weight[p] * g->lambda[3 * k + c];
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, g->lambda + 3 * k, mask, m->step);
     }
     norm = sqrt(sfemi_implicit_dot(m->step, m->step, n));
     floor = t->floor_u * (sfemi_implicit_max(m->x, n) + t->edge) +
@@ -19156,10 +19240,11 @@ static sfem_real sfemi_newton_gap(sfem_body *b)
     int c;
     for (k = 0; k < b->schur.count; ++k) {
         const sfemi_handle *h = b->state.handle + b->schur.slot[k];
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
         sfem_real rest[3], u[3], d[3], place[3], v[3], a[3];
-        sfemi_schur_mean(h, b->model->mesh.x, rest);
-        sfemi_schur_mean(h, b->state.u, u);
-        sfemi_schur_mean(h, m->d, d);
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, m->d, d);
         for (c = 0; c < 3; ++c) place[c] = rest[c] + u[c];
         if (m->still) {
             for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->path.target[c] - place[c]);
@@ -19198,13 +19283,14 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     ++m->info.iterations;
     if (!b->schur.count) return SFEM_OK;
     if (y->matrix.val || m->second) {
-        for (k = 0; k < b->schur.count; ++k)
-            sfemi_schur_columns(y->factor, b->state.handle + b->schur.slot[k], nodes, 0,
-                               b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
-        sfemi_schur_gather(&b->schur, b->state.handle, b->model, 0, y->factor->mask);
+        for (k = 0; k < b->schur.count; ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+            sfemi_schur_columns(y->factor, &r, nodes, b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
+        }
+        sfemi_schur_gather(&b->schur, &b->state, b->model, 0, y->factor->mask);
     }
     sfemi_newton_gap(b);
-    sfemi_schur_apply(&b->schur, b->state.handle, nodes, m->step);
+    sfemi_schur_apply(&b->schur, &b->state, nodes, m->step);
     return SFEM_OK;
 }
 
@@ -19214,7 +19300,8 @@ static sfem_real sfemi_newton_handle_work(const sfem_body *b)
     sfem_real work = 0, mean[3];
     sfem_int k;
     for (k = 0; k < b->schur.count; ++k) {
-        sfemi_schur_mean(b->state.handle + b->schur.slot[k], b->implicit.step, mean);
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        sfemi_schur_mean(&r, b->implicit.step, mean);
         work += sfemi_dot3(mean, b->schur.lambda + 3 * k);
     }
     return work;
@@ -19640,7 +19727,7 @@ static void sfemi_alpha_predict(sfem_body *b)
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->workspace->work, &b->exec);
     if (b->schur.count) {
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->base);
+        sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->base);
     }
     for (i = 0; i < n; ++i) b->base[i] += w[i];
 }
@@ -19692,7 +19779,7 @@ static void sfemi_pqr_solve(sfem_body *b)
     if (b->schur.count) {
         for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
-        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
+        sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
 }
@@ -20006,15 +20093,16 @@ static void sfemi_rotated_weigh(sfem_body *b)
 /* Which pieces are held by pins or handles. */
 static void sfemi_rotated_find_held(sfem_body *b)
 {
-    sfem_int i, k;
-    int l;
+    sfem_int i, k, l;
     for (k = 0; k < b->rotated.pieces; ++k) b->rotated.piece[k].held = 0;
     for (i = 0; i < b->pin_count; ++i)
         if (b->rotated.piece_of[b->pin[i]] >= 0) b->rotated.piece[b->rotated.piece_of[b->pin[i]]].held = 1;
-    for (i = 0; i < b->def.max_handles; ++i)
-        for (l = 0; b->state.handle[i].used && l < 4; ++l)
-            if (b->state.handle[i].weight[l] != 0)
-                b->rotated.piece[b->rotated.piece_of[b->state.handle[i].node[l]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, i);
+        for (l = 0; b->state.handle[i].used && l < r.count; ++l)
+            if (r.weight[l] != 0 && b->rotated.piece_of[r.node[l]] >= 0)
+                b->rotated.piece[b->rotated.piece_of[r.node[l]]].held = 1;
+    }
 }
 
 /* The nodes [first, end) that follow each other in one free piece: from first on, or *end is the number of
@@ -20355,6 +20443,41 @@ static void sfemi_rotated_piece_frames(sfem_body *b, sfem_real *frame)
     }
 }
 
+/* The nodes of a handle, and of handles that share nodes, get one frame, that of their weighted mean, so that
+ * A^-1 H^T = Q A0^-1 Q^T H^T is Q A0^-1 H^T Q_h^T: three columns serve whatever rotates. Where one of them is held on
+ * some axes only, its frame, which is that at rest. Frames that are one already stay, to the bit. */
+static void sfemi_rotated_share_frames(const sfem_body *b, sfem_real *frame)
+{
+    const sfemi_schur *g = &b->schur;
+    sfem_int i, j, p;
+    int c;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, volume = 0;
+        const sfem_real *one = NULL, *fixed = NULL;
+        int differ = 0;
+        if (!b->state.handle[i].used || g->group[i] != i) continue;
+        for (j = i; j < b->def.max_handles; ++j) {
+            const sfemi_region r = sfemi_region_of(&b->state, j);
+            for (p = 0; b->state.handle[j].used && g->group[j] == i && p < r.count; ++p) {
+                const sfem_real *q = frame + 9 * (size_t)r.node[p], w = fabs(r.weight[p]);
+                if (r.weight[p] == 0) continue;
+                if (!one) one = q;
+                if (b->mask[r.node[p]] != 0 && b->mask[r.node[p]] != SFEM_AXIS_ALL) fixed = q;
+                differ |= memcmp(q, one, 9 * sizeof *q) != 0;
+                for (c = 0; c < 9; ++c) sum[c] += w * q[c];
+                volume += w;
+            }
+        }
+        if (!differ) continue;
+        if (fixed || !sfemi_rotated_polar(sum, volume, sum)) memcpy(sum, fixed ? fixed : one, sizeof sum);
+        for (j = i; j < b->def.max_handles; ++j) {
+            const sfemi_region r = sfemi_region_of(&b->state, j);
+            for (p = 0; b->state.handle[j].used && g->group[j] == i && p < r.count; ++p)
+                if (r.weight[p] != 0) memcpy(frame + 9 * (size_t)r.node[p], sum, sizeof sum);
+        }
+    }
+}
+
 /* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
  * only, it stays as it was. */
 static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
@@ -20363,12 +20486,13 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_ISOTROPIC || !b->model->rotates) return;
     if (b->def.frame == SFEM_FRAME_PIECE) {
         sfemi_rotated_piece_frames(b, frame);
-        return;
+    } else {
+        job.body = b;
+        job.frame = frame;
+        job.kernel = sfemi_polars_pick();
+        sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
     }
-    job.body = b;
-    job.frame = frame;
-    job.kernel = sfemi_polars_pick();
-    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
+    sfemi_rotated_share_frames(b, frame);
 }
 
 /* y += (K_frac - K) z, small strain about rest. */
@@ -20428,18 +20552,11 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
 /* Room for the columns of handle `slot`, where it is used or may not allocate later. */
 static sfem_status sfemi_schur_reserve(sfem_body *b, sfemi_schur *g, sfem_int slot, sfem_error *err)
 {
-    const sfemi_handle *h = b->state.handle + slot;
     sfem_status status = SFEM_OK;
-    sfem_int parts = b->def.no_allocation ? (b->scheme.rotates ? 4 : 1) : 0, k, used = 0;
     sfem_real *y;
-    for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
-    if (used > 0 && !b->scheme.rotates) used = 1;
-    if (used > parts) parts = used;
-    if (parts <= g->parts[slot]) return SFEM_OK;
-    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)parts * (size_t)b->model->mesh.nodes);
-    sfemi_delete(&b->allocator, g->y[slot]);
+    if (g->y[slot] || !(b->state.handle[slot].used || b->def.no_allocation)) return SFEM_OK;
+    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)b->model->mesh.nodes);
     g->y[slot] = y;
-    g->parts[slot] = parts;
     g->ready[slot] = 0;
 done:
     return status;
@@ -20551,7 +20668,7 @@ static void sfemi_resume_still(sfem_body *b, sfem_real *x)
 {
     if (!b->schur.count) return;
     memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-    sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
+    sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, x);
 }
 
 /* r = P^T r, z = P A^-1 r, P taking out held axes and the handles' motion; M in place of A without a factor. */
@@ -20631,13 +20748,14 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
     sfemi_resume_mean_force(b);
     for (i = 0; i < n; ++i) v[i] = s->w[i] + (b->mask[i / 3] >> (i % 3) & 1 ? half * s->a[i] : 0);
     for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_region hand = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real w[3], a[3];
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->a, a);
+        sfemi_schur_mean(&hand, s->w, w);
+        sfemi_schur_mean(&hand, s->a, a);
         for (c = 0; c < 3; ++c) /* new ones stop what they take */
             b->schur.lambda[3 * k + c] = s->handle[b->schur.slot[k]].path.age > 0 ? w[c] + half * a[c] : 0;
     }
-    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, v);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s, b->model, b->mask, v);
     for (i = 0; i < n; ++i) {
         r[i] *= half;
         change[i] = v[i] - s->w[i];
@@ -20665,7 +20783,7 @@ static void sfemi_resume_gather(sfem_body *b)
     g->count = 0;
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_schur_gather(g, b->state.handle, b->model, 1, b->mask);
+    sfemi_schur_gather(g, &b->state, b->model, 1, b->mask);
 }
 
 /* Newmark's M v = m to x = B^-1 m: the v of (p,q,r). */
@@ -20679,14 +20797,15 @@ static void sfemi_resume_newmark(sfem_body *b, const sfemi_inertia *t, sfem_real
     for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? s->w[i] : 0;
     for (k = 0; k < b->schur.count; ++k) {
         const sfemi_target *path = &s->handle[b->schur.slot[k]].path;
+        const sfemi_region hand = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real at[3], w[3];
         sfem_body_handle_position(b, b->schur.slot[k], at);
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
+        sfemi_schur_mean(&hand, s->w, w);
         if (s->head->started != SFEMI_RUNNING) /* something has been let go since: w is not the velocity here */
             for (c = 0; c < 3; ++c) w[c] = (at[c] - path->past[c]) / s->head->h;
         for (c = 0; c < 3; ++c) b->schur.lambda[3 * k + c] = path->age > 0 ? w[c] : 0;
     }
-    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, x);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s, b->model, b->mask, x);
     sfemi_resume_multiply(b, t, x, b->spare);
     sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
     for (i = 0; i < n; ++i) b->acc[i] -= b->spare[i];
@@ -20707,10 +20826,11 @@ static void sfemi_resume_lead(sfem_body *b, sfem_real h)
         }
     for (k = 0; k < b->schur.count; ++k) {
         sfemi_handle *hand = s->handle + b->schur.slot[k];
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real w[3], a[3];
         sfem_body_handle_position(b, b->schur.slot[k], hand->path.target);
-        sfemi_schur_mean(hand, s->w, w);
-        sfemi_schur_mean(hand, s->a, a);
+        sfemi_schur_mean(&r, s->w, w);
+        sfemi_schur_mean(&r, s->a, a);
         for (c = 0; c < 3; ++c) hand->path.target[c] += h * (w[c] + d * a[c]);
     }
 }
@@ -20728,7 +20848,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
     sfemi_pqr_weigh(b, h);
     for (g->count = k = 0; k < count; ++k)
         if (b->state.handle[g->slot[k]].path.age > 0) g->slot[g->count++] = g->slot[k];
-    if (g->count < count) sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
+    if (g->count < count) sfemi_schur_gather(g, &b->state, b->model, 0, b->mask);
     sfemi_pqr_predict(b);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_pqr_solve(b);
@@ -20736,7 +20856,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
     if (g->count == count) return;
     for (g->count = k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
+    sfemi_schur_gather(g, &b->state, b->model, 0, b->mask);
 }
 
 /* The same, what holds going on as it has: before a change nobody has told where it would have gone. */
@@ -20829,8 +20949,10 @@ static void sfemi_resume_stand(sfem_body *b, sfem_real *v)
     size_t i;
     sfemi_resume_gather(b);
     memcpy(m, v, n * sizeof *m);
-    for (k = 0; k < b->schur.count; ++k)
-        sfemi_schur_mean(b->state.handle + b->schur.slot[k], m, b->schur.lambda + 3 * k);
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        sfemi_schur_mean(&r, m, b->schur.lambda + 3 * k);
+    }
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) v[i] = 0;
     sfemi_body_project(b, m, v);
@@ -20983,7 +21105,7 @@ static void sfemi_resume_bridge_constrain(sfem_body *b, sfem_real *a)
 {
     if (!b->schur.count) return;
     memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, a);
+    sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, a);
 }
 
 /* a = T's part of it, from a = A^-1 (..), with the handles held. D has g h in place of q h/2 there: one iteration,
@@ -21196,69 +21318,65 @@ static void sfemi_safeguard_refresh(sfem_body *b, sfem_real h)
     head->rebase = SFEMI_LEDGER;
 }
 
-/* In a rotated body every node has a frame of its own, so a handle has three columns for each of its nodes,
- * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
+/* The frame that the nodes of a handle share. */
+static const sfem_real *sfemi_safeguard_hand_frame(const sfemi_region *r, const sfem_real *frame)
+{
+    sfem_int k;
+    for (k = 0; k < r->count - 1 && r->weight[k] == 0;) ++k;
+    return frame + 9 * (size_t)r->node[k];
+}
+
+/* In a rotated body Y is Q Y0 Q_h^T, Y0 in the rest pose and Q_h the frame that the handle's nodes share, and
+ * S = H Y is put together anew each step. */
 static void sfemi_safeguard_gather(sfem_body *b, sfemi_schur *g, const sfem_real *frame)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_int size = 3 * g->count;
     sfem_int i, j;
-    int k, l, part, r, c, m;
+    int c, m;
     memset(g->s, 0, (size_t)size * (size_t)size * sizeof *g->s);
     for (i = 0; i < g->count; ++i) {
-        const sfemi_handle *hi = b->state.handle + g->slot[i];
+        const sfemi_region ri = sfemi_region_of(&b->state, g->slot[i]);
         for (j = 0; j <= i; ++j) {
-            const sfemi_handle *hj = b->state.handle + g->slot[j];
-            for (k = 0; k < 4; ++k)
-                for (l = 0, part = 0; l < 4; ++l) {
-                    const sfem_real *y, *qk, *ql;
-                    sfem_real block[9], turned[9], both[9];
-                    if (hj->weight[l] == 0) continue;
-                    y = g->y[g->slot[j]] + 3 * n * (size_t)part++;
-                    if (hi->weight[k] == 0) continue;
-                    for (r = 0; r < 3; ++r)
-                        for (c = 0; c < 3; ++c)
-                            block[3 * r + c] = y[(size_t)c * n + 3 * (size_t)hi->node[k] + (size_t)r];
-                    qk = frame + 9 * (size_t)hi->node[k];
-                    ql = frame + 9 * (size_t)hj->node[l];
-                    sfemi_mul3(qk, block, turned);
-                    sfemi_mul3_nt(turned, ql, both);
-                    for (m = 0; m < 9; ++m)
-                        g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += hi->weight[k] * hj->weight[l] * both[m];
-                }
+            const sfemi_region rj = sfemi_region_of(&b->state, g->slot[j]);
+            sfem_real mean[3], block[9], turned[9], both[9];
+            for (c = 0; c < 3; ++c) {
+                sfemi_schur_mean(&ri, g->y[g->slot[j]] + (size_t)c * n, mean);
+                for (m = 0; m < 3; ++m) block[3 * m + c] = mean[m];
+            }
+            sfemi_mul3(sfemi_safeguard_hand_frame(&ri, frame), block, turned);
+            sfemi_mul3_nt(turned, sfemi_safeguard_hand_frame(&rj, frame), both);
+            for (m = 0; m < 9; ++m) g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += both[m];
         }
     }
     sfemi_small_factor(g->s, size, size);
 }
 
-/* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
+/* l = S^-1 (c - H a), a += Q Y0 Q_h^T l, where g->lambda comes in as c. */
 static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real *y = b->rotated.v;
     sfem_int i;
     size_t k;
-    int c, l;
+    int c;
     if (!g->count) return;
     sfemi_safeguard_gather(b, g, frame);
     for (i = 0; i < g->count; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
         sfem_real mean[3];
-        sfemi_schur_mean(b->state.handle + g->slot[i], a, mean);
+        sfemi_schur_mean(&r, a, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     memset(y, 0, n * sizeof *y);
     for (i = 0; i < g->count; ++i) {
-        const sfemi_handle *h = b->state.handle + g->slot[i];
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        const sfem_real *q = sfemi_safeguard_hand_frame(&r, frame), *lambda = g->lambda + 3 * i;
         const sfem_real *column = g->y[g->slot[i]];
-        for (l = 0; l < 4; ++l) {
-            const sfem_real *q = frame + 9 * (size_t)h->node[l], *lambda = g->lambda + 3 * i;
-            if (h->weight[l] == 0) continue;
-            for (c = 0; c < 3; ++c, column += n) {
-                const sfem_real f =
-                    h->weight[l] * (q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2]);
-                for (k = 0; k < n; ++k) y[k] += f * column[k];
-            }
+        for (c = 0; c < 3; ++c, column += n) {
+            const sfem_real f = q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2];
+            for (k = 0; k < n; ++k) y[k] += f * column[k];
         }
     }
     sfemi_rotated_rotate(frame, b->model->mesh.nodes, 0, y, y);
@@ -21428,6 +21546,7 @@ static void sfemi_safeguard_predict(sfem_body *b)
     sfem_int j;
     size_t i;
     sfemi_safeguard_refresh(b, h);
+    sfemi_rotated_share_frames(b, s->frame); /* handles may have been taken since */
     force = sfemi_correct_forecast(b);
     if (force != s->f) t.ck = 0;
     if (b->step.starts_from_mass) t.cd -= b->scheme.q; /* A w' = r M w + ..; the rest of A w is left out */
@@ -21611,15 +21730,15 @@ static sfem_real sfemi_safeguard_step_work(const sfem_body *b, sfem_real back)
     const sfemi_step t = b->step;
     const int loads = s->head->loaded && s->head->load_age < 2;
     sfem_real work = sfemi_safeguard_outer_work(b, .5, back, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
-    sfem_int k;
+    sfem_int k, l;
     size_t i;
-    int l, c;
+    int c;
     for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = s->handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                i = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->schur.lambda[3 * k + c] * h->weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)r.node[l] + (size_t)c;
+                work += b->schur.lambda[3 * k + c] * r.weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -21637,8 +21756,8 @@ static sfem_real sfemi_safeguard_held_work(const sfem_body *b)
 {
     const sfemi_safeguard *g = &b->safeguard;
     sfem_real work = 0;
-    sfem_int k;
-    int l, c;
+    sfem_int k, l;
+    int c;
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
@@ -21646,11 +21765,11 @@ static sfem_real sfemi_safeguard_held_work(const sfem_body *b)
             work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
     for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = b->state.handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->schur.lambda[3 * k + c] * h->weight[l] * (g->u[at] - b->state.u[at]);
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)r.node[l] + (size_t)c;
+                work += b->schur.lambda[3 * k + c] * r.weight[l] * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
@@ -22035,16 +22154,16 @@ static void sfemi_correct_find_handle_forces(sfem_body *b)
 {
     sfemi_schur *schur = &b->schur;
     const sfem_int k = schur->count;
-    sfem_int i;
-    int c, p;
+    sfem_int i, p;
+    int c;
     for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = b->state.handle + schur->slot[i];
+        const sfemi_region r = sfemi_region_of(&b->state, schur->slot[i]);
         for (c = 0; c < 3; ++c) {
             schur->lambda[3 * i + c] = 0;
-            for (p = 0; p < 4; ++p)
-                if (h->weight[p] != 0)
-                    schur->lambda[3 * i + c] += h->weight[p] * b->safeguard.grad[3 * (size_t)h->node[p] + (size_t)c] /
-                                               b->model->node_mass[h->node[p]];
+            for (p = 0; p < r.count; ++p)
+                if (r.weight[p] != 0 && !(b->mask[r.node[p]] >> c & 1))
+                    schur->lambda[3 * i + c] += r.weight[p] * b->safeguard.grad[3 * (size_t)r.node[p] + (size_t)c] /
+                                               b->model->node_mass[r.node[p]];
         }
     }
     for (c = 0; c < 3; ++c) sfemi_small_solve(schur->wm + c * k * k, k, k, schur->lambda + c, 3);
@@ -22379,7 +22498,8 @@ static void sfemi_safeguard_find_columns(sfem_body *b, const sfem_factor *f)
     sfem_int i;
     for (i = 0; i < b->schur.count; ++i) {
         const sfem_int slot = b->schur.slot[i];
-        sfemi_schur_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->schur.y[slot], b->workspace->work, &b->exec);
+        const sfemi_region r = sfemi_region_of(&b->state, slot);
+        sfemi_schur_columns(f, &r, b->model->mesh.nodes, b->schur.y[slot], b->workspace->work, &b->exec);
     }
 }
 
@@ -22732,9 +22852,9 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
     sfem_real work = g->rejected ? sfemi_safeguard_held_work(b) : 0;
-    sfem_int k;
+    sfem_int k, l;
     size_t i;
-    int l, c;
+    int c;
     for (i = 0; i < n; ++i) {
         sfem_real load = mass[i / 3] * gravity[i % 3];
         if (b->mask[i / 3] >> (i % 3) & 1) continue;
@@ -22745,12 +22865,12 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     }
     if (g->rejected) return work;
     for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = s->handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                i = 3 * (size_t)h->node[l] + (size_t)c;
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)r.node[l] + (size_t)c;
                 if (!(b->mask[i / 3] >> c & 1))
-                    work += b->schur.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
+                    work += b->schur.lambda[3 * k + c] * r.weight[l] * sfemi_fracture_way(b, i);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -23622,6 +23742,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.newton.tolerance = 1e-8;
     d.newton.load_steps = 1;
     d.max_handles = 16;
+    d.max_handle_nodes = 512;
     d.sleep_time = 0.5;
     return d;
 }
@@ -23665,14 +23786,24 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
+    if (d->max_handle_nodes < 0 || d->max_handle_nodes > 1 << 24)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handle_nodes is %d, must be 0 to 2^24",
+                          (int)d->max_handle_nodes);
     return sfemi_implicit_check(d, err);
+}
+
+/* Nodes in all the regions of its handles: at least a tet's for each. */
+static sfem_int sfemi_body_region_capacity(const sfem_body *b)
+{
+    const sfem_int least = 4 * b->def.max_handles;
+    return least == 0 || b->def.max_handle_nodes < least ? least : b->def.max_handle_nodes;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
 static uint64_t sfemi_body_key(const sfem_body *b)
 {
-    const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
-                              !b->scheme.mean};
+    const int64_t shape[6] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
+                              sfemi_body_region_capacity(b), !b->scheme.mean};
     const uint64_t hash = sfemi_hash(SFEMI_HASH, shape, sizeof shape);
     return sfemi_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
@@ -23686,6 +23817,7 @@ static sfemi_state_shape sfemi_body_state_shape(const sfem_body *b, sfem_int pin
     s.bonds = b->bonds;
     s.nodes = nodes;
     s.handles = b->def.max_handles;
+    s.regions = sfemi_body_region_capacity(b);
     s.pins = pins;
     s.rotating = b->scheme.rotates ? nodes : 0;
     s.correcting = b->scheme.rotates == SFEMI_CORRECTS ? nodes : 0;
@@ -23771,12 +23903,13 @@ static void sfemi_body_free_schur(sfem_body *b, sfemi_schur *g)
     for (i = 0; g->y && i < b->def.max_handles; ++i) sfemi_delete(al, g->y[i]);
     sfemi_delete(al, g->y);
     sfemi_delete(al, g->slot);
-    sfemi_delete(al, g->parts);
     sfemi_delete(al, g->ready);
     sfemi_delete(al, g->s);
     sfemi_delete(al, g->wm);
     sfemi_delete(al, g->lambda);
     sfemi_delete(al, g->place);
+    sfemi_delete(al, g->spread);
+    sfemi_delete(al, g->group);
 }
 
 static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur *g, sfem_error *err)
@@ -23786,12 +23919,13 @@ static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur
     if (k == 0) return SFEM_OK;
     SFEMI_NEW(sfem_int, g->slot, al, k);
     SFEMI_NEW(sfem_real *, g->y, al, k);
-    SFEMI_NEW(sfem_int, g->parts, al, k);
     SFEMI_NEW(sfem_int, g->ready, al, k);
     SFEMI_NEW(sfem_real, g->s, al, 9 * k * k);
     SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
     SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
     SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+    SFEMI_NEW(sfem_real, g->spread, al, b->model->mesh.nodes);
+    SFEMI_NEW(sfem_int, g->group, al, k);
 done:
     return status;
 }
@@ -23969,13 +24103,14 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
     g->count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
-        if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_schur_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
-                               g->y[i], b->workspace->work, &b->exec);
+        if (!g->ready[i] && !b->implicit.system.matrix.val) { /* else the columns change all the time */
+            const sfemi_region r = sfemi_region_of(&b->state, i);
+            sfemi_schur_columns(sfemi_body_active(b), &r, b->model->mesh.nodes, g->y[i], b->workspace->work, &b->exec);
+        }
         g->ready[i] = 1;
         g->slot[g->count++] = i;
     }
-    sfemi_schur_gather(g, b->state.handle, b->model, b->scheme.rotates, b->mask);
+    sfemi_schur_gather(g, &b->state, b->model, b->scheme.rotates, b->mask);
     if (b->scheme.rotates && (b->model->rotates || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
         b->def.no_allocation && !b->def.no_guard) {
         SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
@@ -24479,6 +24614,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
         sfemi_damage_refresh(b->damage);
         sfemi_fracture_regroup(b);
     }
+    sfemi_schur_group(&b->schur, &b->state, b->def.max_handles);
     sfemi_body_find_held(b);
     sfemi_refactor_drop(b);
     sfemi_body_forget_columns(b);
@@ -24553,43 +24689,69 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_
     return SFEM_OK;
 }
 
-/* Takes the first free handle for the weighted nodes. */
-static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const sfem_real weight[4],
-                                   sfem_int *handle, sfem_error *err)
+static sfem_int sfemi_body_region_nodes(const sfem_body *b)
 {
-    sfemi_handle *h = NULL;
-    sfem_int k;
-    int c, loose = 0;
-    for (c = 0; c < 4; ++c) loose |= weight[c] != 0 && b->mask[node[c]] != SFEM_AXIS_ALL;
+    sfem_int k, sum = 0;
+    for (k = 0; k < b->def.max_handles; ++k) sum += b->state.handle[k].used ? b->state.handle[k].count : 0;
+    return sum;
+}
+
+/* Is there a free handle, *slot, for the weighted nodes, and something in them to hold? */
+static sfem_status sfemi_body_check_region(const sfem_body *b, sfem_int count, const sfem_int *node,
+                                           const sfem_real *weight, sfem_int *slot, sfem_error *err)
+{
+    const sfem_int room = sfemi_body_region_capacity(b), used = sfemi_body_region_nodes(b);
+    sfem_int k, loose = 0;
+    for (k = 0; k < count; ++k)
+        loose += (!weight || weight[k] != 0) && b->mask[node[k]] != SFEM_AXIS_ALL;
     if (!loose)
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes",
                              (int)node[0]);
     for (k = 0; k < b->def.max_handles && b->state.handle[k].used; ++k) continue;
     if (k == b->def.max_handles)
         return sfemi_fail(err, SFEM_FULL, "all %d handles are in use: pin the nodes instead", (int)k);
-    h = b->state.handle + k;
+    if (count > room - used)
+        return sfemi_fail(err, SFEM_FULL, "%d nodes more would be held, of max_handle_nodes %d are %d in use", (int)count,
+                          (int)room, (int)used);
+    *slot = k;
+    return SFEM_OK;
+}
+
+/* Takes the first free handle for the weighted nodes, those of weight 0 left out. */
+static sfem_status sfemi_body_grab(sfem_body *b, sfem_int count, const sfem_int *node, const sfem_real *weight,
+                                   sfem_int *handle, sfem_error *err)
+{
+    sfemi_handle *h = NULL;
+    sfem_int k, slot, taken = 0;
+    sfem_status status;
+    for (k = 0; k < count; ++k) taken += !weight || weight[k] != 0;
+    status = sfemi_body_check_region(b, taken == 0 ? 1 : count, node, weight, &slot, err);
+    if (status != SFEM_OK) return status;
+    h = b->state.handle + slot;
     memset(h, 0, sizeof *h);
-    memcpy(h->node, node, sizeof h->node);
-    memcpy(h->weight, weight, sizeof h->weight);
+    h->first = sfemi_body_region_nodes(b);
+    for (k = 0; k < count; ++k) {
+        if (weight && weight[k] == 0) continue;
+        b->state.region_node[h->first + h->count] = node[k];
+        b->state.region_weight[h->first + h->count++] = weight ? weight[k] : 1.0 / count;
+    }
     h->used = 1;
-    sfem_body_handle_position(b, k, h->path.target);
+    sfem_body_handle_position(b, slot, h->path.target);
     memcpy(h->path.past, h->path.target, sizeof h->path.past);
-    b->schur.ready[k] = 0;
+    b->schur.ready[slot] = 0;
     b->schur.dirty = 1;
+    sfemi_schur_group(&b->schur, &b->state, b->def.max_handles);
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
-    *handle = k;
+    *handle = slot;
     return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *b, sfem_int node, sfem_int *handle, sfem_error *err)
 {
-    sfem_int nodes[4];
-    const sfem_real weight[4] = {1, 0, 0, 0};
     const sfem_status status = sfemi_body_check_node(b, node, NULL, "", err);
     if (status != SFEM_OK) return status;
-    nodes[0] = nodes[1] = nodes[2] = nodes[3] = node;
-    return sfemi_body_grab(b, nodes, weight, handle, err);
+    return sfemi_body_grab(b, 1, &node, NULL, handle, err);
 }
 
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem_real bary[4],
@@ -24602,7 +24764,29 @@ SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
                              "barycentric coordinates %g %g %g %g do not add up to 1", bary[0], bary[1],
                              bary[2], bary[3]);
-    return sfemi_body_grab(b, b->model->mesh.tet + 4 * (size_t)tet, bary, handle, err);
+    return sfemi_body_grab(b, 4, b->model->mesh.tet + 4 * (size_t)tet, bary, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *b, sfem_int count, const sfem_int *node, const sfem_real *weight,
+                                           sfem_int *handle, sfem_error *err)
+{
+    sfem_real sum = 0;
+    sfem_int k;
+    SFEM_ASSERT(b && node && handle);
+    if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a region of %d nodes", (int)count);
+    for (k = 0; k < count; ++k) {
+        const sfem_status status = sfemi_body_check_node(b, node[k], NULL, "", err);
+        if (status != SFEM_OK) return status;
+        if (b->model->node_mass[node[k]] == 0)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[k], -1, "node %d is in no tet: a region cannot hold it",
+                                 (int)node[k]);
+        if (weight && !sfemi_finite(weight[k]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, node[k], -1, "the weight of node %d is not finite", (int)node[k]);
+        sum += weight ? weight[k] : 1.0 / count;
+    }
+    if (!(fabs(sum - 1) <= 1e-6))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the weights of a region add up to %g, not 1", sum);
+    return sfemi_body_grab(b, count, node, weight, handle, err);
 }
 
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const sfem_real target[3],
@@ -24616,11 +24800,26 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
     return SFEM_OK;
 }
 
+/* Frees the handle; what stands behind its region in the lists moves up. */
+static void sfemi_body_drop_region(sfem_body *b, sfem_int handle)
+{
+    sfemi_state *s = &b->state;
+    const sfemi_handle gone = s->handle[handle];
+    const size_t after = (size_t)(sfemi_body_region_nodes(b) - gone.first - gone.count);
+    sfem_int k;
+    memmove(s->region_node + gone.first, s->region_node + gone.first + gone.count, after * sizeof *s->region_node);
+    memmove(s->region_weight + gone.first, s->region_weight + gone.first + gone.count, after * sizeof *s->region_weight);
+    memset(s->handle + handle, 0, sizeof *s->handle);
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (s->handle[k].used && s->handle[k].first > gone.first) s->handle[k].first -= gone.count;
+    sfemi_schur_group(&b->schur, s, b->def.max_handles);
+}
+
 SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     if (b->state.handle[handle].path.age > 0) sfemi_resume_stop(b, 0);
-    memset(b->state.handle + handle, 0, sizeof *b->state.handle);
+    sfemi_body_drop_region(b, handle);
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->schur.ready[handle] = 0;
     b->schur.dirty = 1;
@@ -24743,12 +24942,13 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
                       (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
                                                      3 * sizeof(sfem_int) + sizeof(sfem_real *));
+    if (b->def.max_handles) info.body_bytes += (size_t)info.nodes * sizeof *b->schur.spread;
     if (b->rotated.piece_of) /* as sfemi_body_allocate_rotated has it */
         info.body_bytes += (size_t)info.nodes * sizeof *b->rotated.piece_of +
                            (size_t)(b->bonds ? info.nodes : b->rotated.pieces) * sizeof *b->rotated.piece;
     if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
-        info.body_bytes += 3 * n * (size_t)b->schur.parts[i] * sizeof(sfem_real);
+        if (b->schur.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_safeguard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
@@ -25185,10 +25385,16 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
  * ============================================================================================ */
 
-/* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
-static int sfemi_body_is_node_handle(const sfemi_handle *h)
+/* Is the handle one node's alone? */
+static int sfemi_body_is_node_handle(const sfem_body *b, sfem_int handle)
 {
-    return h->used && h->weight[0] == 1 && h->weight[1] == 0 && h->weight[2] == 0 && h->weight[3] == 0;
+    return b->state.handle[handle].used && b->state.handle[handle].count == 1;
+}
+
+/* The first node of a handle. */
+static sfem_int sfemi_body_handle_node(const sfem_body *b, sfem_int handle)
+{
+    return b->state.region_node[b->state.handle[handle].first];
 }
 
 /* The body's pins and its node handles: what a static solution has to hold. */
@@ -25197,8 +25403,7 @@ static void sfemi_body_static_mask(const sfem_body *b, unsigned char *mask)
     sfem_int k;
     memcpy(mask, b->mask, (size_t)b->model->mesh.nodes);
     for (k = 0; k < b->def.max_handles; ++k)
-        if (sfemi_body_is_node_handle(b->state.handle + k))
-            mask[b->state.handle[k].node[0]] = SFEM_AXIS_ALL;
+        if (sfemi_body_is_node_handle(b, k)) mask[sfemi_body_handle_node(b, k)] = SFEM_AXIS_ALL;
 }
 
 /* Known displacements to u, zero elsewhere. Of two handles on one node the first counts, as in a step. */
@@ -25210,9 +25415,10 @@ static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
     memset(u, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *u);
     for (k = b->def.max_handles - 1; k >= 0; --k) {
         const sfemi_handle *h = b->state.handle + k;
-        const size_t at = 3 * (size_t)h->node[0];
-        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c)
-            u[at + (size_t)c] = h->path.target[c] - rest[at + (size_t)c];
+        for (c = 0; sfemi_body_is_node_handle(b, k) && c < 3; ++c) {
+            const size_t at = 3 * (size_t)sfemi_body_handle_node(b, k) + (size_t)c;
+            u[at] = h->path.target[c] - rest[at];
+        }
     }
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
@@ -25231,23 +25437,24 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
     sfem_int k;
     g->count = 0;
     for (k = 0; k < b->def.max_handles; ++k) {
-        const sfemi_handle *h = b->state.handle + k;
+        const sfemi_region r = sfemi_region_of(&b->state, k);
         g->ready[k] = 0;
-        if (!h->used || sfemi_body_is_node_handle(h)) continue;
+        if (!b->state.handle[k].used || sfemi_body_is_node_handle(b, k)) continue;
         SFEMI_TRY(sfemi_schur_reserve(b, g, k, err));
-        if (apply) sfemi_schur_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
+        if (apply) sfemi_schur_columns(f, &r, b->model->mesh.nodes, g->y[k], b->workspace->work, &b->exec);
         g->slot[g->count++] = k;
     }
     if (apply && g->count) {
-        sfemi_schur_gather(g, b->state.handle, b->model, 0, f->mask);
+        sfemi_schur_gather(g, &b->state, b->model, 0, f->mask);
         for (k = 0; k < g->count; ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
             sfem_real rest[3];
             int c;
-            sfemi_schur_mean(b->state.handle + g->slot[k], b->model->mesh.x, rest);
+            sfemi_schur_mean(&r, b->model->mesh.x, rest);
             for (c = 0; c < 3; ++c)
                 g->lambda[3 * k + c] = b->state.handle[g->slot[k]].path.target[c] - rest[c];
         }
-        sfemi_schur_apply(g, b->state.handle, b->model->mesh.nodes, u);
+        sfemi_schur_apply(g, &b->state, b->model->mesh.nodes, u);
         for (k = 0; k < g->count; ++k)
             memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
     }
@@ -25269,9 +25476,9 @@ static void sfemi_body_static_forces(sfem_body *b)
     else sfemi_implicit_balance(b, 0, NULL, NULL, b->rhs);
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
-        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
-            const size_t i = 3 * (size_t)h->node[0] + (size_t)c;
-            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[i];
+        for (c = 0; sfemi_body_is_node_handle(b, k) && c < 3; ++c) {
+            const size_t i = 3 * (size_t)sfemi_body_handle_node(b, k) + (size_t)c;
+            h->force[c] = b->mask[i / 3] >> c & 1 ? 0 : -b->rhs[i];
             b->rhs[i] = 0; /* carried */
         }
     }
@@ -25290,7 +25497,7 @@ static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key
     SFEMI_TRY(sfemi_workspace_reserve_work(b, system.factor, 3, err));
     SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
     for (k = 0; k < b->def.max_handles; ++k)
-        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) g->slot[g->count++] = k;
     sfemi_body_static_known(b, b->implicit.best);
     SFEMI_TRY(sfemi_implicit_equilibrium(b, &system, b->implicit.best, b->acc, err));
     for (k = 0; k < g->count; ++k)
