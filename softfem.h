@@ -1308,6 +1308,9 @@ typedef struct sfem_body_def {
     sfem_int pin_count;
     sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use */
     sfem_int max_handle_nodes; /* nodes in all their regions, 512; at least 4 max_handles. 12 bytes each of state */
+    sfem_real handle_compliance; /* eps, 0 or 1e-8 to 1e3: a handle yields eps times as much as a cube of the body's volume
+                               * and stiffness; see HANDLES. 0: not at all, an exact constraint */
+    sfem_real handle_max_force;  /* N, >= 0: no handle pulls harder; 0, the default: no limit */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
     sfem_precision precision;
@@ -17651,11 +17654,16 @@ typedef struct sfemi_state_shape {
 
 /* >>handle: the handles' columns and their dense block. */
 typedef struct sfemi_schur {
-    sfem_int count;   /* handles in use */
+    sfem_int count;   /* handles in use that are constraints, */
+    sfem_int springs; /* or that yield: one of the two is 0 */
     sfem_int *slot;   /* [max] their numbers */
     sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
-    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
+    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out. Of springs itself, and */
+    sfem_real *yield; /* [3 max][3 max] L D L^T of it plus their compliance, */
+    sfem_real shift;  /* which is this for all in what is there; -1: nothing is */
+    sfem_real *pull;  /* [3 max] the right side of a solution within limits, */
+    sfem_real *shifts; /* [max] each spring's compliance where they differ */
     sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
     sfem_real *lambda; /* [3 max] */
     sfem_real *place;  /* [3 max] where the handles are before a step */
@@ -17663,6 +17671,12 @@ typedef struct sfemi_schur {
     sfem_int *group;   /* [max] handles that share nodes, by the lowest number of them: they share a frame */
     int dirty;        /* the set of handles or the factor changed */
 } sfemi_schur;
+
+/* >>handle: what a handle that yields is made of. */
+typedef struct sfemi_spring {
+    sfem_real c, tau; /* m/N, s: t - x = c l - tau x' would be it; */
+    sfem_real most;   /* N, at most; 0: no limit */
+} sfemi_spring;
 
 /* >>rotated: one connected piece, at the positions of the last sfemi_rotated_locate. */
 typedef struct sfemi_piece {
@@ -17739,7 +17753,8 @@ typedef struct sfemi_safeguard {
 typedef struct sfemi_stage {
     sfem_real m1, m0, w1, w0, c1, c2; /* see there */
     sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
-    sfem_real end; /* where in the step it ends, in h */
+    sfem_real end, span; /* where in the step it ends, and how long it is, in h; a static solution has span 0 */
+    sfem_real hand; /* handles that yield act by so much of their force */
 } sfemi_stage;
 
 typedef struct sfemi_implicit {
@@ -17752,7 +17767,7 @@ typedef struct sfemi_implicit {
     int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
     int still;           /* statics: no inertia, no damping */
     sfem_real share;     /* statics: of the load */
-    sfem_real energy;    /* Psi at the last evaluation */
+    sfem_real energy, yield; /* Psi at the last evaluation, and the potential of handles that yield */
     int ready;           /* there is room for what follows, [nodes][3] each in the workspace, and for tangent, drag */
     sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
     sfem_real *work;     /* of sfem_model_forces */
@@ -17880,6 +17895,7 @@ struct sfem_body {
     sfem_int factors_made;
     sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
     sfemi_schur schur;       /* >>handle */
+    sfemi_spring spring;     /* >>handle: constant; all 0 where handles are constraints */
 
     /* predict, solve, finish: the step under way */
     int phase;             /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
@@ -18264,14 +18280,17 @@ static void sfemi_schur_gather_mass(sfemi_schur *g, const sfemi_state *s, const 
     for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
 }
 
-/* Factors S = H Y, unless the body rotates, and W over the handles in g->slot. */
+static sfem_int sfemi_schur_rows(const sfemi_schur *g) { return g->count + g->springs; }
+
+/* S = H Y, unless the body rotates, over the handles in g->slot; of constraints its factor, and that of W. */
 static void sfemi_schur_gather(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, int rotates,
                                const unsigned char *mask)
 {
     const size_t n = 3 * (size_t)model->mesh.nodes;
-    const sfem_int k = g->count;
+    const sfem_int k = sfemi_schur_rows(g);
     sfem_int i, j;
     int a, b;
+    g->shift = -1;
     for (i = 0; i < k && !rotates; ++i) {
         const sfemi_region r = sfemi_region_of(s, g->slot[i]);
         for (j = 0; j <= i; ++j)
@@ -18281,6 +18300,7 @@ static void sfemi_schur_gather(sfemi_schur *g, const sfemi_state *s, const sfem_
                 for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
             }
     }
+    if (g->springs) return;
     if (!rotates) sfemi_small_factor(g->s, 3 * k, 3 * k);
     sfemi_schur_gather_mass(g, s, model, mask);
 }
@@ -18311,12 +18331,25 @@ static void sfemi_schur_group(sfemi_schur *g, const sfemi_state *s, sfem_int han
     }
 }
 
-/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
-static void sfemi_schur_apply(sfemi_schur *g, const sfemi_state *s, sfem_int nodes, sfem_real *a)
+/* a += Y l. */
+static void sfemi_schur_add(const sfemi_schur *g, sfem_int nodes, sfem_real *a)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_int i;
     size_t k;
+    int c;
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        for (c = 0; c < 3; ++c) {
+            const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
+            for (k = 0; k < n; ++k) a[k] += l * y[k];
+        }
+    }
+}
+
+/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
+static void sfemi_schur_apply(sfemi_schur *g, const sfemi_state *s, sfem_int nodes, sfem_real *a)
+{
+    sfem_int i;
     int c;
     for (i = 0; i < g->count; ++i) {
         const sfemi_region r = sfemi_region_of(s, g->slot[i]);
@@ -18325,12 +18358,7 @@ static void sfemi_schur_apply(sfemi_schur *g, const sfemi_state *s, sfem_int nod
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
-    for (i = 0; i < g->count; ++i) {
-        for (c = 0; c < 3; ++c) {
-            const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
-            for (k = 0; k < n; ++k) a[k] += l * y[k];
-        }
-    }
+    sfemi_schur_add(g, nodes, a);
 }
 
 /* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
@@ -18356,6 +18384,199 @@ static void sfemi_schur_project(sfemi_schur *g, const sfemi_state *s, const sfem
                     x[3 * (size_t)r.node[p] + (size_t)c] +=
                         r.weight[p] * g->lambda[3 * i + c] / model->node_mass[r.node[p]];
     }
+}
+
+/* ---- handles that yield ----
+ *
+ * With C > 0 a handle is no constraint but a spring and a damper on the target's place t,
+ *   t - x = C l + tau x',   |l| <= F,
+ * l being its force on the body. x and x' are those at the end of the step, x' = (x - x0)/h, so that with
+ *   C' = C h/(h + tau),  t' = (h t + tau x0)/(h + tau),  g = t' - x:   l = g/C', or F g/|g| where that is more than F.
+ *   1. That is the gradient of a convex potential, |g|^2/2C', or F |g| - F^2 C'/2. Backward Euler's form of it takes
+ *      from the energy of spring and body whatever h is: a target that stands still never adds to it.
+ *   2. The force is an impulse h l of its step: no integrator takes it over to the next one as an acceleration (see
+ *      >>newmark, >>implicit), so that nothing rings and letting go leaves nothing behind.
+ *   3. With u' = u0' + s Y l it is  (S + C'/s + mu) l = (t' - H u0')/s,  mu >= 0 where |l| = F, else 0. A target out of
+ *      reach is followed with F in the direction of what is left, mu l. This is the least of a convex
+ *      function over balls: by block Gauss-Seidel, in the order of the handles.
+ *   4. C = eps/(E V^(1/3)), of the whole body: E the harmonic mean of Young's modulus over its volume V. Neither the mesh
+ *      nor h nor what is held enters. tau = 2 sqrt(C m), m the body's mass: a rigid body hanging on one handle
+ *      is critically damped, and what is lighter more than that; the lag tau v is 2 sqrt(eps) times the way of
+ *      the hand while a wave crosses a cube of the body's volume.
+ */
+
+/* Least compliance of handles with a limit: from where the potential above has a curvature. */
+static const sfem_real sfemi_spring_least = 1e-6;
+
+static sfemi_spring sfemi_spring_make(const sfem_model *model, const sfem_body_def *def)
+{
+    sfem_real eps = def->handle_compliance, volume = 0, over = 0;
+    sfemi_spring s;
+    sfem_int e;
+    memset(&s, 0, sizeof s);
+    if (def->handle_max_force > 0) eps = fmax(eps, sfemi_spring_least);
+    if (!(eps > 0)) return s;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_real lambda = model->lambda[e], mu = model->mu[e];
+        volume += model->volume[e];
+        over += model->volume[e] * (lambda + mu) / (mu * (3 * lambda + 2 * mu)); /* over Young's modulus */
+    }
+    s.c = eps * over / volume / pow(volume, 1. / 3);
+    s.tau = 2 * sqrt(s.c * model->total_mass);
+    s.most = def->handle_max_force;
+    return s;
+}
+
+/* C' over h seconds; 0: at rest. */
+static sfem_real sfemi_spring_compliance(const sfemi_spring *s, sfem_real h) { return h > 0 ? s->c * h / (h + s->tau) : s->c; }
+
+/* t' of a target, from where the point was h seconds before; 0: at rest. */
+static void sfemi_spring_goal(const sfemi_spring *s, const sfem_real *target, const sfem_real *from, sfem_real h,
+                              sfem_real goal[3])
+{
+    const sfem_real part = h > 0 ? s->tau / (h + s->tau) : 0;
+    int c;
+    for (c = 0; c < 3; ++c) goal[c] = target[c] + part * (from[c] - target[c]);
+}
+
+/* l = the force at g = t' - x, which comes in as l. Returns the potential. */
+static sfem_real sfemi_spring_force(const sfemi_spring *s, sfem_real h, sfem_real l[3])
+{
+    const sfem_real soft = sfemi_spring_compliance(s, h), g = sqrt(sfemi_dot3(l, l));
+    const int slips = s->most > 0 && g > s->most * soft;
+    const sfem_real k = slips ? s->most / g : 1 / soft;
+    int c;
+    for (c = 0; c < 3; ++c) l[c] *= k;
+    return slips ? s->most * (g - s->most * soft / 2) : g * g / (2 * soft);
+}
+
+/* l of (D + mu) l = r with |l| <= most, D [3][3] symmetric, lower; mu by Newton's iteration on 1/|l| [Hebden 1973]. */
+static void sfemi_spring_limit_one(const sfem_real d[9], const sfem_real r[3], sfem_real most, sfem_real l[3])
+{
+    sfem_real mu = 0, size = 0;
+    int k, c;
+    for (k = 0; k < 30; ++k) {
+        sfem_real f[9], z[3], slope;
+        memcpy(f, d, sizeof f);
+        for (c = 0; c < 9; c += 4) f[c] += mu;
+        sfemi_small_factor(f, 3, 3);
+        memcpy(l, r, 3 * sizeof *l);
+        sfemi_small_solve(f, 3, 3, l, 1);
+        size = sqrt(sfemi_dot3(l, l));
+        if (size <= most * (1 + 1e-12)) break;
+        memcpy(z, l, sizeof z);
+        sfemi_small_solve(f, 3, 3, z, 1);
+        slope = sfemi_dot3(l, z);
+        if (!(slope > 0)) break;
+        mu += size * size / slope * (size - most) / most;
+    }
+    for (c = 0; size > most && c < 3; ++c) l[c] *= most / size;
+}
+
+/* l of (S + shift + mu) l = pull within `most`, from l on: block Gauss-Seidel. It ends where no force changes by more than
+ * 1e-10 of `most`; 200 sweeps, which handles on one node that pull apart may ask for, take 1 us each. */
+static void sfemi_spring_limit(sfemi_schur *g, sfem_real shift, sfem_real most)
+{
+    enum { SWEEPS = 200 };
+    const sfem_int rows = sfemi_schur_rows(g), size = 3 * rows;
+    sfem_int i, j;
+    int sweep, r, c;
+    for (i = 0; i < rows; ++i) {
+        sfem_real *l = g->lambda + 3 * i, whole = sqrt(sfemi_dot3(l, l));
+        for (c = 0; whole > most && c < 3; ++c) l[c] *= most / whole;
+    }
+    for (sweep = 0; sweep < SWEEPS; ++sweep) {
+        sfem_real change = 0;
+        for (i = 0; i < rows; ++i) {
+            sfem_real d[9], rest[3], l[3];
+            memcpy(rest, g->pull + 3 * i, sizeof rest);
+            for (j = 0; j < rows; ++j)
+                for (r = 0; j != i && r < 3; ++r)
+                    for (c = 0; c < 3; ++c)
+                        rest[r] -= (j < i ? g->s[(3 * i + r) * size + 3 * j + c] : g->s[(3 * j + c) * size + 3 * i + r]) *
+                                   g->lambda[3 * j + c];
+            for (c = 0; c < 9; ++c) d[c] = g->s[(3 * i + c / 3) * size + 3 * i + c % 3] + (c % 4 ? 0 : shift);
+            sfemi_spring_limit_one(d, rest, most, l);
+            for (c = 0; c < 3; ++c) {
+                change = fmax(change, fabs(l[c] - g->lambda[3 * i + c]));
+                g->lambda[3 * i + c] = l[c];
+            }
+        }
+        if (change <= 1e-10 * most) return;
+    }
+}
+
+/* The factor of S + shift, or of S and a shift for each handle. */
+static void sfemi_spring_factor(sfemi_schur *g, sfem_real shift, const sfem_real *shifts)
+{
+    const sfem_int size = 3 * sfemi_schur_rows(g);
+    sfem_int i, j;
+    if (!shifts && g->shift == shift) return;
+    for (i = 0; i < size; ++i) {
+        for (j = 0; j <= i; ++j) g->yield[i * size + j] = g->s[i * size + j];
+        g->yield[i * size + i] += shifts ? shifts[i / 3] : shift;
+    }
+    sfemi_small_factor(g->yield, size, size);
+    g->shift = shifts ? -1 : shift;
+}
+
+/* l from lambda = (t' - H u0')/s, within `most` each, 0: without limit. */
+static void sfemi_spring_solve(sfemi_schur *g, sfem_real shift, sfem_real most)
+{
+    const sfem_int rows = sfemi_schur_rows(g);
+    sfem_int i;
+    int over = 0;
+    memcpy(g->pull, g->lambda, 3 * (size_t)rows * sizeof *g->pull);
+    sfemi_spring_factor(g, shift, NULL);
+    sfemi_small_solve(g->yield, 3 * rows, 3 * rows, g->lambda, 1);
+    for (i = 0; most > 0 && i < rows; ++i) over |= sfemi_dot3(g->lambda + 3 * i, g->lambda + 3 * i) > most * most;
+    if (over) sfemi_spring_limit(g, shift, most);
+}
+
+/* lambda = t' - x at u, of a step of h from the state on. */
+static void sfemi_spring_gap(sfem_body *b, const sfem_real *u, sfem_real h)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real rest[3], moved[3], from[3], goal[3];
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, moved);
+        for (c = 0; c < 3; ++c) from[c] = rest[c] + moved[c];
+        sfemi_spring_goal(&b->spring, b->state.handle[g->slot[i]].path.target, from, h, goal);
+        sfemi_schur_mean(&r, u, moved);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] = goal[c] - rest[c] - moved[c];
+    }
+}
+
+/* lambda = (t' - H (u + scale a))/scale. */
+static void sfemi_spring_right_side(sfem_body *b, const sfem_real *u, sfem_real scale, const sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    int c;
+    sfemi_spring_gap(b, u, b->step.h);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] = g->lambda[3 * i + c] / scale - mean[c];
+    }
+}
+
+/* a += share Y l where the step ends at u + scale a; lambda = l. Of bodies that do not rotate. */
+static void sfemi_spring_step(sfem_body *b, const sfem_real *u, sfem_real scale, sfem_real share, sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, b->step.h);
+    sfem_int i;
+    if (!g->springs) return;
+    sfemi_spring_right_side(b, u, scale, a);
+    sfemi_spring_solve(g, soft / (share * scale), share * b->spring.most);
+    sfemi_schur_add(g, b->model->mesh.nodes, a);
+    for (i = 0; i < 3 * g->springs; ++i) g->lambda[i] /= share;
 }
 
 /* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
@@ -18610,8 +18831,12 @@ static void sfemi_newmark_solve(sfem_body *b)
     const sfem_real h = b->step.h;
     size_t i;
     sfem_real v;
-    if (!b->schur.count) return;
+    if (!sfemi_schur_rows(&b->schur)) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, &b->zk[i], &v);
+    if (b->schur.springs) {
+        sfemi_spring_step(b, b->zk, b->def.beta * h * h, 1 / b->def.gamma, b->acc);
+        return;
+    }
     sfemi_body_handle_gap(b, &b->schur, b->zk, b->def.beta * h * h);
     sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
 }
@@ -18645,6 +18870,26 @@ static void sfemi_newmark_finish(sfem_body *b)
         }
         sfemi_target_advance(s->pin + k, x);
     }
+}
+
+/* a -= part M^-1 H^T l: handles that yield act by an impulse, with a force of l/gamma at the end of the step, which
+ * makes v' = .. + h M^-1 H^T l of v' = .. + gamma h a', and at (1/4, 1/2) a way whose work is l H (u' - u). */
+static void sfemi_newmark_settle(sfem_body *b, sfem_real part)
+{
+    const sfemi_schur *g = &b->schur;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *x = b->spare ? b->spare : b->implicit.step;
+    sfem_int k;
+    size_t i;
+    if (!g->springs || part == 0) return;
+    memset(b->rhs, 0, n * sizeof *b->rhs);
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, b->state.handle[g->slot[k]].force, b->mask, b->rhs);
+    }
+    sfemi_body_mass_solve(b, x);
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->state.a[i] -= part * x[i];
 }
 
 /* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
@@ -18830,7 +19075,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
     const sfem_real beta = b->scheme.beta, gamma = b->scheme.gamma, am = b->scheme.am, af = b->scheme.af;
     sfemi_stage s;
     memset(&s, 0, sizeof s);
-    s.end = 1;
+    s.end = s.span = s.hand = 1;
     s.m1 = 1 - am;
     s.m0 = am;
     s.w1 = 1 - af;
@@ -18842,6 +19087,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         return s;
     }
     if (b->scheme.stages == 2 && k == 1) {
+        s.span = 0.5;
         s.c1 = 3 / h; /* v' = (u - 4 u_mid + 3 u')/h, and a' from v alike */
         s.vd = -4 / h;
         s.c2 = 9 / (h * h);
@@ -18851,9 +19097,10 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         return s;
     }
     if (b->scheme.stages == 2) {
-        s.end = 0.5;
+        s.end = s.span = 0.5;
         h /= 2;
     }
+    s.hand = s.m1 / gamma;
     s.c1 = gamma / (beta * h);
     s.vv = 1 - gamma / beta;
     s.va = (1 - gamma / (2 * beta)) * h;
@@ -19064,6 +19311,39 @@ static void sfemi_newton_floor(sfem_body *b, sfemi_newton *t)
     t->floor_d = b->implicit.still ? 0 : eps * b->implicit.stage.m1 * b->implicit.stage.c2 * sqrt(m2);
 }
 
+/* The forces of handles that yield at d, as they act in the stage, to schur.lambda. Returns their potential. */
+static sfem_real sfemi_newton_springs(sfem_body *b, int forces)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_schur *g = &b->schur;
+    const sfemi_stage *s = &m->stage;
+    const sfem_real h = s->span * b->step.h;
+    sfem_real sum = 0;
+    sfem_int k;
+    int c;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_target *path = &b->state.handle[g->slot[k]].path;
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfem_real rest[3], u[3], d[3], mid[3], place[3], goal[3], *l = g->lambda + 3 * k;
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, m->d, d);
+        sfemi_schur_mean(&r, m->mid_d, mid);
+        memcpy(place, path->target, sizeof place);
+        for (c = 0; c < 3; ++c) {
+            if (m->still) place[c] = rest[c] + u[c] + m->share * (path->target[c] - rest[c] - u[c]);
+            else if (s->end < 1 && path->age > 0) place[c] = path->past[c] + s->end * (path->target[c] - path->past[c]);
+            mid[c] += rest[c] + u[c];
+        }
+        sfemi_spring_goal(&b->spring, place, mid, h, goal);
+        for (c = 0; c < 3; ++c) l[c] = goal[c] - rest[c] - u[c] - d[c];
+        if (!forces) continue;
+        sum += s->hand * sfemi_spring_force(&b->spring, h, l);
+        for (c = 0; c < 3; ++c) l[c] *= s->hand;
+    }
+    return sum;
+}
+
 /* f and q = M .. + D - F at d, zero on held axes; the scale of r. */
 static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
 {
@@ -19097,12 +19377,26 @@ static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
     for (i = 1; i < 4; ++i)
         if (most[i] > most[0] || !sfemi_finite(most[i])) most[0] = most[i];
     t->scale = sqrt(most[0]);
+    m->yield = sfemi_newton_springs(b, 1);
     ++m->info.evaluations;
 }
 
 static int sfemi_newton_finite(const sfem_body *b, const sfemi_newton *t)
 {
-    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale);
+    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale) && sfemi_finite(b->implicit.yield);
+}
+
+/* What rounding of places makes of the forces of handles that yield. */
+static sfem_real sfemi_newton_spring_floor(const sfem_body *b)
+{
+    const sfemi_stage *s = &b->implicit.stage;
+    sfem_real sum = 0;
+    sfem_int k;
+    for (k = 0; k < b->schur.springs; ++k) {
+        const sfem_real *t = b->state.handle[b->schur.slot[k]].path.target;
+        sum += sqrt(sfemi_dot3(t, t)) + sfemi_implicit_max(b->implicit.x, 3 * (size_t)b->model->mesh.nodes);
+    }
+    return sum > 0 ? 1e-15 * sum * s->hand / sfemi_spring_compliance(&b->spring, s->span * b->step.h) : 0;
 }
 
 /* The norm of r + H^T l, l in schur.lambda, and whether it will do. */
@@ -19116,13 +19410,13 @@ static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
     sfem_int k;
     size_t i;
     for (i = 0; i < n; ++i) m->step[i] = -(m->f[i] + m->q[i]);
-    for (k = 0; k < g->count; ++k) {
+    for (k = 0; k < sfemi_schur_rows(g); ++k) {
         const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
         sfemi_schur_spread(&r, g->lambda + 3 * k, mask, m->step);
     }
     norm = sqrt(sfemi_implicit_dot(m->step, m->step, n));
     floor = t->floor_u * (sfemi_implicit_max(m->x, n) + t->edge) +
-            t->floor_d * sfemi_implicit_max(m->d, n);
+            t->floor_d * sfemi_implicit_max(m->d, n) + sfemi_newton_spring_floor(b);
     m->info.residual = t->scale > 0 ? norm / t->scale : 0;
     if (!t->feasible) return 0;
     if (b->def.newton.accept_best && !m->still && m->info.residual < t->best) {
@@ -19197,7 +19491,7 @@ static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int projec
     sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
     sfem_real shift;
     int tries;
-    if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
+    if (status != SFEM_NOT_SPD || (sfemi_implicit_linear(b->model) && !b->implicit.still)) return status;
     if (kind == SFEM_TANGENT_EXACT) {
         ++b->implicit.info.projected;
         for (shift = inertia / 8; shift > 0 && shift < inertia && status == SFEM_NOT_SPD; shift *= 4)
@@ -19257,6 +19551,25 @@ static sfem_real sfemi_newton_gap(sfem_body *b)
     return sfemi_implicit_max(b->schur.lambda, 3 * (size_t)b->schur.count);
 }
 
+/* step += Y l, the forces of handles that yield at d + step. */
+static void sfemi_newton_pull(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_schur *g = &b->schur;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, m->stage.span * b->step.h);
+    sfem_int k;
+    int c;
+    sfemi_newton_springs(b, 0);
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, m->step, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * k + c] -= mean[c];
+    }
+    sfemi_spring_solve(g, soft / m->stage.hand, m->stage.hand * b->spring.most);
+    sfemi_schur_add(g, b->model->mesh.nodes, m->step);
+}
+
 /* Newton's correction, to step; pins and handles go all their way. */
 static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int project, sfem_error *err)
 {
@@ -19281,25 +19594,29 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
     ++m->info.iterations;
-    if (!b->schur.count) return SFEM_OK;
+    if (!sfemi_schur_rows(&b->schur)) return SFEM_OK;
     if (y->matrix.val || m->second) {
-        for (k = 0; k < b->schur.count; ++k) {
+        for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
             const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
             sfemi_schur_columns(y->factor, &r, nodes, b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
         }
         sfemi_schur_gather(&b->schur, &b->state, b->model, 0, y->factor->mask);
+    }
+    if (b->schur.springs) {
+        sfemi_newton_pull(b);
+        return SFEM_OK;
     }
     sfemi_newton_gap(b);
     sfemi_schur_apply(&b->schur, &b->state, nodes, m->step);
     return SFEM_OK;
 }
 
-/* l.(H step): nothing once the handles are where they belong, but for rounding, which l may make felt. */
+/* l.(H step): of constraints nothing once the handles are where they belong, but for rounding, which l may make felt. */
 static sfem_real sfemi_newton_handle_work(const sfem_body *b)
 {
     sfem_real work = 0, mean[3];
     sfem_int k;
-    for (k = 0; k < b->schur.count; ++k) {
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
         const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
         sfemi_schur_mean(&r, b->implicit.step, mean);
         work += sfemi_dot3(mean, b->schur.lambda + 3 * k);
@@ -19322,10 +19639,11 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
 {
     sfemi_implicit *m = &b->implicit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int check = t->feasible && !b->def.newton.no_line_search;
-    const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
-    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
-    const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
+    const int check = t->feasible && !b->def.newton.no_line_search, springs = b->schur.springs > 0;
+    const sfem_real energy = m->energy, yield = springs ? sfemi_newton_springs(b, 1) : 0;
+    const sfem_real hands = sfemi_newton_handle_work(b), pull = springs ? hands : 0; /* pull: it changes on the way */
+    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - (hands - pull);
+    const sfem_real drop = -(q0 - pull + sfemi_implicit_dot(m->f, m->step, n));
     sfem_real length = 1, gone = 0;
     size_t i;
     int tries;
@@ -19335,10 +19653,11 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
         gone = length;
         sfemi_newton_evaluate(b, t);
         if (sfemi_newton_finite(b, t)) {
-            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - hands;
-            const sfem_real slope = -(q1 + sfemi_implicit_dot(m->f, m->step, n));
-            const sfem_real noise = 1e-10 * (fabs(energy) + fabs(m->energy)) / m->stage.w1;
-            change = (m->energy - energy) / m->stage.w1 + length / 2 * (q0 + q1);
+            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - (hands - pull);
+            const sfem_real end = springs ? sfemi_newton_handle_work(b) : 0;
+            const sfem_real slope = -(q1 - end + sfemi_implicit_dot(m->f, m->step, n));
+            const sfem_real noise = 1e-10 * ((fabs(energy) + fabs(m->energy)) / m->stage.w1 + yield + m->yield);
+            change = (m->energy - energy) / m->stage.w1 + (m->yield - yield) + length / 2 * (q0 + q1);
             if (!check || sfemi_newton_suffices(change, length, drop, slope, noise)) {
                 t->feasible |= length == 1;
                 return 1;
@@ -19398,6 +19717,7 @@ static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *e
     }
     if (b->def.newton.accept_best && !m->still) {
         if (t->best < 1e300) memcpy(m->d, m->best, n * sizeof *m->d);
+        (void)sfemi_newton_springs(b, 1);
         return SFEM_OK;
     }
     return sfemi_fail(err, SFEM_NOT_CONVERGED, "%s did not converge: residual %.3g after %d iterations",
@@ -19431,18 +19751,19 @@ static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *v = stage ? m->mid_v : b->state.w, *a = stage ? m->mid_a : m->a0;
     const sfem_real h = b->step.h * (stage ? 0.5 : m->stage.end);
-    sfem_real energy, q0;
+    sfem_real energy, yield, q0;
     size_t i;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
     if (t->once) return;
     sfemi_newton_evaluate(b, t);
     energy = m->energy;
+    yield = m->yield;
     for (i = 0; i < n; ++i) m->step[i] = h * (v[i] + h / 2 * a[i]);
     q0 = sfemi_implicit_dot(m->q, m->step, n);
     for (i = 0; i < n; ++i) m->d[i] += m->step[i];
     sfemi_newton_evaluate(b, t);
     q0 += sfemi_implicit_dot(m->q, m->step, n);
-    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0;
+    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + (m->yield - yield) + q0 / 2 <= 0;
     if (t->ready) return;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
 }
@@ -19489,6 +19810,7 @@ static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
     if (!sfemi_all_finite(m->mid_a, n))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
     memcpy(b->acc, m->mid_a, n * sizeof *b->acc);
+    for (i = 0; i < 3 * (size_t)b->schur.springs; ++i) b->schur.lambda[i] /= m->stage.hand;
     return SFEM_OK;
 }
 
@@ -19545,7 +19867,7 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
     size_t i;
     memset(&m->info, 0, sizeof m->info);
     memset(&m->stage, 0, sizeof m->stage);
-    m->stage.w1 = m->stage.end = 1;
+    m->stage.w1 = m->stage.end = m->stage.hand = 1;
     m->still = 1;
     memset(&t, 0, sizeof t);
     t.system = system;
@@ -19776,8 +20098,9 @@ static void sfemi_pqr_solve(sfem_body *b)
     const sfemi_step t = b->step;
     const sfem_real h = b->step.h, *base = sfemi_pqr_base(b);
     size_t i;
+    for (i = 0; sfemi_schur_rows(&b->schur) && i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+    sfemi_spring_step(b, b->zk, h * t.d / (1 - t.am), 1, b->acc);
     if (b->schur.count) {
-        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
         sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
     }
@@ -20622,9 +20945,9 @@ static int sfemi_resume_falls_back(const sfem_body *b, sfem_real h)
            b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_inertia_is_unknown(b);
 }
 
-/* B = k K + bound (K in A) + m M + d (rest of D). */
+/* B = k K + bound (K in A) + m M + d (rest of D) + hand H^T H of handles that yield. */
 typedef struct sfemi_inertia {
-    sfem_real k, bound, m, d;
+    sfem_real k, bound, m, d, hand;
 } sfemi_inertia;
 
 static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_real p)
@@ -20635,7 +20958,56 @@ static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_
     t.m = b->scheme.r + t.d * b->alpha;
     t.bound = p * h * h + t.d * b->beta;
     t.k = newmark ? -b->def.gamma / 2 * h * h : -h * h / 4;
+    t.hand = 0;
     return t;
+}
+
+/* Has this handle pulled as a spring in the last step, and not at its limit? */
+static int sfemi_resume_springs(const sfem_body *b, sfem_int k)
+{
+    const sfemi_handle *h = b->state.handle + k;
+    const sfem_real most = b->spring.most * (1 - 1e-9);
+    return b->spring.c > 0 && h->used && h->path.age > 0 && !(most > 0 && sfemi_dot3(h->force, h->force) >= most * most);
+}
+
+/* y += hand H^T H x */
+static void sfemi_resume_add_springs(const sfem_body *b, sfem_real hand, const sfem_real *x, sfem_real *y)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; hand > 0 && k < b->def.max_handles; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, k);
+        sfem_real l[3];
+        if (!sfemi_resume_springs(b, k)) continue;
+        sfemi_schur_mean(&r, x, l);
+        for (c = 0; c < 3; ++c) l[c] *= hand;
+        sfemi_schur_spread(&r, l, b->mask, y);
+    }
+}
+
+/* What handles that yield do in the second half of the last step, of `half` seconds, to r, N s: at their limit their force
+ * goes on; else l = (t' - x - half H v)/C', v being what is sought, whose part goes to B. */
+static void sfemi_resume_pull(sfem_body *b, sfem_real half, sfemi_inertia *t, sfem_real *r)
+{
+    const sfemi_state *s = &b->state;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, half);
+    sfem_int k;
+    int c;
+    for (k = 0; b->spring.c > 0 && k < b->def.max_handles; ++k) {
+        const sfemi_region hand = sfemi_region_of(s, k);
+        sfem_real x[3], w[3], l[3];
+        if (!s->handle[k].used || s->handle[k].path.age == 0) continue;
+        memcpy(l, s->handle[k].force, sizeof l);
+        if (sfemi_resume_springs(b, k)) {
+            sfem_body_handle_position(b, k, x);
+            sfemi_schur_mean(&hand, s->w, w);
+            sfemi_spring_goal(&b->spring, s->handle[k].path.past, x, half, l);
+            for (c = 0; c < 3; ++c) l[c] = (l[c] - x[c] - half * w[c]) / soft;
+            t->hand = half * half / soft;
+        }
+        for (c = 0; c < 3; ++c) l[c] *= half;
+        sfemi_schur_spread(&hand, l, b->mask, r);
+    }
 }
 
 /* y = B x; x and y apart. */
@@ -20658,6 +21030,7 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
+    sfemi_resume_add_springs(b, t->hand, x, y);
     if (t->d == 0 || !model->damping) return;
     for (i = 0; i < n; ++i) z[i] = t->d * x[i];
     sfemi_fem_add_damping_rest(model, z, y);
@@ -20738,7 +21111,7 @@ static void sfemi_resume_mean_force(sfem_body *b)
 static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_inertia t = sfemi_resume_inertia(b, s->head->h, s->head->p);
+    sfemi_inertia t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real half = s->head->h / 2;
     sfem_real *r = b->rhs, *change = b->spare;
@@ -20765,7 +21138,8 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
         sfemi_resume_multiply(b, &t, change, b->spare + n);
         for (i = 0; i < n; ++i) r[i] -= b->spare[n + i];
     }
-    if (t.bound + t.k == 0 && t.d == 0 && !sfemi_resume_bounded(b)) {
+    sfemi_resume_pull(b, half, &t, r);
+    if (t.bound + t.k == 0 && t.d == 0 && t.hand == 0 && !sfemi_resume_bounded(b)) {
         sfemi_body_mass_solve(b, change);
         for (i = 0; i < n; ++i) v[i] += change[i] / t.m;
     } else {
@@ -20779,7 +21153,7 @@ static void sfemi_resume_gather(sfem_body *b)
 {
     sfemi_schur *g = &b->schur;
     sfem_int k;
-    if (!g->dirty) return;
+    if (!g->dirty || b->spring.c > 0) return;
     g->count = 0;
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
@@ -20885,6 +21259,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     sfem_real *v;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
+    if (b->spring.c > 0 && newmark && !pins) return; /* its a has nothing of them */
     b->phase = SFEMI_IDLE;
     b->step.fresh = 0;
     if (!b->scheme.resumes) { /* Newton's: its a is stale, too */
@@ -21001,6 +21376,7 @@ static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const 
     less.bound = from->bound - to->bound;
     less.m = from->m - to->m;
     less.d = from->d - to->d;
+    less.hand = 0;
     memset(out, 0, n * sizeof *out);
     if (change < 0) {
         sfemi_resume_multiply(b, &less, v, b->acc);
@@ -21106,6 +21482,16 @@ static void sfemi_resume_bridge_constrain(sfem_body *b, sfem_real *a)
     if (!b->schur.count) return;
     memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
     sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, a);
+}
+
+/* Handles that yield: a force of the first stage, by where that ends, h (v + g h a). */
+static void sfemi_resume_bridge_pull(sfem_body *b, sfem_real *a)
+{
+    const sfem_real h = b->step.h;
+    size_t i;
+    if (!b->schur.springs) return;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) b->zk[i] = b->state.u[i] + h * b->velocity[i];
+    sfemi_spring_step(b, b->zk, sqrt(b->p) * h * h, 1, a);
 }
 
 /* a = T's part of it, from a = A^-1 (..), with the handles held. D has g h in place of q h/2 there: one iteration,
@@ -21331,11 +21717,12 @@ static const sfem_real *sfemi_safeguard_hand_frame(const sfemi_region *r, const 
 static void sfemi_safeguard_gather(sfem_body *b, sfemi_schur *g, const sfem_real *frame)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_int size = 3 * g->count;
+    const sfem_int size = 3 * sfemi_schur_rows(g);
     sfem_int i, j;
     int c, m;
     memset(g->s, 0, (size_t)size * (size_t)size * sizeof *g->s);
-    for (i = 0; i < g->count; ++i) {
+    g->shift = -1;
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
         const sfemi_region ri = sfemi_region_of(&b->state, g->slot[i]);
         for (j = 0; j <= i; ++j) {
             const sfemi_region rj = sfemi_region_of(&b->state, g->slot[j]);
@@ -21349,28 +21736,19 @@ static void sfemi_safeguard_gather(sfem_body *b, sfemi_schur *g, const sfem_real
             for (m = 0; m < 9; ++m) g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += both[m];
         }
     }
-    sfemi_small_factor(g->s, size, size);
+    if (!g->springs) sfemi_small_factor(g->s, size, size);
 }
 
-/* l = S^-1 (c - H a), a += Q Y0 Q_h^T l, where g->lambda comes in as c. */
-static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
+/* a += Q Y0 Q_h^T l. */
+static void sfemi_safeguard_add_columns(sfem_body *b, const sfemi_schur *g, const sfem_real *frame, sfem_real *a)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real *y = b->rotated.v;
     sfem_int i;
     size_t k;
     int c;
-    if (!g->count) return;
-    sfemi_safeguard_gather(b, g, frame);
-    for (i = 0; i < g->count; ++i) {
-        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
-        sfem_real mean[3];
-        sfemi_schur_mean(&r, a, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
-    }
-    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
     memset(y, 0, n * sizeof *y);
-    for (i = 0; i < g->count; ++i) {
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
         const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
         const sfem_real *q = sfemi_safeguard_hand_frame(&r, frame), *lambda = g->lambda + 3 * i;
         const sfem_real *column = g->y[g->slot[i]];
@@ -21382,6 +21760,34 @@ static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sf
     sfemi_rotated_rotate(frame, b->model->mesh.nodes, 0, y, y);
     for (k = 0; k < n; ++k)
         if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
+}
+
+/* l = S^-1 (c - H a), a += Q Y0 Q_h^T l, where g->lambda comes in as c. */
+static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
+{
+    sfem_int i;
+    int c;
+    if (!g->count) return;
+    sfemi_safeguard_gather(b, g, frame);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_safeguard_add_columns(b, g, frame, a);
+}
+
+/* a += Y l of handles that yield, where the step ends at u + scale a; lambda = l. */
+static void sfemi_safeguard_pull(sfem_body *b, const sfem_real *u, sfem_real scale, const sfem_real *frame, sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    if (!g->springs) return;
+    sfemi_safeguard_gather(b, g, frame);
+    sfemi_spring_right_side(b, u, scale, a);
+    sfemi_spring_solve(g, sfemi_spring_compliance(&b->spring, b->step.h) / scale, b->spring.most);
+    sfemi_safeguard_add_columns(b, g, frame, a);
 }
 
 /* b->base as in sfemi_alpha_predict, in the rotated frames. */
@@ -21634,8 +22040,9 @@ static void sfemi_safeguard_try(sfem_body *b)
     if (b->step.starts_from_mass) sfemi_safeguard_subtract_velocity(b, 1 / t.d, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
+    for (i = 0; sfemi_schur_rows(&b->schur) && i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+    sfemi_safeguard_pull(b, b->zk, h * t.d / (1 - t.am), b->state.frame, b->acc);
     if (b->schur.count) {
-        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
         sfemi_safeguard_apply_handles(b, &b->schur, b->state.frame, b->acc);
     }
@@ -21733,7 +22140,7 @@ static sfem_real sfemi_safeguard_step_work(const sfem_body *b, sfem_real back)
     sfem_int k, l;
     size_t i;
     int c;
-    for (k = 0; k < b->schur.count; ++k) {
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
         const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
         for (l = 0; l < r.count; ++l)
             for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
@@ -21764,7 +22171,7 @@ static sfem_real sfemi_safeguard_held_work(const sfem_body *b)
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
-    for (k = 0; k < b->schur.count; ++k) {
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
         const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
         for (l = 0; l < r.count; ++l)
             for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
@@ -21866,6 +22273,42 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
     for (i = 0; i < n; ++i) out[i] += force[i];
 }
 
+/* t' - x of handles that yield, row by row, at the end of a step by w1, to l; with forces l itself. Returns their
+ * potential. */
+static sfem_real sfemi_correct_springs(sfem_body *b, const sfem_real *w1, int forces, sfem_real *l)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real h = b->step.h;
+    sfem_real sum = 0;
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->springs; ++i, l += 3) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real rest[3], u[3], w[3], goal[3];
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, w1, w);
+        for (c = 0; c < 3; ++c) rest[c] += u[c];
+        sfemi_spring_goal(&b->spring, b->state.handle[g->slot[i]].path.target, rest, h, goal);
+        for (c = 0; c < 3; ++c) l[c] = goal[c] - rest[c] - h * w[c];
+        if (forces) sum += sfemi_spring_force(&b->spring, h, l);
+    }
+    return sum;
+}
+
+/* out -= H^T l at w1. */
+static void sfemi_correct_take_springs(sfem_body *b, const sfem_real *w1, sfem_real *out)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    (void)sfemi_correct_springs(b, w1, 1, g->lambda);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        const sfem_real *l = g->lambda + 3 * i, back[3] = {-l[0], -l[1], -l[2]};
+        sfemi_schur_spread(&r, back, b->mask, out);
+    }
+}
+
 /* r of the equation at w1, whose forces are f1; 0 on held axes. */
 static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const sfem_real *w1,
                                    const sfem_real *f1, sfem_real *out)
@@ -21891,6 +22334,7 @@ static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const 
         sfemi_rotated_motion(b, b->state.u, out, 0);
         sfemi_rotated_add_motion(b, b->state.u, -1, 1, out);
     }
+    sfemi_correct_take_springs(b, w1, out); /* a piece that a handle holds is not free */
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) out[i] = 0;
 }
@@ -21998,6 +22442,31 @@ static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
     }
 }
 
+/* x -= Y (S + C')^-1 H x, from x = A^-1 x to the inverse of A + H^T C'^-1 H, the second derivative of the potential with
+ * handles that yield. Of one at its limit C' is |g|/F, by which its force turns; along g it would not grow at all. */
+static void sfemi_correct_yield(sfem_body *b, const sfemi_equation *q, sfem_real *x)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, b->step.h);
+    sfem_int i;
+    int c;
+    if (!g->springs) return;
+    sfemi_safeguard_gather(b, g, b->safeguard.frame);
+    (void)sfemi_correct_springs(b, b->safeguard.w, 0, g->lambda);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3], *l = g->lambda + 3 * i;
+        g->shifts[i] = soft;
+        if (b->spring.most > 0) g->shifts[i] = fmax(soft, sqrt(sfemi_dot3(l, l)) / b->spring.most);
+        g->shifts[i] /= q->h * q->d;
+        sfemi_schur_mean(&r, x, mean);
+        for (c = 0; c < 3; ++c) l[c] = -mean[c];
+    }
+    sfemi_spring_factor(g, 0, g->shifts);
+    sfemi_small_solve(g->yield, 3 * g->springs, 3 * g->springs, g->lambda, 1);
+    sfemi_safeguard_add_columns(b, g, b->safeguard.frame, x);
+}
+
 /* x = d A^-1 x in the frames of the trial, leaving constraints alone. */
 static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, sfem_real *x)
 {
@@ -22014,6 +22483,7 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, co
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
         sfemi_safeguard_apply_handles(b, &b->schur, b->safeguard.frame, x);
     }
+    sfemi_correct_yield(b, q, x);
     for (i = 0; i < n; ++i) x[i] *= q->d;
     ++b->state.head->solves;
 }
@@ -22096,9 +22566,32 @@ static void sfemi_correct_evaluate(sfem_body *b, const sfemi_equation *q)
     ++b->state.head->evaluations;
 }
 
+/* What the next one has to be corrected by for handles at their limit, whose potential is not quadratic. */
+static sfem_real sfemi_correct_slip(sfem_body *b, const sfemi_equation *q, const sfem_real *dir, sfem_real length)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real h = b->step.h, most = b->spring.most * sfemi_spring_compliance(&b->spring, h);
+    sfem_real sum = 0;
+    sfem_int i;
+    int c;
+    if (!g->springs || most == 0) return 0;
+    (void)sfemi_correct_springs(b, b->safeguard.w, 0, g->lambda);
+    (void)sfemi_correct_springs(b, b->safeguard.trial_w, 0, g->place);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real *to = g->lambda + 3 * i, *from = g->place + 3 * i, mean[3];
+        if (sfemi_dot3(to, to) <= most * most && sfemi_dot3(from, from) <= most * most) continue;
+        sum -= sfemi_spring_force(&b->spring, h, to) / q->h;
+        sum += sfemi_spring_force(&b->spring, h, from) / q->h;
+        sfemi_schur_mean(&r, dir, mean);
+        for (c = 0; c < 3; ++c) sum += length / 2 * mean[c] * (to[c] + from[c]);
+    }
+    return sum;
+}
+
 /* By how much the potential of r is lower at `to` than at `from`, along the straight line between: exact, for
  * all but Psi is quadratic there. (Of a caller's damping, which may have none, the mean of both ends.) */
-static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
+static sfem_real sfemi_correct_fall(sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
                                     sfem_real length, sfem_real psi_from, sfem_real psi_to)
 {
     const sfemi_safeguard *g = &b->safeguard; /* trial: from, the others: to */
@@ -22107,7 +22600,7 @@ static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q,
     size_t i;
     for (i = 0; i < n; ++i)
         sum += dir[i] * (g->grad[i] + g->trial_grad[i] - q->end * (g->f[i] + g->trial_f[i]));
-    return q->end / q->h * (psi_from - psi_to) + length / 2 * sum;
+    return q->end / q->h * (psi_from - psi_to) + length / 2 * sum + sfemi_correct_slip(b, q, dir, length);
 }
 
 /* Goes along dir by Armijo's rule, and, unless dir comes of an upper bound, not far beyond the least: where the
@@ -22128,6 +22621,7 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
             const sfem_real d = g->w[i] - b->state.w[i];
             most += b->model->node_mass[i / 3] * d * d / (2 * q->d);
         }
+        most += sfemi_correct_springs(b, g->w, 1, b->schur.lambda) / q->h;
         if (slope > 2 * most) length = 2 * most / slope; /* tets stretched a thousandfold are 1e12 times as stiff */
     }
     sfemi_correct_swap_trial(g);
@@ -22149,13 +22643,14 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
     return 0;
 }
 
-/* The multipliers of the handles that r leaves, in the mass norm. */
+/* The multipliers of the handles that r leaves, in the mass norm; the forces of those that yield. */
 static void sfemi_correct_find_handle_forces(sfem_body *b)
 {
     sfemi_schur *schur = &b->schur;
     const sfem_int k = schur->count;
     sfem_int i, p;
     int c;
+    (void)sfemi_correct_springs(b, b->safeguard.w, 1, schur->lambda);
     for (i = 0; i < k; ++i) {
         const sfemi_region r = sfemi_region_of(&b->state, schur->slot[i]);
         for (c = 0; c < 3; ++c) {
@@ -22175,7 +22670,7 @@ static sfem_real sfemi_safeguard_excess(sfem_body *b)
     const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state_head *head = b->state.head;
     const sfem_real ec = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec;
-    if (b->schur.count) sfemi_correct_find_handle_forces(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_correct_find_handle_forces(b);
     return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_safeguard_fallback_work(b);
 }
 
@@ -22297,7 +22792,12 @@ static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation
         const sfem_real p[3] = {x[3 * i] + u[3 * i], x[3 * i + 1] + u[3 * i + 1], x[3 * i + 2] + u[3 * i + 2]};
         sum += k * k * sfemi_dot3(p, p) * inverse;
     }
-    return 1e-32 * q->h * q->d * sum;
+    sum *= q->h * q->d;
+    for (i = 0; i < b->schur.springs; ++i) {
+        const sfem_real *t = b->state.handle[b->schur.slot[i]].path.target;
+        sum += sfemi_dot3(t, t) / sfemi_spring_compliance(&b->spring, b->step.h);
+    }
+    return 1e-32 * sum;
 }
 
 /* From the trial in guard to the solution of the equation. A trial that is not finite is left to be rejected. */
@@ -22331,7 +22831,7 @@ static void sfemi_correct(sfem_body *b)
                                   tolerance);
     if (cheap > 0 && first > 0)
         head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
-    if (b->schur.count) sfemi_correct_find_handle_forces(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_correct_find_handle_forces(b);
     for (i = 0; i < n; ++i) b->acc[i] = (g->w[i] - b->state.w[i]) / q.d;
 }
 
@@ -22496,7 +22996,7 @@ static void sfemi_safeguard_freeze(sfem_body *b, const sfemi_equation *q)
 static void sfemi_safeguard_find_columns(sfem_body *b, const sfem_factor *f)
 {
     sfem_int i;
-    for (i = 0; i < b->schur.count; ++i) {
+    for (i = 0; i < sfemi_schur_rows(&b->schur); ++i) {
         const sfem_int slot = b->schur.slot[i];
         const sfemi_region r = sfemi_region_of(&b->state, slot);
         sfemi_schur_columns(f, &r, b->model->mesh.nodes, b->schur.y[slot], b->workspace->work, &b->exec);
@@ -22710,7 +23210,7 @@ static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
     }
     head->budget += sfemi_safeguard_fallback_work(b);
 done:
-    if (b->schur.count) sfemi_body_forget_columns(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_body_forget_columns(b);
     return status;
 }
 
@@ -22782,7 +23282,7 @@ static void sfemi_safeguard_finish(sfem_body *b)
     sfem_int k;
     size_t i;
     int c;
-    for (k = 0; k < b->schur.count; ++k)
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k)
         memcpy(s->handle[b->schur.slot[k]].force, b->schur.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_safeguard_update_budget(b);
     head->psi = g->psi;
@@ -22864,7 +23364,7 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
         work += load * sfemi_fracture_way(b, i);
     }
     if (g->rejected) return work;
-    for (k = 0; k < b->schur.count; ++k) {
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
         const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
         for (l = 0; l < r.count; ++l)
             for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
@@ -23434,7 +23934,7 @@ static void sfemi_method_note_handle_forces(sfem_body *b)
 {
     const sfemi_schur *g = &b->schur;
     sfem_int i;
-    for (i = 0; i < g->count; ++i)
+    for (i = 0; i < sfemi_schur_rows(g); ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
 }
 
@@ -23495,7 +23995,10 @@ static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_linear_correct_momentum(b);
-    if (b->step.bridges) sfemi_resume_bridge_correct(b, b->acc);
+    if (b->step.bridges) {
+        sfemi_resume_bridge_pull(b, b->acc);
+        sfemi_resume_bridge_correct(b, b->acc);
+    }
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     return sfemi_method_check_acceleration(b, err);
@@ -23539,7 +24042,10 @@ static void sfemi_linear_finish(sfem_body *b)
     else if (b->scheme.newmark) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
     b->state.head->started = b->step.bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
-    if (b->scheme.newmark) sfemi_method_finish_handles(b);
+    if (b->scheme.newmark) {
+        sfemi_newmark_settle(b, 1 / b->def.gamma);
+        sfemi_method_finish_handles(b);
+    }
 }
 
 static sfem_real sfemi_linear_elastic(sfem_body *b)
@@ -23600,6 +24106,7 @@ static void sfemi_newton_finish(sfem_body *b)
     sfemi_method_note_handle_forces(b);
     sfemi_implicit_finish(b);
     b->state.head->started = SFEMI_RUNNING;
+    sfemi_newmark_settle(b, b->scheme.euler ? 0 : b->implicit.stage.hand / b->implicit.stage.m1);
     sfemi_method_finish_handles(b);
 }
 
@@ -23743,6 +24250,7 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.newton.load_steps = 1;
     d.max_handles = 16;
     d.max_handle_nodes = 512;
+    d.handle_compliance = 1e-3;
     d.sleep_time = 0.5;
     return d;
 }
@@ -23789,6 +24297,10 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (d->max_handle_nodes < 0 || d->max_handle_nodes > 1 << 24)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handle_nodes is %d, must be 0 to 2^24",
                           (int)d->max_handle_nodes);
+    if (!(d->handle_compliance == 0 || (d->handle_compliance >= 1e-8 && d->handle_compliance <= 1e3)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "handle_compliance is %g, must be 0 or 1e-8 to 1e3", d->handle_compliance);
+    if (!(sfemi_finite(d->handle_max_force) && d->handle_max_force >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "handle_max_force is %g N, must be >= 0 (0: no limit)", d->handle_max_force);
     return sfemi_implicit_check(d, err);
 }
 
@@ -23908,6 +24420,9 @@ static void sfemi_body_free_schur(sfem_body *b, sfemi_schur *g)
     sfemi_delete(al, g->wm);
     sfemi_delete(al, g->lambda);
     sfemi_delete(al, g->place);
+    sfemi_delete(al, g->yield);
+    sfemi_delete(al, g->pull);
+    sfemi_delete(al, g->shifts);
     sfemi_delete(al, g->spread);
     sfemi_delete(al, g->group);
 }
@@ -23924,6 +24439,11 @@ static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur
     SFEMI_NEW(sfem_real, g->wm, al, 3 * k * k);
     SFEMI_NEW(sfem_real, g->lambda, al, 3 * k);
     SFEMI_NEW(sfem_real, g->place, al, 3 * k);
+    if (b->spring.c > 0) {
+        SFEMI_NEW(sfem_real, g->yield, al, 9 * k * k);
+        SFEMI_NEW(sfem_real, g->pull, al, 3 * k);
+        SFEMI_NEW(sfem_real, g->shifts, al, k);
+    }
     SFEMI_NEW(sfem_real, g->spread, al, b->model->mesh.nodes);
     SFEMI_NEW(sfem_int, g->group, al, k);
 done:
@@ -24043,6 +24563,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->alpha;
     b->beta = model->beta + def->beta_k;
     b->model = model;
+    b->spring = sfemi_spring_make(model, def);
     sfemi_method_choose(b, def);
     b->sleeps = def->sleep_tolerance > 0;
     b->def.damage = NULL;
@@ -24100,7 +24621,7 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         count += b->state.handle[i].used;
     }
     if (count || b->def.no_allocation) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
-    g->count = 0;
+    g->count = g->springs = count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
         if (!g->ready[i] && !b->implicit.system.matrix.val) { /* else the columns change all the time */
@@ -24108,8 +24629,10 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
             sfemi_schur_columns(sfemi_body_active(b), &r, b->model->mesh.nodes, g->y[i], b->workspace->work, &b->exec);
         }
         g->ready[i] = 1;
-        g->slot[g->count++] = i;
+        g->slot[count++] = i;
     }
+    if (b->spring.c > 0) g->springs = count;
+    else g->count = count;
     sfemi_schur_gather(g, &b->state, b->model, b->scheme.rotates, b->mask);
     if (b->scheme.rotates && (b->model->rotates || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
         b->def.no_allocation && !b->def.no_guard) {
@@ -24364,9 +24887,10 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
     }
     b->begun = 0;
     for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    for (i = 0; i < g->springs; ++i) memcpy(g->place + 3 * i, b->state.handle[g->slot[i]].path.target, 3 * sizeof *g->place);
     if (b->damage) sfemi_fracture_round(b);
     b->scheme.method->finish(b);
-    for (i = 0; i < g->count; ++i)
+    for (i = 0; i < sfemi_schur_rows(g); ++i)
         sfemi_target_advance(&b->state.handle[g->slot[i]].path, g->place + 3 * i);
     b->state.head->time += b->step.h;
     b->state.head->h = b->step.h;
@@ -24741,6 +25265,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, sfem_int count, const sfem_int 
     b->schur.ready[slot] = 0;
     b->schur.dirty = 1;
     sfemi_schur_group(&b->schur, &b->state, b->def.max_handles);
+    if (b->spring.c > 0) b->state.head->pairs = 0; /* theirs are of another second derivative */
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
     *handle = slot;
@@ -24823,6 +25348,7 @@ SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->schur.ready[handle] = 0;
     b->schur.dirty = 1;
+    if (b->spring.c > 0) b->state.head->pairs = 0;
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
     /* what the handle had put into motion, and would let steps make a share of, may be gone long since */
@@ -24943,6 +25469,8 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
                                                      3 * sizeof(sfem_int) + sizeof(sfem_real *));
     if (b->def.max_handles) info.body_bytes += (size_t)info.nodes * sizeof *b->schur.spread;
+    if (b->spring.c > 0)
+        info.body_bytes += (size_t)b->def.max_handles * (9 * (size_t)b->def.max_handles + 4) * sizeof(sfem_real);
     if (b->rotated.piece_of) /* as sfemi_body_allocate_rotated has it */
         info.body_bytes += (size_t)info.nodes * sizeof *b->rotated.piece_of +
                            (size_t)(b->bonds ? info.nodes : b->rotated.pieces) * sizeof *b->rotated.piece;
@@ -25385,10 +25913,10 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
  * ============================================================================================ */
 
-/* Is the handle one node's alone? */
+/* Is the handle a constraint on one node alone? */
 static int sfemi_body_is_node_handle(const sfem_body *b, sfem_int handle)
 {
-    return b->state.handle[handle].used && b->state.handle[handle].count == 1;
+    return b->state.handle[handle].used && b->state.handle[handle].count == 1 && b->spring.c == 0;
 }
 
 /* The first node of a handle. */
@@ -25434,19 +25962,20 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
 {
     sfemi_schur *g = &b->schur;
     sfem_status status = SFEM_OK;
-    sfem_int k;
-    g->count = 0;
+    sfem_int k, rows = 0;
+    g->count = g->springs = 0;
     for (k = 0; k < b->def.max_handles; ++k) {
         const sfemi_region r = sfemi_region_of(&b->state, k);
         g->ready[k] = 0;
         if (!b->state.handle[k].used || sfemi_body_is_node_handle(b, k)) continue;
         SFEMI_TRY(sfemi_schur_reserve(b, g, k, err));
         if (apply) sfemi_schur_columns(f, &r, b->model->mesh.nodes, g->y[k], b->workspace->work, &b->exec);
-        g->slot[g->count++] = k;
+        g->slot[rows++] = k;
     }
-    if (apply && g->count) {
+    if (apply && rows) {
+        *(b->spring.c > 0 ? &g->springs : &g->count) = rows;
         sfemi_schur_gather(g, &b->state, b->model, 0, f->mask);
-        for (k = 0; k < g->count; ++k) {
+        for (k = 0; k < rows; ++k) {
             const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
             sfem_real rest[3];
             int c;
@@ -25454,12 +25983,24 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
             for (c = 0; c < 3; ++c)
                 g->lambda[3 * k + c] = b->state.handle[g->slot[k]].path.target[c] - rest[c];
         }
-        sfemi_schur_apply(g, &b->state, b->model->mesh.nodes, u);
-        for (k = 0; k < g->count; ++k)
+        if (g->count) {
+            sfemi_schur_apply(g, &b->state, b->model->mesh.nodes, u);
+        } else {
+            for (k = 0; k < rows; ++k) {
+                const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+                sfem_real mean[3];
+                int c;
+                sfemi_schur_mean(&r, u, mean);
+                for (c = 0; c < 3; ++c) g->lambda[3 * k + c] -= mean[c];
+            }
+            sfemi_spring_solve(g, b->spring.c, b->spring.most);
+            sfemi_schur_add(g, b->model->mesh.nodes, u);
+        }
+        for (k = 0; k < rows; ++k)
             memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
     }
 done:
-    g->count = 0;
+    g->count = g->springs = 0;
     g->dirty = 1;
     return status;
 }
@@ -25484,26 +26025,38 @@ static void sfemi_body_static_forces(sfem_body *b)
     }
 }
 
+/* What holds a body may be handles that yield, which are not in its matrix: a little mass makes that positive definite.
+ * Newton's iteration takes it out again. */
+static sfem_real sfemi_body_static_mass(const sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_real sum = 0;
+    sfem_int i;
+    for (i = 0; i < model->mesh.nodes; ++i) sum += model->stiffness.val[9 * ((size_t)model->row[i + 1] - 1)];
+    return 1e-8 * sum / model->total_mass;
+}
+
 /* The static solution of a nonlinear model, to acc. */
 static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key *key, sfem_error *err)
 {
     sfemi_schur *g = &b->schur;
     sfemi_system system;
     sfem_status status = SFEM_OK;
-    sfem_int k;
+    sfem_int k, rows = 0;
     memset(&system, 0, sizeof system);
     SFEMI_TRY(sfemi_implicit_reserve(b, err));
     SFEMI_TRY(sfemi_system_open(b, key, &system, err));
     SFEMI_TRY(sfemi_workspace_reserve_work(b, system.factor, 3, err));
     SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
     for (k = 0; k < b->def.max_handles; ++k)
-        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) g->slot[g->count++] = k;
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) g->slot[rows++] = k;
+    *(b->spring.c > 0 ? &g->springs : &g->count) = rows;
     sfemi_body_static_known(b, b->implicit.best);
     SFEMI_TRY(sfemi_implicit_equilibrium(b, &system, b->implicit.best, b->acc, err));
-    for (k = 0; k < g->count; ++k)
+    for (k = 0; k < rows; ++k)
         memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
 done:
-    g->count = 0;
+    g->count = g->springs = 0;
     g->dirty = 1;
     sfemi_factor_release(b->model, system.factor);
     sfemi_system_close(b, &system);
@@ -25519,8 +26072,11 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     sfem_factor *f = NULL;
     sfem_status status = SFEM_OK;
     size_t i;
+    sfem_int k;
+    int yields = 0;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
+    for (k = 0; k < b->def.max_handles; ++k) yields |= b->spring.c > 0 && b->state.handle[k].used;
     if (b->damage && b->damage->tets)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
@@ -25532,10 +26088,13 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
-    if (!sfemi_implicit_linear(b->model)) {
+    if (sfemi_implicit_linear(b->model))
+        status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
+    if (!sfemi_implicit_linear(b->model) || (status == SFEM_NOT_SPD && yields)) {
+        if (yields) key.cm = sfemi_body_static_mass(b);
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
-        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
+        SFEMI_TRY(status);
         SFEMI_TRY(sfemi_workspace_reserve_work(b, f, 3, err));
         SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
         sfemi_body_static_known(b, b->zk);
