@@ -18395,7 +18395,8 @@ static void sfemi_schur_project(sfemi_schur *g, const sfemi_state *s, const sfem
  *   1. That is the gradient of a convex potential, |g|^2/2C', or F |g| - F^2 C'/2. Backward Euler's form of it takes
  *      from the energy of spring and body whatever h is: a target that stands still never adds to it.
  *   2. The force is an impulse h l of its step: no integrator takes it over to the next one as an acceleration (see
- *      >>newmark, >>implicit), so that nothing rings and letting go leaves nothing behind.
+ *      >>newmark, >>implicit), so that nothing rings and letting go leaves nothing behind but what (p,q,r)'s
+ *      history has, see >>resume.
  *   3. With u' = u0' + s Y l it is  (S + C'/s + mu) l = (t' - H u0')/s,  mu >= 0 where |l| = F, else 0. A target out of
  *      reach is followed with F in the direction of what is left, mu l. This is the least of a convex
  *      function over balls: by block Gauss-Seidel, in the order of the handles.
@@ -18890,6 +18891,40 @@ static void sfemi_newmark_settle(sfem_body *b, sfem_real part)
     sfemi_body_mass_solve(b, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->state.a[i] -= part * x[i];
+}
+
+/* (1/4, 1/2) makes v' = 2 (x' - x)/h - v of a handle that is stiff beside the step, and rings with it. So its v' becomes
+ * (x' - x)/h by the least change in the mass norm, where that does not add to the kinetic energy. Returns whether
+ * any has changed. */
+static int sfemi_newmark_calm(sfem_body *b)
+{
+    static const sfem_real one[3] = {1, 1, 1};
+    const sfemi_schur *g = &b->schur;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *column = b->spare ? b->spare : b->implicit.step;
+    int changed = 0, c;
+    sfem_int k;
+    size_t i;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfem_real x[3], v[3], way[3], inverse[3], before = 0, after = 0;
+        memset(b->rhs, 0, n * sizeof *b->rhs);
+        sfemi_schur_spread(&r, one, b->mask, b->rhs);
+        sfemi_body_mass_solve(b, column); /* the axes do not mix */
+        sfem_body_handle_position(b, g->slot[k], x);
+        sfemi_schur_mean(&r, b->state.w, v);
+        sfemi_schur_mean(&r, column, inverse);
+        for (c = 0; c < 3; ++c) {
+            way[c] = (x[c] - g->place[3 * k + c]) / b->step.h;
+            before += inverse[c] > 0 ? v[c] * v[c] / inverse[c] : 0;
+            after += inverse[c] > 0 ? way[c] * way[c] / inverse[c] : 0;
+        }
+        if (!(after < before)) continue;
+        changed = 1;
+        for (c = 0; c < 3; ++c) way[c] = inverse[c] > 0 ? (way[c] - v[c]) / inverse[c] : 0;
+        for (i = 0; i < n; ++i) b->state.w[i] += way[i % 3] * column[i];
+    }
+    return changed;
 }
 
 /* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
@@ -23941,10 +23976,15 @@ static void sfemi_method_note_handle_forces(sfem_body *b)
 /* v and a of the handles' points; the acceleration that a new handle makes stale is found again, see below. */
 static void sfemi_method_finish_handles(sfem_body *b)
 {
+    const int damped = b->beta != 0 || b->zd;
+    if (b->schur.springs) {
+        if (sfemi_newmark_calm(b) && damped) b->state.head->started = SFEMI_RESTARTED;
+        return;
+    }
     sfemi_newmark_finish_handles(b, b->schur.place);
     /* a node that is taken while it moves changes its velocity, and D v: the acceleration is found again. Without that,
      * stiffness damping makes energy, three times what there was */
-    if (sfemi_resume_takes(b) && (b->beta != 0 || b->zd)) b->state.head->started = SFEMI_RESTARTED;
+    if (sfemi_resume_takes(b) && damped) b->state.head->started = SFEMI_RESTARTED;
 }
 
 /* ---- linear bodies ---- */
@@ -24107,7 +24147,7 @@ static void sfemi_newton_finish(sfem_body *b)
     sfemi_implicit_finish(b);
     b->state.head->started = SFEMI_RUNNING;
     sfemi_newmark_settle(b, b->scheme.euler ? 0 : b->implicit.stage.hand / b->implicit.stage.m1);
-    sfemi_method_finish_handles(b);
+    if (!b->schur.springs || (!b->scheme.euler && b->scheme.stages == 1)) sfemi_method_finish_handles(b);
 }
 
 static sfem_real sfemi_newton_elastic(sfem_body *b)
@@ -24886,12 +24926,13 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
         return status;
     }
     b->begun = 0;
-    for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
-    for (i = 0; i < g->springs; ++i) memcpy(g->place + 3 * i, b->state.handle[g->slot[i]].path.target, 3 * sizeof *g->place);
+    for (i = 0; i < sfemi_schur_rows(g); ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
     b->scheme.method->finish(b);
-    for (i = 0; i < sfemi_schur_rows(g); ++i)
-        sfemi_target_advance(&b->state.handle[g->slot[i]].path, g->place + 3 * i);
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        sfemi_target *path = &b->state.handle[g->slot[i]].path;
+        sfemi_target_advance(path, g->springs ? path->target : g->place + 3 * i);
+    }
     b->state.head->time += b->step.h;
     b->state.head->h = b->step.h;
     b->state.head->p = b->p;

@@ -51,7 +51,7 @@ static void open_scene(scene *s, const scheme *k, sfem_block_cells kind, double 
     const sfem_int cells[3] = {6, 2, 2};
     const double size[3] = {4, 1, 1};
     sfem_model_def def = sfem_default_model_def();
-    sfem_body_def body = sfem_default_body_def();
+    sfem_body_def body = exact_body_def();
     sfem_mesh mesh;
     sfem_error err;
     sfem_real *u, *v;
