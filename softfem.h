@@ -399,6 +399,24 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
 SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
                               sfem_int *tet, sfem_real bary[4]);
 
+/* PATCHES for sfem_body_grab_region and sfem_modal_grab_region: the nodes less than radius away from a point, in
+ * ascending order, with weights that add up to 1,
+ *   weight_i = a_i (1 - d_i^2/radius^2)^2 / sum,   d_i the distance, a_i a third of the area of the node's triangles, or
+ *                                                  a fourth of the volume of its tets
+ * so that neither the edge of the patch nor the density of the mesh shows in what pulls at it. Where no node is that
+ * near, the nearest one alone.
+ *   room    of node and weight [room], >= 1; *count: how many there are
+ *   errors  SFEM_BAD_ARGUMENT (radius, room, no tets), SFEM_NOT_FINITE (point), SFEM_FULL (more than room: *count tells how
+ *           many), SFEM_BAD_MESH (node number of a tet or triangle), SFEM_OUT_OF_MEMORY
+ *   cost    O(nodes + triangles or tets); scratch from the mesh's allocator */
+typedef struct sfem_patch {
+    const sfem_real *x;          /* [nodes][3] current positions, m; NULL: at rest */
+    sfem_real point[3], radius;  /* m; radius >= 0 */
+    const sfem_surface *surface; /* of sfem_mesh_surface: its nodes only; NULL: all nodes in tets */
+} sfem_patch;
+SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_int *node,
+                                    sfem_real *weight, sfem_int *count, sfem_error *err);
+
 #ifndef SFEM_NO_MESHIO
 /* ============================================================================================
  * >>api-meshio   files
@@ -1308,8 +1326,8 @@ typedef struct sfem_body_def {
     sfem_int pin_count;
     sfem_int max_handles;     /* handles at a time; memory 9*8*nodes bytes for each in use */
     sfem_int max_handle_nodes; /* nodes in all their regions, 512; at least 4 max_handles. 12 bytes each of state */
-    sfem_real handle_compliance; /* eps, 0 or 1e-8 to 1e3: a handle yields eps times as much as a cube of the body's volume
-                               * and stiffness; see HANDLES. 0: not at all, an exact constraint */
+    sfem_real handle_compliance; /* eps, 1e-8 to 1e3, 1e-3 by default: a handle yields eps times as much as a cube of the
+                               * body's volume and stiffness; or 0: not at all, a constraint. See HANDLES */
     sfem_real handle_max_force;  /* N, >= 0: no handle pulls harder; 0, the default: no limit */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; .5 */
@@ -1509,11 +1527,26 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *body, sfem_int node, const sf
                                         sfem_error *err);
 SFEM_DEF void sfem_body_reactions(sfem_body *body, sfem_real *force /* [nodes][3] */);
 
-/* Handles take hold of a node, or of a point inside a tet (barycentric coordinates), while the body runs,
- * without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l where H x' is the target.
- * A handle's number stays its own until it is released. The force is that of the handle on the body over
- * the last step, N. Handles that others already determine (five points of one tet) carry no force.
- *   errors  SFEM_FULL past max_handles: pin the nodes instead; SFEM_BAD_ARGUMENT (pinned node, ...) */
+/* HANDLES take hold of a node, of a point inside a tet (barycentric coordinates), or of the weighted mean of the nodes of
+ * a region, while the body runs, without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l. A single
+ * node of a soft body draws a needle out of it; a region (sfem_mesh_near picks the nodes) does not. A handle takes hold
+ * where it is: that place is its target until moved. Its number stays its own until it is released. The force l is that
+ * of the handle on the body over the last step, N; node k of a region carries weight[k] of it.
+ *   def.handle_compliance = eps > 0, 1e-3 by default: a handle is a spring and a damper on its target t,
+ *     t - x = C l + tau x',   C = eps/(E V^(1/3)), m/N,   tau = 2 sqrt(C m)
+ * E Young's modulus (harmonic mean), V the volume, m the mass of the whole body: C is eps times the compliance of a
+ * cube of that volume, whatever the mesh, the step and what else is held. It is critically damped with all of the body's
+ * mass. At 1e-3 it lags behind a hand by some 2 % of its size over the time that a wave takes to
+ * cross the body; noise, jumps and contradictions of targets make forces that do not grow as steps
+ * shrink, and a target that stands still never gives energy. Static solutions have tau = 0.
+ *   eps = 0: constraints, x = t to rounding at the end of each step, whatever force that takes; 1 mm of noise is
+ * v = 1 mm/h. Handles that others already determine (five points of one tet) then carry no force.
+ *   def.handle_max_force = F > 0: |l| <= F. A target out of reach is followed with F in its direction: the handle slips.
+ * eps is then 1e-6 at least. A static solution needs what is held to balance the loads with such forces.
+ *   weight  [count] shares that sum to 1, or NULL: equal. Nodes may stand in several regions
+ *   cost    three solves when taken (in sfem_body_prepare), one sum over three columns in a solve
+ *   errors  SFEM_FULL past max_handles or max_handle_nodes: pin the nodes instead; SFEM_BAD_ARGUMENT (all nodes pinned,
+ *           in no tet, weights), SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *body, sfem_int node, sfem_int *handle,
                                          sfem_error *err);
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *body, sfem_int tet, const sfem_real bary[4],
@@ -1525,6 +1558,13 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, con
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
+typedef struct sfem_handle_info {
+    sfem_int nodes;
+    sfem_real x[3], target[3], force[3]; /* m, m, N */
+    sfem_real compliance, tau; /* C, m/N; s. 0: a constraint */
+    int slips;                 /* the force is at its limit */
+} sfem_handle_info;
+SFEM_DEF sfem_handle_info sfem_body_get_handle(const sfem_body *body, sfem_int handle);
 
 /* Fracture, of a body made with a damage definition (>>api-damage); on others these trip SFEM_ASSERT, but
  * for sfem_body_fracture. At the end of a step edges are judged at its midpoint, in one round: an edge
@@ -4155,6 +4195,91 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     if (tet) *tet = found;
     if (bary) memcpy(bary, best, sizeof best);
     return 1;
+}
+
+/* a_i of every node, see sfem_mesh_near. */
+static sfem_status sfemi_mesh_shares(const sfem_mesh *mesh, const sfem_surface *surface, const sfem_real *x,
+                                     sfem_real *share, sfem_error *err)
+{
+    const sfem_int corners = surface ? 3 : 4, count = surface ? surface->triangles : mesh->tets;
+    const sfem_int *corner = surface ? surface->tri : mesh->tet;
+    sfem_int e;
+    int k, c;
+    for (e = 0; e < count; ++e, corner += corners) {
+        sfem_real edge[3][3], cross[3], size;
+        for (k = 0; k < corners; ++k)
+            if (corner[k] < 0 || corner[k] >= mesh->nodes)
+                return sfemi_fail(err, SFEM_BAD_MESH, "%s %d names node %d, the mesh has %d", surface ? "triangle" : "tet",
+                                  (int)e, (int)corner[k], (int)mesh->nodes);
+        for (k = 1; k < corners; ++k)
+            for (c = 0; c < 3; ++c) edge[k - 1][c] = x[3 * (size_t)corner[k] + (size_t)c] - x[3 * (size_t)corner[0] + (size_t)c];
+        sfemi_cross(edge[0], edge[1], cross);
+        size = surface ? sqrt(sfemi_dot3(cross, cross)) / 6 : fabs(sfemi_dot3(cross, edge[2])) / 24;
+        for (k = 0; k < corners; ++k) share[corner[k]] += size;
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_mesh_check_patch(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_error *err)
+{
+    if (!(sfemi_finite(patch->radius) && patch->radius >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the radius of a patch is %g m, must be >= 0", patch->radius);
+    if (!sfemi_all_finite(patch->point, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "the point of a patch is not finite");
+    if (room < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is room for %d nodes, must be >= 1", (int)room);
+    if (mesh->nodes < 1 || mesh->tets < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the mesh has no tets");
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_int *node,
+                                    sfem_real *weight, sfem_int *count, sfem_error *err)
+{
+    const sfem_real *x;
+    sfem_real *share = NULL, sum = 0, least = -1;
+    sfem_int i, near = 0, nearest = -1;
+    sfem_status status = SFEM_OK;
+    int c;
+    SFEM_ASSERT(mesh && patch && node && weight && count);
+    SFEMI_TRY(sfemi_mesh_check_patch(mesh, patch, room, err));
+    x = patch->x ? patch->x : mesh->x;
+    SFEMI_NEW(sfem_real, share, &mesh->allocator, mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_shares(mesh, patch->surface, x, share, err));
+    for (i = 0; i < mesh->nodes; ++i) {
+        const sfem_real r2 = patch->radius * patch->radius;
+        sfem_real d[3], d2, k;
+        if (!(share[i] > 0)) continue;
+        for (c = 0; c < 3; ++c) d[c] = x[3 * (size_t)i + (size_t)c] - patch->point[c];
+        d2 = sfemi_dot3(d, d);
+        if (nearest < 0 || d2 < least) {
+            nearest = i;
+            least = d2;
+        }
+        if (!(d2 < r2)) continue;
+        k = share[i] * (1 - d2 / r2) * (1 - d2 / r2);
+        if (near < room) {
+            node[near] = i;
+            weight[near] = k;
+        }
+        ++near;
+        sum += k;
+    }
+    *count = near;
+    if (near > room) {
+        status = sfemi_fail(err, SFEM_FULL, "the patch has %d nodes, there is room for %d", (int)near, (int)room);
+        goto done;
+    }
+    if (nearest < 0) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "no node has an area or a volume about it");
+        goto done;
+    }
+    if (!(sum > 0)) {
+        *count = near = 1;
+        *node = nearest;
+        *weight = sum = 1;
+    }
+    for (i = 0; i < near; ++i) weight[i] /= sum;
+done:
+    sfemi_delete(&mesh->allocator, share);
+    return status;
 }
 
 /* Are the nodes of a tet on both sides of a plane through the origin of a ray? For two planes along
@@ -18893,9 +19018,9 @@ static void sfemi_newmark_settle(sfem_body *b, sfem_real part)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->state.a[i] -= part * x[i];
 }
 
-/* (1/4, 1/2) makes v' = 2 (x' - x)/h - v of a handle that is stiff beside the step, and rings with it. So its v' becomes
- * (x' - x)/h by the least change in the mass norm, where that does not add to the kinetic energy. Returns whether
- * any has changed. */
+/* (1/4, 1/2) makes v' = 2 (x' - x)/h - v of a handle that is stiff beside the step, and rings with it. So its v' goes
+ * towards (x' - x)/h, by S/(S + C'/s) of the way, all of it where it is stiff, by the least change in the mass norm, where
+ * that does not add to the kinetic energy. Returns whether any has changed. */
 static int sfemi_newmark_calm(sfem_body *b)
 {
     static const sfem_real one[3] = {1, 1, 1};
@@ -18907,7 +19032,9 @@ static int sfemi_newmark_calm(sfem_body *b)
     size_t i;
     for (k = 0; k < g->springs; ++k) {
         const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
-        sfem_real x[3], v[3], way[3], inverse[3], before = 0, after = 0;
+        sfem_real x[3], v[3], way[3], inverse[3], before = 0, after = 0, own = 0;
+        for (c = 0; c < 3; ++c) own += g->s[(3 * k + c) * (3 * g->springs + 1)] / 3;
+        if (!(own > 0 && g->shift > 0)) continue;
         memset(b->rhs, 0, n * sizeof *b->rhs);
         sfemi_schur_spread(&r, one, b->mask, b->rhs);
         sfemi_body_mass_solve(b, column); /* the axes do not mix */
@@ -18921,7 +19048,7 @@ static int sfemi_newmark_calm(sfem_body *b)
         }
         if (!(after < before)) continue;
         changed = 1;
-        for (c = 0; c < 3; ++c) way[c] = inverse[c] > 0 ? (way[c] - v[c]) / inverse[c] : 0;
+        for (c = 0; c < 3; ++c) way[c] = inverse[c] > 0 ? own / (own + g->shift) * (way[c] - v[c]) / inverse[c] : 0;
         for (i = 0; i < n; ++i) b->state.w[i] += way[i % 3] * column[i];
     }
     return changed;
@@ -19304,6 +19431,7 @@ typedef struct sfemi_newton {
     int once;            /* one solve, whatever comes of it */
     int ready;           /* d is evaluated */
     int feasible;        /* pins and handles are where they have to be */
+    sfem_real loose;     /* statics: of M in the matrix, where nothing but handles that yield may hold the body */
     sfem_real scale;     /* what |r| is compared with */
     sfem_real floor_u, floor_d, edge; /* |r| that rounding makes of displacements, see below */
     sfem_real best;      /* the least relative |r| so far, that of implicit.best */
@@ -19523,10 +19651,10 @@ static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int projec
 {
     const sfem_tangent kind = project ? SFEM_TANGENT_PSD : b->def.newton.tangent;
     const sfem_real inertia = b->implicit.still ? 0 : b->implicit.stage.m1 * b->implicit.stage.c2;
-    sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
+    sfem_status status = sfemi_newton_factor(b, t, kind, t->loose, err);
     sfem_real shift;
     int tries;
-    if (status != SFEM_NOT_SPD || (sfemi_implicit_linear(b->model) && !b->implicit.still)) return status;
+    if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
     if (kind == SFEM_TANGENT_EXACT) {
         ++b->implicit.info.projected;
         for (shift = inertia / 8; shift > 0 && shift < inertia && status == SFEM_NOT_SPD; shift *= 4)
@@ -19906,6 +20034,7 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
     m->still = 1;
     memset(&t, 0, sizeof t);
     t.system = system;
+    t.loose = system->factor->key.cm;
     t.what = "the static solution";
     t.iterations = b->def.newton.iterations > 2 ? b->def.newton.iterations : 20;
     sfemi_implicit_load(b, 0, m->amap);                            /* F */
@@ -25402,6 +25531,25 @@ SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_r
     memcpy(force, b->state.handle[handle].force, 3 * sizeof *force);
 }
 
+SFEM_DEF sfem_handle_info sfem_body_get_handle(const sfem_body *b, sfem_int handle)
+{
+    const sfemi_handle *h;
+    sfem_real most;
+    sfem_handle_info info;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    h = b->state.handle + handle;
+    most = b->spring.most * (1 - 1e-9);
+    memset(&info, 0, sizeof info);
+    info.nodes = h->count;
+    sfem_body_handle_position(b, handle, info.x);
+    memcpy(info.target, h->path.target, sizeof info.target);
+    memcpy(info.force, h->force, sizeof info.force);
+    info.compliance = b->spring.c;
+    info.tau = b->spring.tau;
+    info.slips = most > 0 && sfemi_dot3(h->force, h->force) >= most * most;
+    return info;
+}
+
 /* A step's temporaries. */
 typedef struct sfemi_scratch {
     sfem_real *rhs, *acc, *zk, *zm, *zd, *f, *q;
@@ -26066,15 +26214,19 @@ static void sfemi_body_static_forces(sfem_body *b)
     }
 }
 
-/* What holds a body may be handles that yield, which are not in its matrix: a little mass makes that positive definite.
- * Newton's iteration takes it out again. */
+/* Where less than three nodes are pinned, what holds a body may be handles that yield, which are not in its matrix: a little
+ * mass makes that positive definite. Newton's iteration takes it out again, at 1e-6 in a few steps more; far less
+ * would drown in rounding of the rigid motions. 0: there is no need. */
 static sfem_real sfemi_body_static_mass(const sfem_body *b)
 {
     const sfem_model *model = b->model;
     sfem_real sum = 0;
     sfem_int i;
+    int yields = 0;
+    for (i = 0; i < b->def.max_handles; ++i) yields |= b->spring.c > 0 && b->state.handle[i].used;
+    if (!yields || b->pin_count >= 3) return 0;
     for (i = 0; i < model->mesh.nodes; ++i) sum += model->stiffness.val[9 * ((size_t)model->row[i + 1] - 1)];
-    return 1e-8 * sum / model->total_mass;
+    return 1e-6 * sum / model->total_mass;
 }
 
 /* The static solution of a nonlinear model, to acc. */
@@ -26113,11 +26265,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     sfem_factor *f = NULL;
     sfem_status status = SFEM_OK;
     size_t i;
-    sfem_int k;
-    int yields = 0;
     SFEM_ASSERT(b);
     memset(&key, 0, sizeof key);
-    for (k = 0; k < b->def.max_handles; ++k) yields |= b->spring.c > 0 && b->state.handle[k].used;
     if (b->damage && b->damage->tets)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "a body with broken edges has no static solution: let it step");
@@ -26129,13 +26278,11 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
-    if (sfemi_implicit_linear(b->model))
-        status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
-    if (!sfemi_implicit_linear(b->model) || (status == SFEM_NOT_SPD && yields)) {
-        if (yields) key.cm = sfemi_body_static_mass(b);
+    key.cm = sfemi_body_static_mass(b);
+    if (!sfemi_implicit_linear(b->model) || key.cm > 0) {
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
-        SFEMI_TRY(status);
+        SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
         SFEMI_TRY(sfemi_workspace_reserve_work(b, f, 3, err));
         SFEMI_TRY(sfemi_body_static_handles(b, f, NULL, 0, err));
         sfemi_body_static_known(b, b->zk);
