@@ -18407,6 +18407,9 @@ static void sfemi_schur_gather_mass(sfemi_schur *g, const sfemi_state *s, const 
 
 static sfem_int sfemi_schur_rows(const sfemi_schur *g) { return g->count + g->springs; }
 
+/* Are the forces of handles that yield impulses of a step of Newmark's, or of a method like it? */
+static int sfemi_spring_is_impulse(const sfem_body *b) { return fabs(b->scheme.beta - b->scheme.gamma / 2) < 1e-12; }
+
 /* S = H Y, unless the body rotates, over the handles in g->slot; of constraints its factor, and that of W. */
 static void sfemi_schur_gather(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, int rotates,
                                const unsigned char *mask)
@@ -18519,9 +18522,9 @@ static void sfemi_schur_project(sfemi_schur *g, const sfemi_state *s, const sfem
  *   C' = C h/(h + tau),  t' = (h t + tau x0)/(h + tau),  g = t' - x:   l = g/C', or F g/|g| where that is more than F.
  *   1. That is the gradient of a convex potential, |g|^2/2C', or F |g| - F^2 C'/2. Backward Euler's form of it takes
  *      from the energy of spring and body whatever h is: a target that stands still never adds to it.
- *   2. The force is an impulse h l of its step: no integrator takes it over to the next one as an acceleration (see
- *      >>newmark, >>implicit), so that nothing rings and letting go leaves nothing behind but what (p,q,r)'s
- *      history has, see >>resume.
+ *   2. In (p,q,r) and Newmark's methods of beta = gamma/2 the force is an impulse h l of its step, and not taken over to the
+ *      next one as an acceleration (see >>newmark), so that nothing rings and letting go leaves nothing behind but
+ *      what the history of (p,q,r) has, see >>resume. In others that would not rest; they damp the ringing themselves.
  *   3. With u' = u0' + s Y l it is  (S + C'/s + mu) l = (t' - H u0')/s,  mu >= 0 where |l| = F, else 0. A target out of
  *      reach is followed with F in the direction of what is left, mu l. This is the least of a convex
  *      function over balls: by block Gauss-Seidel, in the order of the handles.
@@ -18960,7 +18963,7 @@ static void sfemi_newmark_solve(sfem_body *b)
     if (!sfemi_schur_rows(&b->schur)) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, &b->zk[i], &v);
     if (b->schur.springs) {
-        sfemi_spring_step(b, b->zk, b->def.beta * h * h, 1 / b->def.gamma, b->acc);
+        sfemi_spring_step(b, b->zk, b->def.beta * h * h, sfemi_spring_is_impulse(b) ? 1 / b->def.gamma : 1, b->acc);
         return;
     }
     sfemi_body_handle_gap(b, &b->schur, b->zk, b->def.beta * h * h);
@@ -19262,7 +19265,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         s.end = s.span = 0.5;
         h /= 2;
     }
-    s.hand = s.m1 / gamma;
+    if (sfemi_spring_is_impulse(b)) s.hand = s.m1 / gamma;
     s.c1 = gamma / (beta * h);
     s.vv = 1 - gamma / beta;
     s.va = (1 - gamma / (2 * beta)) * h;
@@ -19714,23 +19717,61 @@ static sfem_real sfemi_newton_gap(sfem_body *b)
     return sfemi_implicit_max(b->schur.lambda, 3 * (size_t)b->schur.count);
 }
 
-/* step += Y l, the forces of handles that yield at d + step. */
+/* step += H^T l, the forces of handles that yield at d, which are kept in schur.place. */
+static void sfemi_newton_push(sfem_body *b, const unsigned char *mask)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int k;
+    if (!g->springs) return;
+    (void)sfemi_newton_springs(b, 1);
+    memcpy(g->place, g->lambda, 3 * (size_t)g->springs * sizeof *g->place);
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, g->place + 3 * k, mask, b->implicit.step);
+    }
+}
+
+/* step += Y (l' - l), from the forces at d to those at d + step. Their change alone is solved for where no limit is met:
+ * of a body that nothing else holds, what l does without Y is far more than the step. */
 static void sfemi_newton_pull(sfem_body *b)
 {
     sfemi_implicit *m = &b->implicit;
     sfemi_schur *g = &b->schur;
-    const sfem_real soft = sfemi_spring_compliance(&b->spring, m->stage.span * b->step.h);
-    sfem_int k;
-    int c;
-    sfemi_newton_springs(b, 0);
+    const sfem_int size = 3 * g->springs;
+    const sfem_real shift = sfemi_spring_compliance(&b->spring, m->stage.span * b->step.h) / m->stage.hand;
+    const sfem_real most = m->stage.hand * b->spring.most;
+    sfem_real mean[3];
+    sfem_int k, j;
+    int c, over = 0;
     for (k = 0; k < g->springs; ++k) {
         const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
-        sfem_real mean[3];
         sfemi_schur_mean(&r, m->step, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * k + c] -= mean[c];
+        for (c = 0; c < 3; ++c) g->lambda[3 * k + c] = -mean[c];
     }
-    sfemi_spring_solve(g, soft / m->stage.hand, m->stage.hand * b->spring.most);
+    sfemi_spring_factor(g, shift, NULL);
+    sfemi_small_solve(g->yield, size, size, g->lambda, 1);
+    for (k = 0; most > 0 && k < g->springs; ++k) {
+        sfem_real l[3];
+        for (c = 0; c < 3; ++c) l[c] = g->lambda[3 * k + c] + g->place[3 * k + c];
+        over |= sfemi_dot3(l, l) > most * most || sfemi_dot3(g->place + 3 * k, g->place + 3 * k) > most * most * (1 - 1e-9);
+    }
+    if (over) {
+        sfemi_newton_springs(b, 0);
+        for (k = 0; k < g->springs; ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+            sfemi_schur_mean(&r, m->step, mean);
+            for (c = 0; c < 3; ++c) {
+                const sfem_int row = 3 * k + c;
+                g->lambda[row] -= mean[c];
+                for (j = 0; j < size; ++j)
+                    g->lambda[row] += (j <= row ? g->s[row * size + j] : g->s[j * size + row]) * g->place[j];
+            }
+        }
+        sfemi_spring_solve(g, shift, most);
+        for (k = 0; k < size; ++k) g->lambda[k] -= g->place[k];
+    }
     sfemi_schur_add(g, b->model->mesh.nodes, m->step);
+    for (k = 0; k < size; ++k) g->lambda[k] += g->place[k];
 }
 
 /* Newton's correction, to step; pins and handles go all their way. */
@@ -19753,6 +19794,7 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
         moved |= g[i] != 0;
     }
     if (moved) sfemi_newton_lift(b, g);
+    sfemi_newton_push(b, y->factor->mask);
     sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->workspace->work, &b->exec);
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
@@ -20037,6 +20079,7 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
     t.loose = system->factor->key.cm;
     t.what = "the static solution";
     t.iterations = b->def.newton.iterations > 2 ? b->def.newton.iterations : 20;
+    if (t.loose > 0) t.iterations *= 3;
     sfemi_implicit_load(b, 0, m->amap);                            /* F */
     sfemi_implicit_terms(b, b->state.u, NULL, NULL, m->vmap, m->q); /* f at the start */
     memset(m->mid_d, 0, n * sizeof *m->mid_d);                     /* where it converged last */
@@ -21423,7 +21466,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     sfem_real *v;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
-    if (b->spring.c > 0 && newmark && !pins) return; /* its a has nothing of them */
+    if (b->spring.c > 0 && newmark && !pins && sfemi_spring_is_impulse(b)) return; /* its a has nothing of them */
     b->phase = SFEMI_IDLE;
     b->step.fresh = 0;
     if (!b->scheme.resumes) { /* Newton's: its a is stale, too */
@@ -24212,7 +24255,7 @@ static void sfemi_linear_finish(sfem_body *b)
     else sfemi_pqr_finish(b);
     b->state.head->started = b->step.bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
     if (b->scheme.newmark) {
-        sfemi_newmark_settle(b, 1 / b->def.gamma);
+        sfemi_newmark_settle(b, sfemi_spring_is_impulse(b) ? 1 / b->def.gamma : 0);
         sfemi_method_finish_handles(b);
     }
 }
@@ -24275,7 +24318,8 @@ static void sfemi_newton_finish(sfem_body *b)
     sfemi_method_note_handle_forces(b);
     sfemi_implicit_finish(b);
     b->state.head->started = SFEMI_RUNNING;
-    sfemi_newmark_settle(b, b->scheme.euler ? 0 : b->implicit.stage.hand / b->implicit.stage.m1);
+    if (!b->scheme.euler && sfemi_spring_is_impulse(b))
+        sfemi_newmark_settle(b, b->implicit.stage.hand / b->implicit.stage.m1);
     if (!b->schur.springs || (!b->scheme.euler && b->scheme.stages == 1)) sfemi_method_finish_handles(b);
 }
 
@@ -26215,8 +26259,8 @@ static void sfemi_body_static_forces(sfem_body *b)
 }
 
 /* Where less than three nodes are pinned, what holds a body may be handles that yield, which are not in its matrix: a little
- * mass makes that positive definite. Newton's iteration takes it out again, at 1e-6 in a few steps more; far less
- * would drown in rounding of the rigid motions. 0: there is no need. */
+ * mass makes that positive definite. Newton's iteration takes it out again, in a few steps more; far less would
+ * drown in rounding of the rigid motions. 0: there is no need. */
 static sfem_real sfemi_body_static_mass(const sfem_body *b)
 {
     const sfem_model *model = b->model;
