@@ -1339,7 +1339,7 @@ typedef struct sfem_body_def {
     sfem_exec exec;
 } sfem_body_def;
 
-/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
+/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles of compliance 1e-3. */
 SFEM_DEF sfem_body_def sfem_default_body_def(void);
 
 /* Creates a body at rest in its rest position. Nothing is factored yet. O(nodes).
@@ -1410,7 +1410,7 @@ SFEM_DEF void sfem_body_wake(sfem_body *body);
 SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
 
 /* Static equilibrium f(u) = F under the forces, gravity, pins and handles of now; velocity becomes
- * zero. Handles that are nodes count as pins here. Where all laws are linear that is one solve;
+ * zero. Handles that are nodes and do not yield count as pins here. Where all laws are linear that is one solve;
  * else Newton's iteration from the present u, in steps of the load that are halved where one fails
  * (sfem_newton_def; sfem_body_newton tells how it went). It may be one equilibrium of several.
  *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like; SFEM_NOT_CONVERGED (how much of
@@ -1440,7 +1440,7 @@ SFEM_DEF sfem_status sfem_body_set_state(sfem_body *body, const sfem_real *u, co
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
 
 /* The whole state as one block of bytes: save and load it on the same build and machine, into any body of
- * the same model, pins and max_handles. It is checksummed; a block that does not fit is refused, and so is one with
+ * the same model, pins, max_handles and max_handle_nodes. It is checksummed; a block that does not fit is refused, and so is one with
  * a right checksum that holds what no body can: what was loaded is safe to use, wherever it comes from.
  *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
 SFEM_DEF size_t sfem_body_state_size(const sfem_body *body);
@@ -32991,7 +32991,8 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
- *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused
+ *           share a workspace; handles hold regions, yield and have a limit; switches that leave parts out; states saved
+ *           by 0.3.0 are refused
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
  *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed
