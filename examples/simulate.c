@@ -60,7 +60,8 @@ static const ex_option table[] = {
     {"--fix", "WHERE", NULL,
      "nodes held, as 'x<0.01', the default for the bar, or 'none'; repeatable"},
     {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes; repeatable"},
-    {"--grab", "X,Y,Z,RADIUS", NULL, "a hand takes hold of the surface there (at the place at rest)"},
+    {"--grab", "X,Y,Z,RADIUS", NULL,
+     "a hand takes hold of the surface there (at the place at rest)"},
     {"--pull", "VX,VY,VZ", "0.2,0,0", "and moves, m/s"},
     {"--grip", "F", "0", "with this force at most, N; 0: without limit"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
@@ -82,9 +83,9 @@ typedef struct run {
     sfem_reduced *reduced;
     sfem_reduced_view *view;
     sfem_modal *modal;
-    double *u, *load; /* [nodes][3] of modal: displacement; loads without gravity */
-    sfem_int probe, steps, hand; /* -1: none */
-    double held[3];              /* where it took hold */
+    double *u, *load;               /* [nodes][3] of modal: displacement; loads without gravity */
+    sfem_int probe, steps, hand;    /* -1: none */
+    double held[3];                 /* where it took hold */
     double h, setup, stepping;      /* seconds */
     double *time, *tip, *energy[3]; /* [steps + 1] */
     double *frame[FRAMES];          /* positions to draw */
@@ -374,8 +375,8 @@ static void take_hold(run *r)
         sfem_body_handle_position(r->body, r->hand, r->held);
     }
     for (k = 0; k < count; ++k) most = fmax(most, weight[k]);
-    printf("hand: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n", (int)count,
-           r->held[0], r->held[1], r->held[2], most);
+    printf("hand: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
+           (int)count, r->held[0], r->held[1], r->held[2], most);
     free(node);
     free(weight);
 }
@@ -389,8 +390,10 @@ static void move_hand(run *r, double time)
     if (r->hand < 0) return;
     ex_reals(&r->o, "--pull", 3, v);
     for (c = 0; c < 3; ++c) x[c] = r->held[c] + time * v[c];
-    if (r->modal) must(sfem_modal_move_handle(r->modal, r->hand, x, &err), &err);
-    else must(sfem_body_move_handle(r->body, r->hand, x, &err), &err);
+    if (r->modal)
+        must(sfem_modal_move_handle(r->modal, r->hand, x, &err), &err);
+    else
+        must(sfem_body_move_handle(r->body, r->hand, x, &err), &err);
 }
 
 static double length3(const double *a) { return sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
@@ -558,7 +561,8 @@ static void simulate(run *r)
         ex_progress("simulate", i, r->steps);
     }
     if (files)
-        must(sfem_mesh_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err),
+        must(sfem_mesh_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files,
+                                 &err),
              &err);
     free(when);
     free(file);

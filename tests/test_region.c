@@ -5,11 +5,19 @@
 #include "bodies.h"
 
 enum { METHODS = 10 };
-static const sfem_integrator method[METHODS] = {
-    SFEM_PQR,  SFEM_NEWMARK,  SFEM_BACKWARD_EULER, SFEM_HHT,      SFEM_GENERALIZED_ALPHA,
-    SFEM_BATHE, SFEM_KR_ALPHA, SFEM_GUI,           SFEM_CHANG,    SFEM_CENTRAL};
-static const char *const method_name[METHODS] = {"(p,q,r)", "Newmark", "backward Euler", "HHT", "generalized-alpha",
-                                                 "Bathe",   "KR-alpha", "Gui",           "Chang", "central difference"};
+static const sfem_integrator method[METHODS] = {SFEM_PQR,
+                                                SFEM_NEWMARK,
+                                                SFEM_BACKWARD_EULER,
+                                                SFEM_HHT,
+                                                SFEM_GENERALIZED_ALPHA,
+                                                SFEM_BATHE,
+                                                SFEM_KR_ALPHA,
+                                                SFEM_GUI,
+                                                SFEM_CHANG,
+                                                SFEM_CENTRAL};
+static const char *const method_name[METHODS] = {
+    "(p,q,r)", "Newmark", "backward Euler",    "HHT", "generalized-alpha", "Bathe", "KR-alpha",
+    "Gui",     "Chang",   "central difference"};
 static const sfem_law laws[3] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_NEOHOOKEAN};
 
 /* The nodes of a bar's end beyond x, and weights that differ and add up to 1. */
@@ -34,7 +42,8 @@ static sfem_int take_end(scene *s, double beyond)
     return handle;
 }
 
-static void shift_target(sfem_body *body, sfem_int handle, const double from[3], double x, double y, double z)
+static void shift_target(sfem_body *body, sfem_int handle, const double from[3], double x, double y,
+                         double z)
 {
     const double to[3] = {from[0] + x, from[1] + y, from[2] + z};
     sfem_error err;
@@ -115,10 +124,13 @@ static void open_dense(dense_case *d, sfem_body_def def, sfem_law law, sfem_mass
     for (k = 0; k < 2; ++k) {
         double x[3];
         d->count[k] = end_nodes(&d->s, beyond[k], d->node[k], d->weight[k]);
-        assert_ok(sfem_body_grab_region(d->s.body, d->count[k], d->node[k], d->weight[k], &d->handle[k], &err), err);
+        assert_ok(sfem_body_grab_region(d->s.body, d->count[k], d->node[k], d->weight[k],
+                                        &d->handle[k], &err),
+                  err);
         sfem_body_handle_position(d->s.body, d->handle[k], x);
         shift_target(d->s.body, d->handle[k], x, k ? 0 : 0.004, 0.003, k ? -0.002 : 0.001);
-        memcpy(d->target[k], sfem_body_get_handle(d->s.body, d->handle[k]).target, sizeof d->target[k]);
+        memcpy(d->target[k], sfem_body_get_handle(d->s.body, d->handle[k]).target,
+               sizeof d->target[k]);
     }
 }
 
@@ -208,7 +220,8 @@ static void a_step_of_newmark_equals_the_dense_system(void **state)
             info = sfem_body_get_handle(d.s.body, d.handle[0]);
             soft = info.compliance * h / (h + info.tau);
             fill_dense(&d, 1, 0, 0);
-            for (i = 0; i < 3 * d.s.n; ++i) force[i] = i % 3 == 2 ? -9.81 * sfem_model_node_mass(d.s.model)[i / 3] : 0;
+            for (i = 0; i < 3 * d.s.n; ++i)
+                force[i] = i % 3 == 2 ? -9.81 * sfem_model_node_mass(d.s.model)[i / 3] : 0;
             memcpy(d.b, force, (size_t)(3 * d.s.n) * sizeof *force);
             for (k = 3 * d.s.n; k < DENSE; ++k) { /* no handle yet; constraints hold their points */
                 for (i = 0; i < DENSE && !exact; ++i) d.a[k * DENSE + i] = i == k;
@@ -225,9 +238,11 @@ static void a_step_of_newmark_equals_the_dense_system(void **state)
                 for (c = 0; c < 3; ++c) {
                     const int row = 3 * d.s.n + 3 * k + c;
                     double moved = 0;
-                    for (i = 0; i < d.count[k]; ++i) moved += d.weight[k][i] * start[3 * d.node[k][i] + c];
+                    for (i = 0; i < d.count[k]; ++i)
+                        moved += d.weight[k][i] * start[3 * d.node[k][i] + c];
                     /* t' lies between the target and where the handle was, at rest */
-                    d.b[row] = (d.b[row] * (exact ? 1 : h / (h + info.tau)) - moved) / (beta * h * h);
+                    d.b[row] =
+                        (d.b[row] * (exact ? 1 : h / (h + info.tau)) - moved) / (beta * h * h);
                 }
             pin_dense(&d);
             dense_solve(DENSE, d.a, d.b);
@@ -237,7 +252,8 @@ static void a_step_of_newmark_equals_the_dense_system(void **state)
             for (k = 0; k < 2; ++k) {
                 double f[3];
                 sfem_body_handle_force(d.s.body, d.handle[k], f);
-                for (c = 0; c < 3; ++c) assert_near(f[c], d.b[3 * d.s.n + 3 * k + c] / share, 1e-7, 1e-7);
+                for (c = 0; c < 3; ++c)
+                    assert_near(f[c], d.b[3 * d.s.n + 3 * k + c] / share, 1e-7, 1e-7);
             }
             drop(&d.s);
         }
@@ -268,7 +284,9 @@ static void the_mean_of_a_region_is_at_its_target(void **state)
                 step(s.body, k % 7 ? 1.0 / 60 : 1.0 / 100);
                 sfem_body_handle_position(s.body, handle, x);
                 distance3(x, sfem_body_get_handle(s.body, handle).target, &away);
-                if (!(away <= 1e-10)) fail_msg("%s, law %d, step %d: %g m away", method_name[m], (int)laws[l], k, away);
+                if (!(away <= 1e-10))
+                    fail_msg("%s, law %d, step %d: %g m away", method_name[m], (int)laws[l], k,
+                             away);
                 assert_int_equal(info.slips, 0);
             }
             drop(&s);
@@ -293,7 +311,8 @@ static void nodes_and_points_are_regions(void **state)
                 add_body(&s, def, 1);
                 if (which) {
                     assert_ok(sfem_body_grab_region(s.body, 1, &last, &one, &a, &err), err);
-                    assert_ok(sfem_body_grab_region(s.body, 4, s.mesh.tet + 4 * 30, bary, &b, &err), err);
+                    assert_ok(sfem_body_grab_region(s.body, 4, s.mesh.tet + 4 * 30, bary, &b, &err),
+                              err);
                 } else {
                     assert_ok(sfem_body_grab_node(s.body, last, &a, &err), err);
                     assert_ok(sfem_body_grab_point(s.body, 30, bary, &b, &err), err);
@@ -343,7 +362,8 @@ static void regions_hold_what_has_turned(void **state)
             const sfem_handle_info info = sfem_body_get_handle(s.body, end[j]);
             sfem_body_handle_position(s.body, end[j], at);
             distance3(at, info.target, &away);
-            if (!(away <= (exact ? 1e-10 : 2e-3))) fail_msg("exact %d, handle %d: %g m away", exact, j, away);
+            if (!(away <= (exact ? 1e-10 : 2e-3)))
+                fail_msg("exact %d, handle %d: %g m away", exact, j, away);
             sfem_body_handle_force(s.body, end[j], f);
             most = fmax(most, norm3(f));
         }
@@ -379,7 +399,8 @@ static void bad_regions_are_refused(void **state)
     add_body(&s, def, 1);
     assert_status(sfem_body_grab_region(s.body, 0, node, NULL, &handle, &err), SFEM_BAD_ARGUMENT);
     weight[3] = 0.5;
-    assert_status(sfem_body_grab_region(s.body, 36, node, weight, &handle, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_body_grab_region(s.body, 36, node, weight, &handle, &err),
+                  SFEM_BAD_ARGUMENT);
     assert_names(err, "add up to");
     weight[3] = NAN;
     assert_status(sfem_body_grab_region(s.body, 36, node, weight, &handle, &err), SFEM_NOT_FINITE);
@@ -387,7 +408,8 @@ static void bad_regions_are_refused(void **state)
     assert_status(sfem_body_grab_region(s.body, 36, node, NULL, &handle, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "node 36");
     node[7] = 7;
-    assert_status(sfem_body_grab_region(s.body, s.pin_count, s.pins, NULL, &handle, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_body_grab_region(s.body, s.pin_count, s.pins, NULL, &handle, &err),
+                  SFEM_BAD_ARGUMENT);
     assert_names(err, "pinned");
     assert_ok(sfem_body_grab_region(s.body, 36, node, NULL, &handle, &err), err);
     assert_status(sfem_body_grab_region(s.body, 5, node + 30, NULL, &handle, &err), SFEM_FULL);
@@ -439,14 +461,18 @@ static void a_rigid_body_follows_as_a_critically_damped_oscillator(void **state)
                     const double t = k * (0.25 / (1 << fine));
                     step(s.body, 0.25 / (1 << fine) * period);
                     sfem_body_handle_position(s.body, handle, x);
-                    error[fine] = fmax(error[fine], fabs((x[0] - x0[0]) / d - 1 + (1 + t) * exp(-t)));
+                    error[fine] =
+                        fmax(error[fine], fabs((x[0] - x0[0]) / d - 1 + (1 + t) * exp(-t)));
                     most = fmax(most, (x[0] - x0[0]) / d);
                 }
-                if (!(most <= 1.0001)) fail_msg("%s, law %d: overshoots by %g", method_name[m], (int)laws[l], most - 1);
+                if (!(most <= 1.0001))
+                    fail_msg("%s, law %d: overshoots by %g", method_name[m], (int)laws[l],
+                             most - 1);
                 drop(&s);
             }
             if (!(error[0] < 0.09 && error[1] < 0.62 * error[0]))
-                fail_msg("%s, law %d: off by %g, with half the step %g", method_name[m], (int)laws[l], error[0], error[1]);
+                fail_msg("%s, law %d: off by %g, with half the step %g", method_name[m],
+                         (int)laws[l], error[0], error[1]);
         }
 }
 
@@ -469,17 +495,21 @@ static void handles_yield_by_their_force(void **state)
             add_body(&s, def, 0);
             for (k = 0; k < 3; ++k) {
                 for (i = count = 0; i < s.n; ++i)
-                    if (s.mesh.x[3 * i + 2] > 0.15 && (k < 2 ? s.mesh.x[3 * i] < 0.15 && (s.mesh.x[3 * i + 1] > 0.1) == k
-                                                            : s.mesh.x[3 * i] > 0.25))
+                    if (s.mesh.x[3 * i + 2] > 0.15 &&
+                        (k < 2 ? s.mesh.x[3 * i] < 0.15 && (s.mesh.x[3 * i + 1] > 0.1) == k
+                               : s.mesh.x[3 * i] > 0.25))
                         node[count++] = i;
                 assert_ok(sfem_body_grab_region(s.body, count, node, NULL, &handle[k], &err), err);
             }
-            if (way) run(s.body, 1.0 / 60, 300);
-            else assert_ok(sfem_body_solve_static(s.body, &err), err);
+            if (way)
+                run(s.body, 1.0 / 60, 300);
+            else
+                assert_ok(sfem_body_solve_static(s.body, &err), err);
             for (k = 0; k < 3; ++k) {
                 const sfem_handle_info info = sfem_body_get_handle(s.body, handle[k]);
                 for (c = 0; c < 3; ++c)
-                    assert_near(info.target[c] - info.x[c], info.compliance * info.force[c], way ? 1e-3 : 1e-6, 1e-9);
+                    assert_near(info.target[c] - info.x[c], info.compliance * info.force[c],
+                                way ? 1e-3 : 1e-6, 1e-9);
                 sfem_body_handle_force(s.body, handle[k], f);
                 sum += f[2];
             }
@@ -500,7 +530,8 @@ static void targets_that_stand_still_give_nothing(void **state)
                 scene s = bar(5, 2, material_of(laws[l], 1e5));
                 sfem_body_def def = sfem_default_body_def();
                 const double velocity[3] = {0, 0.5, 0}, spin[3] = {0, 0, 3};
-                const int one_solve = method[m] == SFEM_KR_ALPHA || method[m] == SFEM_GUI || method[m] == SFEM_CHANG;
+                const int one_solve =
+                    method[m] == SFEM_KR_ALPHA || method[m] == SFEM_GUI || method[m] == SFEM_CHANG;
                 double start, most = 0;
                 def.integrator = method[m];
                 def.handle_compliance = 0.01;
@@ -515,8 +546,8 @@ static void targets_that_stand_still_give_nothing(void **state)
                     most = fmax(most, sfem_body_energy(s.body).total);
                 }
                 if (!(most <= start * (one_solve && l > 0 ? 1.3 : 1.01)))
-                    fail_msg("%s, law %d, limit %d: %g of the energy of the start", method_name[m], (int)laws[l], limit,
-                             most / start);
+                    fail_msg("%s, law %d, limit %d: %g of the energy of the start", method_name[m],
+                             (int)laws[l], limit, most / start);
                 drop(&s);
             }
 }
@@ -553,14 +584,16 @@ static void a_target_out_of_reach_is_followed_with_the_force(void **state)
                     step(s.body, 1.0 / 60);
                     sfem_body_handle_force(s.body, handle, f);
                     if (!(norm3(f) <= most * (1 + 1e-9)))
-                        fail_msg("%s, law %d: a force of %g N", m < 0 ? "statics" : method_name[m], (int)laws[l], norm3(f));
+                        fail_msg("%s, law %d: a force of %g N", m < 0 ? "statics" : method_name[m],
+                                 (int)laws[l], norm3(f));
                 }
                 if (m < 0) assert_ok(sfem_body_solve_static(s.body, &err), err);
                 info = sfem_body_get_handle(s.body, handle);
                 assert_true(info.slips);
                 assert_near(norm3(info.force), most, 1e-6, 0);
                 for (c = 0; c < 3; ++c) pull[c] = info.target[c] - info.x[c];
-                for (c = 0; c < 3; ++c) assert_near(info.force[c], most * pull[c] / norm3(pull), 0, 1e-4 * most);
+                for (c = 0; c < 3; ++c)
+                    assert_near(info.force[c], most * pull[c] / norm3(pull), 0, 1e-4 * most);
                 t = bar(5, 2, material_of(laws[l], 1e5));
                 add_body(&t, sfem_default_body_def(), 1);
                 count = end_nodes(&t, 0.45, node, weight);
@@ -569,8 +602,8 @@ static void a_target_out_of_reach_is_followed_with_the_force(void **state)
                     assert_ok(sfem_body_add_node_force(t.body, node[i], f, &err), err);
                 }
                 assert_ok(sfem_body_solve_static(t.body, &err), err);
-                assert_all_near(sfem_body_displacement(s.body), sfem_body_displacement(t.body), (size_t)(3 * s.n),
-                                m < 0 ? 1e-6 : 1e-3, 0);
+                assert_all_near(sfem_body_displacement(s.body), sfem_body_displacement(t.body),
+                                (size_t)(3 * s.n), m < 0 ? 1e-6 : 1e-3, 0);
                 drop(&s);
                 drop(&t);
             }
@@ -603,9 +636,10 @@ static void handles_that_contradict_one_another_share(void **state)
                 sfem_body_handle_position(s.body, a, x);
                 sfem_body_handle_force(s.body, a, f);
                 sfem_body_handle_force(s.body, b, g);
-                if (!(fabs(x[1] - x0[1]) < 1e-4 && fabs(f[1] + g[1]) < 1e-3 * fabs(f[1]) && f[1] > 0))
-                    fail_msg("%s, law %d, limit %d: %g m away, %g and %g N", method_name[m], (int)laws[l], limit,
-                             x[1] - x0[1], f[1], g[1]);
+                if (!(fabs(x[1] - x0[1]) < 1e-4 && fabs(f[1] + g[1]) < 1e-3 * fabs(f[1]) &&
+                      f[1] > 0))
+                    fail_msg("%s, law %d, limit %d: %g m away, %g and %g N", method_name[m],
+                             (int)laws[l], limit, x[1] - x0[1], f[1], g[1]);
                 if (limit) assert_near(f[1], 12, 1e-6, 0);
                 drop(&s);
             }
@@ -625,13 +659,16 @@ static void a_noisy_hand(sfem_mesh *mesh, sfem_law law, double young, int m, int
     sfem_patch patch;
     sfem_model *model;
     sfem_body *body;
-    sfem_int *pins = (sfem_int *)calloc((size_t)mesh->nodes, 2 * sizeof *pins), *node = pins + mesh->nodes, i, count, handle;
-    double *weight = (double *)calloc((size_t)mesh->nodes, 4 * sizeof *weight), *v = weight + mesh->nodes;
+    sfem_int *pins = (sfem_int *)calloc((size_t)mesh->nodes, 2 * sizeof *pins),
+             *node = pins + mesh->nodes, i, count, handle;
+    double *weight = (double *)calloc((size_t)mesh->nodes, 4 * sizeof *weight),
+           *v = weight + mesh->nodes;
     double low = 1e300, high = -1e300, x0[3], f[3], size, most = 0, bound = 0, mass = 0, reach;
     test_random random = {7};
     sfem_error err;
     int k, c;
-    for (i = 0; i < mesh->nodes; ++i) low = fmin(low, mesh->x[3 * i]), high = fmax(high, mesh->x[3 * i]);
+    for (i = 0; i < mesh->nodes; ++i)
+        low = fmin(low, mesh->x[3 * i]), high = fmax(high, mesh->x[3 * i]);
     size = high - low;
     memset(&patch, 0, sizeof patch);
     for (i = 0; i < mesh->nodes; ++i) {
@@ -652,7 +689,8 @@ static void a_noisy_hand(sfem_mesh *mesh, sfem_law law, double young, int m, int
     assert_ok(sfem_mesh_near(mesh, &patch, mesh->nodes, node, weight, &count, &err), err);
     assert_ok(sfem_body_grab_region(body, count, node, weight, &handle, &err), err);
     /* by reach, the patch moving alone: 1/2 u.Ku, u 1 on its nodes; 1/2 m (reach/h)^2 */
-    for (i = 0; i < count; ++i) v[3 * node[i] + 1] = 1, mass += sfem_model_node_mass(model)[node[i]];
+    for (i = 0; i < count; ++i)
+        v[3 * node[i] + 1] = 1, mass += sfem_model_node_mass(model)[node[i]];
     reach = 0.02 * size;
     {
         double *kv = (double *)calloc(3 * (size_t)mesh->nodes, sizeof *kv);
@@ -672,8 +710,8 @@ static void a_noisy_hand(sfem_mesh *mesh, sfem_law law, double young, int m, int
         most = fmax(most, sfem_body_energy(body).total);
     }
     if (!(most <= bound))
-        fail_msg("%s, law %d, E = %g, %d nodes, limit %d: %g J, bound %g", method_name[m], (int)law, young, (int)mesh->nodes,
-                 limit, most, bound);
+        fail_msg("%s, law %d, E = %g, %d nodes, limit %d: %g J, bound %g", method_name[m], (int)law,
+                 young, (int)mesh->nodes, limit, most, bound);
     sfem_body_free(body);
     sfem_model_free(model);
     free(pins);
@@ -741,7 +779,8 @@ static void release_makes_no_jump(void **state)
             scene s = bar(5, 2, material_of(laws[l], 1e6));
             sfem_body_def def = sfem_default_body_def();
             sfem_int node[MAX_NODES], handle, count, i;
-            double weight[MAX_NODES], x0[3], v[3 * MAX_NODES], f[3], energy, most = 0, fastest = 0, push = 0;
+            double weight[MAX_NODES], x0[3], v[3 * MAX_NODES], f[3], energy, most = 0, fastest = 0,
+                                                                             push = 0;
             def.integrator = method[m];
             def.newton.accept_best = 1; /* at rest, where rounding is all there is */
             def.alpha = 30;
@@ -749,13 +788,15 @@ static void release_makes_no_jump(void **state)
             handle = take_end(&s, 0.45);
             sfem_body_handle_position(s.body, handle, x0);
             for (k = 0; k < 200; ++k) {
-                shift_target(s.body, handle, x0, 0.05 * fmin(1, k / 60.0), 0.05 * fmin(1, k / 60.0), 0);
+                shift_target(s.body, handle, x0, 0.05 * fmin(1, k / 60.0), 0.05 * fmin(1, k / 60.0),
+                             0);
                 step(s.body, h);
             }
             energy = sfem_body_energy(s.body).total;
             sfem_body_handle_force(s.body, handle, f);
             count = end_nodes(&s, 0.45, node, weight);
-            for (i = 0; i < count; ++i) push = fmax(push, weight[i] / sfem_model_node_mass(s.model)[node[i]]);
+            for (i = 0; i < count; ++i)
+                push = fmax(push, weight[i] / sfem_model_node_mass(s.model)[node[i]]);
             sfem_body_release_handle(s.body, handle);
             step(s.body, h);
             sfem_body_velocities(s.body, v);
@@ -764,8 +805,10 @@ static void release_makes_no_jump(void **state)
                 most = fmax(most, sfem_body_energy(s.body).total);
                 step(s.body, h);
             }
-            if (!(most <= energy * (l > 0 && m >= 6 ? 1.3 : 1.001) && fastest <= 2 * h * norm3(f) * push))
-                fail_msg("%s, law %d: %g J of %g J, %g m/s", method_name[m], (int)laws[l], most, energy, fastest);
+            if (!(most <= energy * (l > 0 && m >= 6 ? 1.3 : 1.001) &&
+                  fastest <= 2 * h * norm3(f) * push))
+                fail_msg("%s, law %d: %g J of %g J, %g m/s", method_name[m], (int)laws[l], most,
+                         energy, fastest);
             drop(&s);
         }
 }
@@ -814,7 +857,8 @@ static void modal_bodies_agree(void **state)
     for (i = 0; i < s.n; ++i) {
         sfem_modal_node(modal, i, at, NULL, NULL);
         for (c = 0; c < 3; ++c)
-            assert_near(at[c], s.mesh.x[3 * i + c] + sfem_body_displacement(s.body)[3 * i + c], 0, 1e-8);
+            assert_near(at[c], s.mesh.x[3 * i + c] + sfem_body_displacement(s.body)[3 * i + c], 0,
+                        1e-8);
     }
     sfem_modal_free(modal);
     sfem_reduced_free(reduced);
@@ -854,7 +898,9 @@ static void saved_regions_go_on(void **state)
             sfem_body_save_state(s.body, block);
             assert_ok(sfem_body_load_state(twin, block, bytes, &err), err);
             for (k = 0; k < 12; ++k) {
-                if (k == 4) sfem_body_release_handle(s.body, handle), sfem_body_release_handle(twin, handle);
+                if (k == 4)
+                    sfem_body_release_handle(s.body, handle),
+                        sfem_body_release_handle(twin, handle);
                 step(s.body, 0.01);
                 step(twin, 0.01);
                 assert_true(hash_reals(sfem_body_displacement(s.body), (size_t)(3 * s.n)) ==
@@ -898,7 +944,8 @@ static void a_region_outlives_what_it_holds(void **state)
     scene s = bar(6, 2, rubber(1e6));
     sfem_body_def def = sfem_default_body_def();
     sfem_damage_def damage = sfem_default_damage_def();
-    const double from[9] = {0.45, -1, 1, 0.45, 2, 1, 0.45, 0.1, -3}, to[9] = {0.46, -1, 1, 0.46, 2, 1, 0.46, 0.1, -3};
+    const double from[9] = {0.45, -1, 1, 0.45, 2, 1, 0.45, 0.1, -3},
+                 to[9] = {0.46, -1, 1, 0.46, 2, 1, 0.46, 0.1, -3};
     sfem_int handle, marked;
     double x0[3], f[3];
     sfem_error err;
@@ -958,7 +1005,8 @@ static void patches_weigh_what_is_near(void **state)
             }
             cross(a, b, n);
             for (j = 0; j < (inside ? 4 : 3); ++j)
-                share[t[j]] += inside ? fabs(n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) / 24 : norm3(n) / 6;
+                share[t[j]] +=
+                    inside ? fabs(n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) / 24 : norm3(n) / 6;
         }
         assert_ok(sfem_mesh_near(&s.mesh, &patch, MAX_NODES, node, weight, &count, &err), err);
         for (i = 0, sum = 0; i < s.n; ++i) {
@@ -989,7 +1037,8 @@ static void patches_weigh_what_is_near(void **state)
         assert_near(weight[0], 1, 0, 0);
     }
     patch.radius = -1;
-    assert_status(sfem_mesh_near(&s.mesh, &patch, 1, node, weight, &count, &err), SFEM_BAD_ARGUMENT);
+    assert_status(sfem_mesh_near(&s.mesh, &patch, 1, node, weight, &count, &err),
+                  SFEM_BAD_ARGUMENT);
     patch.radius = 1;
     patch.point[1] = NAN;
     assert_status(sfem_mesh_near(&s.mesh, &patch, 1, node, weight, &count, &err), SFEM_NOT_FINITE);
