@@ -473,13 +473,14 @@ SFEM_DEF sfem_status sfem_mesh_renumber(sfem_mesh *mesh, sfem_int *new_of_old, s
 SFEM_DEF sfem_status sfem_mesh_remove_unused(sfem_mesh *mesh, sfem_int *new_of_old,
                                              sfem_error *err);
 
-/* Welds nodes that are at one place: each node goes to the lowest one that is kept and at most `distance` away, m; 0: at
- * exactly the same coordinates. Joins parts that meet in duplicate nodes (sfem_mesh_report.seam). The others keep their
- * order, the arrays their place.
+/* Welds nodes that are at one place: each node goes to the lowest one that is kept and at most `distance` away, m; 0:
+ * at exactly the same coordinates. Joins parts that meet in duplicate nodes (sfem_mesh_report.seam). The others keep
+ * their order, the arrays their place.
  *   new_of_old  [nodes before], or NULL: the new number of each node
  *   welded      or NULL: how many nodes are gone
  *   errors      SFEM_BAD_ARGUMENT (distance), SFEM_BAD_MESH (node number out of range; a tet that would lose its shape,
- *               err->tet: the distance is above its edges), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY; the mesh is then as it was
+ *               err->tet: the distance is above its edges), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY; the mesh is then as it
+ *               was
  *   cost        O(nodes log nodes + tets); scratch from the mesh's allocator */
 SFEM_DEF sfem_status sfem_mesh_weld(sfem_mesh *mesh, sfem_real distance, sfem_int *new_of_old, sfem_int *welded,
                                     sfem_error *err);
@@ -498,6 +499,24 @@ SFEM_DEF int sfem_mesh_pick_ray(const sfem_mesh *mesh, const sfem_real *x,
 /* The tet that contains a point. Outside of all tets it returns 0: there is no nearest. */
 SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const sfem_real point[3],
                               sfem_int *tet, sfem_real bary[4]);
+
+/* PATCHES for sfem_body_grab_region and sfem_modal_grab_region: the nodes less than radius away from a point, in
+ * ascending order, with weights that add up to 1,
+ *   weight_i = a_i (1 - d_i^2/radius^2)^2 / sum,   d_i the distance, a_i a third of the area of the node's triangles,
+ *                                                  or a fourth of the volume of its tets
+ * so that neither the edge of the patch nor the density of the mesh shows in what pulls at it. Where no node is that
+ * near, the nearest one alone.
+ *   room    of node and weight [room], >= 1; *count: how many there are
+ *   errors  SFEM_BAD_ARGUMENT (radius, room, no tets), SFEM_NOT_FINITE (point), SFEM_FULL (more than room: *count tells
+ *           how many), SFEM_BAD_MESH (node number of a tet or triangle), SFEM_OUT_OF_MEMORY
+ *   cost    O(nodes + triangles or tets); scratch from the mesh's allocator */
+typedef struct sfem_patch {
+    const sfem_real *x;          /* [nodes][3] current positions, m; NULL: at rest */
+    sfem_real point[3], radius;  /* m; radius >= 0 */
+    const sfem_surface *surface; /* of sfem_mesh_surface: its nodes only; NULL: all nodes in tets */
+} sfem_patch;
+SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_int *node,
+                                    sfem_real *weight, sfem_int *count, sfem_error *err);
 
 #ifndef SFEM_NO_MESHIO
 /* ============================================================================================
@@ -583,7 +602,8 @@ typedef struct sfem_region {
 typedef struct sfem_mesh_sets {
     sfem_int sets, regions;
     sfem_set *set;       /* [sets] in the order of the file */
-    sfem_region *region; /* [regions] one of each number in mesh->region, in the order of their first tets; none without it */
+    sfem_region *region; /* [regions] one of each number in mesh->region, in the order of their first tets; none without
+                          * it */
     sfem_allocator allocator;
     void *memory; /* private: all of it */
 } sfem_mesh_sets;
@@ -604,8 +624,8 @@ typedef struct sfem_mesh_read_info {
 } sfem_mesh_read_info;
 
 /* As sfem_mesh_parse and sfem_mesh_read; sets and info may be NULL. What becomes a set, besides the regions:
- *   Gmsh      each physical group: of volumes the tets, of others the nodes of their elements. Without a name a group of
- *             the last three is called point, curve or surface and its number: "surface 5"
+ *   Gmsh      each physical group: of volumes the tets, of others the nodes of their elements. Without a name a group
+ *             of the last three is called point, curve or surface and its number: "surface 5"
  *   VTK, VTU  nodes of the vertices, lines and polygons with the same region number other than 0: "surface 5"
  *   Medit     nodes of a reference other than 0: "point 5"; of edges and triangles of one: "curve 5", "surface 5"
  *   Abaqus    *NSET and *ELSET, also NSET= and ELSET= of *NODE and *ELEMENT. An *ELSET of other elements than tets is a
@@ -706,7 +726,8 @@ typedef struct sfem_mesher_def {
                             * of small bodies, and of plates of one layer, may jump past it: the nearest is taken */
     sfem_exec exec;        /* threads; the mesh has the same bits for any number of them */
     void (*progress)(sfem_real part, void *user); /* or NULL: called by the calling thread with the part of the work that
-                                                   * is done, an estimate: from 0, never less than before, 1 at the end */
+                                                   * is done, an estimate: from 0, never less than before, 1 at the
+                                                   * end */
     void *progress_user;
     sfem_allocator allocator;
 } sfem_mesher_def;
@@ -1488,8 +1509,11 @@ typedef struct sfem_body_def {
     const sfem_int *pins;     /* [pin_count] nodes eliminated from the matrix; copied */
     const unsigned char *pin_axes; /* [pin_count] which axes are held, SFEM_AXIS_*; NULL: all */
     sfem_int pin_count;
-    sfem_int max_handles;     /* handles at a time; each one in use takes 72 bytes a node, in a body that rotates up
-                               * to 4 times that */
+    sfem_int max_handles;     /* handles at a time; each one in use takes 72 bytes a node */
+    sfem_int max_handle_nodes; /* nodes in all their regions, 512; at least 4 max_handles. 12 bytes each of state */
+    sfem_real handle_compliance; /* eps, 1e-8 to 1e3, 1e-2 by default: a handle yields eps times as much as a cube of the
+                               * body's volume and stiffness; or 0: not at all, a constraint. See HANDLES */
+    sfem_real handle_max_force;  /* N, >= 0: no handle pulls harder; 0, the default: no limit */
     sfem_real sleep_tolerance; /* m/s, >= 0; 0, the default: never sleeps. See sfem_body_is_asleep */
     sfem_real sleep_time;      /* s, >= 0: how long it has to be calm; 0.5 */
     sfem_precision precision;
@@ -1501,7 +1525,7 @@ typedef struct sfem_body_def {
     sfem_exec exec;
 } sfem_body_def;
 
-/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles. */
+/* (p,q,r) with p = SFEM_P_SAFE, q = r = 1; Newmark 1/4, 1/2; gravity 0; 16 handles of compliance 1e-2. */
 SFEM_DEF sfem_body_def sfem_default_body_def(void);
 
 /* Creates a body at rest in its rest position. Nothing is factored yet. O(nodes).
@@ -1570,9 +1594,9 @@ SFEM_DEF sfem_newton_info sfem_body_newton(const sfem_body *body);
 #endif
 
 /* Static equilibrium f(u) = F under the present forces, gravity, pins and handles; velocities become zero. Handles that
- * are nodes count as pins here. Linear bodies take one solve. Others take Newton's iteration from the present u, in
- * steps of the load that are halved where one fails (sfem_newton_def; sfem_body_newton tells how it went). There may be
- * several equilibria; the result is one of them.
+ * are nodes and do not yield count as pins here. Linear bodies take one solve. Others take Newton's iteration from the
+ * present u, in steps of the load that are halved where one fails (sfem_newton_def; sfem_body_newton tells how it
+ * went). There may be several equilibria; the result is one of them.
  *   errors  SFEM_NOT_SPD: "node 17 is held by nothing" and the like; SFEM_NOT_CONVERGED (how much of
  *           the load was reached), SFEM_NOT_FINITE, SFEM_OUT_OF_MEMORY: the state is as it was */
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *body, sfem_error *err);
@@ -1620,8 +1644,8 @@ SFEM_DEF sfem_status sfem_body_place(sfem_body *body, const sfem_real rotation[9
 SFEM_DEF sfem_real sfem_body_time(const sfem_body *body); /* s */
 
 /* The whole state as one block of bytes. Load it with the same build, on a like machine, into any body of the same
- * model, pins and max_handles. A block that does not fit is an error, and so is one whose checksum is wrong or whose
- * numbers no body can have: a block that was loaded is safe to use, wherever it comes from.
+ * model, pins, max_handles and max_handle_nodes. A block that does not fit is an error, and so is one whose checksum is
+ * wrong or whose numbers no body can have: a block that was loaded is safe to use, wherever it comes from.
  *   errors  SFEM_FORMAT (not a state, damaged), SFEM_MISMATCH (of another body) */
 SFEM_DEF size_t sfem_body_state_size(const sfem_body *body);
 SFEM_DEF void sfem_body_save_state(const sfem_body *body, void *memory);
@@ -1675,7 +1699,7 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
  *
  * A step does def.refactorise times the operations of a step of one solve. Operations are counted, not timed, so runs
  * repeat bit for bit on any number of threads. The finished factor is taken over between two steps; w, the forces and
- * the energy budget stay. Handles then cost three solves for each of their nodes. A second request starts over. A
+ * the energy budget stay. Handles then cost three solves each. A second request starts over. A
  * matrix that is not positive definite is dropped and counted as failed.
  *   cost    of all: that of 10 to 20 corrections
  *   memory  two factors, three matrices; sfem_body_prepare allocates them; nothing else allocates
@@ -1707,20 +1731,48 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *body, sfem_int node, const sf
                                         sfem_error *err);
 SFEM_DEF void sfem_body_reactions(sfem_body *body, sfem_real *force /* [nodes][3] */);
 
-/* Handles take hold of a node, or of a point inside a tet (barycentric coordinates), while the body runs,
- * without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l where H x' is the target.
- * A handle's number stays its own until it is released. The force is that of the handle on the body over
- * the last step, N. Handles that others already determine (five points of one tet) carry no force.
- *   errors  SFEM_FULL past max_handles: pin the nodes instead; SFEM_BAD_ARGUMENT (pinned node, ...) */
+/* HANDLES take hold of a node, of a point inside a tet (barycentric coordinates), or of the weighted mean of the nodes
+ * of a region, while the body runs, without a new factor: with H the 3 rows of a handle, u' = u0' + A^-1 H^T l. A
+ * single node of a soft body draws a needle out of it; a region (sfem_mesh_near picks the nodes) does not. A handle
+ * takes hold where it is: that place is its target until moved. Its number stays its own until it is released. The
+ * force l is that of the handle on the body over the last step, N; node k of a region carries weight[k] of it.
+ *   def.handle_compliance = eps > 0, 1e-2 by default: a handle is a spring and a damper on its target t,
+ *     t - x = C l + tau x',   C = eps/(E V^(1/3)), m/N,   tau = 2 sqrt(C m)
+ * E Young's modulus (harmonic mean), V the volume, m the mass of the whole body: C is eps times the compliance of a
+ * cube of that volume, whatever the mesh, the step and what else is held. It is critically damped with all of the
+ * body's mass. Noise, jumps and contradictions of targets make forces that have a bound as steps shrink, and a target
+ * that stands still never gives energy. Static solutions have tau = 0. A bar of 0.8 m, 32 kg and 1e5 Pa, its end held:
+ *     eps                                        0      1e-4   1e-3   1e-2   0.1
+ *     lag behind a hand at 0.5 m/s, mm           0      0.3    1      3.2    10
+ *     1 mm of noise, kinetic energy, J, 1/60 s   0.40   0.38   0.34   0.25   0.10
+ *                                      1/240 s   2.4    2.0    1.4    0.65   0.13
+ *   eps = 0: constraints, x = t to rounding at the end of each step, whatever force that takes; 1 mm of noise is
+ * v = 1 mm/h. Handles that others already determine (five points of one tet) then carry no force.
+ *   def.handle_max_force = F > 0: |l| <= F. A target out of reach is followed with F in its direction: the handle
+ *   slips.
+ * eps is then 1e-6 at least. A static solution needs what is held to balance the loads with such forces.
+ *   weight  [count] shares that sum to 1, or NULL: equal. Nodes may stand in several regions
+ *   cost    three solves when taken (in sfem_body_prepare), one sum over three columns in a solve
+ *   errors  SFEM_FULL past max_handles or max_handle_nodes: pin the nodes instead; SFEM_BAD_ARGUMENT (all nodes pinned,
+ *           in no tet, weights), SFEM_NOT_FINITE */
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *body, sfem_int node, sfem_int *handle,
                                          sfem_error *err);
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *body, sfem_int tet, const sfem_real bary[4],
                                           sfem_int *handle, sfem_error *err);
+SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *body, sfem_int count, const sfem_int *node,
+                                           const sfem_real *weight, sfem_int *handle, sfem_error *err);
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *body, sfem_int handle, const sfem_real target[3],
                                            sfem_error *err);
 SFEM_DEF void sfem_body_release_handle(sfem_body *body, sfem_int handle);
 SFEM_DEF void sfem_body_handle_force(const sfem_body *body, sfem_int handle, sfem_real force[3]);
 SFEM_DEF void sfem_body_handle_position(const sfem_body *body, sfem_int handle, sfem_real x[3]);
+typedef struct sfem_handle_info {
+    sfem_int nodes;
+    sfem_real x[3], target[3], force[3]; /* m, m, N */
+    sfem_real compliance, tau; /* C, m/N; s. 0: a constraint */
+    int slips;                 /* the force is at its limit */
+} sfem_handle_info;
+SFEM_DEF sfem_handle_info sfem_body_get_handle(const sfem_body *body, sfem_int handle);
 
 #ifndef SFEM_NO_DAMAGE
 /* Fracture, of a body made with a damage definition (>>api-damage). On other bodies these functions trip SFEM_ASSERT,
@@ -4786,6 +4838,91 @@ SFEM_DEF int sfem_mesh_locate(const sfem_mesh *mesh, const sfem_real *x, const s
     return 1;
 }
 
+/* a_i of every node, see sfem_mesh_near. */
+static sfem_status sfemi_mesh_shares(const sfem_mesh *mesh, const sfem_surface *surface, const sfem_real *x,
+                                     sfem_real *share, sfem_error *err)
+{
+    const sfem_int corners = surface ? 3 : 4, count = surface ? surface->triangles : mesh->tets;
+    const sfem_int *corner = surface ? surface->tri : mesh->tet;
+    sfem_int e;
+    int k, c;
+    for (e = 0; e < count; ++e, corner += corners) {
+        sfem_real edge[3][3], cross[3], size;
+        for (k = 0; k < corners; ++k)
+            if (corner[k] < 0 || corner[k] >= mesh->nodes)
+                return sfemi_fail(err, SFEM_BAD_MESH, "%s %d names node %d, the mesh has %d", surface ? "triangle" : "tet",
+                                  (int)e, (int)corner[k], (int)mesh->nodes);
+        for (k = 1; k < corners; ++k)
+            for (c = 0; c < 3; ++c) edge[k - 1][c] = x[3 * (size_t)corner[k] + (size_t)c] - x[3 * (size_t)corner[0] + (size_t)c];
+        sfemi_cross(edge[0], edge[1], cross);
+        size = surface ? sqrt(sfemi_dot3(cross, cross)) / 6 : fabs(sfemi_dot3(cross, edge[2])) / 24;
+        for (k = 0; k < corners; ++k) share[corner[k]] += size;
+    }
+    return SFEM_OK;
+}
+
+static sfem_status sfemi_mesh_check_patch(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_error *err)
+{
+    if (!(sfemi_finite(patch->radius) && patch->radius >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the radius of a patch is %g m, must be >= 0", patch->radius);
+    if (!sfemi_all_finite(patch->point, 3)) return sfemi_fail(err, SFEM_NOT_FINITE, "the point of a patch is not finite");
+    if (room < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is room for %d nodes, must be >= 1", (int)room);
+    if (mesh->nodes < 1 || mesh->tets < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the mesh has no tets");
+    return SFEM_OK;
+}
+
+SFEM_DEF sfem_status sfem_mesh_near(const sfem_mesh *mesh, const sfem_patch *patch, sfem_int room, sfem_int *node,
+                                    sfem_real *weight, sfem_int *count, sfem_error *err)
+{
+    const sfem_real *x;
+    sfem_real *share = NULL, sum = 0, least = -1;
+    sfem_int i, near = 0, nearest = -1;
+    sfem_status status = SFEM_OK;
+    int c;
+    SFEM_ASSERT(mesh && patch && node && weight && count);
+    SFEMI_TRY(sfemi_mesh_check_patch(mesh, patch, room, err));
+    x = patch->x ? patch->x : mesh->x;
+    SFEMI_NEW(sfem_real, share, &mesh->allocator, mesh->nodes);
+    SFEMI_TRY(sfemi_mesh_shares(mesh, patch->surface, x, share, err));
+    for (i = 0; i < mesh->nodes; ++i) {
+        const sfem_real r2 = patch->radius * patch->radius;
+        sfem_real d[3], d2, k;
+        if (!(share[i] > 0)) continue;
+        for (c = 0; c < 3; ++c) d[c] = x[3 * (size_t)i + (size_t)c] - patch->point[c];
+        d2 = sfemi_dot3(d, d);
+        if (nearest < 0 || d2 < least) {
+            nearest = i;
+            least = d2;
+        }
+        if (!(d2 < r2)) continue;
+        k = share[i] * (1 - d2 / r2) * (1 - d2 / r2);
+        if (near < room) {
+            node[near] = i;
+            weight[near] = k;
+        }
+        ++near;
+        sum += k;
+    }
+    *count = near;
+    if (near > room) {
+        status = sfemi_fail(err, SFEM_FULL, "the patch has %d nodes, there is room for %d", (int)near, (int)room);
+        goto done;
+    }
+    if (nearest < 0) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "no node has an area or a volume about it");
+        goto done;
+    }
+    if (!(sum > 0)) {
+        *count = near = 1;
+        *node = nearest;
+        *weight = sum = 1;
+    }
+    for (i = 0; i < near; ++i) weight[i] /= sum;
+done:
+    sfemi_delete(&mesh->allocator, share);
+    return status;
+}
+
 /* Are the nodes of a tet on both sides of a plane through the origin of a ray? For two planes along
  * the ray that is what a tet needs that it meets. Tets that share nodes agree about them. */
 static int sfemi_mesh_straddles(const sfem_real *x, const sfem_int *tet, const sfem_real *origin,
@@ -5382,7 +5519,8 @@ static sfem_status sfemi_typed_real(sfemi_scan *s, const sfemi_type *type, const
 static sfem_status sfemi_typed_skip(sfemi_scan *s, const sfemi_type *type, int64_t count, const char *what)
 {
     if (!s->order) return sfemi_scan_skip_words(s, count, what);
-    if (count > (s->end - s->p) / type->bytes) count = (s->end - s->p) / type->bytes + 1; /* too many, but no overflow */
+    if (count > (s->end - s->p) / type->bytes) count = (s->end - s->p) / type->bytes + 1; /* too many, but no overflow
+                                                                                           * */
     return sfemi_scan_skip_bytes(s, (uint64_t)count * type->bytes, what);
 }
 
@@ -6481,7 +6619,10 @@ static sfem_status sfemi_gmsh_block(sfemi_gmsh *g, int64_t *elements, sfem_int *
     SFEMI_TRY(sfemi_scan_size(s, 0, INT64_MAX, "the count of elements in a block", &count));
     SFEMI_TRY(sfemi_gmsh_groups(g, (int)dimension, entity, &region));
     tet = sfemi_gmsh_is_tet(g, type);
-    if (tet ? dimension < 3 : dimension == 3 || sfemi_gmsh_type_of(type).dimension != dimension) g->x->ins = 0; /* not of its kind */
+    if (tet ? dimension < 3 : dimension == 3 || sfemi_gmsh_type_of(type).dimension != dimension) g->x->ins = 0; /* not
+                                                                                                                 * of
+                                                                                                                 * its
+                                                                                                                 * kind */
     wanted = g->m.tet && (tet || (type != 11 && (g->x->ins || g->x->faces)));
     if (s->order && !wanted && count > 0) {
         SFEMI_TRY(sfemi_gmsh_skip_elements(g, type, 0, count));
@@ -6521,8 +6662,8 @@ done:
     return status;
 }
 
-/* 2.2: a tet in several groups is written once for each of them, with the same nodes: the last tet is then the one before
- * it, of another group. */
+/* 2.2: a tet in several groups is written once for each of them, with the same nodes: the last tet is then the one
+ * before it, of another group. */
 static void sfemi_gmsh_same_tet(sfemi_gmsh *g, int64_t type)
 {
     const sfem_int t = g->m.tets - 1;
@@ -8372,7 +8513,8 @@ done:
     return status;
 }
 
-/* The cells that a type of elements names: nodes of a tet, else 0; the dimension; the corners of those of dimension 2. */
+/* The cells that a type of elements names: nodes of a tet, else 0; the dimension; the corners of those of dimension
+ * 2. */
 static int sfemi_inp_shape(sfemi_word type, int *dimension, int *corners)
 {
     static const struct {
@@ -20325,10 +20467,16 @@ typedef struct sfemi_target {
 
 typedef struct sfemi_handle {
     sfemi_target path;
-    sfem_int used, node[4];
-    sfem_real weight[4];
+    sfem_int used, first, count; /* its nodes and weights: where in the state's lists they begin, how many */
     sfem_real force[3]; /* N, on the body, over the last step */
 } sfemi_handle;
+
+/* The nodes whose weighted mean a handle holds. */
+typedef struct sfemi_region {
+    sfem_int count;
+    const sfem_int *node;     /* [count] */
+    const sfem_real *weight;  /* [count] */
+} sfemi_region;
 
 typedef struct sfemi_state_head {
     sfemi_saved_head saved;
@@ -20382,6 +20530,8 @@ typedef struct sfemi_state {
     float *pair;           /* [SFEMI_MEMORY][2][nodes][3] of L-BFGS, rotated back: only where it corrects */
     sfem_real *before;     /* [nodes][3] w where the calm began: only where the body may sleep */
     sfemi_handle *handle;  /* [max_handles] */
+    sfem_int *region_node;    /* these two [capacity]: those of all handles, one after another without a gap */
+    sfem_real *region_weight;
     sfemi_energy_balance *balance;    /* these two only where the body may break */
     uint64_t *damage;      /* [] >>damage's own state */
     sfemi_target *pin;       /* [pin_count] last: what stands before it stays where pins change */
@@ -20397,25 +20547,37 @@ enum { SFEMI_MEMORY = 6 };
 typedef struct sfemi_state_shape {
     const sfem_model *model;
     const sfemi_bonds *bonds; /* NULL: the body cannot break */
-    sfem_int nodes, handles, pins;
+    sfem_int nodes, handles, regions, pins;
     sfem_int rotating, correcting, sleeping; /* nodes, or 0 where the body does no such thing */
     sfem_int breaking, damage; /* 1 or 0; 8 bytes of >>damage's own state each */
 } sfemi_state_shape;
 
 /* >>handle: the handles' columns and their dense block. */
 typedef struct sfemi_schur {
-    sfem_int count;   /* handles in use */
+    sfem_int count;   /* handles in use that are constraints, */
+    sfem_int springs; /* or that yield: one of the two is 0 */
     sfem_int *slot;   /* [max] their numbers */
-    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL; where the body rotates, so many
-                       * for each of the handle's nodes */
-    sfem_int *parts;  /* [max] for how many nodes there is room in y */
+    sfem_real **y;    /* [max] columns by number, [3][nodes][3] each, or NULL */
     sfem_int *ready;  /* [max] the columns belong to the body's factor and this handle */
-    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out */
+    sfem_real *s;     /* [3 max][3 max] L D L^T of H A^-1 H^T, lower; 0 pivots are rows left out. Of springs itself, and
+                       * */
+    sfem_real *yield; /* [3 max][3 max] L D L^T of it plus their compliance, */
+    sfem_real shift;  /* which is this for all in what is there; -1: nothing is */
+    sfem_real *pull;  /* [3 max] the right side of a solution within limits, */
+    sfem_real *shifts; /* [max] each spring's compliance where they differ */
     sfem_real *wm;    /* [3][max][max] the same of H M^-1 H^T, an axis at a time */
     sfem_real *lambda; /* [3 max] */
     sfem_real *place;  /* [3 max] where the handles are before a step */
+    sfem_real *spread; /* [nodes] 0 but while one region's weights, or marks, are looked up by node */
+    sfem_int *group;   /* [max] handles that share nodes, by the lowest number of them: they share a frame */
     int dirty;        /* the set of handles or the factor changed */
 } sfemi_schur;
+
+/* >>handle: what a handle that yields is made of. */
+typedef struct sfemi_spring {
+    sfem_real c, tau; /* m/N, s: t - x = c l - tau x' would be it; */
+    sfem_real most;   /* N, at most; 0: no limit */
+} sfemi_spring;
 
 /* >>rotated: one connected piece, at the positions of the last sfemi_rotated_locate. */
 typedef struct sfemi_piece {
@@ -20492,7 +20654,8 @@ typedef struct sfemi_safeguard {
 typedef struct sfemi_stage {
     sfem_real m1, m0, w1, w0, c1, c2; /* see there */
     sfem_real vv, va, vd, av, aa, ad, am; /* V = vv v + va a + vd d_mid, A = av v + .. + am v_mid */
-    sfem_real end; /* where in the step it ends, in h */
+    sfem_real end, span; /* where in the step it ends, and how long it is, in h; a static solution has span 0 */
+    sfem_real hand; /* handles that yield act by so much of their force */
 } sfemi_stage;
 
 typedef struct sfemi_implicit {
@@ -20505,7 +20668,7 @@ typedef struct sfemi_implicit {
     int tangent_ready;   /* tangent, of the kind asked for, belongs to the last evaluation */
     int still;           /* statics: no inertia, no damping */
     sfem_real share;     /* statics: of the load */
-    sfem_real energy;    /* Psi at the last evaluation */
+    sfem_real energy, yield; /* Psi at the last evaluation, and the potential of handles that yield */
     int ready;           /* there is room for what follows, [nodes][3] each in the workspace, and for tangent, drag */
     sfem_real *d, *best, *goal, *vmap, *amap, *a0, *load, *f, *q, *x, *v, *step, *mid_d, *mid_v, *mid_a;
     sfem_real *work;     /* of sfem_model_forces */
@@ -20636,6 +20799,7 @@ struct sfem_body {
     sfem_int factors_made;
     sfem_factor *static_factor; /* of K alone, once a static solution was asked for */
     sfemi_schur schur;       /* >>handle */
+    sfemi_spring spring;     /* >>handle: constant; all 0 where handles are constraints */
 
     /* predict, solve, finish: the step under way */
     int phase;             /* SFEMI_IDLE, SFEMI_PREDICTED, SFEMI_SOLVED */
@@ -20709,24 +20873,33 @@ static int sfemi_state_check_targets(const void *shape, const char *at, size_t c
     return 1;
 }
 
-/* A handle holds nothing that is in no tet, and its weights add up to 1: not all of them are 0. */
+/* The regions of handles in use do not overlap and leave no gap. */
 static int sfemi_state_check_handles(const void *shape, const char *at, size_t count)
 {
-    const sfem_model *model = ((const sfemi_state_shape *)shape)->model;
-    size_t i;
-    int c;
+    const sfem_int most = ((const sfemi_state_shape *)shape)->regions;
+    sfem_int places = 0, top = 0;
+    size_t i, j;
     for (i = 0; i < count; ++i) {
         sfemi_handle h;
         memcpy(&h, at + i * sizeof h, sizeof h);
         if (h.used == 0) continue;
         if (h.used != 1 || !sfemi_state_check_targets(shape, (const char *)&h.path, 1) ||
-            !sfemi_all_finite(h.weight, 4) ||
-            !(fabs(h.weight[0] + h.weight[1] + h.weight[2] + h.weight[3] - 1) <= 1e-6))
+            h.count < 1 || h.first < 0 || h.count > most - places || h.first > most - h.count)
             return 0;
-        for (c = 0; c < 4; ++c)
-            if (h.node[c] < 0 || h.node[c] >= model->mesh.nodes || model->node_mass[h.node[c]] == 0) return 0;
+        places += h.count;
+        top = h.first + h.count > top ? h.first + h.count : top;
+        for (j = 0; j < i; ++j) {
+            sfemi_handle o;
+            memcpy(&o, at + j * sizeof o, sizeof o);
+            if (o.used && h.first < o.first + o.count && o.first < h.first + h.count) return 0;
+        }
     }
-    return 1;
+    return top == places;
+}
+
+static int sfemi_state_check_region_nodes(const void *shape, const char *at, size_t count)
+{
+    return sfemi_saved_below(((const sfemi_state_shape *)shape)->nodes, at, count);
 }
 
 static int sfemi_state_check_damage(const void *shape, const char *at, size_t count)
@@ -20755,6 +20928,8 @@ static const sfemi_saved_array sfemi_state_array[] = {
     SFEMI_ROW(pair, 6 * SFEMI_MEMORY, correcting, NULL, NULL),
     SFEMI_ROW(before, 3, sleeping, sfemi_saved_finite, "a velocity where the calm began"),
     SFEMI_ROW(handle, 1, handles, sfemi_state_check_handles, "a handle"),
+    SFEMI_ROW(region_node, 1, regions, sfemi_state_check_region_nodes, "a node of a handle"),
+    SFEMI_ROW(region_weight, 1, regions, sfemi_saved_finite, "a weight of a handle"),
     SFEMI_ROW(balance, 1, breaking, NULL, NULL),
     SFEMI_ROW(damage, 1, damage, sfemi_state_check_damage, "the damage of an edge"),
     SFEMI_ROW(pin, 1, pins, sfemi_state_check_targets, "a pin")};
@@ -20965,78 +21140,140 @@ done:
  *    dense solve and one sum over the columns.
  * ============================================================================================ */
 
-/* (H x) of one handle: the weighted mean over its nodes. */
-static void sfemi_schur_mean(const sfemi_handle *h, const sfem_real *x, sfem_real out[3])
+static sfemi_region sfemi_region_of(const sfemi_state *s, sfem_int slot)
 {
-    int k, c;
+    const sfemi_handle *h = s->handle + slot;
+    sfemi_region r;
+    r.count = h->count;
+    r.node = s->region_node + h->first;
+    r.weight = s->region_weight + h->first;
+    return r;
+}
+
+/* (H x) of one handle: the weighted mean over its nodes. */
+static void sfemi_schur_mean(const sfemi_region *r, const sfem_real *x, sfem_real out[3])
+{
+    sfem_int k;
+    int c;
     for (c = 0; c < 3; ++c) {
         out[c] = 0;
-        for (k = 0; k < 4; ++k)
-            if (h->weight[k] != 0) out[c] += h->weight[k] * x[3 * (size_t)h->node[k] + (size_t)c];
+        for (k = 0; k < r->count; ++k)
+            if (r->weight[k] != 0) out[c] += r->weight[k] * x[3 * (size_t)r->node[k] + (size_t)c];
     }
 }
 
-/* Y = A^-1 H^T of one handle, or `apart` for each of its nodes alone, with weight one. */
-static void sfemi_schur_columns(const sfem_factor *f, const sfemi_handle *h, sfem_int nodes, int apart,
-                               sfem_real *y, sfem_real *work, const sfem_exec *exec)
+/* f += H^T l of one handle, on the axes that are not held. */
+static void sfemi_schur_spread(const sfemi_region *r, const sfem_real l[3], const unsigned char *mask, sfem_real *f)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; k < r->count; ++k)
+        for (c = 0; c < 3; ++c)
+            if (r->weight[k] != 0 && !(mask[r->node[k]] >> c & 1))
+                f[3 * (size_t)r->node[k] + (size_t)c] += r->weight[k] * l[c];
+}
+
+/* Y = A^-1 H^T of one handle. */
+static void sfemi_schur_columns(const sfem_factor *f, const sfemi_region *r, sfem_int nodes, sfem_real *y,
+                                sfem_real *work, const sfem_exec *exec)
 {
     const size_t n = 3 * (size_t)nodes;
-    int first, k, c;
-    for (first = 0; first < (apart ? 4 : 1); ++first) {
-        if (h->weight[first] == 0 && apart) continue;
-        memset(y, 0, 3 * n * sizeof *y);
-        for (c = 0; c < 3; ++c)
-            for (k = first; k < (apart ? first + 1 : 4); ++k)
-                if (h->weight[k] != 0 && !(f->mask[h->node[k]] >> c & 1))
-                    y[(size_t)c * n + 3 * (size_t)h->node[k] + (size_t)c] += apart ? 1 : h->weight[k];
-        sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
-        y += 3 * n;
-    }
+    sfem_int k;
+    int c;
+    memset(y, 0, 3 * n * sizeof *y);
+    for (c = 0; c < 3; ++c)
+        for (k = 0; k < r->count; ++k)
+            if (r->weight[k] != 0 && !(f->mask[r->node[k]] >> c & 1))
+                y[(size_t)c * n + 3 * (size_t)r->node[k] + (size_t)c] += r->weight[k];
+    sfemi_factor_solve(f, nodes, 3, y, y, work, exec);
 }
 
-/* Factors S = H Y, unless the body rotates, and W = H M^-1 H^T over the handles in g->slot. */
-static void sfemi_schur_gather(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
-                              int rotates, const unsigned char *mask)
+/* W = H M^-1 H^T over the handles in g->slot, an axis at a time, factored. */
+static void sfemi_schur_gather_mass(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, const unsigned char *mask)
 {
-    const size_t n = 3 * (size_t)model->mesh.nodes;
     const sfem_int k = g->count;
-    sfem_int i, j;
-    int a, b, p, q;
-    for (i = 0; i < k; ++i) {
-        const sfemi_handle *hi = handle + g->slot[i];
-        for (j = 0; j <= i; ++j) {
-            const sfemi_handle *hj = handle + g->slot[j];
+    sfem_int i, j, p;
+    int b;
+    for (j = 0; j < k; ++j) {
+        const sfemi_region rj = sfemi_region_of(s, g->slot[j]);
+        for (p = 0; p < rj.count; ++p) g->spread[rj.node[p]] += rj.weight[p];
+        for (i = j; i < k; ++i) {
+            const sfemi_region ri = sfemi_region_of(s, g->slot[i]);
             for (b = 0; b < 3; ++b) {
-                sfem_real mean[3], w = 0;
-                if (!rotates) sfemi_schur_mean(hi, g->y[g->slot[j]] + (size_t)b * n, mean);
-                for (a = 0; a < 3 && !rotates; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
-                for (p = 0; p < 4; ++p)
-                    for (q = 0; q < 4; ++q)
-                        if (hi->node[p] == hj->node[q] && hi->weight[p] != 0 && hj->weight[q] != 0 &&
-                            !(mask[hi->node[p]] >> b & 1))
-                            w += hi->weight[p] * hj->weight[q] / model->node_mass[hi->node[p]];
+                sfem_real w = 0;
+                for (p = 0; p < ri.count; ++p)
+                    if (ri.weight[p] != 0 && g->spread[ri.node[p]] != 0 && !(mask[ri.node[p]] >> b & 1))
+                        w += ri.weight[p] * g->spread[ri.node[p]] / model->node_mass[ri.node[p]];
                 g->wm[(b * k + i) * k + j] = w;
             }
         }
+        for (p = 0; p < rj.count; ++p) g->spread[rj.node[p]] = 0;
     }
-    if (!rotates) sfemi_small_factor(g->s, 3 * k, 3 * k);
     for (b = 0; b < 3; ++b) sfemi_small_factor(g->wm + b * k * k, k, k);
 }
 
-/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
-static void sfemi_schur_apply(sfemi_schur *g, const sfemi_handle *handle, sfem_int nodes, sfem_real *a)
+static sfem_int sfemi_schur_rows(const sfemi_schur *g) { return g->count + g->springs; }
+
+/* Are the forces of handles that yield impulses of a step of Newmark's, or of a method like it? */
+static int sfemi_spring_is_impulse(const sfem_body *b) { return fabs(b->scheme.beta - b->scheme.gamma / 2) < 1e-12; }
+
+/* S = H Y, unless the body rotates, over the handles in g->slot; of constraints its factor, and that of W. */
+static void sfemi_schur_gather(sfemi_schur *g, const sfemi_state *s, const sfem_model *model, int rotates,
+                               const unsigned char *mask)
+{
+    const size_t n = 3 * (size_t)model->mesh.nodes;
+    const sfem_int k = sfemi_schur_rows(g);
+    sfem_int i, j;
+    int a, b;
+    g->shift = -1;
+    for (i = 0; i < k && !rotates; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        for (j = 0; j <= i; ++j)
+            for (b = 0; b < 3; ++b) {
+                sfem_real mean[3];
+                sfemi_schur_mean(&r, g->y[g->slot[j]] + (size_t)b * n, mean);
+                for (a = 0; a < 3; ++a) g->s[(3 * i + a) * 3 * k + 3 * j + b] = mean[a];
+            }
+    }
+    if (g->springs) return;
+    if (!rotates) sfemi_small_factor(g->s, 3 * k, 3 * k);
+    sfemi_schur_gather_mass(g, s, model, mask);
+}
+
+/* Which handles share nodes, after one was taken or let go. */
+static void sfemi_schur_group(sfemi_schur *g, const sfemi_state *s, sfem_int handles)
+{
+    sfem_int i, j, p;
+    for (i = 0; i < handles; ++i) {
+        sfemi_region r;
+        g->group[i] = i;
+        if (!s->handle[i].used) continue;
+        r = sfemi_region_of(s, i);
+        for (p = 0; p < r.count; ++p) {
+            const sfem_int owner = (sfem_int)g->spread[r.node[p]] - 1; /* the last handle that has this node */
+            const sfem_int one = g->group[i], other = owner < 0 ? one : g->group[owner];
+            const sfem_int low = one < other ? one : other, high = one < other ? other : one;
+            for (j = 0; low < high && j <= i; ++j)
+                if (g->group[j] == high) g->group[j] = low;
+            g->spread[r.node[p]] = i + 1;
+        }
+    }
+    for (i = 0; i < handles; ++i) {
+        sfemi_region r;
+        if (!s->handle[i].used) continue;
+        r = sfemi_region_of(s, i);
+        for (p = 0; p < r.count; ++p) g->spread[r.node[p]] = 0;
+    }
+}
+
+/* a += Y l. */
+static void sfemi_schur_add(const sfemi_schur *g, sfem_int nodes, sfem_real *a)
 {
     const size_t n = 3 * (size_t)nodes;
     sfem_int i;
     size_t k;
     int c;
-    for (i = 0; i < g->count; ++i) {
-        sfem_real mean[3];
-        sfemi_schur_mean(handle + g->slot[i], a, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
-    }
-    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
-    for (i = 0; i < g->count; ++i) {
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
         for (c = 0; c < 3; ++c) {
             const sfem_real *y = g->y[g->slot[i]] + (size_t)c * n, l = g->lambda[3 * i + c];
             for (k = 0; k < n; ++k) a[k] += l * y[k];
@@ -21044,28 +21281,239 @@ static void sfemi_schur_apply(sfemi_schur *g, const sfemi_handle *handle, sfem_i
     }
 }
 
+/* l = S^-1 (c - H a), a += Y l, where lambda comes in as c. */
+static void sfemi_schur_apply(sfemi_schur *g, const sfemi_state *s, sfem_int nodes, sfem_real *a)
+{
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_schur_add(g, nodes, a);
+}
+
 /* x += M^-1 H^T m with H x = c, where lambda comes in as c: the least change of x, in the mass norm. A
  * lumped M serves: it only chooses among the changes. */
-static void sfemi_schur_project(sfemi_schur *g, const sfemi_handle *handle, const sfem_model *model,
+static void sfemi_schur_project(sfemi_schur *g, const sfemi_state *s, const sfem_model *model,
                                const unsigned char *mask, sfem_real *x)
 {
     const sfem_int k = g->count;
-    sfem_int i;
-    int c, p;
+    sfem_int i, p;
+    int c;
     for (i = 0; i < k; ++i) {
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
         sfem_real mean[3];
-        sfemi_schur_mean(handle + g->slot[i], x, mean);
+        sfemi_schur_mean(&r, x, mean);
         for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
     }
     for (c = 0; c < 3; ++c) sfemi_small_solve(g->wm + c * k * k, k, k, g->lambda + c, 3);
     for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = handle + g->slot[i];
-        for (p = 0; p < 4; ++p)
+        const sfemi_region r = sfemi_region_of(s, g->slot[i]);
+        for (p = 0; p < r.count; ++p)
             for (c = 0; c < 3; ++c)
-                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
-                    x[3 * (size_t)h->node[p] + (size_t)c] +=
-                        h->weight[p] * g->lambda[3 * i + c] / model->node_mass[h->node[p]];
+                if (r.weight[p] != 0 && !(mask[r.node[p]] >> c & 1))
+                    x[3 * (size_t)r.node[p] + (size_t)c] +=
+                        r.weight[p] * g->lambda[3 * i + c] / model->node_mass[r.node[p]];
     }
+}
+
+/* ---- handles that yield ----
+ *
+ * With C > 0 a handle is no constraint but a spring and a damper on the target's place t,
+ *   t - x = C l + tau x',   |l| <= F,
+ * l being its force on the body. x and x' are those at the end of the step, x' = (x - x0)/h, so that with
+ *   C' = C h/(h + tau),  t' = (h t + tau x0)/(h + tau),  g = t' - x:   l = g/C', or F g/|g| where that is more than F.
+ *   1. That is the gradient of a convex potential, |g|^2/2C', or F |g| - F^2 C'/2. Backward Euler's form of it takes
+ *      from the energy of spring and body whatever h is: a target that stands still never adds to it.
+ *   2. In (p,q,r) and Newmark's methods of beta = gamma/2 the force is an impulse h l of its step, and not taken over
+ *      to the next one as an acceleration (see >>newmark), so that nothing rings and letting go leaves nothing behind
+ *      but what the history of (p,q,r) has, see >>resume. In others that would not rest; they damp the ringing
+ *      themselves.
+ *   3. With u' = u0' + s Y l it is  (S + C'/s + mu) l = (t' - H u0')/s,  mu >= 0 where |l| = F, else 0. A target out of
+ *      reach is followed with F in the direction of what is left, mu l. This is the least of a convex
+ *      function over balls: by block Gauss-Seidel, in the order of the handles.
+ *   4. C = eps/(E V^(1/3)), of the whole body: E the harmonic mean of Young's modulus over its volume V. Neither the
+ *      mesh nor h nor what is held enters. tau = 2 sqrt(C m), m the body's mass: a rigid body hanging on one handle
+ *      is critically damped, and what is lighter more than that; the lag tau v is 2 sqrt(eps) times the way of
+ *      the hand while a wave crosses a cube of the body's volume.
+ */
+
+/* Least compliance of handles with a limit: from where the potential above has a curvature. */
+static const sfem_real sfemi_spring_least = 1e-6;
+
+static sfemi_spring sfemi_spring_make(const sfem_model *model, const sfem_body_def *def)
+{
+    sfem_real eps = def->handle_compliance, volume = 0, over = 0;
+    sfemi_spring s;
+    sfem_int e;
+    memset(&s, 0, sizeof s);
+    if (def->handle_max_force > 0) eps = fmax(eps, sfemi_spring_least);
+    if (!(eps > 0)) return s;
+    for (e = 0; e < model->mesh.tets; ++e) {
+        const sfem_real lambda = model->lambda[e], mu = model->mu[e];
+        volume += model->volume[e];
+        over += model->volume[e] * (lambda + mu) / (mu * (3 * lambda + 2 * mu)); /* over Young's modulus */
+    }
+    s.c = eps * over / volume / pow(volume, 1. / 3);
+    s.tau = 2 * sqrt(s.c * model->total_mass);
+    s.most = def->handle_max_force;
+    return s;
+}
+
+/* C' over h seconds; 0: at rest. */
+static sfem_real sfemi_spring_compliance(const sfemi_spring *s, sfem_real h) { return h > 0 ? s->c * h / (h + s->tau) : s->c; }
+
+/* t' of a target, from where the point was h seconds before; 0: at rest. */
+static void sfemi_spring_goal(const sfemi_spring *s, const sfem_real *target, const sfem_real *from, sfem_real h,
+                              sfem_real goal[3])
+{
+    const sfem_real part = h > 0 ? s->tau / (h + s->tau) : 0;
+    int c;
+    for (c = 0; c < 3; ++c) goal[c] = target[c] + part * (from[c] - target[c]);
+}
+
+/* l = the force at g = t' - x, which comes in as l. Returns the potential. */
+static sfem_real sfemi_spring_force(const sfemi_spring *s, sfem_real h, sfem_real l[3])
+{
+    const sfem_real soft = sfemi_spring_compliance(s, h), g = sqrt(sfemi_dot3(l, l));
+    const int slips = s->most > 0 && g > s->most * soft;
+    const sfem_real k = slips ? s->most / g : 1 / soft;
+    int c;
+    for (c = 0; c < 3; ++c) l[c] *= k;
+    return slips ? s->most * (g - s->most * soft / 2) : g * g / (2 * soft);
+}
+
+/* l of (D + mu) l = r with |l| <= most, D [3][3] symmetric, lower; mu by Newton's iteration on 1/|l| [Hebden 1973]. */
+static void sfemi_spring_limit_one(const sfem_real d[9], const sfem_real r[3], sfem_real most, sfem_real l[3])
+{
+    sfem_real mu = 0, size = 0;
+    int k, c;
+    for (k = 0; k < 30; ++k) {
+        sfem_real f[9], z[3], slope;
+        memcpy(f, d, sizeof f);
+        for (c = 0; c < 9; c += 4) f[c] += mu;
+        sfemi_small_factor(f, 3, 3);
+        memcpy(l, r, 3 * sizeof *l);
+        sfemi_small_solve(f, 3, 3, l, 1);
+        size = sqrt(sfemi_dot3(l, l));
+        if (size <= most * (1 + 1e-12)) break;
+        memcpy(z, l, sizeof z);
+        sfemi_small_solve(f, 3, 3, z, 1);
+        slope = sfemi_dot3(l, z);
+        if (!(slope > 0)) break;
+        mu += size * size / slope * (size - most) / most;
+    }
+    for (c = 0; size > most && c < 3; ++c) l[c] *= most / size;
+}
+
+/* l of (S + shift + mu) l = pull within `most`, from l on: block Gauss-Seidel. It ends where no force changes by more
+ * than 1e-10 of `most`; 200 sweeps, which handles on one node that pull apart may ask for, take 1 us each. */
+static void sfemi_spring_limit(sfemi_schur *g, sfem_real shift, sfem_real most)
+{
+    enum { SWEEPS = 200 };
+    const sfem_int rows = sfemi_schur_rows(g), size = 3 * rows;
+    sfem_int i, j;
+    int sweep, r, c;
+    for (i = 0; i < rows; ++i) {
+        sfem_real *l = g->lambda + 3 * i, whole = sqrt(sfemi_dot3(l, l));
+        for (c = 0; whole > most && c < 3; ++c) l[c] *= most / whole;
+    }
+    for (sweep = 0; sweep < SWEEPS; ++sweep) {
+        sfem_real change = 0;
+        for (i = 0; i < rows; ++i) {
+            sfem_real d[9], rest[3], l[3];
+            memcpy(rest, g->pull + 3 * i, sizeof rest);
+            for (j = 0; j < rows; ++j)
+                for (r = 0; j != i && r < 3; ++r)
+                    for (c = 0; c < 3; ++c)
+                        rest[r] -= (j < i ? g->s[(3 * i + r) * size + 3 * j + c] : g->s[(3 * j + c) * size + 3 * i + r]) *
+                                   g->lambda[3 * j + c];
+            for (c = 0; c < 9; ++c) d[c] = g->s[(3 * i + c / 3) * size + 3 * i + c % 3] + (c % 4 ? 0 : shift);
+            sfemi_spring_limit_one(d, rest, most, l);
+            for (c = 0; c < 3; ++c) {
+                change = fmax(change, fabs(l[c] - g->lambda[3 * i + c]));
+                g->lambda[3 * i + c] = l[c];
+            }
+        }
+        if (change <= 1e-10 * most) return;
+    }
+}
+
+/* The factor of S + shift, or of S and a shift for each handle. */
+static void sfemi_spring_factor(sfemi_schur *g, sfem_real shift, const sfem_real *shifts)
+{
+    const sfem_int size = 3 * sfemi_schur_rows(g);
+    sfem_int i, j;
+    if (!shifts && g->shift == shift) return;
+    for (i = 0; i < size; ++i) {
+        for (j = 0; j <= i; ++j) g->yield[i * size + j] = g->s[i * size + j];
+        g->yield[i * size + i] += shifts ? shifts[i / 3] : shift;
+    }
+    sfemi_small_factor(g->yield, size, size);
+    g->shift = shifts ? -1 : shift;
+}
+
+/* l from lambda = (t' - H u0')/s, within `most` each, 0: without limit. */
+static void sfemi_spring_solve(sfemi_schur *g, sfem_real shift, sfem_real most)
+{
+    const sfem_int rows = sfemi_schur_rows(g);
+    sfem_int i;
+    int over = 0;
+    memcpy(g->pull, g->lambda, 3 * (size_t)rows * sizeof *g->pull);
+    sfemi_spring_factor(g, shift, NULL);
+    sfemi_small_solve(g->yield, 3 * rows, 3 * rows, g->lambda, 1);
+    for (i = 0; most > 0 && i < rows; ++i) over |= sfemi_dot3(g->lambda + 3 * i, g->lambda + 3 * i) > most * most;
+    if (over) sfemi_spring_limit(g, shift, most);
+}
+
+/* lambda = t' - x at u, of a step of h from the state on. */
+static void sfemi_spring_gap(sfem_body *b, const sfem_real *u, sfem_real h)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real rest[3], moved[3], from[3], goal[3];
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, moved);
+        for (c = 0; c < 3; ++c) from[c] = rest[c] + moved[c];
+        sfemi_spring_goal(&b->spring, b->state.handle[g->slot[i]].path.target, from, h, goal);
+        sfemi_schur_mean(&r, u, moved);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] = goal[c] - rest[c] - moved[c];
+    }
+}
+
+/* lambda = (t' - H (u + scale a))/scale. */
+static void sfemi_spring_right_side(sfem_body *b, const sfem_real *u, sfem_real scale, const sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    int c;
+    sfemi_spring_gap(b, u, b->step.h);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] = g->lambda[3 * i + c] / scale - mean[c];
+    }
+}
+
+/* a += share Y l where the step ends at u + scale a; lambda = l. Of bodies that do not rotate. */
+static void sfemi_spring_step(sfem_body *b, const sfem_real *u, sfem_real scale, sfem_real share, sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, b->step.h);
+    sfem_int i;
+    if (!g->springs) return;
+    sfemi_spring_right_side(b, u, scale, a);
+    sfemi_spring_solve(g, soft / (share * scale), share * b->spring.most);
+    sfemi_schur_add(g, b->model->mesh.nodes, a);
+    for (i = 0; i < 3 * g->springs; ++i) g->lambda[i] /= share;
 }
 
 /* Velocity and acceleration at the end of a step of h seconds that goes from x to hold->target, after one
@@ -21153,7 +21601,7 @@ static sfem_real sfemi_body_lumped_solve(sfem_body *b, sfem_real *r, sfem_real *
         z[i] = b->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] / model->node_mass[i / 3];
     if (b->schur.count) {
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-        sfemi_schur_project(&b->schur, b->state.handle, model, b->mask, z);
+        sfemi_schur_project(&b->schur, &b->state, model, b->mask, z);
     }
     for (i = 0; i < n; ++i) {
         r[i] = model->node_mass[i / 3] * z[i];
@@ -21201,11 +21649,11 @@ static void sfemi_body_project(sfem_body *b, const sfem_real *y, sfem_real *x)
     size_t i;
     if (!b->model->block_mass) {
         for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : y[i];
-        if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
+        if (b->schur.count) sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, x);
         return;
     }
     for (i = 0; i < n; ++i) given[i] = b->mask[i / 3] >> (i % 3) & 1 ? x[i] : 0;
-    if (b->schur.count) sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, given);
+    if (b->schur.count) sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, given);
     for (i = 0; i < n; ++i) x[i] = y[i] - given[i];
     sfem_model_multiply_mass(b->model, x, b->rhs, &b->exec);
     sfemi_body_mass_solve(b, x);
@@ -21237,9 +21685,10 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_schur *g, const sfem
     int c;
     for (i = 0; i < g->count; ++i) {
         const sfemi_handle *h = b->state.handle + g->slot[i];
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
         sfem_real rest[3], moved[3];
-        sfemi_schur_mean(h, b->model->mesh.x, rest);
-        sfemi_schur_mean(h, u, moved);
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, u, moved);
         for (c = 0; c < 3; ++c)
             g->lambda[3 * i + c] = (h->path.target[c] - rest[c] - moved[c]) / scale;
     }
@@ -21247,11 +21696,13 @@ static void sfemi_body_handle_gap(const sfem_body *b, sfemi_schur *g, const sfem
 
 SFEM_DEF void sfem_body_handle_position(const sfem_body *b, sfem_int handle, sfem_real x[3])
 {
+    sfemi_region r;
     sfem_real u[3];
     int c;
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
-    sfemi_schur_mean(b->state.handle + handle, b->model->mesh.x, x);
-    sfemi_schur_mean(b->state.handle + handle, b->state.u, u);
+    r = sfemi_region_of(&b->state, handle);
+    sfemi_schur_mean(&r, b->model->mesh.x, x);
+    sfemi_schur_mean(&r, b->state.u, u);
     for (c = 0; c < 3; ++c) x[c] += u[c];
 }
 
@@ -21318,10 +21769,14 @@ static void sfemi_newmark_solve(sfem_body *b)
     const sfem_real h = b->step.h;
     size_t i;
     sfem_real v;
-    if (!b->schur.count) return;
+    if (!sfemi_schur_rows(&b->schur)) return;
     for (i = 0; i < n; ++i) sfemi_newmark_guess(b, i, &b->zk[i], &v);
+    if (b->schur.springs) {
+        sfemi_spring_step(b, b->zk, b->def.beta * h * h, sfemi_spring_is_impulse(b) ? 1 / b->def.gamma : 1, b->acc);
+        return;
+    }
     sfemi_body_handle_gap(b, &b->schur, b->zk, b->def.beta * h * h);
-    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
+    sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
 }
 
 static void sfemi_newmark_finish(sfem_body *b)
@@ -21353,6 +21808,62 @@ static void sfemi_newmark_finish(sfem_body *b)
         }
         sfemi_target_advance(s->pin + k, x);
     }
+}
+
+/* a -= part M^-1 H^T l: handles that yield act by an impulse, with a force of l/gamma at the end of the step, which
+ * makes v' = .. + h M^-1 H^T l of v' = .. + gamma h a', and at (1/4, 1/2) a way whose work is l H (u' - u). */
+static void sfemi_newmark_settle(sfem_body *b, sfem_real part)
+{
+    const sfemi_schur *g = &b->schur;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *x = b->spare ? b->spare : b->implicit.step;
+    sfem_int k;
+    size_t i;
+    if (!g->springs || part == 0) return;
+    memset(b->rhs, 0, n * sizeof *b->rhs);
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, b->state.handle[g->slot[k]].force, b->mask, b->rhs);
+    }
+    sfemi_body_mass_solve(b, x);
+    for (i = 0; i < n; ++i)
+        if (!(b->mask[i / 3] >> (i % 3) & 1)) b->state.a[i] -= part * x[i];
+}
+
+/* (1/4, 1/2) makes v' = 2 (x' - x)/h - v of a handle that is stiff beside the step, and rings with it. So its v' goes
+ * towards (x' - x)/h, by S/(S + C'/s) of the way, all of it where it is stiff, by the least change in the mass norm,
+ * where that does not add to the kinetic energy. Returns whether any has changed. */
+static int sfemi_newmark_calm(sfem_body *b)
+{
+    static const sfem_real one[3] = {1, 1, 1};
+    const sfemi_schur *g = &b->schur;
+    const size_t n = 3 * (size_t)b->model->mesh.nodes;
+    sfem_real *column = b->spare ? b->spare : b->implicit.step;
+    int changed = 0, c;
+    sfem_int k;
+    size_t i;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfem_real x[3], v[3], way[3], inverse[3], before = 0, after = 0, own = 0;
+        for (c = 0; c < 3; ++c) own += g->s[(3 * k + c) * (3 * g->springs + 1)] / 3;
+        if (!(own > 0 && g->shift > 0)) continue;
+        memset(b->rhs, 0, n * sizeof *b->rhs);
+        sfemi_schur_spread(&r, one, b->mask, b->rhs);
+        sfemi_body_mass_solve(b, column); /* the axes do not mix */
+        sfem_body_handle_position(b, g->slot[k], x);
+        sfemi_schur_mean(&r, b->state.w, v);
+        sfemi_schur_mean(&r, column, inverse);
+        for (c = 0; c < 3; ++c) {
+            way[c] = (x[c] - g->place[3 * k + c]) / b->step.h;
+            before += inverse[c] > 0 ? v[c] * v[c] / inverse[c] : 0;
+            after += inverse[c] > 0 ? way[c] * way[c] / inverse[c] : 0;
+        }
+        if (!(after < before)) continue;
+        changed = 1;
+        for (c = 0; c < 3; ++c) way[c] = inverse[c] > 0 ? own / (own + g->shift) * (way[c] - v[c]) / inverse[c] : 0;
+        for (i = 0; i < n; ++i) b->state.w[i] += way[i % 3] * column[i];
+    }
+    return changed;
 }
 
 /* Velocity and acceleration of the handles: x [handles][3] are their positions before the step. */
@@ -21505,7 +22016,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
     const sfem_real beta = b->scheme.beta, gamma = b->scheme.gamma, am = b->scheme.am, af = b->scheme.af;
     sfemi_stage s;
     memset(&s, 0, sizeof s);
-    s.end = 1;
+    s.end = s.span = s.hand = 1;
     s.m1 = 1 - am;
     s.m0 = am;
     s.w1 = 1 - af;
@@ -21517,6 +22028,7 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         return s;
     }
     if (b->scheme.stages == 2 && k == 1) {
+        s.span = 0.5;
         s.c1 = 3 / h; /* v' = (u - 4 u_mid + 3 u')/h, and a' from v alike */
         s.vd = -4 / h;
         s.c2 = 9 / (h * h);
@@ -21526,9 +22038,10 @@ static sfemi_stage sfemi_implicit_stage(const sfem_body *b, int k, sfem_real h)
         return s;
     }
     if (b->scheme.stages == 2) {
-        s.end = 0.5;
+        s.end = s.span = 0.5;
         h /= 2;
     }
+    if (sfemi_spring_is_impulse(b)) s.hand = s.m1 / gamma;
     s.c1 = gamma / (beta * h);
     s.vv = 1 - gamma / beta;
     s.va = (1 - gamma / (2 * beta)) * h;
@@ -21697,6 +22210,7 @@ typedef struct sfemi_newton {
     int once;            /* one solve, whatever comes of it */
     int ready;           /* d is evaluated */
     int feasible;        /* pins and handles are where they have to be */
+    sfem_real loose;     /* statics: of M in the matrix, where nothing but handles that yield may hold the body */
     sfem_real scale;     /* what |r| is compared with */
     sfem_real floor_u, floor_d, edge; /* |r| that rounding makes of displacements, see below */
     sfem_real best;      /* the least relative |r| so far, that of implicit.best */
@@ -21739,6 +22253,39 @@ static void sfemi_newton_floor(sfem_body *b, sfemi_newton *t)
     t->floor_d = b->implicit.still ? 0 : eps * b->implicit.stage.m1 * b->implicit.stage.c2 * sqrt(m2);
 }
 
+/* The forces of handles that yield at d, as they act in the stage, to schur.lambda. Returns their potential. */
+static sfem_real sfemi_newton_springs(sfem_body *b, int forces)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_schur *g = &b->schur;
+    const sfemi_stage *s = &m->stage;
+    const sfem_real h = s->span * b->step.h;
+    sfem_real sum = 0;
+    sfem_int k;
+    int c;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_target *path = &b->state.handle[g->slot[k]].path;
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfem_real rest[3], u[3], d[3], mid[3], place[3], goal[3], *l = g->lambda + 3 * k;
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, m->d, d);
+        sfemi_schur_mean(&r, m->mid_d, mid);
+        memcpy(place, path->target, sizeof place);
+        for (c = 0; c < 3; ++c) {
+            if (m->still) place[c] = rest[c] + u[c] + m->share * (path->target[c] - rest[c] - u[c]);
+            else if (s->end < 1 && path->age > 0) place[c] = path->past[c] + s->end * (path->target[c] - path->past[c]);
+            mid[c] += rest[c] + u[c];
+        }
+        sfemi_spring_goal(&b->spring, place, mid, h, goal);
+        for (c = 0; c < 3; ++c) l[c] = goal[c] - rest[c] - u[c] - d[c];
+        if (!forces) continue;
+        sum += s->hand * sfemi_spring_force(&b->spring, h, l);
+        for (c = 0; c < 3; ++c) l[c] *= s->hand;
+    }
+    return sum;
+}
+
 /* f and q = M .. + D - F at d, zero on held axes; the scale of r. */
 static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
 {
@@ -21772,12 +22319,26 @@ static void sfemi_newton_evaluate(sfem_body *b, sfemi_newton *t)
     for (i = 1; i < 4; ++i)
         if (most[i] > most[0] || !sfemi_finite(most[i])) most[0] = most[i];
     t->scale = sqrt(most[0]);
+    m->yield = sfemi_newton_springs(b, 1);
     ++m->info.evaluations;
 }
 
 static int sfemi_newton_finite(const sfem_body *b, const sfemi_newton *t)
 {
-    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale);
+    return sfemi_finite(b->implicit.energy) && sfemi_finite(t->scale) && sfemi_finite(b->implicit.yield);
+}
+
+/* What rounding of places makes of the forces of handles that yield. */
+static sfem_real sfemi_newton_spring_floor(const sfem_body *b)
+{
+    const sfemi_stage *s = &b->implicit.stage;
+    sfem_real sum = 0;
+    sfem_int k;
+    for (k = 0; k < b->schur.springs; ++k) {
+        const sfem_real *t = b->state.handle[b->schur.slot[k]].path.target;
+        sum += sqrt(sfemi_dot3(t, t)) + sfemi_implicit_max(b->implicit.x, 3 * (size_t)b->model->mesh.nodes);
+    }
+    return sum > 0 ? 1e-15 * sum * s->hand / sfemi_spring_compliance(&b->spring, s->span * b->step.h) : 0;
 }
 
 /* The norm of r + H^T l, l in schur.lambda, and whether it will do. */
@@ -21790,18 +22351,14 @@ static int sfemi_newton_converged(sfem_body *b, sfemi_newton *t)
     sfem_real floor, norm;
     sfem_int k;
     size_t i;
-    int p, c;
     for (i = 0; i < n; ++i) m->step[i] = -(m->f[i] + m->q[i]);
-    for (k = 0; k < g->count; ++k) {
-        const sfemi_handle *h = b->state.handle + g->slot[k];
-        for (p = 0; p < 4; ++p)
-            for (c = 0; c < 3; ++c)
-                if (h->weight[p] != 0 && !(mask[h->node[p]] >> c & 1))
-                    m->step[3 * (size_t)h->node[p] + (size_t)c] += h->weight[p] * g->lambda[3 * k + c];
+    for (k = 0; k < sfemi_schur_rows(g); ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, g->lambda + 3 * k, mask, m->step);
     }
     norm = sqrt(sfemi_implicit_dot(m->step, m->step, n));
     floor = t->floor_u * (sfemi_implicit_max(m->x, n) + t->edge) +
-            t->floor_d * sfemi_implicit_max(m->d, n);
+            t->floor_d * sfemi_implicit_max(m->d, n) + sfemi_newton_spring_floor(b);
     m->info.residual = t->scale > 0 ? norm / t->scale : 0;
     if (!t->feasible) return 0;
     if (b->def.newton.accept_best && !m->still && m->info.residual < t->best) {
@@ -21873,7 +22430,7 @@ static sfem_status sfemi_newton_matrix(sfem_body *b, sfemi_newton *t, int projec
 {
     const sfem_tangent kind = project ? SFEM_TANGENT_PSD : b->def.newton.tangent;
     const sfem_real inertia = b->implicit.still ? 0 : b->implicit.stage.m1 * b->implicit.stage.c2;
-    sfem_status status = sfemi_newton_factor(b, t, kind, 0, err);
+    sfem_status status = sfemi_newton_factor(b, t, kind, t->loose, err);
     sfem_real shift;
     int tries;
     if (status != SFEM_NOT_SPD || sfemi_implicit_linear(b->model)) return status;
@@ -21919,10 +22476,11 @@ static sfem_real sfemi_newton_gap(sfem_body *b)
     int c;
     for (k = 0; k < b->schur.count; ++k) {
         const sfemi_handle *h = b->state.handle + b->schur.slot[k];
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
         sfem_real rest[3], u[3], d[3], place[3], v[3], a[3];
-        sfemi_schur_mean(h, b->model->mesh.x, rest);
-        sfemi_schur_mean(h, b->state.u, u);
-        sfemi_schur_mean(h, m->d, d);
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, m->d, d);
         for (c = 0; c < 3; ++c) place[c] = rest[c] + u[c];
         if (m->still) {
             for (c = 0; c < 3; ++c) v[c] = place[c] + m->share * (h->path.target[c] - place[c]);
@@ -21933,6 +22491,63 @@ static sfem_real sfemi_newton_gap(sfem_body *b)
         for (c = 0; c < 3; ++c) b->schur.lambda[3 * k + c] = place[c] - rest[c] - u[c] - d[c];
     }
     return sfemi_implicit_max(b->schur.lambda, 3 * (size_t)b->schur.count);
+}
+
+/* step += H^T l, the forces of handles that yield at d, which are kept in schur.place. */
+static void sfemi_newton_push(sfem_body *b, const unsigned char *mask)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int k;
+    if (!g->springs) return;
+    (void)sfemi_newton_springs(b, 1);
+    memcpy(g->place, g->lambda, 3 * (size_t)g->springs * sizeof *g->place);
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_spread(&r, g->place + 3 * k, mask, b->implicit.step);
+    }
+}
+
+/* step += Y (l' - l), from the forces at d to those at d + step. Their change alone is solved for where no limit is
+ * met: of a body that nothing else holds, what l does without Y is far more than the step. */
+static void sfemi_newton_pull(sfem_body *b)
+{
+    sfemi_implicit *m = &b->implicit;
+    sfemi_schur *g = &b->schur;
+    const sfem_int size = 3 * g->springs;
+    const sfem_real shift = sfemi_spring_compliance(&b->spring, m->stage.span * b->step.h) / m->stage.hand;
+    const sfem_real most = m->stage.hand * b->spring.most;
+    sfem_real mean[3];
+    sfem_int k, j;
+    int c, over = 0;
+    for (k = 0; k < g->springs; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+        sfemi_schur_mean(&r, m->step, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * k + c] = -mean[c];
+    }
+    sfemi_spring_factor(g, shift, NULL);
+    sfemi_small_solve(g->yield, size, size, g->lambda, 1);
+    for (k = 0; most > 0 && k < g->springs; ++k) {
+        sfem_real l[3];
+        for (c = 0; c < 3; ++c) l[c] = g->lambda[3 * k + c] + g->place[3 * k + c];
+        over |= sfemi_dot3(l, l) > most * most || sfemi_dot3(g->place + 3 * k, g->place + 3 * k) > most * most * (1 - 1e-9);
+    }
+    if (over) {
+        sfemi_newton_springs(b, 0);
+        for (k = 0; k < g->springs; ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+            sfemi_schur_mean(&r, m->step, mean);
+            for (c = 0; c < 3; ++c) {
+                const sfem_int row = 3 * k + c;
+                g->lambda[row] -= mean[c];
+                for (j = 0; j < size; ++j)
+                    g->lambda[row] += (j <= row ? g->s[row * size + j] : g->s[j * size + row]) * g->place[j];
+            }
+        }
+        sfemi_spring_solve(g, shift, most);
+        for (k = 0; k < size; ++k) g->lambda[k] -= g->place[k];
+    }
+    sfemi_schur_add(g, b->model->mesh.nodes, m->step);
+    for (k = 0; k < size; ++k) g->lambda[k] += g->place[k];
 }
 
 /* Newton's correction, to step; pins and handles go all their way. */
@@ -21955,29 +22570,37 @@ static sfem_status sfemi_newton_correct(sfem_body *b, sfemi_newton *t, int proje
         moved |= g[i] != 0;
     }
     if (moved) sfemi_newton_lift(b, g);
+    sfemi_newton_push(b, y->factor->mask);
     sfemi_factor_solve(y->factor, nodes, 1, m->step, m->step, b->workspace->work, &b->exec);
     for (i = 0; i < n; ++i)
         if (y->factor->mask[i / 3] >> (i % 3) & 1) m->step[i] = g[i];
     ++m->info.iterations;
-    if (!b->schur.count) return SFEM_OK;
+    if (!sfemi_schur_rows(&b->schur)) return SFEM_OK;
     if (y->matrix.val || m->second) {
-        for (k = 0; k < b->schur.count; ++k)
-            sfemi_schur_columns(y->factor, b->state.handle + b->schur.slot[k], nodes, 0,
-                               b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
-        sfemi_schur_gather(&b->schur, b->state.handle, b->model, 0, y->factor->mask);
+        for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+            sfemi_schur_columns(y->factor, &r, nodes, b->schur.y[b->schur.slot[k]], b->workspace->work, &b->exec);
+        }
+        sfemi_schur_gather(&b->schur, &b->state, b->model, 0, y->factor->mask);
+    }
+    if (b->schur.springs) {
+        sfemi_newton_pull(b);
+        return SFEM_OK;
     }
     sfemi_newton_gap(b);
-    sfemi_schur_apply(&b->schur, b->state.handle, nodes, m->step);
+    sfemi_schur_apply(&b->schur, &b->state, nodes, m->step);
     return SFEM_OK;
 }
 
-/* l.(H step): nothing once the handles are where they belong, but for rounding, which l may make felt. */
+/* l.(H step): of constraints nothing once the handles are where they belong, but for rounding, which l may make
+ * felt. */
 static sfem_real sfemi_newton_handle_work(const sfem_body *b)
 {
     sfem_real work = 0, mean[3];
     sfem_int k;
-    for (k = 0; k < b->schur.count; ++k) {
-        sfemi_schur_mean(b->state.handle + b->schur.slot[k], b->implicit.step, mean);
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        sfemi_schur_mean(&r, b->implicit.step, mean);
         work += sfemi_dot3(mean, b->schur.lambda + 3 * k);
     }
     return work;
@@ -21998,10 +22621,11 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
 {
     sfemi_implicit *m = &b->implicit;
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const int check = t->feasible && b->def.newton.line_search;
-    const sfem_real energy = m->energy, hands = sfemi_newton_handle_work(b);
-    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - hands;
-    const sfem_real drop = -(q0 + sfemi_implicit_dot(m->f, m->step, n));
+    const int check = t->feasible && b->def.newton.line_search, springs = b->schur.springs > 0;
+    const sfem_real energy = m->energy, yield = springs ? sfemi_newton_springs(b, 1) : 0;
+    const sfem_real hands = sfemi_newton_handle_work(b), pull = springs ? hands : 0; /* pull: it changes on the way */
+    const sfem_real q0 = sfemi_implicit_dot(m->q, m->step, n) - (hands - pull);
+    const sfem_real drop = -(q0 - pull + sfemi_implicit_dot(m->f, m->step, n));
     sfem_real length = 1, gone = 0;
     size_t i;
     int tries;
@@ -22011,10 +22635,11 @@ static int sfemi_newton_search(sfem_body *b, sfemi_newton *t)
         gone = length;
         sfemi_newton_evaluate(b, t);
         if (sfemi_newton_finite(b, t)) {
-            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - hands;
-            const sfem_real slope = -(q1 + sfemi_implicit_dot(m->f, m->step, n));
-            const sfem_real noise = 1e-10 * (fabs(energy) + fabs(m->energy)) / m->stage.w1;
-            change = (m->energy - energy) / m->stage.w1 + length / 2 * (q0 + q1);
+            const sfem_real q1 = sfemi_implicit_dot(m->q, m->step, n) - (hands - pull);
+            const sfem_real end = springs ? sfemi_newton_handle_work(b) : 0;
+            const sfem_real slope = -(q1 - end + sfemi_implicit_dot(m->f, m->step, n));
+            const sfem_real noise = 1e-10 * ((fabs(energy) + fabs(m->energy)) / m->stage.w1 + yield + m->yield);
+            change = (m->energy - energy) / m->stage.w1 + (m->yield - yield) + length / 2 * (q0 + q1);
             if (!check || sfemi_newton_suffices(change, length, drop, slope, noise)) {
                 t->feasible |= length == 1;
                 return 1;
@@ -22074,6 +22699,7 @@ static sfem_status sfemi_newton_run(sfem_body *b, sfemi_newton *t, sfem_error *e
     }
     if (b->def.newton.accept_best && !m->still) {
         if (t->best < 1e300) memcpy(m->d, m->best, n * sizeof *m->d);
+        (void)sfemi_newton_springs(b, 1);
         return SFEM_OK;
     }
     return sfemi_fail(err, SFEM_NOT_CONVERGED, "%s did not converge: residual %.3g after %d iterations",
@@ -22109,18 +22735,19 @@ static void sfemi_implicit_guess(sfem_body *b, sfemi_newton *t, int stage)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real *v = stage ? m->mid_v : b->state.w, *a = stage ? m->mid_a : m->a0;
     const sfem_real h = b->step.h * (stage ? 0.5 : m->stage.end);
-    sfem_real energy, q0;
+    sfem_real energy, yield, q0;
     size_t i;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
     if (t->once) return;
     sfemi_newton_evaluate(b, t);
     energy = m->energy;
+    yield = m->yield;
     for (i = 0; i < n; ++i) m->step[i] = h * (v[i] + h / 2 * a[i]);
     q0 = sfemi_implicit_dot(m->q, m->step, n);
     for (i = 0; i < n; ++i) m->d[i] += m->step[i];
     sfemi_newton_evaluate(b, t);
     q0 += sfemi_implicit_dot(m->q, m->step, n);
-    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + q0 / 2 <= 0;
+    t->ready = sfemi_newton_finite(b, t) && (m->energy - energy) / m->stage.w1 + (m->yield - yield) + q0 / 2 <= 0;
     if (t->ready) return;
     memcpy(m->d, m->mid_d, n * sizeof *m->d);
 }
@@ -22167,6 +22794,7 @@ static sfem_status sfemi_implicit_solve(sfem_body *b, sfem_error *err)
     if (!sfemi_all_finite(m->mid_a, n))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the step's acceleration is not finite: a force was not");
     memcpy(b->acc, m->mid_a, n * sizeof *b->acc);
+    for (i = 0; i < 3 * (size_t)b->schur.springs; ++i) b->schur.lambda[i] /= m->stage.hand;
     return SFEM_OK;
 }
 
@@ -22223,12 +22851,14 @@ static sfem_status sfemi_implicit_equilibrium(sfem_body *b, sfemi_system *system
     size_t i;
     memset(&m->info, 0, sizeof m->info);
     memset(&m->stage, 0, sizeof m->stage);
-    m->stage.w1 = m->stage.end = 1;
+    m->stage.w1 = m->stage.end = m->stage.hand = 1;
     m->still = 1;
     memset(&t, 0, sizeof t);
     t.system = system;
+    t.loose = system->factor->key.cm;
     t.what = "the static solution";
     t.iterations = b->def.newton.iterations > 2 ? b->def.newton.iterations : 20;
+    if (t.loose > 0) t.iterations *= 3;
     sfemi_implicit_load(b, 0, m->amap);                            /* F */
     sfemi_implicit_terms(b, b->state.u, NULL, NULL, m->vmap, m->q); /* f at the start */
     memset(m->mid_d, 0, n * sizeof *m->mid_d);                     /* where it converged last */
@@ -22415,7 +23045,7 @@ static void sfemi_alpha_predict(sfem_body *b)
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->base, b->workspace->work, &b->exec);
     if (b->schur.count) {
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->base);
+        sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->base);
     }
     for (i = 0; i < n; ++i) b->base[i] += w[i];
 }
@@ -22464,10 +23094,11 @@ static void sfemi_pqr_solve(sfem_body *b)
     const sfemi_step t = b->step;
     const sfem_real h = b->step.h, *base = sfemi_pqr_base(b);
     size_t i;
+    for (i = 0; sfemi_schur_rows(&b->schur) && i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+    sfemi_spring_step(b, b->zk, h * t.d / (1 - t.am), 1, b->acc);
     if (b->schur.count) {
-        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
-        sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, b->acc);
+        sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, b->acc);
     }
     for (i = 0; t.am != 0 && i < n; ++i) b->acc[i] /= 1 - t.am;
 }
@@ -22785,15 +23416,16 @@ static void sfemi_rotated_weigh(sfem_body *b)
 /* Which pieces are held by pins or handles. */
 static void sfemi_rotated_find_held(sfem_body *b)
 {
-    sfem_int i, k;
-    int l;
+    sfem_int i, k, l;
     for (k = 0; k < b->rotated.pieces; ++k) b->rotated.piece[k].held = 0;
     for (i = 0; i < b->pin_count; ++i)
         if (b->rotated.piece_of[b->pin[i]] >= 0) b->rotated.piece[b->rotated.piece_of[b->pin[i]]].held = 1;
-    for (i = 0; i < b->def.max_handles; ++i)
-        for (l = 0; b->state.handle[i].used && l < 4; ++l)
-            if (b->state.handle[i].weight[l] != 0)
-                b->rotated.piece[b->rotated.piece_of[b->state.handle[i].node[l]]].held = 1;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, i);
+        for (l = 0; b->state.handle[i].used && l < r.count; ++l)
+            if (r.weight[l] != 0 && b->rotated.piece_of[r.node[l]] >= 0)
+                b->rotated.piece[b->rotated.piece_of[r.node[l]]].held = 1;
+    }
 }
 
 /* The nodes [first, end) that follow each other in one free piece: from first on, or *end is the number of
@@ -23135,6 +23767,41 @@ static void sfemi_rotated_piece_frames(sfem_body *b, sfem_real *frame)
     }
 }
 
+/* The nodes of a handle, and of handles that share nodes, get one frame, that of their weighted mean, so that
+ * A^-1 H^T = Q A0^-1 Q^T H^T is Q A0^-1 H^T Q_h^T: three columns serve whatever rotates. Where one of them is held on
+ * some axes only, its frame, which is that at rest. Frames that are one already stay, to the bit. */
+static void sfemi_rotated_share_frames(const sfem_body *b, sfem_real *frame)
+{
+    const sfemi_schur *g = &b->schur;
+    sfem_int i, j, p;
+    int c;
+    for (i = 0; i < b->def.max_handles; ++i) {
+        sfem_real sum[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, volume = 0;
+        const sfem_real *one = NULL, *fixed = NULL;
+        int differ = 0;
+        if (!b->state.handle[i].used || g->group[i] != i) continue;
+        for (j = i; j < b->def.max_handles; ++j) {
+            const sfemi_region r = sfemi_region_of(&b->state, j);
+            for (p = 0; b->state.handle[j].used && g->group[j] == i && p < r.count; ++p) {
+                const sfem_real *q = frame + 9 * (size_t)r.node[p], w = fabs(r.weight[p]);
+                if (r.weight[p] == 0) continue;
+                if (!one) one = q;
+                if (b->mask[r.node[p]] != 0 && b->mask[r.node[p]] != SFEM_AXIS_ALL) fixed = q;
+                differ |= memcmp(q, one, 9 * sizeof *q) != 0;
+                for (c = 0; c < 9; ++c) sum[c] += w * q[c];
+                volume += w;
+            }
+        }
+        if (!differ) continue;
+        if (fixed || !sfemi_rotated_polar(sum, volume, sum)) memcpy(sum, fixed ? fixed : one, sizeof sum);
+        for (j = i; j < b->def.max_handles; ++j) {
+            const sfemi_region r = sfemi_region_of(&b->state, j);
+            for (p = 0; b->state.handle[j].used && g->group[j] == i && p < r.count; ++p)
+                if (r.weight[p] != 0) memcpy(frame + 9 * (size_t)r.node[p], sum, sizeof sum);
+        }
+    }
+}
+
 /* Q where forces were last computed; where it is not determined, and at nodes that are held on some axes
  * only, it stays as it was. */
 static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
@@ -23143,12 +23810,13 @@ static void sfemi_rotated_frames(sfem_body *b, sfem_real *frame)
     if (b->def.frame == SFEM_FRAME_REST || b->def.frame == SFEM_FRAME_ISOTROPIC || !b->model->rotates) return;
     if (b->def.frame == SFEM_FRAME_PIECE) {
         sfemi_rotated_piece_frames(b, frame);
-        return;
+    } else {
+        job.body = b;
+        job.frame = frame;
+        job.kernel = sfemi_polars_path[sfemi_path()];
+        sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
     }
-    job.body = b;
-    job.frame = frame;
-    job.kernel = sfemi_polars_path[sfemi_path()];
-    sfemi_run(&b->exec, (b->model->mesh.nodes - 1) / SFEMI_NODE_TASK + 1, sfemi_rotated_some_frames, &job);
+    sfemi_rotated_share_frames(b, frame);
 }
 
 /* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
@@ -23186,18 +23854,11 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
 /* Room for the columns of handle `slot`, where it is used or may not allocate later. */
 static sfem_status sfemi_schur_reserve(sfem_body *b, sfemi_schur *g, sfem_int slot, sfem_error *err)
 {
-    const sfemi_handle *h = b->state.handle + slot;
     sfem_status status = SFEM_OK;
-    sfem_int parts = !b->def.may_allocate ? (b->scheme.rotates ? 4 : 1) : 0, k, used = 0;
     sfem_real *y;
-    for (k = 0; h->used && k < 4; ++k) used += h->weight[k] != 0;
-    if (used > 0 && !b->scheme.rotates) used = 1;
-    if (used > parts) parts = used;
-    if (parts <= g->parts[slot]) return SFEM_OK;
-    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)parts * (size_t)b->model->mesh.nodes);
-    sfemi_delete(&b->allocator, g->y[slot]);
+    if (g->y[slot] || !(b->state.handle[slot].used || !b->def.may_allocate)) return SFEM_OK;
+    SFEMI_NEW(sfem_real, y, &b->allocator, 9 * (size_t)b->model->mesh.nodes);
     g->y[slot] = y;
-    g->parts[slot] = parts;
     g->ready[slot] = 0;
 done:
     return status;
@@ -23263,9 +23924,9 @@ static int sfemi_resume_falls_back(const sfem_body *b, sfem_real h)
            b->state.head->started == SFEMI_RUNNING && b->state.head->h != h && sfemi_resume_inertia_is_unknown(b);
 }
 
-/* B = k K + bound (K in A) + m M + d (rest of D). */
+/* B = k K + bound (K in A) + m M + d (rest of D) + hand H^T H of handles that yield. */
 typedef struct sfemi_inertia {
-    sfem_real k, bound, m, d;
+    sfem_real k, bound, m, d, hand;
 } sfemi_inertia;
 
 static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_real p)
@@ -23276,7 +23937,56 @@ static sfemi_inertia sfemi_resume_inertia(const sfem_body *b, sfem_real h, sfem_
     t.m = b->scheme.r + t.d * b->alpha;
     t.bound = p * h * h + t.d * b->beta;
     t.k = newmark ? -b->def.gamma / 2 * h * h : -h * h / 4;
+    t.hand = 0;
     return t;
+}
+
+/* Has this handle pulled as a spring in the last step, and not at its limit? */
+static int sfemi_resume_springs(const sfem_body *b, sfem_int k)
+{
+    const sfemi_handle *h = b->state.handle + k;
+    const sfem_real most = b->spring.most * (1 - 1e-9);
+    return b->spring.c > 0 && h->used && h->path.age > 0 && !(most > 0 && sfemi_dot3(h->force, h->force) >= most * most);
+}
+
+/* y += hand H^T H x */
+static void sfemi_resume_add_springs(const sfem_body *b, sfem_real hand, const sfem_real *x, sfem_real *y)
+{
+    sfem_int k;
+    int c;
+    for (k = 0; hand > 0 && k < b->def.max_handles; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, k);
+        sfem_real l[3];
+        if (!sfemi_resume_springs(b, k)) continue;
+        sfemi_schur_mean(&r, x, l);
+        for (c = 0; c < 3; ++c) l[c] *= hand;
+        sfemi_schur_spread(&r, l, b->mask, y);
+    }
+}
+
+/* What handles that yield do in the second half of the last step, of `half` seconds, to r, N s: at their limit their
+ * force goes on; else l = (t' - x - half H v)/C', v being what is sought, whose part goes to B. */
+static void sfemi_resume_pull(sfem_body *b, sfem_real half, sfemi_inertia *t, sfem_real *r)
+{
+    const sfemi_state *s = &b->state;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, half);
+    sfem_int k;
+    int c;
+    for (k = 0; b->spring.c > 0 && k < b->def.max_handles; ++k) {
+        const sfemi_region hand = sfemi_region_of(s, k);
+        sfem_real x[3], w[3], l[3];
+        if (!s->handle[k].used || s->handle[k].path.age == 0) continue;
+        memcpy(l, s->handle[k].force, sizeof l);
+        if (sfemi_resume_springs(b, k)) {
+            sfem_body_handle_position(b, k, x);
+            sfemi_schur_mean(&hand, s->w, w);
+            sfemi_spring_goal(&b->spring, s->handle[k].path.past, x, half, l);
+            for (c = 0; c < 3; ++c) l[c] = (l[c] - x[c] - half * w[c]) / soft;
+            t->hand = half * half / soft;
+        }
+        for (c = 0; c < 3; ++c) l[c] *= half;
+        sfemi_schur_spread(&hand, l, b->mask, r);
+    }
 }
 
 /* y = B x; x and y apart. */
@@ -23299,6 +24009,7 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
+    sfemi_resume_add_springs(b, t->hand, x, y);
     if (t->d == 0 || !model->damping) return;
     for (i = 0; i < n; ++i) z[i] = t->d * x[i];
     sfemi_fem_add_damping_rest(model, z, y);
@@ -23309,7 +24020,7 @@ static void sfemi_resume_still(sfem_body *b, sfem_real *x)
 {
     if (!b->schur.count) return;
     memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-    sfemi_schur_project(&b->schur, b->state.handle, b->model, b->mask, x);
+    sfemi_schur_project(&b->schur, &b->state, b->model, b->mask, x);
 }
 
 /* r = P^T r, z = P A^-1 r, P taking out held axes and the handles' motion; M in place of A without a factor. */
@@ -23379,7 +24090,7 @@ static void sfemi_resume_mean_force(sfem_body *b)
 static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
 {
     const sfemi_state *s = &b->state;
-    const sfemi_inertia t = sfemi_resume_inertia(b, s->head->h, s->head->p);
+    sfemi_inertia t = sfemi_resume_inertia(b, s->head->h, s->head->p);
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const sfem_real half = s->head->h / 2;
     sfem_real *r = b->rhs, *change = b->spare;
@@ -23389,13 +24100,14 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
     sfemi_resume_mean_force(b);
     for (i = 0; i < n; ++i) v[i] = s->w[i] + (b->mask[i / 3] >> (i % 3) & 1 ? half * s->a[i] : 0);
     for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_region hand = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real w[3], a[3];
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->a, a);
+        sfemi_schur_mean(&hand, s->w, w);
+        sfemi_schur_mean(&hand, s->a, a);
         for (c = 0; c < 3; ++c) /* new ones stop what they take */
             b->schur.lambda[3 * k + c] = s->handle[b->schur.slot[k]].path.age > 0 ? w[c] + half * a[c] : 0;
     }
-    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, v);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s, b->model, b->mask, v);
     for (i = 0; i < n; ++i) {
         r[i] *= half;
         change[i] = v[i] - s->w[i];
@@ -23405,7 +24117,8 @@ static void sfemi_resume_velocity(sfem_body *b, sfem_real *v)
         sfemi_resume_multiply(b, &t, change, b->spare + n);
         for (i = 0; i < n; ++i) r[i] -= b->spare[n + i];
     }
-    if (t.bound + t.k == 0 && t.d == 0 && !sfemi_resume_bounded(b)) {
+    sfemi_resume_pull(b, half, &t, r);
+    if (t.bound + t.k == 0 && t.d == 0 && t.hand == 0 && !sfemi_resume_bounded(b)) {
         sfemi_body_mass_solve(b, change);
         for (i = 0; i < n; ++i) v[i] += change[i] / t.m;
     } else {
@@ -23419,11 +24132,11 @@ static void sfemi_resume_gather(sfem_body *b)
 {
     sfemi_schur *g = &b->schur;
     sfem_int k;
-    if (!g->dirty) return;
+    if (!g->dirty || b->spring.c > 0) return;
     g->count = 0;
     for (k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_schur_gather(g, b->state.handle, b->model, 1, b->mask);
+    sfemi_schur_gather(g, &b->state, b->model, 1, b->mask);
 }
 
 /* Newmark's M v = m to x = B^-1 m: the v of (p,q,r). */
@@ -23437,14 +24150,15 @@ static void sfemi_resume_newmark(sfem_body *b, const sfemi_inertia *t, sfem_real
     for (i = 0; i < n; ++i) x[i] = b->mask[i / 3] >> (i % 3) & 1 ? s->w[i] : 0;
     for (k = 0; k < b->schur.count; ++k) {
         const sfemi_target *path = &s->handle[b->schur.slot[k]].path;
+        const sfemi_region hand = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real at[3], w[3];
         sfem_body_handle_position(b, b->schur.slot[k], at);
-        sfemi_schur_mean(s->handle + b->schur.slot[k], s->w, w);
+        sfemi_schur_mean(&hand, s->w, w);
         if (s->head->started != SFEMI_RUNNING) /* something has been let go since: w is not the velocity here */
             for (c = 0; c < 3; ++c) w[c] = (at[c] - path->past[c]) / s->head->h;
         for (c = 0; c < 3; ++c) b->schur.lambda[3 * k + c] = path->age > 0 ? w[c] : 0;
     }
-    if (b->schur.count) sfemi_schur_project(&b->schur, s->handle, b->model, b->mask, x);
+    if (b->schur.count) sfemi_schur_project(&b->schur, s, b->model, b->mask, x);
     sfemi_resume_multiply(b, t, x, b->spare);
     sfem_model_multiply_mass(b->model, s->w, b->acc, &b->exec);
     for (i = 0; i < n; ++i) b->acc[i] -= b->spare[i];
@@ -23465,10 +24179,11 @@ static void sfemi_resume_lead(sfem_body *b, sfem_real h)
         }
     for (k = 0; k < b->schur.count; ++k) {
         sfemi_handle *hand = s->handle + b->schur.slot[k];
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
         sfem_real w[3], a[3];
         sfem_body_handle_position(b, b->schur.slot[k], hand->path.target);
-        sfemi_schur_mean(hand, s->w, w);
-        sfemi_schur_mean(hand, s->a, a);
+        sfemi_schur_mean(&r, s->w, w);
+        sfemi_schur_mean(&r, s->a, a);
         for (c = 0; c < 3; ++c) hand->path.target[c] += h * (w[c] + d * a[c]);
     }
 }
@@ -23486,7 +24201,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
     sfemi_pqr_weigh(b, h);
     for (g->count = k = 0; k < count; ++k)
         if (b->state.handle[g->slot[k]].path.age > 0) g->slot[g->count++] = g->slot[k];
-    if (g->count < count) sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
+    if (g->count < count) sfemi_schur_gather(g, &b->state, b->model, 0, b->mask);
     sfemi_pqr_predict(b);
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_pqr_solve(b);
@@ -23494,7 +24209,7 @@ static void sfemi_resume_between(sfem_body *b, sfem_real h, sfem_real *v)
     if (g->count == count) return;
     for (g->count = k = 0; k < b->def.max_handles; ++k)
         if (b->state.handle[k].used) g->slot[g->count++] = k;
-    sfemi_schur_gather(g, b->state.handle, b->model, 0, b->mask);
+    sfemi_schur_gather(g, &b->state, b->model, 0, b->mask);
 }
 
 /* The same, what holds going on as it has: before a change nobody has told where it would have gone. */
@@ -23523,6 +24238,7 @@ static void sfemi_resume_stop(sfem_body *b, int pins)
     sfem_real *v;
     size_t i;
     if (s->head->started != SFEMI_RUNNING || !(b->scheme.resumes || newmark)) return;
+    if (b->spring.c > 0 && newmark && !pins && sfemi_spring_is_impulse(b)) return; /* its a has nothing of them */
     b->phase = SFEMI_IDLE;
     b->step.fresh = 0;
     if (!b->scheme.resumes) { /* Newton's: its a is stale, too */
@@ -23587,8 +24303,10 @@ static void sfemi_resume_stand(sfem_body *b, sfem_real *v)
     size_t i;
     sfemi_resume_gather(b);
     memcpy(m, v, n * sizeof *m);
-    for (k = 0; k < b->schur.count; ++k)
-        sfemi_schur_mean(b->state.handle + b->schur.slot[k], m, b->schur.lambda + 3 * k);
+    for (k = 0; k < b->schur.count; ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        sfemi_schur_mean(&r, m, b->schur.lambda + 3 * k);
+    }
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) v[i] = 0;
     sfemi_body_project(b, m, v);
@@ -23637,6 +24355,7 @@ static void sfemi_resume_rescale(sfem_body *b, const sfemi_inertia *from, const 
     less.bound = from->bound - to->bound;
     less.m = from->m - to->m;
     less.d = from->d - to->d;
+    less.hand = 0;
     memset(out, 0, n * sizeof *out);
     if (change < 0) {
         sfemi_resume_multiply(b, &less, v, b->acc);
@@ -23741,7 +24460,17 @@ static void sfemi_resume_bridge_constrain(sfem_body *b, sfem_real *a)
 {
     if (!b->schur.count) return;
     memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
-    sfemi_schur_apply(&b->schur, b->state.handle, b->model->mesh.nodes, a);
+    sfemi_schur_apply(&b->schur, &b->state, b->model->mesh.nodes, a);
+}
+
+/* Handles that yield: a force of the first stage, by where that ends, h (v + g h a). */
+static void sfemi_resume_bridge_pull(sfem_body *b, sfem_real *a)
+{
+    const sfem_real h = b->step.h;
+    size_t i;
+    if (!b->schur.springs) return;
+    for (i = 0; i < 3 * (size_t)b->model->mesh.nodes; ++i) b->zk[i] = b->state.u[i] + h * b->velocity[i];
+    sfemi_spring_step(b, b->zk, sqrt(b->p) * h * h, 1, a);
 }
 
 /* a = T's part of it, from a = A^-1 (..), with the handles held. D has g h in place of q h/2 there: one iteration,
@@ -23957,74 +24686,90 @@ static void sfemi_safeguard_refresh(sfem_body *b, sfem_real h)
     head->rebase = SFEMI_LEDGER;
 }
 
-/* In a rotated body every node has a frame of its own, so a handle has three columns for each of its nodes,
- * in the rest pose; S = H Q Y0 Q^T H^T is put together anew each step. */
+/* The frame that the nodes of a handle share. */
+static const sfem_real *sfemi_safeguard_hand_frame(const sfemi_region *r, const sfem_real *frame)
+{
+    sfem_int k;
+    for (k = 0; k < r->count - 1 && r->weight[k] == 0;) ++k;
+    return frame + 9 * (size_t)r->node[k];
+}
+
+/* In a rotated body Y is Q Y0 Q_h^T, Y0 in the rest pose and Q_h the frame that the handle's nodes share, and
+ * S = H Y is put together anew each step. */
 static void sfemi_safeguard_gather(sfem_body *b, sfemi_schur *g, const sfem_real *frame)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
-    const sfem_int size = 3 * g->count;
+    const sfem_int size = 3 * sfemi_schur_rows(g);
     sfem_int i, j;
-    int k, l, part, r, c, m;
+    int c, m;
     memset(g->s, 0, (size_t)size * (size_t)size * sizeof *g->s);
-    for (i = 0; i < g->count; ++i) {
-        const sfemi_handle *hi = b->state.handle + g->slot[i];
+    g->shift = -1;
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        const sfemi_region ri = sfemi_region_of(&b->state, g->slot[i]);
         for (j = 0; j <= i; ++j) {
-            const sfemi_handle *hj = b->state.handle + g->slot[j];
-            for (k = 0; k < 4; ++k)
-                for (l = 0, part = 0; l < 4; ++l) {
-                    const sfem_real *y, *qk, *ql;
-                    sfem_real block[9], turned[9], both[9];
-                    if (hj->weight[l] == 0) continue;
-                    y = g->y[g->slot[j]] + 3 * n * (size_t)part++;
-                    if (hi->weight[k] == 0) continue;
-                    for (r = 0; r < 3; ++r)
-                        for (c = 0; c < 3; ++c)
-                            block[3 * r + c] = y[(size_t)c * n + 3 * (size_t)hi->node[k] + (size_t)r];
-                    qk = frame + 9 * (size_t)hi->node[k];
-                    ql = frame + 9 * (size_t)hj->node[l];
-                    sfemi_mul3(qk, block, turned);
-                    sfemi_mul3_nt(turned, ql, both);
-                    for (m = 0; m < 9; ++m)
-                        g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += hi->weight[k] * hj->weight[l] * both[m];
-                }
+            const sfemi_region rj = sfemi_region_of(&b->state, g->slot[j]);
+            sfem_real mean[3], block[9], turned[9], both[9];
+            for (c = 0; c < 3; ++c) {
+                sfemi_schur_mean(&ri, g->y[g->slot[j]] + (size_t)c * n, mean);
+                for (m = 0; m < 3; ++m) block[3 * m + c] = mean[m];
+            }
+            sfemi_mul3(sfemi_safeguard_hand_frame(&ri, frame), block, turned);
+            sfemi_mul3_nt(turned, sfemi_safeguard_hand_frame(&rj, frame), both);
+            for (m = 0; m < 9; ++m) g->s[(3 * i + m / 3) * size + 3 * j + m % 3] += both[m];
         }
     }
-    sfemi_small_factor(g->s, size, size);
+    if (!g->springs) sfemi_small_factor(g->s, size, size);
 }
 
-/* l = S^-1 (c - H a), a += Q Y0 Q^T l, where g->lambda comes in as c. */
-static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
+/* a += Q Y0 Q_h^T l. */
+static void sfemi_safeguard_add_columns(sfem_body *b, const sfemi_schur *g, const sfem_real *frame, sfem_real *a)
 {
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     sfem_real *y = b->rotated.v;
     sfem_int i;
     size_t k;
-    int c, l;
-    if (!g->count) return;
-    sfemi_safeguard_gather(b, g, frame);
-    for (i = 0; i < g->count; ++i) {
-        sfem_real mean[3];
-        sfemi_schur_mean(b->state.handle + g->slot[i], a, mean);
-        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
-    }
-    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    int c;
     memset(y, 0, n * sizeof *y);
-    for (i = 0; i < g->count; ++i) {
-        const sfemi_handle *h = b->state.handle + g->slot[i];
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        const sfem_real *q = sfemi_safeguard_hand_frame(&r, frame), *lambda = g->lambda + 3 * i;
         const sfem_real *column = g->y[g->slot[i]];
-        for (l = 0; l < 4; ++l) {
-            const sfem_real *q = frame + 9 * (size_t)h->node[l], *lambda = g->lambda + 3 * i;
-            if (h->weight[l] == 0) continue;
-            for (c = 0; c < 3; ++c, column += n) {
-                const sfem_real f =
-                    h->weight[l] * (q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2]);
-                for (k = 0; k < n; ++k) y[k] += f * column[k];
-            }
+        for (c = 0; c < 3; ++c, column += n) {
+            const sfem_real f = q[c] * lambda[0] + q[3 + c] * lambda[1] + q[6 + c] * lambda[2];
+            for (k = 0; k < n; ++k) y[k] += f * column[k];
         }
     }
     sfemi_rotated_rotate(frame, b->model->mesh.nodes, 0, y, y);
     for (k = 0; k < n; ++k)
         if (!(b->mask[k / 3] >> (k % 3) & 1)) a[k] += y[k];
+}
+
+/* l = S^-1 (c - H a), a += Q Y0 Q_h^T l, where g->lambda comes in as c. */
+static void sfemi_safeguard_apply_handles(sfem_body *b, sfemi_schur *g, const sfem_real *frame, sfem_real *a)
+{
+    sfem_int i;
+    int c;
+    if (!g->count) return;
+    sfemi_safeguard_gather(b, g, frame);
+    for (i = 0; i < g->count; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3];
+        sfemi_schur_mean(&r, a, mean);
+        for (c = 0; c < 3; ++c) g->lambda[3 * i + c] -= mean[c];
+    }
+    sfemi_small_solve(g->s, 3 * g->count, 3 * g->count, g->lambda, 1);
+    sfemi_safeguard_add_columns(b, g, frame, a);
+}
+
+/* a += Y l of handles that yield, where the step ends at u + scale a; lambda = l. */
+static void sfemi_safeguard_pull(sfem_body *b, const sfem_real *u, sfem_real scale, const sfem_real *frame, sfem_real *a)
+{
+    sfemi_schur *g = &b->schur;
+    if (!g->springs) return;
+    sfemi_safeguard_gather(b, g, frame);
+    sfemi_spring_right_side(b, u, scale, a);
+    sfemi_spring_solve(g, sfemi_spring_compliance(&b->spring, b->step.h) / scale, b->spring.most);
+    sfemi_safeguard_add_columns(b, g, frame, a);
 }
 
 /* b->base as in sfemi_alpha_predict, in the rotated frames. */
@@ -24189,6 +24934,7 @@ static void sfemi_safeguard_predict(sfem_body *b)
     sfem_int j;
     size_t i;
     sfemi_safeguard_refresh(b, h);
+    sfemi_rotated_share_frames(b, s->frame); /* handles may have been taken since */
     force = sfemi_correct_forecast(b);
     if (force != s->f) t.ck = 0;
     if (b->step.starts_from_mass) t.cd -= b->scheme.q; /* A w' = r M w + ..; the rest of A w is left out */
@@ -24278,8 +25024,9 @@ static void sfemi_safeguard_try(sfem_body *b)
     if (b->step.starts_from_mass) sfemi_safeguard_subtract_velocity(b, 1 / t.d, x);
     for (i = 0; i < n; ++i)
         if (!(b->mask[i / 3] >> (i % 3) & 1)) b->acc[i] = x[i];
+    for (i = 0; sfemi_schur_rows(&b->schur) && i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
+    sfemi_safeguard_pull(b, b->zk, h * t.d / (1 - t.am), b->state.frame, b->acc);
     if (b->schur.count) {
-        for (i = 0; i < n; ++i) b->zk[i] = b->state.u[i] + h * base[i];
         sfemi_body_handle_gap(b, &b->schur, b->zk, h * t.d / (1 - t.am));
         sfemi_safeguard_apply_handles(b, &b->schur, b->state.frame, b->acc);
     }
@@ -24374,15 +25121,15 @@ static sfem_real sfemi_safeguard_step_work(const sfem_body *b, sfem_real back)
     const sfemi_step t = b->step;
     const int loads = s->head->loaded && s->head->load_age < 2;
     sfem_real work = sfemi_safeguard_outer_work(b, .5, back, loads ? t.load[0] : 0, loads ? t.load[2] : 0);
-    sfem_int k;
+    sfem_int k, l;
     size_t i;
-    int l, c;
-    for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = s->handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                i = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->schur.lambda[3 * k + c] * h->weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
+    int c;
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)r.node[l] + (size_t)c;
+                work += b->schur.lambda[3 * k + c] * r.weight[l] * ((g->u[i] - s->u[i]) / 2 + back * s->w[i]);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -24401,20 +25148,20 @@ static sfem_real sfemi_safeguard_held_work(const sfem_body *b)
 {
     const sfemi_safeguard *g = &b->safeguard;
     sfem_real work = 0;
-    sfem_int k;
-    int l, c;
+    sfem_int k, l;
+    int c;
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
             const size_t at = 3 * (size_t)b->pin[k] + (size_t)c;
             if (!(b->mask[b->pin[k]] >> c & 1)) continue;
             work += g->f[at] * (g->u[at] - b->state.u[at]); /* what is held has no energy that is watched */
         }
-    for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = b->state.handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                const size_t at = 3 * (size_t)h->node[l] + (size_t)c;
-                work += b->schur.lambda[3 * k + c] * h->weight[l] * (g->u[at] - b->state.u[at]);
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(&b->state, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                const size_t at = 3 * (size_t)r.node[l] + (size_t)c;
+                work += b->schur.lambda[3 * k + c] * r.weight[l] * (g->u[at] - b->state.u[at]);
             }
     }
     return work;
@@ -24514,6 +25261,42 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
     for (i = 0; i < n; ++i) out[i] += force[i];
 }
 
+/* t' - x of handles that yield, row by row, at the end of a step by w1, to l; with forces l itself. Returns their
+ * potential. */
+static sfem_real sfemi_correct_springs(sfem_body *b, const sfem_real *w1, int forces, sfem_real *l)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real h = b->step.h;
+    sfem_real sum = 0;
+    sfem_int i;
+    int c;
+    for (i = 0; i < g->springs; ++i, l += 3) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real rest[3], u[3], w[3], goal[3];
+        sfemi_schur_mean(&r, b->model->mesh.x, rest);
+        sfemi_schur_mean(&r, b->state.u, u);
+        sfemi_schur_mean(&r, w1, w);
+        for (c = 0; c < 3; ++c) rest[c] += u[c];
+        sfemi_spring_goal(&b->spring, b->state.handle[g->slot[i]].path.target, rest, h, goal);
+        for (c = 0; c < 3; ++c) l[c] = goal[c] - rest[c] - h * w[c];
+        if (forces) sum += sfemi_spring_force(&b->spring, h, l);
+    }
+    return sum;
+}
+
+/* out -= H^T l at w1. */
+static void sfemi_correct_take_springs(sfem_body *b, const sfem_real *w1, sfem_real *out)
+{
+    sfemi_schur *g = &b->schur;
+    sfem_int i;
+    (void)sfemi_correct_springs(b, w1, 1, g->lambda);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        const sfem_real *l = g->lambda + 3 * i, back[3] = {-l[0], -l[1], -l[2]};
+        sfemi_schur_spread(&r, back, b->mask, out);
+    }
+}
+
 /* r of the equation at w1, whose forces are f1; 0 on held axes. */
 static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const sfem_real *w1,
                                    const sfem_real *f1, sfem_real *out)
@@ -24539,6 +25322,7 @@ static void sfemi_correct_residual(sfem_body *b, const sfemi_equation *q, const 
         sfemi_rotated_motion(b, b->state.u, out, 0);
         sfemi_rotated_add_motion(b, b->state.u, -1, 1, out);
     }
+    sfemi_correct_take_springs(b, w1, out); /* a piece that a handle holds is not free */
     for (i = 0; i < n; ++i)
         if (b->mask[i / 3] >> (i % 3) & 1) out[i] = 0;
 }
@@ -24647,6 +25431,32 @@ static void sfemi_correct_free(sfem_body *b, int force, sfem_real *x)
     }
 }
 
+/* x -= Y (S + C')^-1 H x, from x = A^-1 x to the inverse of A + H^T C'^-1 H, the second derivative of the potential
+ * with handles that yield. Of one at its limit C' is |g|/F, by which its force turns; along g it would not grow at
+ * all. */
+static void sfemi_correct_yield(sfem_body *b, const sfemi_equation *q, sfem_real *x)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real soft = sfemi_spring_compliance(&b->spring, b->step.h);
+    sfem_int i;
+    int c;
+    if (!g->springs) return;
+    sfemi_safeguard_gather(b, g, b->safeguard.frame);
+    (void)sfemi_correct_springs(b, b->safeguard.w, 0, g->lambda);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real mean[3], *l = g->lambda + 3 * i;
+        g->shifts[i] = soft;
+        if (b->spring.most > 0) g->shifts[i] = fmax(soft, sqrt(sfemi_dot3(l, l)) / b->spring.most);
+        g->shifts[i] /= q->h * q->d;
+        sfemi_schur_mean(&r, x, mean);
+        for (c = 0; c < 3; ++c) l[c] = -mean[c];
+    }
+    sfemi_spring_factor(g, 0, g->shifts);
+    sfemi_small_solve(g->yield, 3 * g->springs, 3 * g->springs, g->lambda, 1);
+    sfemi_safeguard_add_columns(b, g, b->safeguard.frame, x);
+}
+
 /* x = d A^-1 x in the frames of the trial, leaving constraints alone. */
 static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, const sfem_factor *f, sfem_real *x)
 {
@@ -24667,6 +25477,7 @@ static void sfemi_correct_precondition(sfem_body *b, const sfemi_equation *q, co
         memset(b->schur.lambda, 0, 3 * (size_t)b->schur.count * sizeof *b->schur.lambda);
         sfemi_safeguard_apply_handles(b, &b->schur, b->safeguard.frame, x);
     }
+    sfemi_correct_yield(b, q, x);
     for (i = 0; i < n; ++i) x[i] *= q->d;
     ++b->state.head->solves;
 }
@@ -24749,9 +25560,32 @@ static void sfemi_correct_evaluate(sfem_body *b, const sfemi_equation *q)
     ++b->state.head->evaluations;
 }
 
+/* What the next one has to be corrected by for handles at their limit, whose potential is not quadratic. */
+static sfem_real sfemi_correct_slip(sfem_body *b, const sfemi_equation *q, const sfem_real *dir, sfem_real length)
+{
+    sfemi_schur *g = &b->schur;
+    const sfem_real h = b->step.h, most = b->spring.most * sfemi_spring_compliance(&b->spring, h);
+    sfem_real sum = 0;
+    sfem_int i;
+    int c;
+    if (!g->springs || most == 0) return 0;
+    (void)sfemi_correct_springs(b, b->safeguard.w, 0, g->lambda);
+    (void)sfemi_correct_springs(b, b->safeguard.trial_w, 0, g->place);
+    for (i = 0; i < g->springs; ++i) {
+        const sfemi_region r = sfemi_region_of(&b->state, g->slot[i]);
+        sfem_real *to = g->lambda + 3 * i, *from = g->place + 3 * i, mean[3];
+        if (sfemi_dot3(to, to) <= most * most && sfemi_dot3(from, from) <= most * most) continue;
+        sum -= sfemi_spring_force(&b->spring, h, to) / q->h;
+        sum += sfemi_spring_force(&b->spring, h, from) / q->h;
+        sfemi_schur_mean(&r, dir, mean);
+        for (c = 0; c < 3; ++c) sum += length / 2 * mean[c] * (to[c] + from[c]);
+    }
+    return sum;
+}
+
 /* By how much the potential of r is lower at `to` than at `from`, along the straight line between: exact, for
  * all but Psi is quadratic there. (Of a caller's damping, which may have none, the mean of both ends.) */
-static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
+static sfem_real sfemi_correct_fall(sfem_body *b, const sfemi_equation *q, const sfem_real *dir,
                                     sfem_real length, sfem_real psi_from, sfem_real psi_to)
 {
     const sfemi_safeguard *g = &b->safeguard; /* trial: from, the others: to */
@@ -24760,7 +25594,7 @@ static sfem_real sfemi_correct_fall(const sfem_body *b, const sfemi_equation *q,
     size_t i;
     for (i = 0; i < n; ++i)
         sum += dir[i] * (g->grad[i] + g->trial_grad[i] - q->end * (g->f[i] + g->trial_f[i]));
-    return q->end / q->h * (psi_from - psi_to) + length / 2 * sum;
+    return q->end / q->h * (psi_from - psi_to) + length / 2 * sum + sfemi_correct_slip(b, q, dir, length);
 }
 
 /* Goes along dir by Armijo's rule, and, unless dir comes of an upper bound, not far beyond the least: where the
@@ -24781,6 +25615,7 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
             const sfem_real d = g->w[i] - b->state.w[i];
             most += b->model->node_mass[i / 3] * d * d / (2 * q->d);
         }
+        most += sfemi_correct_springs(b, g->w, 1, b->schur.lambda) / q->h;
         if (slope > 2 * most) length = 2 * most / slope; /* tets stretched a thousandfold are 1e12 times as stiff */
     }
     sfemi_correct_swap_trial(g);
@@ -24802,21 +25637,22 @@ static sfem_real sfemi_correct_search(sfem_body *b, const sfemi_equation *q, sfe
     return 0;
 }
 
-/* The multipliers of the handles that r leaves, in the mass norm. */
+/* The multipliers of the handles that r leaves, in the mass norm; the forces of those that yield. */
 static void sfemi_correct_find_handle_forces(sfem_body *b)
 {
     sfemi_schur *schur = &b->schur;
     const sfem_int k = schur->count;
-    sfem_int i;
-    int c, p;
+    sfem_int i, p;
+    int c;
+    (void)sfemi_correct_springs(b, b->safeguard.w, 1, schur->lambda);
     for (i = 0; i < k; ++i) {
-        const sfemi_handle *h = b->state.handle + schur->slot[i];
+        const sfemi_region r = sfemi_region_of(&b->state, schur->slot[i]);
         for (c = 0; c < 3; ++c) {
             schur->lambda[3 * i + c] = 0;
-            for (p = 0; p < 4; ++p)
-                if (h->weight[p] != 0)
-                    schur->lambda[3 * i + c] += h->weight[p] * b->safeguard.grad[3 * (size_t)h->node[p] + (size_t)c] /
-                                               b->model->node_mass[h->node[p]];
+            for (p = 0; p < r.count; ++p)
+                if (r.weight[p] != 0 && !(b->mask[r.node[p]] >> c & 1))
+                    schur->lambda[3 * i + c] += r.weight[p] * b->safeguard.grad[3 * (size_t)r.node[p] + (size_t)c] /
+                                               b->model->node_mass[r.node[p]];
         }
     }
     for (c = 0; c < 3; ++c) sfemi_small_solve(schur->wm + c * k * k, k, k, schur->lambda + c, 3);
@@ -24828,7 +25664,7 @@ static sfem_real sfemi_safeguard_excess(sfem_body *b)
     const sfemi_safeguard *g = &b->safeguard;
     const sfemi_state_head *head = b->state.head;
     const sfem_real ec = sfemi_safeguard_measure(b, g->u, g->w, g->f, g->psi, b->step.h).ec;
-    if (b->schur.count) sfemi_correct_find_handle_forces(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_correct_find_handle_forces(b);
     return ec - fmax(head->budget + 0.01 * head->scale, head->last) - sfemi_safeguard_fallback_work(b);
 }
 
@@ -24950,7 +25786,12 @@ static sfem_real sfemi_correct_rounding(const sfem_body *b, const sfemi_equation
         const sfem_real p[3] = {x[3 * i] + u[3 * i], x[3 * i + 1] + u[3 * i + 1], x[3 * i + 2] + u[3 * i + 2]};
         sum += k * k * sfemi_dot3(p, p) * inverse;
     }
-    return 1e-32 * q->h * q->d * sum;
+    sum *= q->h * q->d;
+    for (i = 0; i < b->schur.springs; ++i) {
+        const sfem_real *t = b->state.handle[b->schur.slot[i]].path.target;
+        sum += sfemi_dot3(t, t) / sfemi_spring_compliance(&b->spring, b->step.h);
+    }
+    return 1e-32 * sum;
 }
 
 /* From the trial in guard to the solution of the equation. A trial that is not finite is left to be rejected. */
@@ -24984,7 +25825,7 @@ static void sfemi_correct(sfem_body *b)
                                   head->started == SFEMI_RESTARTED ? AFTER_REJECTION : MOST, tolerance);
     if (cheap > 0 && first > 0)
         head->estimate = fmax(first / cheap, head->estimate > 0 ? 0.7 * head->estimate + 0.3 * first / cheap : 0);
-    if (b->schur.count) sfemi_correct_find_handle_forces(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_correct_find_handle_forces(b);
     for (i = 0; i < n; ++i) b->acc[i] = (g->w[i] - b->state.w[i]) / q.d;
 }
 
@@ -25149,10 +25990,10 @@ static void sfemi_safeguard_freeze(sfem_body *b, const sfemi_equation *q)
 static void sfemi_safeguard_find_columns(sfem_body *b, const sfem_factor *f)
 {
     sfem_int i;
-    for (i = 0; i < b->schur.count; ++i) {
+    for (i = 0; i < sfemi_schur_rows(&b->schur); ++i) {
         const sfem_int slot = b->schur.slot[i];
-        sfemi_schur_columns(f, b->state.handle + slot, b->model->mesh.nodes, 1, b->schur.y[slot], b->workspace->work,
-                            &b->exec);
+        const sfemi_region r = sfemi_region_of(&b->state, slot);
+        sfemi_schur_columns(f, &r, b->model->mesh.nodes, b->schur.y[slot], b->workspace->work, &b->exec);
     }
 }
 
@@ -25364,7 +26205,7 @@ static sfem_status sfemi_safeguard_fall_back(sfem_body *b, sfem_error *err)
     }
     head->budget += sfemi_safeguard_fallback_work(b);
 done:
-    if (b->schur.count) sfemi_body_forget_columns(b);
+    if (sfemi_schur_rows(&b->schur)) sfemi_body_forget_columns(b);
     return status;
 }
 
@@ -25436,7 +26277,7 @@ static void sfemi_safeguard_finish(sfem_body *b)
     sfem_int k;
     size_t i;
     int c;
-    for (k = 0; k < b->schur.count; ++k)
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k)
         memcpy(s->handle[b->schur.slot[k]].force, b->schur.lambda + 3 * k, 3 * sizeof(sfem_real));
     sfemi_safeguard_update_budget(b);
     head->psi = g->psi;
@@ -25510,9 +26351,9 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int loaded = s->head->loaded;
     sfem_real work = g->rejected ? sfemi_safeguard_held_work(b) : 0;
-    sfem_int k;
+    sfem_int k, l;
     size_t i;
-    int l, c;
+    int c;
     for (i = 0; i < n; ++i) {
         sfem_real load = mass[i / 3] * gravity[i % 3];
         if (b->mask[i / 3] >> (i % 3) & 1) continue;
@@ -25522,13 +26363,13 @@ static sfem_real sfemi_fracture_work(sfem_body *b)
         work += load * sfemi_fracture_way(b, i);
     }
     if (g->rejected) return work;
-    for (k = 0; k < b->schur.count; ++k) {
-        const sfemi_handle *h = s->handle + b->schur.slot[k];
-        for (l = 0; l < 4; ++l)
-            for (c = 0; h->weight[l] != 0 && c < 3; ++c) {
-                i = 3 * (size_t)h->node[l] + (size_t)c;
+    for (k = 0; k < sfemi_schur_rows(&b->schur); ++k) {
+        const sfemi_region r = sfemi_region_of(s, b->schur.slot[k]);
+        for (l = 0; l < r.count; ++l)
+            for (c = 0; r.weight[l] != 0 && c < 3; ++c) {
+                i = 3 * (size_t)r.node[l] + (size_t)c;
                 if (!(b->mask[i / 3] >> c & 1))
-                    work += b->schur.lambda[3 * k + c] * h->weight[l] * sfemi_fracture_way(b, i);
+                    work += b->schur.lambda[3 * k + c] * r.weight[l] * sfemi_fracture_way(b, i);
             }
     }
     for (k = 0; k < b->pin_count; ++k)
@@ -25597,14 +26438,14 @@ static void sfemi_fracture_account(sfem_body *b)
 static void sfemi_fracture_protect(sfem_body *b)
 {
     const sfemi_bonds *g = b->bonds;
-    sfem_int i, at, l;
-    int p, k;
+    sfem_int i, at, l, p;
+    int k;
     memset(b->damage->held, 0, (size_t)g->edges);
     for (i = 0; g->def.protect_handles && i < b->def.max_handles; ++i) {
-        const sfemi_handle *h = b->state.handle + i;
-        for (p = 0; h->used && p < 4; ++p) {
-            if (h->weight[p] == 0) continue;
-            for (at = g->node_start[h->node[p]]; at < g->node_start[h->node[p] + 1]; ++at) {
+        const sfemi_region r = sfemi_region_of(&b->state, i);
+        for (p = 0; b->state.handle[i].used && p < r.count; ++p) {
+            if (r.weight[p] == 0) continue;
+            for (at = g->node_start[r.node[p]]; at < g->node_start[r.node[p] + 1]; ++at) {
                 const sfem_int edge = g->node_edge[at];
                 for (l = g->tet_start[edge]; l < g->tet_start[edge + 1]; ++l)
                     for (k = 0; k < 6; ++k) b->damage->held[g->tet_edge[6 * (g->edge_tet[l] / 6) + k]] = 1;
@@ -26167,17 +27008,22 @@ static void sfemi_method_note_handle_forces(sfem_body *b)
 {
     const sfemi_schur *g = &b->schur;
     sfem_int i;
-    for (i = 0; i < g->count; ++i)
+    for (i = 0; i < sfemi_schur_rows(g); ++i)
         memcpy(b->state.handle[g->slot[i]].force, g->lambda + 3 * i, 3 * sizeof *g->lambda);
 }
 
 /* v and a of the handles' points; the acceleration that a new handle makes stale is found again, see below. */
 static void sfemi_method_finish_handles(sfem_body *b)
 {
+    const int damped = b->beta != 0 || b->zd;
+    if (b->schur.springs) {
+        if (sfemi_newmark_calm(b) && damped) b->state.head->started = SFEMI_RESTARTED;
+        return;
+    }
     sfemi_newmark_finish_handles(b, b->schur.place);
     /* a node that is taken while it moves changes its velocity, and D v: the acceleration is found again. Without that,
      * stiffness damping makes energy, three times what there was */
-    if (sfemi_resume_takes(b) && (b->beta != 0 || b->zd)) b->state.head->started = SFEMI_RESTARTED;
+    if (sfemi_resume_takes(b) && damped) b->state.head->started = SFEMI_RESTARTED;
 }
 
 /* ---- linear bodies ---- */
@@ -26238,7 +27084,10 @@ static sfem_status sfemi_linear_solve(sfem_body *b, sfem_error *err)
 {
     sfemi_factor_solve(b->factor, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
     sfemi_linear_correct_momentum(b);
-    if (b->step.bridges) sfemi_resume_bridge_correct(b, b->acc);
+    if (b->step.bridges) {
+        sfemi_resume_bridge_pull(b, b->acc);
+        sfemi_resume_bridge_correct(b, b->acc);
+    }
     else if (b->scheme.newmark) sfemi_newmark_solve(b);
     else sfemi_pqr_solve(b);
     return sfemi_method_check_acceleration(b, err);
@@ -26282,7 +27131,10 @@ static void sfemi_linear_finish(sfem_body *b)
     else if (b->scheme.newmark) sfemi_newmark_finish(b);
     else sfemi_pqr_finish(b);
     b->state.head->started = b->step.bridges ? SFEMI_LOAD_FIXED : SFEMI_RUNNING;
-    if (b->scheme.newmark) sfemi_method_finish_handles(b);
+    if (b->scheme.newmark) {
+        sfemi_newmark_settle(b, sfemi_spring_is_impulse(b) ? 1 / b->def.gamma : 0);
+        sfemi_method_finish_handles(b);
+    }
 }
 
 static sfem_real sfemi_linear_elastic(sfem_body *b)
@@ -26344,7 +27196,9 @@ static void sfemi_newton_finish(sfem_body *b)
     sfemi_method_note_handle_forces(b);
     sfemi_implicit_finish(b);
     b->state.head->started = SFEMI_RUNNING;
-    sfemi_method_finish_handles(b);
+    if (!b->scheme.euler && sfemi_spring_is_impulse(b))
+        sfemi_newmark_settle(b, b->implicit.stage.hand / b->implicit.stage.m1);
+    if (!b->schur.springs || (!b->scheme.euler && b->scheme.stages == 1)) sfemi_method_finish_handles(b);
 }
 
 static sfem_real sfemi_newton_elastic(sfem_body *b)
@@ -26495,6 +27349,8 @@ SFEM_DEF sfem_body_def sfem_default_body_def(void)
     d.newton.tolerance = 1e-8;
     d.newton.load_steps = 1;
     d.max_handles = 16;
+    d.max_handle_nodes = 512;
+    d.handle_compliance = 1e-2;
     d.sleep_time = 0.5;
     return d;
 }
@@ -26540,14 +27396,28 @@ static sfem_status sfemi_body_check(const sfem_body_def *d, sfem_error *err)
     if (d->max_handles < 0 || d->max_handles > 1024)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handles is %d, must be 0 to 1024",
                           (int)d->max_handles);
+    if (d->max_handle_nodes < 0 || d->max_handle_nodes > 1 << 24)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "max_handle_nodes is %d, must be 0 to 2^24",
+                          (int)d->max_handle_nodes);
+    if (!(d->handle_compliance == 0 || (d->handle_compliance >= 1e-8 && d->handle_compliance <= 1e3)))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "handle_compliance is %g, must be 0 or 1e-8 to 1e3", d->handle_compliance);
+    if (!(sfemi_finite(d->handle_max_force) && d->handle_max_force >= 0))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "handle_max_force is %g N, must be >= 0 (0: no limit)", d->handle_max_force);
     return sfemi_implicit_check(d, err);
+}
+
+/* Nodes in all the regions of its handles: at least a tet's for each. */
+static sfem_int sfemi_body_region_capacity(const sfem_body *b)
+{
+    const sfem_int least = 4 * b->def.max_handles;
+    return least == 0 || b->def.max_handle_nodes < least ? least : b->def.max_handle_nodes;
 }
 
 /* Which body a state block belongs to: mesh size, pins, handle capacity, and what w means. */
 static uint64_t sfemi_body_key(const sfem_body *b)
 {
-    const int64_t shape[5] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
-                              !b->scheme.mean};
+    const int64_t shape[6] = {b->model->mesh.nodes, b->model->mesh.tets, b->pin_count, b->def.max_handles,
+                              sfemi_body_region_capacity(b), !b->scheme.mean};
     const uint64_t hash = sfemi_hash(SFEMI_HASH, shape, sizeof shape);
     return sfemi_hash(hash, b->mask, (size_t)b->model->mesh.nodes);
 }
@@ -26561,6 +27431,7 @@ static sfemi_state_shape sfemi_body_state_shape(const sfem_body *b, sfem_int pin
     s.bonds = b->bonds;
     s.nodes = nodes;
     s.handles = b->def.max_handles;
+    s.regions = sfemi_body_region_capacity(b);
     s.pins = pins;
     s.rotating = b->scheme.rotates ? nodes : 0;
     s.correcting = b->scheme.rotates == SFEMI_CORRECTS ? nodes : 0;
@@ -26646,12 +27517,18 @@ static sfem_status sfemi_body_allocate_schur(sfem_body *b, size_t k, sfemi_schur
     if (k == 0) return SFEM_OK;
     SFEMI_TAKE(sfem_int, g->slot, &b->pool, k);
     SFEMI_TAKE(sfem_real *, g->y, &b->pool, k);
-    SFEMI_TAKE(sfem_int, g->parts, &b->pool, k);
     SFEMI_TAKE(sfem_int, g->ready, &b->pool, k);
     SFEMI_TAKE(sfem_real, g->s, &b->pool, 9 * k * k);
     SFEMI_TAKE(sfem_real, g->wm, &b->pool, 3 * k * k);
     SFEMI_TAKE(sfem_real, g->lambda, &b->pool, 3 * k);
     SFEMI_TAKE(sfem_real, g->place, &b->pool, 3 * k);
+    if (b->spring.c > 0) {
+        SFEMI_TAKE(sfem_real, g->yield, &b->pool, 9 * k * k);
+        SFEMI_TAKE(sfem_real, g->pull, &b->pool, 3 * k);
+        SFEMI_TAKE(sfem_real, g->shifts, &b->pool, k);
+    }
+    SFEMI_TAKE(sfem_real, g->spread, &b->pool, b->model->mesh.nodes);
+    SFEMI_TAKE(sfem_int, g->group, &b->pool, k);
 done:
     return status;
 }
@@ -26758,6 +27635,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     b->alpha = model->alpha + def->mass_damping;
     b->beta = model->beta + def->stiffness_damping;
     b->model = model;
+    b->spring = sfemi_spring_make(model, def);
     sfemi_method_choose(b, def);
     b->sleeps = def->sleep_tolerance > 0;
     b->def.damage = NULL;
@@ -26815,16 +27693,19 @@ static sfem_status sfemi_body_prepare_handles(sfem_body *b, sfem_error *err)
         count += b->state.handle[i].used;
     }
     if (count || !b->def.may_allocate) SFEMI_TRY(sfemi_workspace_reserve_work(b, b->factor, 3, err));
-    g->count = 0;
+    g->count = g->springs = count = 0;
     for (i = 0; i < b->def.max_handles; ++i) {
         if (!b->state.handle[i].used) continue;
-        if (!g->ready[i] && !b->implicit.system.matrix.val) /* else the columns change all the time */
-            sfemi_schur_columns(sfemi_body_active(b), b->state.handle + i, b->model->mesh.nodes, b->scheme.rotates,
-                               g->y[i], b->workspace->work, &b->exec);
+        if (!g->ready[i] && !b->implicit.system.matrix.val) { /* else the columns change all the time */
+            const sfemi_region r = sfemi_region_of(&b->state, i);
+            sfemi_schur_columns(sfemi_body_active(b), &r, b->model->mesh.nodes, g->y[i], b->workspace->work, &b->exec);
+        }
         g->ready[i] = 1;
-        g->slot[g->count++] = i;
+        g->slot[count++] = i;
     }
-    sfemi_schur_gather(g, b->state.handle, b->model, b->scheme.rotates, b->mask);
+    if (b->spring.c > 0) g->springs = count;
+    else g->count = count;
+    sfemi_schur_gather(g, &b->state, b->model, b->scheme.rotates, b->mask);
     if (b->scheme.rotates && (b->model->rotates || b->scheme.rotates == SFEMI_CORRECTS || b->damage) &&
         !b->def.may_allocate && b->def.safeguard) {
         SFEMI_TRY(sfemi_safeguard_prepare_isotropic(b, err));
@@ -27128,11 +28009,13 @@ SFEM_DEF sfem_status sfem_body_finish(sfem_body *b, sfem_error *err)
         return status;
     }
     b->begun = 0;
-    for (i = 0; i < g->count; ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
+    for (i = 0; i < sfemi_schur_rows(g); ++i) sfem_body_handle_position(b, g->slot[i], g->place + 3 * i);
     if (b->damage) sfemi_fracture_round(b);
     b->scheme.method->finish(b);
-    for (i = 0; i < g->count; ++i)
-        sfemi_target_advance(&b->state.handle[g->slot[i]].path, g->place + 3 * i);
+    for (i = 0; i < sfemi_schur_rows(g); ++i) {
+        sfemi_target *path = &b->state.handle[g->slot[i]].path;
+        sfemi_target_advance(path, g->springs ? path->target : g->place + 3 * i);
+    }
     sfemi_step_force_end(b);
     b->state.head->time += b->step.h;
     b->state.head->h = b->step.h;
@@ -27480,6 +28363,7 @@ SFEM_DEF sfem_status sfem_body_load_state(sfem_body *b, const void *memory, size
     if (status != SFEM_OK) return status;
     memcpy(b->state.head, memory, bytes);
     sfemi_fracture_restore(b, &b->state);
+    sfemi_schur_group(&b->schur, &b->state, b->def.max_handles);
     sfemi_body_find_held(b);
     sfemi_refactor_drop(b);
     sfemi_body_forget_columns(b);
@@ -27553,44 +28437,71 @@ SFEM_DEF sfem_status sfem_body_move_pin(sfem_body *b, sfem_int node, const sfem_
     return SFEM_OK;
 }
 
-/* Takes the first free handle for the weighted nodes. */
-static sfem_status sfemi_body_grab(sfem_body *b, const sfem_int node[4], const sfem_real weight[4],
-                                   sfem_int *handle, sfem_error *err)
+static sfem_int sfemi_body_region_nodes(const sfem_body *b)
 {
-    sfemi_handle *h = NULL;
-    sfem_int k;
-    int c, loose = 0;
-    for (c = 0; c < 4; ++c) loose |= weight[c] != 0 && b->mask[node[c]] != SFEM_AXIS_ALL;
+    sfem_int k, sum = 0;
+    for (k = 0; k < b->def.max_handles; ++k) sum += b->state.handle[k].used ? b->state.handle[k].count : 0;
+    return sum;
+}
+
+/* Is there a free handle, *slot, for the weighted nodes, and something in them to hold? */
+static sfem_status sfemi_body_check_region(const sfem_body *b, sfem_int count, const sfem_int *node,
+                                           const sfem_real *weight, sfem_int *slot, sfem_error *err)
+{
+    const sfem_int room = sfemi_body_region_capacity(b), used = sfemi_body_region_nodes(b);
+    sfem_int k, loose = 0;
+    for (k = 0; k < count; ++k)
+        loose += (!weight || weight[k] != 0) && b->mask[node[k]] != SFEM_AXIS_ALL;
     if (!loose)
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[0], -1, "node %d is pinned on all axes",
                              (int)node[0]);
     for (k = 0; k < b->def.max_handles && b->state.handle[k].used; ++k) continue;
     if (k == b->def.max_handles)
         return sfemi_fail(err, SFEM_FULL, "all %d handles are in use: pin the nodes instead", (int)k);
-    h = b->state.handle + k;
+    if (count > room - used)
+        return sfemi_fail(err, SFEM_FULL, "%d nodes more would be held, of max_handle_nodes %d are %d in use", (int)count,
+                          (int)room, (int)used);
+    *slot = k;
+    return SFEM_OK;
+}
+
+/* Takes the first free handle for the weighted nodes, those of weight 0 left out. */
+static sfem_status sfemi_body_grab(sfem_body *b, sfem_int count, const sfem_int *node, const sfem_real *weight,
+                                   sfem_int *handle, sfem_error *err)
+{
+    sfemi_handle *h = NULL;
+    sfem_int k, slot, taken = 0;
+    sfem_status status;
+    for (k = 0; k < count; ++k) taken += !weight || weight[k] != 0;
+    status = sfemi_body_check_region(b, taken == 0 ? 1 : count, node, weight, &slot, err);
+    if (status != SFEM_OK) return status;
+    h = b->state.handle + slot;
     memset(h, 0, sizeof *h);
-    memcpy(h->node, node, sizeof h->node);
-    memcpy(h->weight, weight, sizeof h->weight);
+    h->first = sfemi_body_region_nodes(b);
+    for (k = 0; k < count; ++k) {
+        if (weight && weight[k] == 0) continue;
+        b->state.region_node[h->first + h->count] = node[k];
+        b->state.region_weight[h->first + h->count++] = weight ? weight[k] : 1.0 / count;
+    }
     h->used = 1;
-    sfem_body_handle_position(b, k, h->path.target);
+    sfem_body_handle_position(b, slot, h->path.target);
     memcpy(h->path.past, h->path.target, sizeof h->path.past);
-    b->schur.ready[k] = 0;
+    b->schur.ready[slot] = 0;
     b->schur.dirty = 1;
+    sfemi_schur_group(&b->schur, &b->state, b->def.max_handles);
+    if (b->spring.c > 0) b->state.head->pairs = 0; /* theirs are of another second derivative */
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
-    *handle = k;
+    *handle = slot;
     return SFEM_OK;
 }
 
 SFEM_DEF sfem_status sfem_body_grab_node(sfem_body *b, sfem_int node, sfem_int *handle, sfem_error *err)
 {
     SFEM_ASSERT(b && handle);
-    sfem_int nodes[4];
-    const sfem_real weight[4] = {1, 0, 0, 0};
     const sfem_status status = sfemi_body_check_node(b, node, NULL, "", err);
     if (status != SFEM_OK) return status;
-    nodes[0] = nodes[1] = nodes[2] = nodes[3] = node;
-    return sfemi_body_grab(b, nodes, weight, handle, err);
+    return sfemi_body_grab(b, 1, &node, NULL, handle, err);
 }
 
 SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem_real bary[4],
@@ -27604,7 +28515,29 @@ SFEM_DEF sfem_status sfem_body_grab_point(sfem_body *b, sfem_int tet, const sfem
         return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, -1, tet,
                              "barycentric coordinates %g %g %g %g do not add up to 1", bary[0], bary[1],
                              bary[2], bary[3]);
-    return sfemi_body_grab(b, b->model->mesh.tet + 4 * (size_t)tet, bary, handle, err);
+    return sfemi_body_grab(b, 4, b->model->mesh.tet + 4 * (size_t)tet, bary, handle, err);
+}
+
+SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *b, sfem_int count, const sfem_int *node, const sfem_real *weight,
+                                           sfem_int *handle, sfem_error *err)
+{
+    sfem_real sum = 0;
+    sfem_int k;
+    SFEM_ASSERT(b && node && handle);
+    if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "a region of %d nodes", (int)count);
+    for (k = 0; k < count; ++k) {
+        const sfem_status status = sfemi_body_check_node(b, node[k], NULL, "", err);
+        if (status != SFEM_OK) return status;
+        if (b->model->node_mass[node[k]] == 0)
+            return sfemi_fail_at(err, SFEM_BAD_ARGUMENT, node[k], -1, "node %d is in no tet: a region cannot hold it",
+                                 (int)node[k]);
+        if (weight && !sfemi_finite(weight[k]))
+            return sfemi_fail_at(err, SFEM_NOT_FINITE, node[k], -1, "the weight of node %d is not finite", (int)node[k]);
+        sum += weight ? weight[k] : 1.0 / count;
+    }
+    if (!(fabs(sum - 1) <= 1e-6))
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the weights of a region add up to %g, not 1", sum);
+    return sfemi_body_grab(b, count, node, weight, handle, err);
 }
 
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const sfem_real target[3],
@@ -27618,14 +28551,30 @@ SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const 
     return SFEM_OK;
 }
 
+/* Frees the handle; what stands behind its region in the lists moves up. */
+static void sfemi_body_drop_region(sfem_body *b, sfem_int handle)
+{
+    sfemi_state *s = &b->state;
+    const sfemi_handle gone = s->handle[handle];
+    const size_t after = (size_t)(sfemi_body_region_nodes(b) - gone.first - gone.count);
+    sfem_int k;
+    memmove(s->region_node + gone.first, s->region_node + gone.first + gone.count, after * sizeof *s->region_node);
+    memmove(s->region_weight + gone.first, s->region_weight + gone.first + gone.count, after * sizeof *s->region_weight);
+    memset(s->handle + handle, 0, sizeof *s->handle);
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (s->handle[k].used && s->handle[k].first > gone.first) s->handle[k].first -= gone.count;
+    sfemi_schur_group(&b->schur, s, b->def.max_handles);
+}
+
 SFEM_DEF void sfem_body_release_handle(sfem_body *b, sfem_int handle)
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     if (b->state.handle[handle].path.age > 0) sfemi_resume_stop(b, 0);
-    memset(b->state.handle + handle, 0, sizeof *b->state.handle);
+    sfemi_body_drop_region(b, handle);
     b->phase = SFEMI_IDLE; /* a step under way still counts it in */
     b->schur.ready[handle] = 0;
     b->schur.dirty = 1;
+    if (b->spring.c > 0) b->state.head->pairs = 0;
     sfemi_sleep_wake_up(b);
     sfemi_body_held_changed(b);
     /* what the handle had put into motion, and would let steps make a share of, may be gone long since */
@@ -27636,6 +28585,25 @@ SFEM_DEF void sfem_body_handle_force(const sfem_body *b, sfem_int handle, sfem_r
 {
     SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
     memcpy(force, b->state.handle[handle].force, 3 * sizeof *force);
+}
+
+SFEM_DEF sfem_handle_info sfem_body_get_handle(const sfem_body *b, sfem_int handle)
+{
+    const sfemi_handle *h;
+    sfem_real most;
+    sfem_handle_info info;
+    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    h = b->state.handle + handle;
+    most = b->spring.most * (1 - 1e-9);
+    memset(&info, 0, sizeof info);
+    info.nodes = h->count;
+    sfem_body_handle_position(b, handle, info.x);
+    memcpy(info.target, h->path.target, sizeof info.target);
+    memcpy(info.force, h->force, sizeof info.force);
+    info.compliance = b->spring.c;
+    info.tau = b->spring.tau;
+    info.slips = most > 0 && sfemi_dot3(h->force, h->force) >= most * most;
+    return info;
 }
 
 /* A step's temporaries. */
@@ -27748,12 +28716,15 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
                       (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
                                                      3 * sizeof(sfem_int) + sizeof(sfem_real *));
+    if (b->def.max_handles) info.body_bytes += (size_t)info.nodes * sizeof *b->schur.spread;
+    if (b->spring.c > 0)
+        info.body_bytes += (size_t)b->def.max_handles * (9 * (size_t)b->def.max_handles + 4) * sizeof(sfem_real);
     if (b->rotated.piece_of) /* as sfemi_body_allocate_rotated has it */
         info.body_bytes += (size_t)info.nodes * sizeof *b->rotated.piece_of +
                            (size_t)(b->bonds ? info.nodes : b->rotated.pieces) * sizeof *b->rotated.piece;
     if (b->scheme.rotates) info.body_bytes += 2 * (size_t)info.nodes * sizeof(sfem_real);
     for (i = 0; i < b->def.max_handles; ++i)
-        info.body_bytes += 3 * n * (size_t)b->schur.parts[i] * sizeof(sfem_real);
+        if (b->schur.y[i]) info.body_bytes += 3 * n * sizeof(sfem_real);
     info.body_bytes += sfemi_implicit_bytes(b) + sfemi_refactor_bytes(b) + sfemi_safeguard_bytes(b);
     if (!b->factor) return info;
     if (sfemi_pqr_needs_omega(b)) info.stable_step = sfemi_pqr_stable_step(b, b->p);
@@ -28193,10 +29164,16 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
  * ============================================================================================ */
 
-/* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
-static int sfemi_body_is_node_handle(const sfemi_handle *h)
+/* Is the handle a constraint on one node alone? */
+static int sfemi_body_is_node_handle(const sfem_body *b, sfem_int handle)
 {
-    return h->used && h->weight[0] == 1 && h->weight[1] == 0 && h->weight[2] == 0 && h->weight[3] == 0;
+    return b->state.handle[handle].used && b->state.handle[handle].count == 1 && b->spring.c == 0;
+}
+
+/* The first node of a handle. */
+static sfem_int sfemi_body_handle_node(const sfem_body *b, sfem_int handle)
+{
+    return b->state.region_node[b->state.handle[handle].first];
 }
 
 /* The body's pins and its node handles: what a static solution has to hold. */
@@ -28205,8 +29182,7 @@ static void sfemi_body_static_mask(const sfem_body *b, unsigned char *mask)
     sfem_int k;
     memcpy(mask, b->mask, (size_t)b->model->mesh.nodes);
     for (k = 0; k < b->def.max_handles; ++k)
-        if (sfemi_body_is_node_handle(b->state.handle + k))
-            mask[b->state.handle[k].node[0]] = SFEM_AXIS_ALL;
+        if (sfemi_body_is_node_handle(b, k)) mask[sfemi_body_handle_node(b, k)] = SFEM_AXIS_ALL;
 }
 
 /* Known displacements to u, zero elsewhere. Of two handles on one node the first counts, as in a step. */
@@ -28218,9 +29194,10 @@ static void sfemi_body_static_known(const sfem_body *b, sfem_real *u)
     memset(u, 0, 3 * (size_t)b->model->mesh.nodes * sizeof *u);
     for (k = b->def.max_handles - 1; k >= 0; --k) {
         const sfemi_handle *h = b->state.handle + k;
-        const size_t at = 3 * (size_t)h->node[0];
-        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c)
-            u[at + (size_t)c] = h->path.target[c] - rest[at + (size_t)c];
+        for (c = 0; sfemi_body_is_node_handle(b, k) && c < 3; ++c) {
+            const size_t at = 3 * (size_t)sfemi_body_handle_node(b, k) + (size_t)c;
+            u[at] = h->path.target[c] - rest[at];
+        }
     }
     for (k = 0; k < b->pin_count; ++k)
         for (c = 0; c < 3; ++c) {
@@ -28236,31 +29213,45 @@ static sfem_status sfemi_body_static_handles(sfem_body *b, const sfem_factor *f,
 {
     sfemi_schur *g = &b->schur;
     sfem_status status = SFEM_OK;
-    sfem_int k;
-    g->count = 0;
+    sfem_int k, rows = 0;
+    g->count = g->springs = 0;
     for (k = 0; k < b->def.max_handles; ++k) {
-        const sfemi_handle *h = b->state.handle + k;
+        const sfemi_region r = sfemi_region_of(&b->state, k);
         g->ready[k] = 0;
-        if (!h->used || sfemi_body_is_node_handle(h)) continue;
+        if (!b->state.handle[k].used || sfemi_body_is_node_handle(b, k)) continue;
         SFEMI_TRY(sfemi_schur_reserve(b, g, k, err));
-        if (apply) sfemi_schur_columns(f, h, b->model->mesh.nodes, 0, g->y[k], b->workspace->work, &b->exec);
-        g->slot[g->count++] = k;
+        if (apply) sfemi_schur_columns(f, &r, b->model->mesh.nodes, g->y[k], b->workspace->work, &b->exec);
+        g->slot[rows++] = k;
     }
-    if (apply && g->count) {
-        sfemi_schur_gather(g, b->state.handle, b->model, 0, f->mask);
-        for (k = 0; k < g->count; ++k) {
+    if (apply && rows) {
+        *(b->spring.c > 0 ? &g->springs : &g->count) = rows;
+        sfemi_schur_gather(g, &b->state, b->model, 0, f->mask);
+        for (k = 0; k < rows; ++k) {
+            const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
             sfem_real rest[3];
             int c;
-            sfemi_schur_mean(b->state.handle + g->slot[k], b->model->mesh.x, rest);
+            sfemi_schur_mean(&r, b->model->mesh.x, rest);
             for (c = 0; c < 3; ++c)
                 g->lambda[3 * k + c] = b->state.handle[g->slot[k]].path.target[c] - rest[c];
         }
-        sfemi_schur_apply(g, b->state.handle, b->model->mesh.nodes, u);
-        for (k = 0; k < g->count; ++k)
+        if (g->count) {
+            sfemi_schur_apply(g, &b->state, b->model->mesh.nodes, u);
+        } else {
+            for (k = 0; k < rows; ++k) {
+                const sfemi_region r = sfemi_region_of(&b->state, g->slot[k]);
+                sfem_real mean[3];
+                int c;
+                sfemi_schur_mean(&r, u, mean);
+                for (c = 0; c < 3; ++c) g->lambda[3 * k + c] -= mean[c];
+            }
+            sfemi_spring_solve(g, b->spring.c, b->spring.most);
+            sfemi_schur_add(g, b->model->mesh.nodes, u);
+        }
+        for (k = 0; k < rows; ++k)
             memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
     }
 done:
-    g->count = 0;
+    g->count = g->springs = 0;
     g->dirty = 1;
     return status;
 }
@@ -28279,12 +29270,27 @@ static void sfemi_body_static_forces(sfem_body *b)
 #endif
     for (k = 0; k < b->def.max_handles; ++k) {
         sfemi_handle *h = b->state.handle + k;
-        for (c = 0; sfemi_body_is_node_handle(h) && c < 3; ++c) {
-            const size_t i = 3 * (size_t)h->node[0] + (size_t)c;
-            h->force[c] = b->mask[h->node[0]] >> c & 1 ? 0 : -b->rhs[i];
+        for (c = 0; sfemi_body_is_node_handle(b, k) && c < 3; ++c) {
+            const size_t i = 3 * (size_t)sfemi_body_handle_node(b, k) + (size_t)c;
+            h->force[c] = b->mask[i / 3] >> c & 1 ? 0 : -b->rhs[i];
             b->rhs[i] = 0; /* carried */
         }
     }
+}
+
+/* Where less than three nodes are pinned, what holds a body may be handles that yield, which are not in its matrix: a
+ * little mass makes that positive definite. Newton's iteration takes it out again, in a few steps more; far less would
+ * drown in rounding of the rigid motions. 0: there is no need. */
+static sfem_real sfemi_body_static_mass(const sfem_body *b)
+{
+    const sfem_model *model = b->model;
+    sfem_real sum = 0;
+    sfem_int i;
+    int yields = 0;
+    for (i = 0; i < b->def.max_handles; ++i) yields |= b->spring.c > 0 && b->state.handle[i].used;
+    if (!yields || b->pin_count >= 3) return 0;
+    for (i = 0; i < model->mesh.nodes; ++i) sum += model->stiffness.val[9 * ((size_t)model->row[i + 1] - 1)];
+    return 1e-6 * sum / model->total_mass;
 }
 
 /* The static solution of a nonlinear model, to acc. */
@@ -28294,20 +29300,21 @@ static sfem_status sfemi_body_static_newton(sfem_body *b, const sfemi_factor_key
     sfemi_schur *g = &b->schur;
     sfemi_system system;
     sfem_status status = SFEM_OK;
-    sfem_int k;
+    sfem_int k, rows = 0;
     memset(&system, 0, sizeof system);
     SFEMI_TRY(sfemi_implicit_reserve(b, err));
     SFEMI_TRY(sfemi_system_open(b, key, &system, err));
     SFEMI_TRY(sfemi_workspace_reserve_work(b, system.factor, 3, err));
     SFEMI_TRY(sfemi_body_static_handles(b, system.factor, NULL, 0, err));
     for (k = 0; k < b->def.max_handles; ++k)
-        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) g->slot[g->count++] = k;
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b, k)) g->slot[rows++] = k;
+    *(b->spring.c > 0 ? &g->springs : &g->count) = rows;
     sfemi_body_static_known(b, b->implicit.best);
     SFEMI_TRY(sfemi_implicit_equilibrium(b, &system, b->implicit.best, b->acc, err));
-    for (k = 0; k < g->count; ++k)
+    for (k = 0; k < rows; ++k)
         memcpy(b->state.handle[g->slot[k]].force, g->lambda + 3 * k, 3 * sizeof(sfem_real));
 done:
-    g->count = 0;
+    g->count = g->springs = 0;
     g->dirty = 1;
     sfemi_factor_release(b->model, system.factor);
     sfemi_system_close(b, &system);
@@ -28372,10 +29379,10 @@ static void sfemi_freedom_gather(const sfem_body *b, const unsigned char *mask, 
         sfemi_freedom_hold(f, m->x + 3 * (size_t)i, mask[i]);
     }
     for (i = 0; i < b->def.max_handles; ++i) {
-        const sfemi_handle *h = b->state.handle + i;
+        const sfemi_region r = sfemi_region_of(&b->state, i);
         sfem_real x[3];
-        if (!h->used || label[h->node[0]] != f->label || mask[h->node[0]] == SFEM_AXIS_ALL) continue;
-        sfemi_schur_mean(h, m->x, x);
+        if (!b->state.handle[i].used || label[r.node[0]] != f->label || mask[r.node[0]] == SFEM_AXIS_ALL) continue;
+        sfemi_schur_mean(&r, m->x, x);
         sfemi_freedom_hold(f, x, SFEM_AXIS_ALL);
     }
 }
@@ -28487,7 +29494,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
-    if (!sfemi_implicit_linear(b->model)) {
+    key.cm = sfemi_body_static_mass(b);
+    if (!sfemi_implicit_linear(b->model) || key.cm > 0) {
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
         SFEMI_TRY(sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err));
@@ -37698,9 +38706,10 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit, Abaqus, .vtu and binary VTK meshes; sets and
  *           regions by name; welding; surfaces and tets from them; render surfaces that follow and break; bodies may
- *           share a workspace; switches that leave parts out; states saved by 0.3.0 are refused. set_force and
- *           add_node_force are set_lasting_force and add_lasting_force; forces of one step; bodies are placed; normals;
- *           sfem_modal_velocities is of nodes; handles protect the edges that they hold; sfem_model_advice
+ *           share a workspace; handles hold regions, yield and have a limit; switches that leave parts out; states
+ *           saved by 0.3.0 are refused. set_force and add_node_force are set_lasting_force and add_lasting_force;
+ *           forces of one step; bodies are placed; normals; sfem_modal_velocities is of nodes; handles protect the
+ *           edges that they hold; sfem_model_advice
  *   0.3.0   Gmsh 2.2 and binary, .veg, TetGen; stress by the law; p by step; modal handles as springs, fitted
  *           oscillators; rejected steps by Newton; states saved by 0.2.0 are refused
  *   0.2.0   modes, modal bodies and warping, lossy links, fracture, KR-alpha and its kin, sleep, renewed

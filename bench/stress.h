@@ -410,6 +410,7 @@ STRESS_STATIC sfem_body_def stress_def(const stress_body *s, stress_form form, d
     (void)h;
     if (s->held) def.pins = s->pins, def.pin_count = s->pin_count;
     def.max_handles = 2;
+    def.handle_compliance = 0;
     if (s->broken) def.damage = &s->damage;
     switch (form) {
     case STRESS_FORM_ONE_SOLVE:

@@ -70,6 +70,10 @@ static const ex_option table[] = {
      "nodes held, as 'x<0.01', the default for the bar, as 'set:NAME', a set or region of the file, or 'none'; "
      "repeatable"},
     {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes, also 'set:NAME:X,Y,Z'; repeatable"},
+    {"--grab", "X,Y,Z,RADIUS", NULL,
+     "a hand takes hold of the surface there (at the place at rest)"},
+    {"--pull", "VX,VY,VZ", "0.2,0,0", "and moves, m/s"},
+    {"--grip", "F", "0", "with this force at most, N; 0: without limit"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
     {"--threads", "N", "1", "threads"},
     {"--out", "DIR", "build/simulate", "where files go"},
@@ -98,8 +102,9 @@ typedef struct run {
     sfem_reduced *reduced;
     sfem_reduced_view *view;
     sfem_modal *modal;
-    double *u, *load; /* [nodes][3] of modal: displacement; loads without gravity */
-    sfem_int probe, steps;
+    double *u, *load;               /* [nodes][3] of modal: displacement; loads without gravity */
+    sfem_int probe, steps, hand;    /* -1: none */
+    double held[3];                 /* where it took hold */
     double h, setup, stepping;      /* seconds */
     double *time, *tip, *energy[3]; /* [steps + 1] */
     double *frame[FRAMES];          /* positions to draw */
@@ -403,6 +408,7 @@ static void make_modal(run *r, const sfem_body_def *body)
     modal.warp = (sfem_warp)ex_choice(&r->o, "--warp"); /* in the order of the enumeration */
     memcpy(modal.gravity, body->gravity, sizeof modal.gravity);
     modal.exec = body->exec;
+    modal.max_handle_nodes = r->mesh.nodes;
     must(sfem_modal_create(r->reduced, &modal, &r->modal, &err), &err);
     r->u = (double *)ex_new(6 * (size_t)r->mesh.nodes, sizeof *r->u);
     r->load = r->u + 3 * (size_t)r->mesh.nodes;
@@ -456,6 +462,8 @@ static void make_body(run *r)
     def.exec.threads = (sfem_int)ex_integer(&r->o, "--threads");
     def.pins = pins;
     def.pin_count = count;
+    def.max_handle_nodes = r->mesh.nodes;
+    def.handle_max_force = ex_real(&r->o, "--grip");
     r->breaks = ex_given(&r->o, "--fracture") || ex_given(&r->o, "--strength");
     if (r->breaks) {
         damage.law = ex_choice(&r->o, "--damage") ? SFEM_DAMAGE_CONDENSED : SFEM_DAMAGE_ZSZ;
@@ -575,6 +583,52 @@ static void set_velocity(run *r)
     free(v);
 }
 
+/* A hand: the nodes of a patch of the surface, by smooth weights. */
+static void take_hold(run *r)
+{
+    sfem_int *node, count, k;
+    double *weight, where[4], most = 0;
+    sfem_patch patch;
+    sfem_error err;
+    r->hand = -1;
+    if (!ex_given(&r->o, "--grab")) return;
+    node = (sfem_int *)ex_new((size_t)r->mesh.nodes, sizeof *node);
+    weight = (double *)ex_new((size_t)r->mesh.nodes, sizeof *weight);
+    ex_reals(&r->o, "--grab", 4, where);
+    memset(&patch, 0, sizeof patch);
+    memcpy(patch.point, where, sizeof patch.point);
+    patch.radius = where[3];
+    patch.surface = &r->surface;
+    must(sfem_mesh_near(&r->mesh, &patch, r->mesh.nodes, node, weight, &count, &err), &err);
+    if (r->modal) {
+        must(sfem_modal_grab_region(r->modal, count, node, weight, &r->hand, &err), &err);
+        sfem_modal_handle_position(r->modal, r->hand, r->held);
+    } else {
+        must(sfem_body_grab_region(r->body, count, node, weight, &r->hand, &err), &err);
+        sfem_body_handle_position(r->body, r->hand, r->held);
+    }
+    for (k = 0; k < count; ++k) most = fmax(most, weight[k]);
+    printf("hand: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
+           (int)count, r->held[0], r->held[1], r->held[2], most);
+    free(node);
+    free(weight);
+}
+
+/* Where the hand is to be at the end of the next step. */
+static void move_hand(run *r, double time)
+{
+    double v[3], x[3];
+    sfem_error err;
+    int c;
+    if (r->hand < 0) return;
+    ex_reals(&r->o, "--pull", 3, v);
+    for (c = 0; c < 3; ++c) x[c] = r->held[c] + time * v[c];
+    if (r->modal)
+        must(sfem_modal_move_handle(r->modal, r->hand, x, &err), &err);
+    else
+        must(sfem_body_move_handle(r->body, r->hand, x, &err), &err);
+}
+
 static double length3(const double *a) { return sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
 
 static double largest_displacement(const run *r)
@@ -649,6 +703,7 @@ static void rest(run *r)
 static void step(run *r)
 {
     sfem_error err;
+    move_hand(r, when_is_it(r) + r->h);
     if (!r->modal) {
         must(sfem_body_step(r->body, r->h, &err), &err);
         return;
@@ -765,7 +820,8 @@ static void simulate(run *r)
         ex_progress("simulate", i, r->steps);
     }
     if (files)
-        must(sfem_mesh_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files, &err),
+        must(sfem_mesh_write_pvd(ex_path(ex_text(&r->o, "--out"), "steps.pvd"), file, when, files,
+                                 &err),
              &err);
     free(when);
     free(file);
@@ -895,6 +951,7 @@ int main(int argc, char **argv)
     make_body(&r);
     r.setup = ex_seconds() - start;
     add_loads(&r);
+    take_hold(&r);
     set_velocity(&r);
     choose_probe(&r);
     r.time = (double *)ex_new(5 * ((size_t)r.steps + 1), sizeof *r.time);

@@ -457,6 +457,8 @@ static sfem_model *fuzz_model(sfem_law law, sfem_mass mass)
     return model;
 }
 
+static const sfem_int fuzz_region[6] = {11, 8, 9, 10, 6, 7};
+
 static sfem_body_def fuzz_body_def(int scene, sfem_damage_def *damage)
 {
     static const sfem_integrator by[FUZZ_SCENES] = {SFEM_NEWMARK, SFEM_PQR,     SFEM_PQR,   SFEM_PQR,      SFEM_PQR,
@@ -464,6 +466,9 @@ static sfem_body_def fuzz_body_def(int scene, sfem_damage_def *damage)
     sfem_body_def def = sfem_default_body_def();
     def.integrator = by[scene];
     def.max_handles = 3;
+    def.max_handle_nodes = 15;
+    if (scene % 3 == 0) def.handle_compliance = 0;
+    if (scene % 3 == 1) def.handle_max_force = 4;
     def.gravity[2] = -9.81;
     if (scene % 2) def.sleep_tolerance = 0.02, def.sleep_time = 0.02;
     if (scene % 3) def.pins = fuzz_pins, def.pin_axes = fuzz_axes, def.pin_count = 4;
@@ -542,6 +547,7 @@ static void fuzz_look_at_body(sfem_body *b)
     if (fuzz_first_handle(b, &handle)) {
         sfem_body_handle_force(b, handle, x);
         sfem_body_handle_position(b, handle, x);
+        (void)sfem_body_get_handle(b, handle);
     }
     if (!b->damage) return;
     count = sfem_body_fracture(b).pieces;
@@ -601,7 +607,9 @@ static void fuzz_call_body(sfem_body *b, unsigned call, double h)
     case 6: if (fuzz_first_handle(b, &handle)) sfem_body_release_handle(b, handle);
             break;
     case 7: (void)sfem_body_grab_node(b, 10, &handle, &err); break;
-    case 8: (void)sfem_body_grab_point(b, 3, bary, &handle, &err); break;
+    case 8: if (call % 2) (void)sfem_body_grab_point(b, 3, bary, &handle, &err);
+            else (void)sfem_body_grab_region(b, 6, fuzz_region, NULL, &handle, &err);
+            break;
     case 9: (void)sfem_body_set_pins(b, 3, fuzz_pins, NULL, &err); break;
     case 10: (void)sfem_body_set_gravity(b, f, &err); break;
     case 11: fuzz_look_at_body(b); break;

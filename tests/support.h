@@ -9,6 +9,7 @@
  *     fail_every_allocation(f, user)    f with its 1st, 2nd, ... allocation failing, till none does
  *     hash_reals(x, n)                  equal bits, equal hash
  *     test_random, random_*             repeatable numbers
+ *     exact_body_def()                  the default body with handles that do not yield
  *     thread_exec(n)                    an sfem_exec on n POSIX threads
  *     mesh_path(name), scratch_path(name)   a mesh from SFEM_MESHES, or NULL; a file to write
  *     run_all_tests(tests)              main's last line; SFEM_FILTER=PATTERN picks tests
@@ -45,6 +46,16 @@
 #define TEST_SANITIZED 1
 #else
 #define TEST_SANITIZED 0
+#endif
+
+#ifndef SFEM_NO_BODY
+/* The default, with handles that are constraints. */
+TEST_STATIC sfem_body_def exact_body_def(void)
+{
+    sfem_body_def def = sfem_default_body_def();
+    def.handle_compliance = 0;
+    return def;
+}
 #endif
 
 /* --------------------------------------------------------------------------------------------

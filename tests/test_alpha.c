@@ -9,7 +9,7 @@
 
 static sfem_body_def method(sfem_integrator integrator, double parameter)
 {
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     def.integrator = integrator;
     if (integrator == SFEM_GUI) def.gui_lambda = parameter;
     if (integrator == SFEM_KR_ALPHA || integrator == SFEM_GENERALIZED_ALPHA)

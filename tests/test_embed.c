@@ -1,5 +1,6 @@
 /* Render surfaces that follow coarse bodies: places and normals by other routes, hostile input, and broken bodies. */
 #include "support.h"
+#include "linear.h"
 
 static sfem_mesh ball(sfem_real radius, sfem_int rings)
 {
@@ -482,7 +483,7 @@ static int part_of(const double *x, int planes)
 /* Breaks all edges between parts of a mesh, which the scene takes, and cuts a surface with it. */
 static broken break_body(sfem_mesh mesh, const sfem_embed_def *d, int planes, sfem_real speed)
 {
-    sfem_model_def model = sfem_default_model_def();
+    sfem_model_def model = linear_model_def();
     sfem_body_def body = sfem_default_body_def();
     sfem_damage_def damage = sfem_default_damage_def();
     broken s;
@@ -1093,7 +1094,7 @@ static void full_and_modal_bodies_take_points_along(void **state)
 {
     const sfem_int cells[3] = {6, 2, 2};
     const sfem_real size[3] = {3, 1, 1}, spin[3] = {0.3, 1, 0.2};
-    sfem_model_def model_def = sfem_default_model_def();
+    sfem_model_def model_def = linear_model_def();
     sfem_body_def body_def = sfem_default_body_def();
     sfem_modes_def modes_def = sfem_default_modes_def();
     sfem_reduced_def reduced_def = sfem_default_reduced_def();

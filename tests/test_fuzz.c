@@ -183,9 +183,18 @@ static void a_body_block_with_a_number_out_of_its_range_is_refused(void **state)
     const sfemi_state *v = &m.view;
     unsigned char *mark;
     (void)state;
-    memset(v->handle[1].weight, 0, sizeof v->handle[1].weight); /* no columns, which are then set to zero */
+    v->region_weight[1] = NAN;
+    refuse_body(&m, "a weight of a handle");
+    v->region_node[3] = 12;
+    refuse_body(&m, "a node of a handle");
+    v->handle[1].first = 0; /* overlaps the first: released one after the other, a negative size would move */
     refuse_body(&m, "a handle");
-    v->handle[0].node[3] = 12;
+    v->handle[1].count = 3; /* one place belongs to nobody */
+    v->handle[1].first = 2;
+    refuse_body(&m, "a handle");
+    v->handle[1].count = INT32_MAX;
+    refuse_body(&m, "a handle");
+    v->handle[1].count = 0;
     refuse_body(&m, "a handle");
     v->handle[0].path.age = -1;
     refuse_body(&m, "a handle");

@@ -68,7 +68,7 @@ static sfem_model *beam_of(const scheme *s)
 
 static sfem_body_def body_def_of(const scheme *s, sfem_int pin_count)
 {
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     def.integrator = s->integrator;
     def.p = s->p;
     def.beta = s->beta;
@@ -962,7 +962,7 @@ static void a_forged_state_is_refused_or_harmless(void **state)
     const sfem_real size[3] = {1, 1, 1};
     const uint64_t wrong[3] = {0x7fffffff7fffffffu, 0x4000000000000040u, 0xffffffffffffffffu};
     sfem_model_def md = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     sfem_mesh mesh;
     sfem_model *model;
     sfem_body *body;

@@ -46,7 +46,7 @@ static void drop(scene *s)
 /* hangs from its pins, damped so that it rests after some seconds */
 static sfem_body_def hanging(const scene *s)
 {
-    sfem_body_def d = sfem_default_body_def();
+    sfem_body_def d = exact_body_def();
     d.pins = s->pins;
     d.pin_count = s->pin_count;
     d.gravity[1] = -9.8;
@@ -567,7 +567,7 @@ static void a_tolerance_or_time_that_makes_no_sense_is_refused(void **state)
     sfem_body *body = NULL;
     sfem_error err;
     (void)state;
-    assert_true(sfem_default_body_def().sleep_tolerance == 0);
+    assert_true(exact_body_def().sleep_tolerance == 0);
     def.sleep_tolerance = -1;
     assert_status(sfem_body_create(s.model, &def, &body, &err), SFEM_BAD_ARGUMENT);
     assert_names(err, "sleep (below -1 m/s");
