@@ -1,5 +1,8 @@
 /* Damage on the edge graph: the edge form of a tet, damage laws, criterion, pieces, blade. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_DAMAGE
+#define SFEM_ENABLE_NEWTON
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "linear.h"

@@ -1,5 +1,7 @@
 /* Materials and tets: rotations, stresses, tangents, edge lengths, forces of a model. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_MODEL
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "linear.h"

@@ -1,5 +1,8 @@
 /* The factors that bodies of a model share: looked up in its list, by threads at the same time. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_DAMAGE
+#define SFEM_ENABLE_NEWTON
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 

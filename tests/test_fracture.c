@@ -1,6 +1,10 @@
 /* Bodies that break while they step: energies, momenta, pieces, stability with the factor of the whole body,
  * states, threads, memory. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_DAMAGE
+#define SFEM_ENABLE_NEWTON
+#define SFEM_ENABLE_MESHIO
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "linear.h"

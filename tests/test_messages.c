@@ -257,9 +257,67 @@ static void units_that_look_wrong_are_named(void **state)
     }
 }
 
+static sfem_real below(const sfem_real x[3], void *user)
+{
+    (void)user;
+    return x[2] - 0.5;
+}
+
+/* A definition that is all zero, or another kind's, is told from one with odd values. */
+static void definitions_say_who_has_to_make_them(void **state)
+{
+    const sfem_int cells[3] = {1, 1, 1};
+    const sfem_real size[3] = {1, 1, 1}, box[2][3] = {{0, 0, 0}, {1, 1, 1}};
+    sfem_model_def model_def = sfem_default_model_def(), no_model_def;
+    sfem_body_def body_def, damaged = sfem_default_body_def();
+    sfem_damage_def damage;
+    sfem_modes_def modes_def;
+    sfem_mesher_def mesher_def;
+    sfem_link_def link_def;
+    sfem_ldl_def ldl_def;
+    sfem_mesh mesh, other;
+    sfem_model *model;
+    sfem_body *body;
+    sfem_modes modes;
+    sfem_sender *sender;
+    sfem_ldl *ldl;
+    sfem_error err;
+    (void)state;
+    assert_ok(sfem_mesh_block(cells, size, SFEM_CELL_5_TETS, NULL, &mesh, &err), err);
+    model_def.mesh = &mesh;
+    assert_ok(sfem_model_create(&model_def, &model, &err), err);
+#define SAYS(call, name)                                                                                               \
+    do {                                                                                                               \
+        assert_int_equal(call, SFEM_BAD_ARGUMENT);                                                                     \
+        assert_non_null(strstr(err.text, name));                                                                       \
+    } while (0)
+    memset(&no_model_def, 0, sizeof no_model_def);
+    no_model_def.mesh = &mesh;
+    SAYS(sfem_model_create(&no_model_def, &model, &err), "sfem_default_model_def");
+    memset(&body_def, 0, sizeof body_def);
+    SAYS(sfem_body_create(model, &body_def, &body, &err), "sfem_default_body_def");
+    body_def.cookie = model_def.cookie;
+    SAYS(sfem_body_create(model, &body_def, &body, &err), "sfem_default_body_def");
+    memset(&damage, 0, sizeof damage);
+    damaged.damage = &damage;
+    SAYS(sfem_body_create(model, &damaged, &body, &err), "sfem_default_damage_def");
+    memset(&modes_def, 0, sizeof modes_def);
+    SAYS(sfem_modes_create(model, &modes_def, &modes, &err), "sfem_default_modes_def");
+    memset(&mesher_def, 0, sizeof mesher_def);
+    SAYS(sfem_mesh_from_sdf(&mesher_def, below, NULL, box, &other, NULL, &err), "sfem_default_mesher_def");
+    memset(&link_def, 0, sizeof link_def);
+    SAYS(sfem_sender_create(&link_def, &sender, &err), "sfem_default_link_def");
+    memset(&ldl_def, 0, sizeof ldl_def);
+    SAYS(sfem_ldl_create(&ldl_def, sfem_model_stiffness(model), &ldl, &err), "sfem_default_ldl_def");
+#undef SAYS
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(definitions_say_who_has_to_make_them),
         cmocka_unit_test(numbers_from_one_are_recognised),
         cmocka_unit_test(files_without_tets_say_what_they_have),
         cmocka_unit_test(a_missing_material_tells_where_numbers_start),

@@ -1,5 +1,9 @@
 /* Factors of the present tangent: made in slices of counted operations, swapped whole, and what they are good for. */
 #define SFEM_STATIC
+#define SFEM_MINIMAL
+#define SFEM_ENABLE_DAMAGE
+#define SFEM_ENABLE_NEWTON
+#define SFEM_ENABLE_MESHIO
 #define SOFTFEM_IMPLEMENTATION
 #include "support.h"
 #include "bodies.h"
