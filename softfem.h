@@ -2469,7 +2469,7 @@ SFEM_DEF void sfem_embed_point(const sfem_embed *embed, sfem_int point, sfem_int
 SFEM_DEF void sfem_embed_positions(sfem_embed *embed, const sfem_real *u, sfem_real *x, sfem_real *n);
 SFEM_DEF void sfem_embed_to_floats(sfem_embed *embed, const sfem_real *u, float *x, float *n, size_t stride);
 
-#ifndef SFEM_NO_BODY
+#ifndef SFEM_NO_DAMAGE
 /* BROKEN BODIES. The render surface is cut where the body's pieces (sfem_body_piece_of) part, and each piece is closed
  * by inner faces. A place belongs to the piece of the node with the largest coordinate in its tet: pieces are bounded
  * by the planes w_a = w_b of tets with nodes in both, as those of sfem_fragments are. Cracks that end inside a piece
@@ -2519,7 +2519,7 @@ SFEM_DEF void sfem_embed_pieces_positions(sfem_embed *embed, const sfem_embed_pi
                                           sfem_real *x, sfem_real *n);
 SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *embed, const sfem_embed_pieces *pieces, sfem_body *body, float *x,
                                           float *n, size_t stride);
-#endif /* SFEM_NO_BODY */
+#endif /* SFEM_NO_DAMAGE */
 #endif /* SFEM_NO_EMBED */
 
 #ifdef __cplusplus
@@ -35680,7 +35680,7 @@ SFEM_DEF void sfem_embed_to_floats(sfem_embed *e, const sfem_real *u, float *x, 
     sfemi_embed_apply(&j);
 }
 
-#ifndef SFEM_NO_BODY
+#ifndef SFEM_NO_DAMAGE
 /* ---- broken bodies ----
  *
  * The planes of >>fragments, of the tets with nodes of several pieces, are triangles T: a cell's side of one is behind
@@ -37274,7 +37274,7 @@ SFEM_DEF void sfem_embed_pieces_to_floats(sfem_embed *e, const sfem_embed_pieces
     j.floats = 1;
     sfemi_embed_pieces_apply(&j, o, b);
 }
-#endif /* SFEM_NO_BODY */
+#endif /* SFEM_NO_DAMAGE */
 #endif /* SFEM_NO_EMBED */
 
 #ifdef __cplusplus
