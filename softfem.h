@@ -6927,8 +6927,12 @@ static sfem_status sfemi_vtk_tet(sfemi_vtk *r, int64_t nodes)
         SFEMI_TRY(sfemi_typed_integer(s, r->cell_type, INT64_MIN, INT64_MAX, "a node of a tet", &v));
         if (v < 0 || v >= r->m.nodes) {
             status =
-                sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld",
-                                (long)r->m.tets, (long long)v, (long)r->m.nodes);
+                sfemi_scan_fail(s, SFEM_BAD_MESH, "tet %ld names node %lld, the mesh has %ld%s",
+                                (long)r->m.tets, (long long)v, (long)r->m.nodes,
+                                v == r->m.nodes && sfemi_mesh_counts_from_one(
+                                                       r->m.tet, 4 * (size_t)r->m.tets + k, r->m.nodes)
+                                    ? ": numbered from 1? Points are numbered from 0"
+                                    : "");
             if (s->err) s->err->tet = r->m.tets;
             goto done;
         }
@@ -9045,7 +9049,8 @@ static sfem_status sfemi_mesh_parsed_check(const sfemi_extra *x, const sfem_mesh
     if (m->tets > 0) return SFEM_OK;
     if (x->info.triangles)
         return sfemi_fail(x->err, SFEM_BAD_MESH,
-                          "there are %ld nodes, but no 4-node tets; of the %ld triangles sfem_mesh_from_surface makes tets",
+                          "there are %ld nodes and %ld triangles, but no 4-node tets: sfem_mesh_from_surface makes tets of "
+                          "triangles",
                           (long)m->nodes, (long)x->info.triangles);
     return sfemi_fail(x->err, SFEM_BAD_MESH, "there are %ld nodes, but no 4-node tets", (long)m->nodes);
 }
@@ -30643,13 +30648,12 @@ static int sfemi_lanczos_gap(const sfemi_lanczos *z, int attempt, sfem_real *bou
 /* Makes the factor one of positive pivots, which is faster, or of any. */
 static sfem_status sfemi_lanczos_signs(sfemi_lanczos *z, int positive, sfem_error *err)
 {
-    const sfem_allocator *al = z->s->al;
     sfem_ldl *ldl = z->ldl;
     sfem_status status = SFEM_OK;
     ldl->positive = 1;
     if (positive) return SFEM_OK;
-    if (!ldl->signs) SFEMI_NEW(double, ldl->signs, al, ldl->symbolic->signs[ldl->symbolic->tasks] + 1);
-    if (!ldl->probe) SFEMI_NEW(double, ldl->probe, al, 2 * z->rows + sfem_ldl_work_size(ldl, 1));
+    if (!ldl->signs) SFEMI_TAKE(double, ldl->signs, &ldl->pool, ldl->symbolic->signs[ldl->symbolic->tasks] + 1);
+    if (!ldl->probe) SFEMI_TAKE(double, ldl->probe, &ldl->pool, 2 * z->rows + sfem_ldl_work_size(ldl, 1));
     ldl->positive = 0;
 done:
     return status;

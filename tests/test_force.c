@@ -325,7 +325,7 @@ static void pins_and_handles_carry_a_step_force(void **state)
     (void)state;
     for (k = 0; k < TEST_COUNT(every); ++k) {
         bar b = make_bar(SFEM_LINEAR, SFEM_MASS_LUMPED, 0);
-        sfem_body_def def = sfem_default_body_def();
+        sfem_body_def def = exact_body_def();
         const sfem_int pins[4] = {0, 1, 2, 3};
         const double f[3] = {100, -50, 70};
         double x[3 * MAX_NODES];

@@ -318,7 +318,7 @@ static void triangles_of_a_mesh_file_are_a_surface(void **state)
     assert_int_equal(s.triangles, 3);
     assert_memory_equal(s.tri, tri, sizeof tri);
     sfem_surface_free(&s);
-    refuse(vtk, sizeof vtk - 1, NULL, SFEM_BAD_MESH, "no 4-node tets; of the 3 triangles");
+    refuse(vtk, sizeof vtk - 1, NULL, SFEM_BAD_MESH, "3 triangles, but no 4-node tets");
 }
 
 static void what_is_written_comes_back(void **state)
@@ -541,7 +541,7 @@ static void malformed_vtu_is_refused(void **state)
         {"4 7 11", "4 7 10", SFEM_FORMAT, "cell 2 of type 10 has 3 nodes, not 4"},
         {"4 7 11", "4 7 2000000000", SFEM_FORMAT, "connectivity has less than 2000000000 numbers"},
         {"10 5 10", "10 5 12", SFEM_FORMAT, "cell 2 of type 12 has 4 nodes, not 8"},
-        {"10 5 10", "9 5 9", SFEM_BAD_MESH, "no 4-node tets; of the 5 triangles"},
+        {"10 5 10", "9 5 9", SFEM_BAD_MESH, "5 triangles, but no 4-node tets"},
         {"\n4 7 5\n", "\n4 7\n", SFEM_FORMAT, "expected the region of a cell"},
         {"\n4 7 5\n", "\n4 7 9999999999\n", SFEM_FORMAT, "the region of a cell is 9999999999"},
         {"\"offsets\"", "\"Offsets2\"", SFEM_FORMAT, "the array offsets is missing"},

@@ -66,15 +66,15 @@ static void files_without_tets_say_what_they_have(void **state)
          SFEM_BAD_MESH, "3 nodes and 2 triangles, but no 4-node tets: sfem_mesh_from_surface"},
         {"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n10\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n5 0 0 0\n6 0 0 0\n7 0 0 0\n8 0 0 "
          "0\n9 0 0 0\n10 0 0 0\n$EndNodes\n$Elements\n2\n1 2 2 0 1 1 2 3\n2 11 2 0 1 1 2 3 4 5 6 7 8 9 10\n$EndElements\n",
-         SFEM_BAD_MESH, "10 nodes and 1 tets of 10 nodes, but no 4-node tets"},
+         SFEM_BAD_MESH, "there are 1 tets of 10 nodes: the option 'linear'"},
         {"# vtk DataFile Version 3.0\nx\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 3 double\n0 0 0 1 0 0 0 1 0\n"
          "CELLS 2 8\n3 0 1 2\n3 0 2 1\nCELL_TYPES 2\n5 5\n",
          SFEM_BAD_MESH, "3 nodes and 2 triangles, but no 4-node tets: sfem_mesh_from_surface"},
         {"MeshVersionFormatted 1\nDimension 3\nVertices 3\n0 0 0 0\n1 0 0 0\n0 1 0 0\nTriangles 2\n1 2 3 0\n1 3 2 0\nEnd\n",
-         SFEM_FORMAT, "there are no Tetrahedra, but 2 Triangles: sfem_mesh_from_surface"},
+         SFEM_BAD_MESH, "3 nodes and 2 triangles, but no 4-node tets: sfem_mesh_from_surface"},
         {"MeshVersionFormatted 1\nDimension 3\nVertices 3\n0 0 0 0\n1 0 0 0\n0 1 0 0\nTriangles 1\n1 2 3 0\nTetrahedra 0\nEnd\n",
          SFEM_BAD_MESH, "3 nodes and 1 triangles, but no 4-node tets"},
-        {"MeshVersionFormatted 1\nDimension 3\nVertices 1\n0 0 0 0\nEnd\n", SFEM_FORMAT, "there are no Tetrahedra"},
+        {"MeshVersionFormatted 1\nDimension 3\nVertices 1\n0 0 0 0\nEnd\n", SFEM_BAD_MESH, "1 nodes, but no 4-node tets"},
     };
     sfem_mesh mesh;
     sfem_error err;
@@ -171,7 +171,7 @@ static void parts_and_handles_count(void **state)
 {
     sfem_mesh one = make_block(2, 1), two;
     sfem_model_def model_def = linear_model_def();
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     const sfem_int pins[3] = {0, 6, 18};
     sfem_model *model = NULL;
     sfem_body *body = NULL;

@@ -188,7 +188,7 @@ static void what_a_body_cannot_bear_is_refused(void **state)
 static void handles_keep_their_targets_and_sleepers_wake(void **state)
 {
     bar b = make_bar(SFEM_COROTATIONAL, NULL, NULL);
-    sfem_body_def def = sfem_default_body_def();
+    sfem_body_def def = exact_body_def();
     const double up[3] = {0, 0, 0.3};
     sfem_body *body = NULL;
     sfem_int handle;
