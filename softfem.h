@@ -9014,7 +9014,7 @@ static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, int binary, sfemi
     r.x = x;
     r.m.allocator = x->def.allocator;
     status = binary ? sfemi_medit_read_binary(&r) : sfemi_medit_read(&r);
-    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && x->faces))
+    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && (x->faces || x->info.triangles)))
         status = sfemi_scan_fail(&r.s, SFEM_FORMAT, "there are no %s", r.has_vertices ? "Tetrahedra" : "Vertices");
     *out = r.m;
     return status;

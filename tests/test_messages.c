@@ -74,7 +74,7 @@ static void files_without_tets_say_what_they_have(void **state)
          SFEM_BAD_MESH, "3 nodes and 2 triangles, but no 4-node tets: sfem_mesh_from_surface"},
         {"MeshVersionFormatted 1\nDimension 3\nVertices 3\n0 0 0 0\n1 0 0 0\n0 1 0 0\nTriangles 1\n1 2 3 0\nTetrahedra 0\nEnd\n",
          SFEM_BAD_MESH, "3 nodes and 1 triangles, but no 4-node tets"},
-        {"MeshVersionFormatted 1\nDimension 3\nVertices 1\n0 0 0 0\nEnd\n", SFEM_BAD_MESH, "1 nodes, but no 4-node tets"},
+        {"MeshVersionFormatted 1\nDimension 3\nVertices 1\n0 0 0 0\nEnd\n", SFEM_FORMAT, "there are no Tetrahedra"},
     };
     sfem_mesh mesh;
     sfem_error err;
