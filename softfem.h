@@ -9014,8 +9014,14 @@ static sfem_status sfemi_mesh_parse_medit(const sfemi_scan *s, int binary, sfemi
     r.x = x;
     r.m.allocator = x->def.allocator;
     status = binary ? sfemi_medit_read_binary(&r) : sfemi_medit_read(&r);
-    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && (x->faces || x->info.triangles)))
-        status = sfemi_scan_fail(&r.s, SFEM_FORMAT, "there are no %s", r.has_vertices ? "Tetrahedra" : "Vertices");
+    if (status == SFEM_OK && !r.has_tets && !(r.has_vertices && x->faces)) {
+        if (r.has_vertices && x->info.triangles)
+            status = sfemi_scan_fail(&r.s, SFEM_FORMAT,
+                                     "there are no Tetrahedra, but %ld triangles: sfem_mesh_from_surface makes tets of them",
+                                     (long)x->info.triangles);
+        else
+            status = sfemi_scan_fail(&r.s, SFEM_FORMAT, "there are no %s", r.has_vertices ? "Tetrahedra" : "Vertices");
+    }
     *out = r.m;
     return status;
 }

@@ -71,7 +71,7 @@ static void files_without_tets_say_what_they_have(void **state)
          "CELLS 2 8\n3 0 1 2\n3 0 2 1\nCELL_TYPES 2\n5 5\n",
          SFEM_BAD_MESH, "3 nodes and 2 triangles, but no 4-node tets: sfem_mesh_from_surface"},
         {"MeshVersionFormatted 1\nDimension 3\nVertices 3\n0 0 0 0\n1 0 0 0\n0 1 0 0\nTriangles 2\n1 2 3 0\n1 3 2 0\nEnd\n",
-         SFEM_BAD_MESH, "3 nodes and 2 triangles, but no 4-node tets: sfem_mesh_from_surface"},
+         SFEM_FORMAT, "there are no Tetrahedra, but 2 triangles: sfem_mesh_from_surface"},
         {"MeshVersionFormatted 1\nDimension 3\nVertices 3\n0 0 0 0\n1 0 0 0\n0 1 0 0\nTriangles 1\n1 2 3 0\nTetrahedra 0\nEnd\n",
          SFEM_BAD_MESH, "3 nodes and 1 triangles, but no 4-node tets"},
         {"MeshVersionFormatted 1\nDimension 3\nVertices 1\n0 0 0 0\nEnd\n", SFEM_FORMAT, "there are no Tetrahedra"},
