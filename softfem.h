@@ -28481,7 +28481,7 @@ static sfem_status sfemi_body_grab(sfem_body *b, sfem_int count, const sfem_int 
                                    sfem_int *handle, sfem_error *err)
 {
     sfemi_handle *h = NULL;
-    sfem_int k, slot, taken = 0;
+    sfem_int k, slot = 0, taken = 0;
     sfem_status status;
     for (k = 0; k < count; ++k) taken += !weight || weight[k] != 0;
     status = sfemi_body_check_region(b, taken == 0 ? 1 : count, node, weight, &slot, err);
