@@ -34987,7 +34987,7 @@ static sfem_int sfemi_boxes_split(sfemi_boxes *t, sfem_int first, sfem_int count
 {
     const sfem_int at = t->nodes++;
     sfemi_box *b = t->node + at;
-    sfem_real low[3], high[3];
+    sfem_real low[3] = {0, 0, 0}, high[3] = {0, 0, 0}; /* of the middles; set at i = 0 */
     sfem_int i, right;
     int c, axis = 0;
     for (i = 0; i < count; ++i) {
