@@ -20,7 +20,8 @@
  *
  * FUNCTIONS BY TASK, the first ones to look at; the comments at their declarations have the rest
  *
- *     load a mesh       sfem_mesh_read, _parse, _copy; sfem_mesh_block, _cylinder, _ball; sfem_mesh_check, _free
+ *     load a mesh       sfem_mesh_read, _read_sets, _parse, _copy; sfem_mesh_block, _cylinder, _ball; sfem_mesh_check
+ *                       sfem_mesh_orient, _weld, _free
  *     tets of a surface sfem_surface_read, sfem_mesh_from_surface; of a function sfem_mesh_from_sdf
  *     number, select    sfem_mesh_renumber, _components, _remove_unused; sfem_mesh_pick_ray, _locate
  *     make a model      sfem_default_material, sfem_default_model_def, sfem_model_create, _free; sfem_model_advice
@@ -29,10 +30,12 @@
  *     step              sfem_body_step, or _predict, _solve, _finish; sfem_body_prepare; sfem_body_is_asleep, _wake
  *     rest              sfem_body_solve_static
  *     push              sfem_body_set_gravity, _set_lasting_force, _add_lasting_force; _add_step_force, _add_impulse
- *     hold and grab     sfem_body_set_pins, _move_pin; sfem_body_grab_node, _grab_point, _move_handle, _release_handle
+ *     hold and grab     sfem_body_set_pins, _move_pin; sfem_mesh_near; sfem_body_grab_node, _grab_point, _grab_region
+ *                       sfem_body_move_handle, _release_handle
  *     look at           sfem_body_positions, _velocities, _displacement, _energy, _get_info, _reactions
  *                       sfem_body_handle_force; sfem_model_stress
  *     render            sfem_mesh_surface, sfem_body_to_floats, sfem_body_normals; sfem_surface_normals
+ *                       sfem_embed_create, sfem_embed_to_floats, sfem_embed_break
  *     cut and break     sfem_default_damage_def; sfem_body_cut, _break_edge, _heal; sfem_body_fracture, _breaks
  *                       sfem_body_pieces, _piece_of; surfaces: sfem_body_fragments, _fragment_positions
  *     save              sfem_body_state_size, _save_state, _load_state
@@ -11681,6 +11684,7 @@ static sfem_status sfemi_mesher_search(const sfemi_solid *s, const sfem_mesher_d
         if (k + 1 >= PASSES) h = jump + 0.03 * (sfem_real)((k + 1 - PASSES) / 4) * ((k - PASSES) / 2 % 2 ? 1 : -1);
     }
     sfem_mesh_free(&mesh);
+    if (!out->tets) info->size = one.size; /* for the message */
     return out->tets && status == SFEM_TOO_LARGE ? SFEM_OK : status;
 }
 
@@ -17015,6 +17019,7 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     sfem_int i;
     if (!sfemi_made_by_default(def->cookie, SFEMI_COOKIE_MODEL, "sfem_default_model_def", err))
         return SFEM_BAD_ARGUMENT;
+    if (!def->mesh) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "the model has no mesh: set mesh in its definition");
     status = sfem_mesh_check(def->mesh, NULL, err);
     if (status != SFEM_OK) return status;
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
@@ -17393,7 +17398,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     sfem_model *model = NULL;
     sfem_status status;
     sfem_int i;
-    SFEM_ASSERT(def && out && def->mesh);
+    SFEM_ASSERT(def && out);
     materials = def->materials ? def->materials : &def->material;
     SFEMI_TRY(sfemi_fem_check(def, err));
     SFEMI_NEW_OWNER(sfem_model, model, &def->allocator);
@@ -28554,7 +28559,9 @@ SFEM_DEF sfem_status sfem_body_grab_region(sfem_body *b, sfem_int count, const s
 SFEM_DEF sfem_status sfem_body_move_handle(sfem_body *b, sfem_int handle, const sfem_real target[3],
                                            sfem_error *err)
 {
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->state.handle[handle].used);
+    SFEM_ASSERT(b && target);
+    if (handle < 0 || handle >= b->def.max_handles || !b->state.handle[handle].used)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no handle %d", (int)handle);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite", (int)handle);
     if (memcmp(b->state.handle[handle].path.target, target, 3 * sizeof *target) != 0) sfemi_sleep_wake_up(b);
@@ -33101,7 +33108,9 @@ SFEM_DEF sfem_status sfem_modal_grab_region(sfem_modal *b, sfem_int count, const
 SFEM_DEF sfem_status sfem_modal_move_handle(sfem_modal *b, sfem_int handle,
                                             const sfem_real target[3], sfem_error *err)
 {
-    SFEM_ASSERT(handle >= 0 && handle < b->def.max_handles && b->handle[handle].used);
+    SFEM_ASSERT(b && target);
+    if (handle < 0 || handle >= b->def.max_handles || !b->handle[handle].used)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "there is no handle %d", (int)handle);
     if (!sfemi_all_finite(target, 3))
         return sfemi_fail(err, SFEM_NOT_FINITE, "the target of handle %d is not finite",
                           (int)handle);

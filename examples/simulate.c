@@ -249,6 +249,7 @@ static void read_mesh(run *r)
 __attribute__((noreturn)) static void refuse_name(const run *r, const char *option, const char *name, int sets)
 {
     sfem_int i;
+    fflush(stdout); /* which a pipe keeps longer */
     fprintf(stderr, "%s: there is no %s '%s' in this mesh. Regions:", option, sets ? "set" : "region", name);
     for (i = 0; i < r->sets.regions; ++i) fprintf(stderr, " '%s'", r->sets.region[i].name);
     if (!r->sets.regions) fprintf(stderr, " none");
@@ -608,6 +609,11 @@ static void take_hold(run *r)
         sfem_body_handle_position(r->body, r->hand, r->held);
     }
     for (k = 0; k < count; ++k) most = fmax(most, weight[k]);
+    if (hypot(hypot(r->held[0] - where[0], r->held[1] - where[1]), r->held[2] - where[2]) > where[3]) {
+        fflush(stdout);
+        fprintf(stderr, "--grab: there is no surface within %g m of %g,%g,%g\n", where[3], where[0], where[1], where[2]);
+        exit(1);
+    }
     printf("hand: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
            (int)count, r->held[0], r->held[1], r->held[2], most);
     free(node);
