@@ -11602,8 +11602,8 @@ static sfem_status sfemi_mesher_pass(const sfemi_solid *s, const sfem_mesher_def
     info->size = h;
     ++info->passes;
     l.def = def; /* it takes 3 to 5 lattices until the number of tets is right */
-    l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, info->passes - 1);
-    l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, info->passes);
+    l.part[0] = def->size > 0 ? 0 : 1 - pow(0.6, (sfem_real)(info->passes - 1));
+    l.part[1] = def->size > 0 ? 0.95 : 1 - pow(0.6, (sfem_real)info->passes);
     SFEMI_TRY(sfemi_lattice_lay(&l, h, phase));
     info->lattice = l.points;
     sfemi_lattice_run(&l, (l.points + SFEMI_LATTICE_TASK - 1) / SFEMI_LATTICE_TASK, sfemi_lattice_sign_task, 0, 0.4);
