@@ -191,7 +191,7 @@ tsan: ## the tests named after threads under the thread sanitizer (all: FILTER='
 ifneq ($(THREADED)$(FILTER),)
 	$(MAKE) check BUILD=$(BUILD)/tsan OPENMP=0 CFLAGS='-O1 -g' INSTRUMENT=-fsanitize=thread \
 	    FILTER='$(or $(FILTER),*thread*)' \
-	    $(if $(FILTER),,TESTS='$(filter-out test_solver_wide,$(patsubst tests/%.c,%,$(THREADED)))')
+	    $(if $(FILTER),,TESTS='$(filter-out test_solver_wide test_solver_portable,$(patsubst tests/%.c,%,$(THREADED)))')
 else
 	@echo 'no test is named after threads'
 endif
