@@ -71,7 +71,7 @@ static const ex_option table[] = {
      "repeatable"},
     {"--load", "WHERE:X,Y,Z", NULL, "newtons in all, shared evenly by those nodes, also 'set:NAME:X,Y,Z'; repeatable"},
     {"--grab", "X,Y,Z,RADIUS", NULL,
-     "a hand takes hold of the surface there (at the place at rest)"},
+     "a handle takes hold of the surface there (at the place at rest)"},
     {"--pull", "VX,VY,VZ", "0.2,0,0", "and moves, m/s"},
     {"--grip", "F", "0", "with this force at most, N; 0: without limit"},
     {"--probe", "NODE", "-1", "print this node's displacement; the plot follows it"},
@@ -614,7 +614,7 @@ static void take_hold(run *r)
         fprintf(stderr, "--grab: there is no surface within %g m of %g,%g,%g\n", where[3], where[0], where[1], where[2]);
         exit(1);
     }
-    printf("hand: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
+    printf("handle: %d nodes about %.3g %.3g %.3g m, each with at most %.2g of its force\n",
            (int)count, r->held[0], r->held[1], r->held[2], most);
     free(node);
     free(weight);
