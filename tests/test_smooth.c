@@ -1,0 +1,678 @@
+/* Smooth tets: what they are by their definition, in dense matrices; the bound K0; statics that do not lock. */
+#include "support.h"
+#include "bodies.h"
+
+static double *reals(size_t count)
+{
+    double *x = (double *)calloc(count ? count : 1, sizeof *x);
+    assert_non_null(x);
+    return x;
+}
+
+static sfem_material smooth_material(sfem_law law, double poisson)
+{
+    sfem_material m = sfem_default_material();
+    m.law = law;
+    m.poisson = poisson;
+    m.tet = SFEM_TET_SMOOTH;
+    return m;
+}
+
+static sfem_model *smooth_model(const sfem_mesh *mesh, sfem_material material)
+{
+    sfem_model_def def = sfem_default_model_def();
+    sfem_model *model = NULL;
+    sfem_error err;
+    def.mesh = mesh;
+    def.material = material;
+    assert_ok(sfem_model_create(&def, &model, &err), err);
+    return model;
+}
+
+static sfem_mesh block(sfem_int nx, sfem_int ny, sfem_int nz, double lx, sfem_block_cells kind)
+{
+    const sfem_int cells[3] = {nx, ny, nz};
+    const double size[3] = {lx, 1, 1};
+    sfem_mesh mesh;
+    sfem_error err;
+    assert_ok(sfem_mesh_block(cells, size, kind, NULL, &mesh, &err), err);
+    return mesh;
+}
+
+/* inner nodes moved at random, tets kept right-handed */
+static void jitter(sfem_mesh *mesh, double by, uint64_t seed)
+{
+    test_random random = {seed};
+    double *old = reals(3 * (size_t)mesh->nodes);
+    sfem_mesh_report report;
+    int tries;
+    memcpy(old, mesh->x, 3 * (size_t)mesh->nodes * sizeof *old);
+    for (tries = 0; tries < 60; ++tries, by *= 0.9) {
+        sfem_int i;
+        for (i = 0; i < 3 * mesh->nodes; ++i) mesh->x[i] = old[i] + random_uniform(&random, -by, by);
+        if (sfem_mesh_check(mesh, &report, NULL) == SFEM_OK) break;
+    }
+    assert_true(tries < 60);
+    free(old);
+}
+
+/* ---- the definition, in dense matrices ---- */
+
+/* 9 x 3n: the gradient of tet e, row 3 i + j for du_i/dX_j; by Cramer's rule. Returns the volume. */
+static double tet_gradient(const sfem_mesh *mesh, sfem_int e, double *g /* [4][3] */)
+{
+    const sfem_int *t = mesh->tet + 4 * (size_t)e;
+    double m[3][3], det = 0;
+    int a, i;
+    for (a = 0; a < 3; ++a)
+        for (i = 0; i < 3; ++i) m[a][i] = mesh->x[3 * t[a + 1] + i] - mesh->x[3 * t[0] + i];
+    for (i = 0; i < 3; ++i)
+        det += m[0][i] * (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3]);
+    for (i = 0; i < 3; ++i) g[i] = 0;
+    for (a = 0; a < 3; ++a) {
+        const int b = (a + 1) % 3, c = (a + 2) % 3;
+        for (i = 0; i < 3; ++i) {
+            const int j = (i + 1) % 3, k = (i + 2) % 3;
+            g[3 * (a + 1) + i] = (m[b][j] * m[c][k] - m[b][k] * m[c][j]) / det;
+            g[i] -= g[3 * (a + 1) + i];
+        }
+    }
+    return det / 6;
+}
+
+/* mean += weight times the gradient of tet e, [3n]: by nodes */
+static void add_gradient(const sfem_mesh *mesh, sfem_int e, double weight, double *mean)
+{
+    double g[12];
+    int a, i;
+    tet_gradient(mesh, e, g);
+    for (a = 0; a < 4; ++a)
+        for (i = 0; i < 3; ++i) mean[3 * mesh->tet[4 * e + a] + i] += weight * g[3 * a + i];
+}
+
+/* K += w (s |eps|^2 + l tr^2 + b |grad|^2 as a quadratic form's matrix) of a gradient given by nodes */
+static void add_form(sfem_int nodes, const double *mean, double w, double s, double l, double b, double *k)
+{
+    sfem_int p, q;
+    int i, j;
+    const size_t n = 3 * (size_t)nodes;
+    for (p = 0; p < nodes; ++p)
+        for (q = 0; q < nodes; ++q) {
+            const double *g = mean + 3 * p, *h = mean + 3 * q;
+            const double dot = g[0] * h[0] + g[1] * h[1] + g[2] * h[2];
+            for (i = 0; i < 3; ++i)
+                for (j = 0; j < 3; ++j)
+                    k[(3 * (size_t)p + (size_t)i) * n + 3 * (size_t)q + (size_t)j] +=
+                        w * (s * (h[i] * g[j] + (i == j ? dot : 0)) / 2 + l * g[i] * h[j] + (i == j ? b * dot : 0));
+        }
+}
+
+/* K, or K0, of a model of one material whose stars are all of a node's tets, with one a for all. */
+static double *dense_stiffness(const sfem_model *model, double lambda, double mu, double a, int upper)
+{
+    const sfem_mesh *mesh = sfem_model_mesh(model);
+    const sfem_int *patch = sfem_model_smooth_patch(model);
+    const sfem_int patches = sfem_model_smooth_info(model).patches;
+    const size_t n = 3 * (size_t)mesh->nodes;
+    double *k = reals(n * n), *mean = reals(n), g[12];
+    sfem_int i, e;
+    for (i = 0; i < mesh->nodes && !upper; ++i) {
+        double volume = 0;
+        memset(mean, 0, n * sizeof *mean);
+        for (e = 0; e < 4 * mesh->tets; ++e)
+            if (mesh->tet[e] == i) volume += tet_gradient(mesh, e / 4, g) / 4;
+        for (e = 0; e < 4 * mesh->tets; ++e)
+            if (mesh->tet[e] == i) add_gradient(mesh, e / 4, tet_gradient(mesh, e / 4, g) / 4 / volume, mean);
+        add_form(mesh->nodes, mean, volume, 2 * mu, 0, -2 * a * mu, k);
+    }
+    for (e = 0; e < mesh->tets; ++e) {
+        memset(mean, 0, n * sizeof *mean);
+        add_gradient(mesh, e, 1, mean);
+        add_form(mesh->nodes, mean, tet_gradient(mesh, e, g), upper ? 2 * mu : 0, 0, upper ? 0 : 2 * a * mu, k);
+    }
+    for (i = 0; i < patches; ++i) {
+        double volume = 0;
+        memset(mean, 0, n * sizeof *mean);
+        for (e = 0; e < mesh->tets; ++e)
+            if (patch[e] == i) volume += tet_gradient(mesh, e, g);
+        for (e = 0; e < mesh->tets; ++e)
+            if (patch[e] == i) add_gradient(mesh, e, tet_gradient(mesh, e, g) / volume, mean);
+        add_form(mesh->nodes, mean, volume, 0, lambda, 0, k);
+    }
+    free(mean);
+    return k;
+}
+
+static double *dense_of(const sfem_matrix *a)
+{
+    double *k = reals(9 * (size_t)a->n * (size_t)a->n);
+    sfem_matrix_to_dense(a, k);
+    return k;
+}
+
+static void check_against_definition(sfem_mesh *mesh, double poisson)
+{
+    sfem_model *model = smooth_model(mesh, smooth_material(SFEM_LINEAR, poisson));
+    const size_t n = 3 * (size_t)mesh->nodes;
+    sfem_matrix wide;
+    sfem_error err;
+    double lambda, mu, *k, *k0, *found, *found0, *x = reals(n), *y = reals(n), *z = reals(n);
+    test_random random = {7};
+    size_t i, j;
+    double energy = 0;
+    sfem_law_lame(1e6, poisson, &lambda, &mu);
+    assert_near(sfem_model_smooth_info(model).least, 0.12, 1e-12, 0);
+    assert_ok(sfem_model_assemble_stiffness(model, NULL, &wide, &err), err);
+    k = dense_stiffness(model, lambda, mu, 0.12, 0);
+    k0 = dense_stiffness(model, lambda, mu, 0.12, 1);
+    found = dense_of(&wide);
+    found0 = dense_of(sfem_model_stiffness(model));
+    assert_all_near(found, k, n * n, 1e-13, 0);
+    assert_all_near(found0, k0, n * n, 1e-13, 0);
+    for (i = 0; i < n; ++i) x[i] = random_uniform(&random, -1, 1);
+    sfem_model_multiply_stiffness(model, x, y, NULL);
+    for (i = 0; i < n; ++i)
+        for (j = 0; j < n; ++j) z[i] += k[i * n + j] * x[j];
+    assert_all_near(y, z, n, 1e-12, 0);
+    for (i = 0; i < n; ++i) energy += x[i] * z[i] / 2;
+    assert_near(sfem_model_elastic_energy(model, x), energy, 1e-12, 0);
+    free(k), free(k0), free(found), free(found0), free(x), free(y), free(z);
+    sfem_matrix_free(&wide);
+    sfem_model_free(model);
+}
+
+static void stiffness_is_that_of_the_definition(void **state)
+{
+    sfem_mesh mesh = block(2, 2, 2, 2, SFEM_CELL_6_TETS);
+    (void)state;
+    check_against_definition(&mesh, 0.3);
+    jitter(&mesh, 0.15, 1);
+    check_against_definition(&mesh, 0.499);
+    sfem_mesh_free(&mesh);
+    mesh = block(3, 2, 1, 3, SFEM_CELL_5_TETS);
+    jitter(&mesh, 0.1, 2);
+    check_against_definition(&mesh, 0.45);
+    sfem_mesh_free(&mesh);
+}
+
+/* patches are connected through faces and none is empty; in the mean 4 to 5 tets */
+static void patches_hang_together(void **state)
+{
+    sfem_mesh mesh = block(6, 4, 4, 6, SFEM_CELL_6_TETS);
+    sfem_model *model = smooth_model(&mesh, smooth_material(SFEM_COROTATIONAL, 0.45));
+    const sfem_int *patch = sfem_model_smooth_patch(model), patches = sfem_model_smooth_info(model).patches;
+    sfem_int *label = (sfem_int *)calloc((size_t)mesh.tets, sizeof *label), k, e, o;
+    (void)state;
+    assert_true(patches > mesh.tets / 6 && patches < mesh.tets / 3);
+    for (e = 0; e < mesh.tets; ++e) assert_true(patch[e] >= 0 && patch[e] < patches);
+    for (k = 0; k < patches; ++k) {
+        sfem_int size = 0, first = -1, reached = 0, changed = 1;
+        for (e = 0; e < mesh.tets; ++e) {
+            if (patch[e] != k) continue;
+            ++size;
+            if (first < 0) first = e;
+        }
+        assert_true(size > 0);
+        label[first] = 1;
+        while (changed)
+            for (changed = 0, e = 0; e < mesh.tets; ++e)
+                for (o = 0; patch[e] == k && label[e] && o < mesh.tets; ++o) {
+                    int common = 0, a, b;
+                    if (patch[o] != k || label[o]) continue;
+                    for (a = 0; a < 4; ++a)
+                        for (b = 0; b < 4; ++b) common += mesh.tet[4 * e + a] == mesh.tet[4 * o + b];
+                    if (common < 3) continue;
+                    label[o] = changed = 1;
+                }
+        for (e = 0; e < mesh.tets; ++e) reached += patch[e] == k && label[e];
+        assert_int_equal(reached, size);
+    }
+    free(label);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
+/* ---- eigenvalues ---- */
+
+/* the eigenvalues of (A, B), ascending, both overwritten; b NULL: of A */
+static void eigenvalues(size_t n, double *a, double *b, double *value)
+{
+    double *work = reals(5 * n);
+    sfem_error err;
+    assert_ok(sfem_dense_eigen((sfem_int)n, a, b, value, work, &err), err);
+    free(work);
+}
+
+/* a += scale N N^T, N the six rigid motions, normalised */
+static void add_rigid(const sfem_mesh *mesh, double scale, double *a)
+{
+    const size_t n = 3 * (size_t)mesh->nodes;
+    double *r = reals(6 * n);
+    size_t i, j;
+    int p, q, c;
+    for (i = 0; i < n; ++i) {
+        const double *x = mesh->x + i / 3 * 3;
+        c = (int)(i % 3);
+        r[(size_t)c * n + i] = 1;
+        for (p = 0; p < 3; ++p) /* e_p x X */
+            r[(size_t)(3 + p) * n + i] = c == p ? 0 : (c == (p + 1) % 3 ? -x[(p + 2) % 3] : x[(p + 1) % 3]);
+    }
+    for (p = 0; p < 6; ++p) { /* Gram-Schmidt */
+        double *v = r + (size_t)p * n, norm = 0;
+        for (q = 0; q < p; ++q) {
+            double dot = 0;
+            for (i = 0; i < n; ++i) dot += v[i] * r[(size_t)q * n + i];
+            for (i = 0; i < n; ++i) v[i] -= dot * r[(size_t)q * n + i];
+        }
+        for (i = 0; i < n; ++i) norm += v[i] * v[i];
+        for (i = 0; i < n; ++i) v[i] /= sqrt(norm);
+        for (i = 0; i < n; ++i)
+            for (j = 0; j < n; ++j) a[i * n + j] += scale * v[i] * v[j];
+    }
+    free(r);
+}
+
+/* least K0 <= K <= K0, and exactly six zero eigenvalues of K */
+static void check_bound(const sfem_mesh *mesh, double poisson, double *least_a)
+{
+    sfem_model *model = smooth_model(mesh, smooth_material(SFEM_LINEAR, poisson));
+    const size_t n = 3 * (size_t)mesh->nodes;
+    const double a = sfem_model_smooth_info(model).least;
+    double *k, *k0, *value = reals(n), size = 0;
+    sfem_matrix wide;
+    sfem_error err;
+    size_t i;
+    assert_ok(sfem_model_assemble_stiffness(model, NULL, &wide, &err), err);
+    k = dense_of(&wide);
+    k0 = dense_of(sfem_model_stiffness(model));
+    for (i = 0; i < n; ++i) size = fmax(size, k0[i * n + i]);
+    eigenvalues(n, k, NULL, value);
+    assert_near(value[5], 0, 0, 1e-9 * size);
+    assert_near(value[0], 0, 0, 1e-9 * size);
+    assert_true(value[6] > 1e-6 * value[n / 2]);
+    sfem_matrix_to_dense(&wide, k);
+    add_rigid(mesh, size, k);
+    add_rigid(mesh, size, k0);
+    eigenvalues(n, k, k0, value);
+    if (!(value[0] > a * (1 - 1e-6)) || !(value[n - 1] < 1.0001))
+        fail_msg("(K, K0): %.6f to %.6f, a %.4f", value[0], value[n - 1], a);
+    *least_a = a;
+    free(k), free(k0), free(value);
+    sfem_matrix_free(&wide);
+    sfem_model_free(model);
+}
+
+static void k0_bounds_k(void **state)
+{
+    static const sfem_block_cells kinds[2] = {SFEM_CELL_5_TETS, SFEM_CELL_6_TETS};
+    double a;
+    int k;
+    (void)state;
+    for (k = 0; k < 2; ++k) {
+        sfem_mesh mesh = block(3, 2, 2, 3, kinds[k]);
+        check_bound(&mesh, 0.3, &a);
+        assert_near(a, 0.12, 1e-12, 0);
+        jitter(&mesh, 0.25, 3);
+        check_bound(&mesh, 0.3, &a);
+        check_bound(&mesh, 0.499, &a);
+        jitter(&mesh, 0.4, 4);
+        check_bound(&mesh, 0.45, &a);
+        sfem_mesh_free(&mesh);
+    }
+}
+
+/* flattened to a hundredth: every tet is a sliver, and a falls below 0.12 */
+static void k0_bounds_k_with_slivers(void **state)
+{
+    sfem_mesh mesh = block(3, 2, 2, 3, SFEM_CELL_6_TETS);
+    double a;
+    sfem_int i;
+    (void)state;
+    jitter(&mesh, 0.4, 5);
+    for (i = 0; i < mesh.nodes; ++i) mesh.x[3 * i + 2] *= 0.01;
+    check_bound(&mesh, 0.3, &a);
+    check_bound(&mesh, 0.499, &a);
+    sfem_mesh_free(&mesh);
+}
+
+/* the largest and least eigenvalue of (K, K0) of a large mesh, by powers of K0^-1 K; a node's three axes held */
+static void check_bound_by_powers(const sfem_mesh *mesh, double poisson)
+{
+    sfem_model *model = smooth_model(mesh, smooth_material(SFEM_LINEAR, poisson));
+    const size_t n = 3 * (size_t)mesh->nodes;
+    const double *mass = sfem_model_node_mass(model);
+    double *x = reals(n), *y = reals(n), *z = reals(n), *work, shift, most = 0;
+    sfem_matrix a;
+    sfem_ldl_def def = sfem_default_ldl_def();
+    sfem_ldl *ldl;
+    sfem_error err;
+    test_random random = {3};
+    size_t i;
+    int k;
+    for (i = 0, shift = 0; i < n; ++i) /* both with a little mass: K0 + s M, K + s M */
+        shift = fmax(shift, sfem_model_stiffness(model)->val[9 * (size_t)(sfem_model_stiffness(model)->row[i / 3 + 1] - 1)]);
+    shift *= 1e-6 / (sfem_model_total_mass(model) / mesh->nodes);
+    assert_ok(sfem_model_combine(model, 1, shift, 0, NULL, &a, &err), err);
+    def.x = mesh->x;
+    assert_ok(sfem_ldl_create(&def, &a, &ldl, &err), err);
+    work = reals(sfem_ldl_work_size(ldl, 1));
+    for (i = 0; i < n; ++i) x[i] = random_uniform(&random, -1, 1);
+    for (k = 0; k < 60; ++k) {
+        double norm = 0, dot = 0;
+        sfem_model_multiply_stiffness(model, x, y, NULL);
+        for (i = 0; i < n; ++i) y[i] += shift * mass[i / 3] * x[i];
+        for (i = 0; i < n; ++i) dot += x[i] * y[i];
+        sfem_ldl_solve(ldl, 1, y, work, NULL);
+        sfem_matrix_multiply(&a, x, z, NULL); /* x.K0 x */
+        for (i = 0; i < n; ++i) norm += x[i] * z[i];
+        most = dot / norm;
+        for (norm = 0, i = 0; i < n; ++i) norm += y[i] * y[i];
+        for (i = 0; i < n; ++i) x[i] = y[i] / sqrt(norm);
+    }
+    if (!(most < 1.0001) || !(most > 0.5)) fail_msg("largest eigenvalue of (K, K0): %.6f", most);
+    free(x), free(y), free(z), free(work);
+    sfem_ldl_free(ldl);
+    sfem_matrix_free(&a);
+    sfem_model_free(model);
+}
+
+static void k0_bounds_k_on_real_meshes(void **state)
+{
+    static const char *const name[] = {"igl_octopus_low.mesh", "pbd_armadillo_4k.node"};
+    sfem_mesh mesh;
+    sfem_error err;
+    size_t k;
+    (void)state;
+    assert_ok(body_scattered(800, 0.001, 1, &mesh, &err), err);
+    check_bound_by_powers(&mesh, 0.3);
+    check_bound_by_powers(&mesh, 0.499);
+    sfem_mesh_free(&mesh);
+    for (k = 0; k < TEST_COUNT(name) && !TEST_SANITIZED; ++k) {
+        const char *path = mesh_path(name[k]);
+        if (!path) continue;
+        assert_ok(sfem_mesh_read(path, NULL, &mesh, &err), err);
+        sfem_mesh_orient(&mesh);
+        check_bound_by_powers(&mesh, 0.45);
+        sfem_mesh_free(&mesh);
+    }
+}
+
+/* ---- patch test, rigid motions, forces ---- */
+
+static void patch_test(void **state)
+{
+    static const sfem_law law[] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_NEOHOOKEAN};
+    sfem_mesh mesh = block(4, 3, 3, 4, SFEM_CELL_6_TETS);
+    const size_t n = 3 * (size_t)mesh.nodes;
+    double *u = reals(n), *f = reals(n), *work;
+    double lambda, mu;
+    size_t i, k;
+    (void)state;
+    sfem_law_lame(1e6, 0.49, &lambda, &mu);
+    jitter(&mesh, 0.15, 6);
+    for (k = 0; k < TEST_COUNT(law); ++k) {
+        sfem_model *model = smooth_model(&mesh, smooth_material(law[k], 0.49));
+        const double grad[9] = {0.02, 0.15, -0.04, 0.01, -0.03, 0.05, 0.2, 0, 0.04};
+        double fgrad[9], size = 0, volume = 0, wanted, half;
+        sfem_surface surface;
+        sfem_error err;
+        unsigned char *outer = (unsigned char *)calloc((size_t)mesh.nodes, 1);
+        sfem_int t;
+        for (t = 0; t < 9; ++t) fgrad[t] = grad[t] + (t % 4 == 0);
+        for (t = 0; t < mesh.tets; ++t) volume += sfem_model_tet_volume(model)[t];
+        for (i = 0; i < n; ++i) {
+            const double *x = mesh.x + i / 3 * 3, *g = grad + i % 3 * 3;
+            u[i] = 0.3 + g[0] * x[0] + g[1] * x[1] + g[2] * x[2];
+        }
+        work = reals(sfem_model_work_size(model));
+        assert_ok(sfem_mesh_surface(&mesh, NULL, &surface, &err), err);
+        for (t = 0; t < 3 * surface.triangles; ++t) outer[surface.tri[t]] = 1;
+        half = sfem_model_forces(model, u, SFEM_DOUBLE, f, NULL, NULL, work, NULL);
+        for (i = 0; i < n; ++i) size = fmax(size, fabs(f[i]));
+        for (i = 0; i < n; ++i)
+            if (!outer[i / 3]) assert_near(f[i], 0, 0, 1e-12 * size);
+        wanted = volume * sfem_law_energy(law[k], lambda, mu, fgrad);
+        if (law[k] != SFEM_NEOHOOKEAN) assert_near(half, wanted, 1e-12, 0);
+        else /* shear at the nodes and volume on patches of the same F: the law splits */
+            assert_near(half, volume * (sfem_law_energy(law[k], 0, mu, fgrad) + sfem_law_energy(law[k], lambda, 0, fgrad)),
+                        1e-12, 0);
+        free(work), free(outer);
+        sfem_surface_free(&surface);
+        sfem_model_free(model);
+    }
+    free(u), free(f);
+    sfem_mesh_free(&mesh);
+}
+
+/* the forces are the gradient of the energy; they have no resultant, and no torque; rotating turns them */
+static void forces_are_a_gradient(void **state)
+{
+    static const sfem_law law[] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_NEOHOOKEAN};
+    static const double q[9] = {0.36, 0.48, -0.8, -0.8, 0.6, 0, 0.48, 0.64, 0.6};
+    sfem_mesh mesh;
+    sfem_error err;
+    size_t k;
+    (void)state;
+    assert_ok(body_scattered(500, 0.01, 2, &mesh, &err), err);
+    for (k = 0; k < TEST_COUNT(law); ++k) {
+        sfem_model *model = smooth_model(&mesh, smooth_material(law[k], 0.45));
+        const size_t n = 3 * (size_t)mesh.nodes;
+        double *u = reals(n), *v = reals(n), *d = reals(n), *f = reals(n), *g = reals(n), *kd = reals(n);
+        double *work = reals(sfem_model_work_size(model)), step = 1e-6, slope = 0, e, e1, e2, size = 0;
+        double sum[3] = {0, 0, 0}, torque[3] = {0, 0, 0};
+        sfem_matrix wide;
+        test_random random = {k};
+        sfem_int inverted = -1;
+        size_t i;
+        int c;
+        for (i = 0; i < n; ++i) u[i] = random_uniform(&random, -0.01, 0.01) + 0.2 * mesh.x[i / 3 * 3 + (i + 1) % 3];
+        for (i = 0; i < n; ++i) d[i] = random_uniform(&random, -1, 1);
+        e = sfem_model_forces(model, u, SFEM_DOUBLE, f, NULL, &inverted, work, NULL);
+        assert_true(inverted >= 0 && inverted < mesh.tets);
+        for (i = 0; i < n; ++i) slope += f[i] * d[i], size = fmax(size, fabs(f[i])), v[i] = u[i] + step * d[i];
+        e1 = sfem_model_forces(model, v, SFEM_DOUBLE, g, NULL, NULL, work, NULL);
+        memcpy(kd, g, n * sizeof *kd);
+        for (i = 0; i < n; ++i) v[i] = u[i] - step * d[i];
+        e2 = sfem_model_forces(model, v, SFEM_DOUBLE, g, NULL, NULL, work, NULL);
+        assert_near((e1 - e2) / (2 * step), slope, 1e-6, 0);
+        for (i = 0; i < n; ++i) kd[i] = (kd[i] - g[i]) / (2 * step);
+        /* the derivative of the forces is the wide tangent */
+        assert_ok(sfem_model_assemble_stiffness(model, NULL, &wide, &err), err);
+        sfem_model_tangent(model, u, SFEM_TANGENT_EXACT, &wide, NULL);
+        sfem_matrix_multiply(&wide, d, g, NULL);
+        assert_all_near(kd, g, n, 2e-5, 0);
+        sfem_matrix_free(&wide);
+        for (i = 0; i < n; i += 3)
+            for (c = 0; c < 3; ++c) {
+                const int p = (c + 1) % 3, r = (c + 2) % 3;
+                sum[c] += f[i + (size_t)c];
+                torque[c] += (mesh.x[i + (size_t)p] + u[i + (size_t)p]) * f[i + (size_t)r] -
+                             (mesh.x[i + (size_t)r] + u[i + (size_t)r]) * f[i + (size_t)p];
+            }
+        for (c = 0; c < 3; ++c) assert_near(sum[c], 0, 0, 1e-11 * size);
+        for (c = 0; c < 3 && law[k] != SFEM_LINEAR; ++c) assert_near(torque[c], 0, 0, 1e-11 * size);
+        for (i = 0; i < n; ++i) { /* x' = Q x + t */
+            const size_t node = i / 3 * 3, row = i % 3 * 3;
+            v[i] = 5 - mesh.x[i];
+            for (c = 0; c < 3; ++c) v[i] += q[row + (size_t)c] * (mesh.x[node + (size_t)c] + u[node + (size_t)c]);
+        }
+        if (law[k] != SFEM_LINEAR) {
+            e1 = sfem_model_forces(model, v, SFEM_DOUBLE, g, NULL, NULL, work, NULL);
+            assert_near(e1, e, 1e-10, 0);
+            for (i = 0; i < n; ++i) {
+                const size_t node = i / 3 * 3, row = i % 3 * 3;
+                assert_near(g[i], q[row] * f[node] + q[row + 1] * f[node + 1] + q[row + 2] * f[node + 2], 0, 1e-10 * size);
+            }
+        }
+        e1 = sfem_model_forces(model, u, SFEM_MIXED, g, NULL, NULL, work, NULL);
+        assert_near(e1, e, 1e-4, 0);
+        assert_all_near(g, f, n, 1e-4, 0);
+        free(u), free(v), free(d), free(f), free(g), free(kd), free(work);
+        sfem_model_free(model);
+    }
+    sfem_mesh_free(&mesh);
+}
+
+static void threads_leave_the_same_bits(void **state)
+{
+    sfem_mesh mesh;
+    sfem_error err;
+    sfem_model *model;
+    double *u, *f, *g, *work, e;
+    size_t n, i;
+    int threads;
+    (void)state;
+    assert_ok(body_scattered(6000, 0.01, 2, &mesh, &err), err);
+    model = smooth_model(&mesh, smooth_material(SFEM_COROTATIONAL, 0.45));
+    n = 3 * (size_t)mesh.nodes;
+    u = reals(n), f = reals(n), g = reals(n), work = reals(sfem_model_work_size(model));
+    for (i = 0; i < n; ++i) u[i] = 0.1 * sin(3 * mesh.x[i] + (double)i);
+    e = sfem_model_forces(model, u, SFEM_DOUBLE, f, NULL, NULL, work, NULL);
+    for (threads = 2; threads <= 4; ++threads) {
+        const sfem_exec exec = thread_exec(threads);
+        const double again = sfem_model_forces(model, u, SFEM_DOUBLE, g, NULL, NULL, work, &exec);
+        assert_true(memcmp(&e, &again, sizeof e) == 0);
+        assert_true(memcmp(f, g, n * sizeof *f) == 0);
+    }
+    free(u), free(f), free(g), free(work);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
+/* ---- several stars at a node ---- */
+
+/* Two tets that share an edge are a hinge: seven modes without energy, as with linear tets. */
+static void a_hinge_stays_a_hinge(void **state)
+{
+    double x[18] = {0, 0, 0, 1, 0, 0, 0.2, 1, 0.1, 0.3, 0.2, 1, 0.1, -1, 0.2, 0.2, -0.1, -1};
+    sfem_int tet[8] = {0, 1, 2, 3, 0, 1, 4, 5};
+    double *k, value[18];
+    sfem_matrix wide;
+    sfem_model *model;
+    sfem_mesh mesh;
+    sfem_error err;
+    (void)state;
+    memset(&mesh, 0, sizeof mesh);
+    mesh.nodes = 6;
+    mesh.tets = 2;
+    mesh.x = x;
+    mesh.tet = tet;
+    sfem_mesh_orient(&mesh);
+    model = smooth_model(&mesh, smooth_material(SFEM_LINEAR, 0.3));
+    assert_int_equal(sfem_model_smooth_info(model).stars, 8);
+    assert_int_equal(sfem_model_smooth_info(model).patches, 2);
+    assert_ok(sfem_model_assemble_stiffness(model, NULL, &wide, &err), err);
+    k = dense_of(&wide);
+    eigenvalues(18, k, NULL, value);
+    assert_near(value[6], 0, 0, 1e-9 * value[17]);
+    assert_true(value[7] > 1e-3 * value[17]);
+    free(k);
+    sfem_matrix_free(&wide);
+    sfem_model_free(model);
+}
+
+/* Two materials in series under tension, nu = 0: each strains by itself, exactly. */
+static void averages_do_not_cross_materials(void **state)
+{
+    sfem_mesh mesh = block(4, 2, 2, 4, SFEM_CELL_6_TETS);
+    const size_t n = 3 * (size_t)mesh.nodes;
+    sfem_material material[2];
+    sfem_int *region = (sfem_int *)calloc((size_t)mesh.tets, sizeof *region), e;
+    sfem_model_def def = sfem_default_model_def();
+    sfem_model *model;
+    sfem_error err;
+    double *u = reals(n), *f = reals(n);
+    size_t i;
+    (void)state;
+    material[0] = material[1] = smooth_material(SFEM_LINEAR, 0);
+    material[1].young = 4e6;
+    for (e = 0; e < mesh.tets; ++e) {
+        double x = 0;
+        int a;
+        for (a = 0; a < 4; ++a) x += mesh.x[3 * mesh.tet[4 * e + a]] / 4;
+        region[e] = x > 2;
+    }
+    def.mesh = &mesh;
+    def.materials = material;
+    def.material_count = 2;
+    def.tet_material = region;
+    assert_ok(sfem_model_create(&def, &model, &err), err);
+    assert_true(sfem_model_smooth_info(model).stars == mesh.nodes + 9);
+    for (i = 0; i < n; i += 3) u[i] = mesh.x[i] < 2 ? 0.04 * mesh.x[i] : 0.08 + 0.01 * (mesh.x[i] - 2);
+    sfem_model_multiply_stiffness(model, u, f, NULL);
+    for (i = 0; i < n; ++i)
+        if (mesh.x[i / 3 * 3] > 0 && mesh.x[i / 3 * 3] < 4) assert_near(f[i], 0, 0, 1e-8);
+    assert_near(sfem_model_elastic_energy(model, u), 0.5 * 0.04e6 * 0.10, 1e-12, 0);
+    material[1].tet = SFEM_TET_LINEAR;
+    assert_status(sfem_model_create(&def, &model, &err), SFEM_BAD_ARGUMENT);
+    assert_names(err, "all smooth");
+    free(u), free(f), free(region);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
+static void what_smooth_tets_cannot_do_is_refused(void **state)
+{
+    sfem_mesh mesh = block(1, 1, 1, 1, SFEM_CELL_6_TETS);
+    sfem_model_def def = sfem_default_model_def();
+    sfem_model *model;
+    sfem_error err;
+    (void)state;
+    def.mesh = &mesh;
+    def.material = smooth_material(SFEM_STVK, 0.3);
+    assert_status(sfem_model_create(&def, &model, &err), SFEM_BAD_ARGUMENT);
+    assert_names(err, "Kirchhoff");
+    def.material = smooth_material(SFEM_LINEAR, -0.1);
+    assert_status(sfem_model_create(&def, &model, &err), SFEM_BAD_ARGUMENT);
+    assert_names(err, "Poisson");
+    def.material.poisson = 0.3;
+    def.material.tet = (sfem_tet)7;
+    assert_status(sfem_model_create(&def, &model, &err), SFEM_BAD_ARGUMENT);
+    assert_names(err, "tet 7");
+    sfem_mesh_free(&mesh);
+}
+
+static sfem_status make_and_free(sfem_allocator allocator, void *user, sfem_error *err)
+{
+    sfem_model_def def = sfem_default_model_def();
+    sfem_model *model = NULL;
+    sfem_matrix wide;
+    sfem_status status;
+    def.mesh = (const sfem_mesh *)user;
+    def.material = smooth_material(SFEM_COROTATIONAL, 0.45);
+    def.allocator = allocator;
+    status = sfem_model_create(&def, &model, err);
+    if (status == SFEM_OK) {
+        status = sfem_model_assemble_stiffness(model, &allocator, &wide, err);
+        if (status == SFEM_OK) sfem_matrix_free(&wide);
+    }
+    sfem_model_free(model);
+    return status;
+}
+
+static void every_allocation_may_fail(void **state)
+{
+    sfem_mesh mesh = block(2, 1, 1, 2, SFEM_CELL_6_TETS);
+    (void)state;
+    fail_every_allocation(make_and_free, &mesh);
+    sfem_mesh_free(&mesh);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(stiffness_is_that_of_the_definition),
+        cmocka_unit_test(patches_hang_together),
+        cmocka_unit_test(k0_bounds_k),
+        cmocka_unit_test(k0_bounds_k_with_slivers),
+        cmocka_unit_test(k0_bounds_k_on_real_meshes),
+        cmocka_unit_test(patch_test),
+        cmocka_unit_test(forces_are_a_gradient),
+        cmocka_unit_test(threads_leave_the_same_bits),
+        cmocka_unit_test(a_hinge_stays_a_hinge),
+        cmocka_unit_test(averages_do_not_cross_materials),
+        cmocka_unit_test(what_smooth_tets_cannot_do_is_refused),
+        cmocka_unit_test(every_allocation_may_fail),
+    };
+    return run_all_tests(tests);
+}
