@@ -1296,6 +1296,9 @@ typedef struct sfem_body_def {
     sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Above 4 the step is limited */
     sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; 0.1 */
     sfem_newton_def newton;
+    int exact_statics;        /* linear bodies of smooth tets: 0, the default: a static solution is iterated, by conjugate
+                               * gradients with the factor of K0, to newton.tolerance; sfem_body_newton tells how it went.
+                               * 1: K itself is factorised, 8 to 20 times the operations */
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws */
@@ -14235,11 +14238,15 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
  *    of K, and conjugate gradients with it as preconditioner need a bounded number of iterations.
  * ============================================================================================ */
 
-/* What a_s is where the star allows it. Measured on a cantilever of 8x2x2 cells and on real meshes, nu 0.3 to 0.499:
- * deflections are within 0.99 to 1.11 of the exact ones; 0.15 is stiffer. */
+/* What a_s is where the star allows it. Measured on cantilevers of 4x1x1, 8x2x2 and 16x4x4 cells, nu 0.3 to 0.499: parts
+ * of the converged deflection are 0.87 to 1.06, 1.01 to 1.12, 1.03 to 1.07; with 0.15 0.78 to 0.94, 0.94 to 1.05, 1.01 to
+ * 1.05. */
 #define SFEMI_SMOOTH_A 0.12
-/* Patches are grown to so many tets; with those that are left over they come to 4 in the mean. */
-#define SFEMI_PATCH_TETS 5
+/* Patches are grown to so many tets; they come to 4 in the mean. With 3 bars of six-tet cells lock at nu = 0.499 (0.53),
+ * with 5 they are up to 1.19. */
+#define SFEMI_PATCH_TETS 4
+#define SFEMI_SWEEP 4096     /* bins of an axis in which tets are sorted, at most; as large as */
+#define SFEMI_SWEEP_CELL 5   /* mean tets */
 #define SFEMI_CELL_TASK 16   /* groups of SFEMI_LANES cells a task */
 #define SFEMI_NODE_TASK 2048 /* nodes a task */
 
@@ -14389,15 +14396,53 @@ static sfem_int sfemi_smooth_next(const sfemi_smooth_maker *m, const sfem_int *m
     return best;
 }
 
-/* Grows patches in the order of the tets; their number. */
-static sfem_int sfemi_smooth_grow(sfemi_smooth_maker *m)
+/* Tets by the places of their centres in coarse cells, along the longest axis first: patches that grow in this order leave few tets over, however the
+ * mesh is numbered. */
+static sfem_status sfemi_smooth_sweep(const sfemi_smooth_maker *m, sfem_int *order, sfemi_pool *pool, sfem_error *err)
 {
     const sfem_mesh *mesh = m->mesh;
-    sfem_int e, patches = 0, member[SFEMI_PATCH_TETS], node[4 * SFEMI_PATCH_TETS];
+    sfem_real low[3], high[3], volume = 0, size;
+    sfem_int *key, *bucket, *other, i, e;
+    sfem_status status = SFEM_OK;
+    int c, a, longest = 0;
+    SFEMI_TAKE(sfem_int, key, pool, 3 * (size_t)mesh->tets);
+    SFEMI_TAKE(sfem_int, other, pool, mesh->tets);
+    SFEMI_TAKE(sfem_int, bucket, pool, SFEMI_SWEEP + 1);
+    for (e = 0; e < mesh->tets; ++e) {
+        sfem_real g[4][3];
+        volume += sfemi_element_gradients(mesh, e, g);
+    }
+    size = cbrt(SFEMI_SWEEP_CELL * volume / mesh->tets);
+    for (c = 0; c < 3; ++c) {
+        low[c] = high[c] = mesh->x[c];
+        for (i = 1; i < mesh->nodes; ++i) {
+            low[c] = fmin(low[c], mesh->x[3 * (size_t)i + (size_t)c]);
+            high[c] = fmax(high[c], mesh->x[3 * (size_t)i + (size_t)c]);
+        }
+        for (e = 0; e < mesh->tets; ++e) {
+            sfem_real x = -low[c];
+            for (a = 0; a < 4; ++a) x += mesh->x[3 * (size_t)mesh->tet[4 * (size_t)e + (size_t)a] + (size_t)c] / 4;
+            key[3 * e + c] = (sfem_int)fmin(x / size, SFEMI_SWEEP - 1);
+        }
+    }
+    for (c = 0; c < 3; ++c)
+        if (high[c] - low[c] > high[longest] - low[longest]) longest = c;
+    sfemi_mesh_sort(key + (longest + 2) % 3, 3, mesh->tets, SFEMI_SWEEP, NULL, order, bucket);
+    sfemi_mesh_sort(key + (longest + 1) % 3, 3, mesh->tets, SFEMI_SWEEP, order, other, bucket);
+    sfemi_mesh_sort(key + longest, 3, mesh->tets, SFEMI_SWEEP, other, order, bucket);
+done:
+    return status;
+}
+
+/* Grows patches in the order given; their number. */
+static sfem_int sfemi_smooth_grow(sfemi_smooth_maker *m, const sfem_int *order)
+{
+    const sfem_mesh *mesh = m->mesh;
+    sfem_int e, k, patches = 0, member[SFEMI_PATCH_TETS], node[4 * SFEMI_PATCH_TETS];
     int i, p;
     for (e = 0; e < mesh->tets; ++e) m->patch[e] = -1;
-    for (e = 0; e < mesh->tets; ++e) {
-        sfem_int next = e;
+    for (k = 0; k < mesh->tets; ++k) {
+        sfem_int next = e = order[k];
         int count = 0, nodes = 0;
         if (m->patch[e] >= 0) continue;
         while (next >= 0) {
@@ -14658,11 +14703,13 @@ static sfem_status sfemi_smooth_number(sfemi_smooth_maker *m, sfem_error *err)
 {
     sfemi_smooth *s = m->out;
     sfemi_pool pool = sfemi_pool_of(&m->mesh->allocator);
-    sfem_int *number;
+    sfem_int *number, *order;
     unsigned char *law;
     sfem_status status = SFEM_OK;
+    SFEMI_TAKE(sfem_int, order, &pool, m->mesh->tets);
+    SFEMI_TRY(sfemi_smooth_sweep(m, order, &pool, err));
     s->stars = sfemi_smooth_stars(m);
-    s->patches = sfemi_smooth_grow(m);
+    s->patches = sfemi_smooth_grow(m, order);
     SFEMI_TAKE(sfem_int, number, &pool, (size_t)s->stars + (size_t)s->patches);
     s->patches = sfemi_smooth_merge(m, s->patches, number);
     SFEMI_TAKE(unsigned char, law, &pool, (size_t)s->stars + (size_t)s->patches);
@@ -15671,6 +15718,19 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
 
+/* K itself and its pattern; of smooth tets sfemi_fem_widen makes it. */
+static const sfem_matrix *sfemi_fem_exact(const sfem_model *model)
+{
+    return model->smooth ? &model->wide : &model->stiffness;
+}
+
+/* The place in the model's pattern of block (i, j) at `at` of that of sfemi_fem_exact; -1: M and the rest of D have
+ * nothing there. */
+static sfem_int sfemi_fem_narrow(const sfem_model *model, sfem_int at, sfem_int i, sfem_int j)
+{
+    return model->smooth ? sfemi_fem_find(model->row, model->col, i, j) : at;
+}
+
 /* Arrays of a matrix of the given size, `size` numbers a block; on failure those made so far are in *a, to be
  * freed. */
 static sfem_status sfemi_fem_new_matrix(sfem_int n, size_t blocks, size_t size, const sfem_allocator *al,
@@ -15745,6 +15805,39 @@ done:
     sfemi_delete(al, mark);
     sfemi_delete(al, count);
     return status;
+}
+
+/* Makes K itself of smooth tets, once for the model. */
+static sfem_status sfemi_fem_widen(sfem_model *model, sfem_error *err)
+{
+    sfem_matrix wide;
+    sfem_matrix_upper upper;
+    sfem_status status;
+    int ready;
+    if (!model->smooth) return SFEM_OK;
+    sfemi_lock(&model->lock);
+    ready = model->wide.val != NULL;
+    sfemi_unlock(&model->lock);
+    if (ready) return SFEM_OK;
+    status = sfem_model_assemble_stiffness(model, &model->allocator, &wide, err);
+    if (status != SFEM_OK) return status;
+    status = sfem_matrix_upper_create(&wide, &model->allocator, &upper, err);
+    if (status != SFEM_OK) {
+        sfem_matrix_free(&wide);
+        return status;
+    }
+    sfemi_lock(&model->lock);
+    ready = model->wide.val != NULL;
+    if (!ready) {
+        model->wide_upper = upper;
+        model->wide = wide;
+        model->wide.upper = &model->wide_upper;
+    }
+    sfemi_unlock(&model->lock);
+    if (!ready) return SFEM_OK; /* else another thread was faster */
+    sfem_matrix_free(&wide);
+    sfem_matrix_upper_free(&upper);
+    return SFEM_OK;
 }
 
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
@@ -18335,6 +18428,7 @@ static void sfemi_damage_pieces(const sfemi_damage *d, const sfem_real *u, const
 typedef struct sfemi_factor_key {
     sfem_real ck, cm, cd;
     int upper_bound; /* ck times the isotropic upper bound in place of K */
+    int exact;       /* smooth tets: K itself in place of K0 */
     const unsigned char *mask; /* [nodes] axes held */
     sfem_precision precision;
     sfem_ordering ordering;
@@ -18357,7 +18451,7 @@ struct sfem_factor {
 static int sfemi_factor_matches(const sfem_factor *f, const sfemi_factor_key *key, uint64_t hash)
 {
     return f->key.ck == key->ck && f->key.cm == key->cm && f->key.cd == key->cd &&
-           f->key.upper_bound == key->upper_bound && f->key.precision == key->precision &&
+           f->key.upper_bound == key->upper_bound && f->key.exact == key->exact && f->key.precision == key->precision &&
            f->key.ordering == key->ordering && f->hash == hash;
 }
 
@@ -18484,9 +18578,13 @@ done:
 static void sfemi_factor_block(const sfem_model *model, const sfem_factor *f, const sfem_real *upper_bound,
                                sfem_int at, sfem_int i, sfem_real b[9])
 {
-    const sfem_int j = model->col[at];
+    const sfem_matrix *k = f->key.exact ? sfemi_fem_exact(model) : &model->stiffness;
+    const sfem_int j = k->col[at], narrow = f->key.exact ? sfemi_fem_narrow(model, at, i, j) : at;
     int r, c;
-    sfemi_fem_block(model, at, i, upper_bound ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    memset(b, 0, 9 * sizeof *b);
+    if (narrow >= 0)
+        sfemi_fem_block(model, narrow, i, upper_bound || f->key.exact ? 0 : f->key.ck, f->key.cm, f->key.cd, b);
+    for (r = 0; f->key.exact && r < 9; ++r) b[r] += f->key.ck * k->val[9 * (size_t)at + (size_t)r];
     for (r = 0; upper_bound && r < 9; r += 4) b[r] += f->key.ck * upper_bound[at];
     for (r = 0; r < 3; ++r)
         for (c = 0; c < 3; ++c)
@@ -18498,6 +18596,7 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
                                        sfem_error *err)
 {
     const sfem_allocator *al = &model->allocator;
+    const sfem_matrix *p = f->key.exact ? sfemi_fem_exact(model) : &model->stiffness;
     sfem_int *number = NULL, *row = NULL, *col = NULL, k, at, blocks = 0;
     sfem_real *upper_bound = NULL, block[9];
     sfem_matrix a;
@@ -18507,14 +18606,14 @@ static sfem_status sfemi_factor_matrix(const sfem_model *model, const sfem_facto
     SFEMI_NEW(sfem_int, number, al, model->mesh.nodes); /* 1 + its row, 0: not free */
     for (k = 0; k < f->free_nodes; ++k) number[f->node[k]] = k + 1;
     for (k = 0; k < f->free_nodes; ++k)
-        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at)
-            blocks += number[model->col[at]] > 0;
+        for (at = p->row[f->node[k]]; at < p->row[f->node[k] + 1]; ++at)
+            blocks += number[p->col[at]] > 0;
     SFEMI_TRY(sfemi_fem_new_matrix(f->free_nodes, (size_t)blocks, f->scalar ? 1 : 9, al, &row, &col, &a, err));
     blocks = 0;
     for (k = 0; k < f->free_nodes; ++k) {
-        for (at = model->row[f->node[k]]; at < model->row[f->node[k] + 1]; ++at) {
-            if (number[model->col[at]] == 0) continue;
-            col[blocks] = number[model->col[at]] - 1;
+        for (at = p->row[f->node[k]]; at < p->row[f->node[k] + 1]; ++at) {
+            if (number[p->col[at]] == 0) continue;
+            col[blocks] = number[p->col[at]] - 1;
             sfemi_factor_block(model, f, upper_bound, at, f->node[k], block);
             if (f->scalar) a.val[blocks++] = block[0];
             else memcpy(a.val + 9 * (size_t)blocks++, block, sizeof block);
@@ -18583,6 +18682,7 @@ static sfem_status sfemi_factor_make(sfem_model *model, const sfemi_factor_key *
     sfem_status status = SFEM_OK;
     sfem_int i, k = 0;
     int c;
+    if (key->exact) SFEMI_TRY(sfemi_fem_widen(model, err));
     SFEMI_NEW(sfem_factor, f, al, 1);
     SFEMI_NEW(unsigned char, f->mask, al, nodes);
     memcpy(f->mask, key->mask, nodes);
@@ -19450,7 +19550,7 @@ static void sfemi_body_residual(sfem_body *b, const sfem_real load[3], int with_
 {
     const sfem_model *model = b->model;
     size_t i;
-    sfem_matrix_multiply(&model->stiffness, b->zk, b->rhs, &b->exec);
+    sfem_model_multiply_stiffness(model, b->zk, b->rhs, &b->exec);
     sfemi_body_take_from_load(b, load, b->rhs, b->rhs);
     if (with_mass) sfemi_fem_add_mass(model, -1, b->zm, b->rhs);
     if (model->damping) {
@@ -19748,7 +19848,7 @@ static sfem_real sfemi_implicit_forces(sfem_body *b, const sfem_real *u, sfem_re
     size_t i;
     if (!sfemi_implicit_linear(b->model))
         return sfem_model_forces(b->model, u, SFEM_DOUBLE, f, NULL, NULL, b->implicit.work, &b->exec);
-    sfem_matrix_multiply(&b->model->stiffness, u, f, &b->exec);
+    sfem_model_multiply_stiffness(b->model, u, f, &b->exec);
     for (i = 0; i < n; ++i) energy += u[i] * f[i];
     return energy / 2;
 }
@@ -19770,16 +19870,18 @@ static int sfemi_implicit_damped(const sfem_body *b)
 static sfem_status sfemi_implicit_reserve(sfem_body *b, sfem_error *err)
 {
     const sfem_model *model = b->model;
-    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
     sfemi_implicit *m = &b->implicit;
     sfem_real *tangent = NULL, *drag = NULL;
     sfem_status status = SFEM_OK;
+    size_t values;
     if (m->ready) return SFEM_OK;
+    SFEMI_TRY(sfemi_fem_widen(b->model, err));
+    values = 9 * (size_t)sfemi_fem_exact(model)->row[model->mesh.nodes];
     if (!sfemi_implicit_linear(model)) SFEMI_NEW(sfem_real, tangent, &b->allocator, values);
     if (b->def.damping_force.tangent) SFEMI_NEW(sfem_real, drag, &b->allocator, values);
     m->ready = 1;
     SFEMI_TRY(sfemi_workspace_reserve(b, err));
-    m->tangent = m->drag = model->stiffness;
+    m->tangent = m->drag = *sfemi_fem_exact(model);
     if (tangent) m->tangent.val = tangent;
     m->drag.val = drag;
     return SFEM_OK;
@@ -19802,7 +19904,7 @@ static void sfemi_implicit_destroy(sfem_body *b)
     sfemi_implicit *m = &b->implicit;
     sfemi_system_close(b, &m->system);
     sfemi_factor_release(b->model, m->second);
-    if (m->ready && m->tangent.val != b->model->stiffness.val)
+    if (m->ready && m->tangent.val != sfemi_fem_exact(b->model)->val)
         sfemi_delete(&b->allocator, m->tangent.val);
     sfemi_delete(&b->allocator, m->drag.val);
 }
@@ -19810,10 +19912,11 @@ static void sfemi_implicit_destroy(sfem_body *b)
 static size_t sfemi_implicit_bytes(const sfem_body *b)
 {
     const sfemi_implicit *m = &b->implicit;
-    const size_t values = 9 * (size_t)b->model->row[b->model->mesh.nodes];
     size_t reals = 0;
     if (m->ready) {
-        if (m->tangent.val != b->model->stiffness.val) reals += values;
+        const sfem_matrix *k = sfemi_fem_exact(b->model);
+        const size_t values = 9 * (size_t)k->row[k->n];
+        if (m->tangent.val != k->val) reals += values;
         if (m->drag.val) reals += values;
     }
     if (m->system.matrix.val) reals += 9 * (size_t)m->system.matrix.row[m->system.matrix.n];
@@ -19825,6 +19928,7 @@ static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, 
                                      sfem_error *err)
 {
     const sfem_model *model = b->model;
+    const sfem_matrix *p;
     sfemi_system s;
     sfem_status status = SFEM_OK;
     sfem_int k, at, count = 0;
@@ -19832,10 +19936,11 @@ static sfem_status sfemi_system_open(sfem_body *b, const sfemi_factor_key *key, 
     SFEMI_TRY(sfemi_factor_make(b->model, key, &b->exec, &s.factor, err));
     ++b->factors_made;
     SFEMI_TRY(sfemi_factor_matrix(model, s.factor, &s.matrix, err));
+    p = key->exact ? sfemi_fem_exact(model) : &model->stiffness;
     SFEMI_NEW(sfem_int, s.source, &model->allocator, (size_t)s.matrix.row[s.matrix.n] + 1);
     for (k = 0; k < s.factor->free_nodes; ++k)
-        for (at = model->row[s.factor->node[k]]; at < model->row[s.factor->node[k] + 1]; ++at)
-            if (s.factor->mask[model->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
+        for (at = p->row[s.factor->node[k]]; at < p->row[s.factor->node[k] + 1]; ++at)
+            if (s.factor->mask[p->col[at]] != SFEM_AXIS_ALL) s.source[count++] = at;
     *out = s;
     return SFEM_OK;
 done:
@@ -19894,6 +19999,7 @@ static sfemi_factor_key sfemi_implicit_key(const sfem_body *b, int k, sfem_real 
     key.ck = s.w1 * (1 + s.c1 * b->beta);
     key.cm = s.m1 * s.c2 + s.w1 * s.c1 * b->alpha;
     key.cd = b->model->damping ? s.w1 * s.c1 : 0;
+    key.exact = b->model->smooth != NULL;
     key.mask = b->mask;
     key.precision = b->def.precision;
     key.ordering = b->def.ordering;
@@ -20166,7 +20272,8 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
     const sfemi_stage *s = &m->stage;
     const sfem_model *model = b->model;
     const sfemi_system *y = t->system;
-    const size_t values = 9 * (size_t)model->row[model->mesh.nodes];
+    const sfem_matrix *p = sfemi_fem_exact(model);
+    const size_t values = 9 * (size_t)p->row[p->n];
     sfem_int k, at = 0;
     sfem_error place;
     sfem_status status;
@@ -20182,9 +20289,10 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
         const sfem_int i = y->factor->node[k];
         for (; at < y->matrix.row[k + 1]; ++at) {
             const size_t from = 9 * (size_t)y->source[at];
-            const sfem_int j = model->col[y->source[at]];
+            const sfem_int j = p->col[y->source[at]], narrow = sfemi_fem_narrow(model, y->source[at], i, j);
             const int held = y->factor->mask[i] | y->factor->mask[j];
-            const sfem_real mass = model->block_mass ? model->block_mass[y->source[at]]
+            const sfem_real mass = narrow < 0          ? 0
+                                   : model->block_mass ? model->block_mass[narrow]
                                    : i == j       ? model->node_mass[i]
                                                   : 0;
             const sfem_real ck = s->w1 * (1 + s->c1 * b->beta), cd = s->w1 * s->c1;
@@ -20192,15 +20300,15 @@ static sfem_status sfemi_newton_factor(sfem_body *b, sfemi_newton *t, sfem_tange
             sfem_real *to = y->matrix.val + 9 * (size_t)at;
             for (c = 0; c < 9; ++c) to[c] = ck * m->tangent.val[from + (size_t)c];
             for (c = 0; c < 9; c += 4) to[c] += cm;
-            if (model->damping && cd != 0)
-                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[from + (size_t)c];
+            if (model->damping && cd != 0 && narrow >= 0)
+                for (c = 0; c < 9; ++c) to[c] += cd * model->damping[9 * (size_t)narrow + (size_t)c];
             if (m->drag.val && cd != 0)
                 for (c = 0; c < 9; ++c) to[c] += cd * m->drag.val[from + (size_t)c];
             for (r = 0; held && r < 3; ++r)
                 for (c = 0; c < 3; ++c) {
                     if (!(y->factor->mask[i] >> r & 1) && !(y->factor->mask[j] >> c & 1)) continue;
                     if (i != j || r != c) to[3 * r + c] = 0;
-                    else to[3 * r + c] = model->stiffness.val[from + (size_t)(4 * r)];
+                    else to[3 * r + c] = p->val[from + (size_t)(4 * r)];
                 }
         }
     }
@@ -21398,8 +21506,8 @@ static void sfemi_rotated_stiffness(sfem_body *b, const sfem_real *u, const sfem
         sfemi_rotated_rotate(frame, nodes, 1, both[k], both[k]);
     }
     if (b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(b->model, z, y);
-    else sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &b->model->stiffness,
-                              z, y, &b->exec);
+    else if (b->refactor.live) sfem_matrix_multiply(b->refactor.k + b->refactor.live - 1, z, y, &b->exec);
+    else sfem_model_multiply_stiffness(b->model, z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_rotated_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -21604,6 +21712,7 @@ done:
 /* Is what A holds of K another matrix than K? */
 static int sfemi_resume_bounded(const sfem_body *b)
 {
+    if (b->model->smooth && !b->scheme.newmark) return 1;
     return b->scheme.rotates && (b->damage->tets > 0 || b->refactor.live || b->def.frame == SFEM_FRAME_ISOTROPIC);
 }
 
@@ -21647,12 +21756,13 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     size_t i;
     if (bounded && b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(model, x, y);
     else if (own == 0) memset(y, 0, n * sizeof *y);
-    else sfem_matrix_multiply(bounded && b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness,
-                              x, y, &b->exec);
+    else if (bounded)
+        sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, x, y, &b->exec);
+    else sfem_model_multiply_stiffness(model, x, y, &b->exec);
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
-        sfem_matrix_multiply(&model->stiffness, x, z, &b->exec);
-        sfemi_fracture_multiply(b, x, z);
+        sfem_model_multiply_stiffness(model, x, z, &b->exec);
+        if (b->damage) sfemi_fracture_multiply(b, x, z);
         for (i = 0; i < n; ++i) y[i] += t->k * z[i];
     }
     sfemi_fem_add_mass(model, t->m, x, y);
@@ -22112,7 +22222,7 @@ static void sfemi_resume_bridge_correct(sfem_body *b, sfem_real *a)
     size_t i;
     sfemi_resume_bridge_constrain(b, a);
     if (c != 0 && (b->alpha != 0 || b->beta != 0 || b->zd)) {
-        sfem_matrix_multiply(&model->stiffness, a, x, &b->exec);
+        sfem_model_multiply_stiffness(model, a, x, &b->exec);
         for (i = 0; i < n; ++i) x[i] *= c * b->beta;
         sfemi_fem_add_mass(model, c * b->alpha, a, x);
         for (i = 0; b->zd && i < n; ++i) y[i] = c * a[i];
@@ -24266,6 +24376,8 @@ static double sfemi_refactor_tangent(sfem_body *b)
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
+        if (b->model->smooth)
+            sfemi_smooth_add_patches(b->model->smooth, r->u, job.kind, b->model->row, b->model->col, job.val);
         r->stage = SFEMI_REFACTOR_TURN;
         r->next = 0;
     }
@@ -24590,6 +24702,10 @@ static void sfemi_linear_conserved(sfem_body *b, sfem_energy *e)
     for (i = 0; i < n; ++i)
         load_w += s->w[i] * (force[i] + model->node_mass[i / 3] * s->head->gravity[i % 3]);
     /* with u- = u - h w: (E + E-)/2 = E - h/2 u.Kw + h^2/4 w.Kw and (u-u-).(f-f-) = h^2 w.Kw */
+    if (model->smooth) { /* A has K0 */
+        sfem_matrix_multiply(&model->stiffness, s->w, b->zk, &b->exec);
+        wkw = sfemi_dot(n, s->w, b->zk);
+    }
     e->conserved = b->scheme.r / 2 * sfemi_dot(n, s->w, b->zm) + b->p * h * h / 2 * wkw + e->elastic -
                    h / 2 * sfemi_dot(n, s->u, b->rhs) + e->load + h / 2 * load_w;
 }
@@ -24722,7 +24838,7 @@ static void sfemi_method_weigh(const sfem_body_def *d, sfemi_scheme *s)
 static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
 {
     const sfem_body_def *d = &b->def;
-    const int nonlinear = b->model->rotates, braked = d->damping_force.force != NULL;
+    const int nonlinear = b->model->rotates, braked = d->damping_force.force != NULL, smooth = b->model->smooth != NULL;
     sfemi_scheme *s = &b->scheme;
     s->newmark = d->integrator == SFEM_NEWMARK;
     s->pqr = d->integrator == SFEM_PQR;
@@ -24730,8 +24846,9 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     s->lagging = d->integrator == SFEM_KR_ALPHA;
     s->mean = s->pqr || s->central || s->lagging;
     s->newton = !s->mean && !(s->newmark && !nonlinear && !braked);
-    if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)))
-        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked) ? SFEMI_CORRECTS : SFEMI_ROTATES;
+    if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)) ||
+        (smooth && s->pqr && d->accuracy < 1))
+        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked || smooth) ? SFEMI_CORRECTS : SFEMI_ROTATES;
     s->resumes = !nonlinear && s->rotates != SFEMI_CORRECTS && !s->newton;
     s->safeguarded = d->safeguard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
     s->refactors = s->rotates && d->refactorise > 0 && s->pqr && d->frame != SFEM_FRAME_ISOTROPIC;
@@ -25066,6 +25183,21 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
         goto done;
     }
+    if (model->smooth && def->damage) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies of smooth tets cannot break yet: take SFEM_TET_LINEAR");
+        goto done;
+    }
+    if (model->smooth && b->scheme.lagging) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                            "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, whose "
+                            "def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
+        goto done;
+    }
+    if (model->smooth && def->damping_force.tangent) {
+        status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                            "with smooth tets a damping force has no tangent: its pattern is not that of the factor");
+        goto done;
+    }
     if (def->damage && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
         goto done;
@@ -25157,7 +25289,7 @@ static sfem_status sfemi_body_choose_p(sfem_body *b, sfem_real h, sfem_real *p, 
         return SFEM_OK;
     }
     *p = b->scheme.newmark ? b->def.beta : b->scheme.central ? 0 : b->def.p;
-    if (*p == SFEM_P_AUTO && !b->model->rotates && b->omega_max * h < 2) *p = 1.0 / 12;
+    if (*p == SFEM_P_AUTO && !b->model->rotates && !b->model->smooth && b->omega_max * h < 2) *p = 1.0 / 12;
     if (*p < 0) {
         *p = b->scheme.rotates == SFEMI_CORRECTS ? sfemi_safeguard_weight(b) : b->model->margin;
         *p = fmax(*p, sfemi_fracture_least_p(b));
@@ -25225,6 +25357,7 @@ SFEM_DEF sfem_status sfem_body_prepare(sfem_body *b, sfem_real h, sfem_error *er
         key.cd = b->model->damping ? b->scheme.q / 2 * h : 0;
         key.mask = b->mask;
         key.upper_bound = b->scheme.rotates && b->def.frame == SFEM_FRAME_ISOTROPIC;
+        key.exact = b->model->smooth && b->scheme.newmark; /* one solve is all there is */
         key.precision = b->def.precision;
         key.ordering = b->def.ordering;
         status = sfemi_factor_get(b->model, &key, &b->exec, &f, &b->factors_made, err);
@@ -26369,6 +26502,9 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
  * ============================================================================================ */
 
+/* Conjugate gradients on smooth tets: 25 to 35 iterations to 1e-8 are the rule; this many only where nothing converges. */
+#define SFEMI_STATIC_CG 300
+
 /* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
 static int sfemi_body_is_node_handle(const sfemi_handle *h)
 {
@@ -26487,6 +26623,62 @@ done:
     return status;
 }
 
+/* K x = rhs on the free axes, from x = 0 there, by conjugate gradients with the factor of K0 <= K / a: smooth tets. rhs
+ * and zm are overwritten. */
+static sfem_status sfemi_body_static_cg(sfem_body *b, const sfem_factor *f, sfem_real *x, sfem_error *err)
+{
+    const sfem_int nodes = b->model->mesh.nodes;
+    const size_t n = 3 * (size_t)nodes;
+    sfem_newton_info *info = &b->implicit.info;
+    sfem_real *r = b->rhs, *z = b->zm, *p = NULL, *kp = NULL, rz = 0, first = 0, now = 0;
+    sfem_status status = SFEM_OK;
+    size_t i;
+    memset(info, 0, sizeof *info);
+    SFEMI_NEW(sfem_real, p, &b->allocator, n);
+    SFEMI_NEW(sfem_real, kp, &b->allocator, n);
+    for (i = 0; i < n; ++i)
+        if (f->mask[i / 3] >> (i % 3) & 1) r[i] = 0;
+    first = now = sqrt(sfemi_dot(n, r, r));
+    memset(z, 0, n * sizeof *z);
+    while (now > b->def.newton.tolerance * first && info->iterations < SFEMI_STATIC_CG) {
+        sfem_real next, length;
+        sfemi_factor_solve(f, nodes, 1, r, z, b->workspace->work, &b->exec);
+        next = sfemi_dot(n, r, z);
+        for (i = 0; i < n; ++i) p[i] = z[i] + (info->iterations ? next / rz : 0) * p[i];
+        rz = next;
+        sfem_model_multiply_stiffness(b->model, p, kp, &b->exec);
+        length = rz / sfemi_dot(n, p, kp);
+        for (i = 0; i < n; ++i) {
+            x[i] += length * p[i];
+            r[i] = f->mask[i / 3] >> (i % 3) & 1 ? 0 : r[i] - length * kp[i];
+        }
+        now = sqrt(sfemi_dot(n, r, r));
+        ++info->iterations;
+        if (!sfemi_finite(now)) break;
+    }
+    info->residual = first > 0 ? now / first : 0;
+    info->converged = now <= b->def.newton.tolerance * first;
+    if (!info->converged)
+        status = sfemi_fail(err, sfemi_finite(now) ? SFEM_NOT_CONVERGED : SFEM_NOT_FINITE,
+                            "the static solution did not converge: residual %g after %d iterations", info->residual,
+                            (int)info->iterations);
+done:
+    sfemi_delete(&b->allocator, p);
+    sfemi_delete(&b->allocator, kp);
+    return status;
+}
+
+/* Does a static solution take the factor of K itself, not conjugate gradients? With handles between nodes, whose columns
+ * would each take as many iterations as the solution. */
+static int sfemi_body_static_exact(const sfem_body *b)
+{
+    sfem_int k;
+    if (!b->model->smooth || b->def.exact_statics) return b->model->smooth != NULL;
+    for (k = 0; k < b->def.max_handles; ++k)
+        if (b->state.handle[k].used && !sfemi_body_is_node_handle(b->state.handle + k)) return 1;
+    return 0;
+}
+
 SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
 {
     const sfem_real load[3] = {1, 0, 0};
@@ -26509,6 +26701,7 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
     key.ck = 1;
     key.mask = mask;
     key.ordering = b->def.ordering;
+    key.exact = !sfemi_implicit_linear(b->model) ? b->model->smooth != NULL : sfemi_body_static_exact(b);
     if (!sfemi_implicit_linear(b->model)) {
         SFEMI_TRY(sfemi_body_static_newton(b, &key, err));
     } else {
@@ -26519,7 +26712,8 @@ SFEM_DEF sfem_status sfem_body_solve_static(sfem_body *b, sfem_error *err)
         memcpy(b->acc, b->zk, n * sizeof *b->acc);
         if (b->zd) memset(b->zd, 0, n * sizeof *b->zd);
         sfemi_body_residual(b, load, 0);
-        sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
+        if (b->model->smooth && !key.exact) SFEMI_TRY(sfemi_body_static_cg(b, f, b->acc, err));
+        else sfemi_factor_solve(f, b->model->mesh.nodes, 1, b->rhs, b->acc, b->workspace->work, &b->exec);
         SFEMI_TRY(sfemi_body_static_handles(b, f, b->acc, 1, err));
     }
     if (!sfemi_all_finite(b->acc, n)) {
@@ -26640,8 +26834,8 @@ done:
     return status;
 }
 
-/* K, M and their norms on the free nodes. */
-static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
+/* K, M and their norms on the free nodes; `full` is K on all nodes. */
+static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, const sfem_matrix *full, sfem_error *err)
 {
     const sfem_model *m = s->model;
     sfem_int *number, *row = NULL, *col = NULL, k, at, blocks = 0;
@@ -26654,8 +26848,8 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
     SFEMI_TAKE(sfem_real, sum, &pool, 3 * (size_t)s->n);
     for (k = 0; k < s->n; ++k) number[s->node[k]] = k + 1;
     for (k = 0; k < s->n; ++k)
-        for (at = m->row[s->node[k]]; at < m->row[s->node[k] + 1]; ++at)
-            blocks += number[m->col[at]] > 0;
+        for (at = full->row[s->node[k]]; at < full->row[s->node[k] + 1]; ++at)
+            blocks += number[full->col[at]] > 0;
     SFEMI_TRY(sfemi_fem_new_matrix(s->n, (size_t)blocks, 9, s->al, &row, &col, &s->k, err));
     SFEMI_TAKE(sfem_real, s->mass, &s->pool, 3 * (size_t)s->n);
     if (m->block_mass)
@@ -26664,11 +26858,11 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
         SFEMI_TAKE(sfem_real, s->root, &s->pool, 3 * (size_t)s->n);
     for (blocks = k = 0; k < s->n; ++k) {
         const sfem_int node = s->node[k];
-        for (at = m->row[node]; at < m->row[node + 1]; ++at) {
-            const sfem_int other = m->col[at], j = number[other] - 1;
+        for (at = full->row[node]; at < full->row[node + 1]; ++at) {
+            const sfem_int other = full->col[at], j = number[other] - 1, narrow = sfemi_fem_narrow(m, at, node, other);
             sfem_real *b = s->k.val + 9 * (size_t)blocks;
             if (j < 0) continue;
-            memcpy(b, m->stiffness.val + 9 * (size_t)at, 9 * sizeof *b);
+            memcpy(b, full->val + 9 * (size_t)at, 9 * sizeof *b);
             for (r = 0; r < 3; ++r)
                 for (c = 0; c < 3; ++c) {
                     if (((s->mask[node] >> r & 1) || (s->mask[other] >> c & 1)) && !(j == k && r == c))
@@ -26676,7 +26870,7 @@ static sfem_status sfemi_modes_matrices(sfemi_modes_system *s, sfem_error *err)
                     sum[3 * (size_t)k + (size_t)r] += fabs(b[3 * r + c]);
                     if (j != k) sum[3 * (size_t)j + (size_t)c] += fabs(b[3 * r + c]);
                 }
-            if (s->scalar) s->scalar[blocks] = m->block_mass[at];
+            if (s->scalar) s->scalar[blocks] = narrow < 0 ? 0 : m->block_mass[narrow];
             col[blocks++] = j;
         }
         row[k + 1] = blocks;
@@ -26895,15 +27089,19 @@ static sfem_status sfemi_modes_system_create(const sfem_model *model, const sfem
                                              sfemi_modes_system *s, sfem_error *err)
 {
     sfem_status status;
+    sfem_matrix full; /* where it is not the model's own */
+    memset(&full, 0, sizeof full);
     memset(s, 0, sizeof *s);
     s->model = model;
     s->def = def;
     s->al = &def->allocator;
     s->pool = sfemi_pool_of(s->al);
     SFEMI_TRY(sfemi_modes_mask(s, err));
-    SFEMI_TRY(sfemi_modes_matrices(s, err));
+    if (model->smooth) SFEMI_TRY(sfem_model_assemble_stiffness(model, s->al, &full, err));
+    SFEMI_TRY(sfemi_modes_matrices(s, model->smooth ? &full : &model->stiffness, err));
     SFEMI_TRY(sfemi_modes_rigid(s, err));
 done:
+    sfem_matrix_free(&full);
     return status;
 }
 
