@@ -1472,6 +1472,8 @@ typedef struct sfem_body_info {
     int64_t solves;           /* with the factor, of (p,q,r) bodies that rotate */
     int64_t evaluations;      /* of their forces */
     sfem_int corrections;     /* in the last step */
+    sfem_real poisson;        /* the largest Poisson's ratio that its steps take: of smooth tets whose law rotates at most
+                               * 0.48, except in Newton's methods, statics and modes, which take any */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -14242,6 +14244,10 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
  * of the converged deflection are 0.87 to 1.06, 1.01 to 1.12, 1.03 to 1.07; with 0.15 0.78 to 0.94, 0.94 to 1.05, 1.01 to
  * 1.05. */
 #define SFEMI_SMOOTH_A 0.12
+/* Where the law rotates, steps of (p,q,r) and K0 take lambda as of this nu at most: in a bend the rows of K0's volume part,
+ * rotated by nodes, are not those of the patches, and lambda multiplies the difference. Bars and bodies that swing, h = 1/60
+ * s: nothing rejected at 0.48, 15 % at 0.49, 43 to 81 % at 0.499. Deflections at 0.48 and 0.499 differ by 1 %. */
+#define SFEMI_SMOOTH_POISSON 0.48
 /* Patches are grown to so many tets; they come to 4 in the mean. With 3 bars of six-tet cells lock at nu = 0.499 (0.53),
  * with 5 they are up to 1.19. */
 #define SFEMI_PATCH_TETS 4
@@ -14261,6 +14267,8 @@ typedef struct sfemi_smooth {
     sfem_real *g;              /* [entries][3] their mean gradients, 1/m */
     sfem_real *volume;         /* [cells] V_c, m^3 */
     sfem_real *lambda, *mu;    /* [cells] V_c lambda, V_c mu, J: one of them is 0 */
+    sfem_real *soft;           /* [cells] lambda in steps of (p,q,r) and in K0: see SFEMI_SMOOTH_POISSON */
+    sfem_real poisson;         /* the largest that is in soft */
     sfem_real *stab;           /* [cells] V_s 2 a_s mu, J */
     sfem_real *weight;         /* [cells] of a star's rotation in that of its node */
     sfem_int *in_start;        /* [nodes+1] entries of a node */
@@ -14645,9 +14653,15 @@ static void sfemi_smooth_shapes(sfemi_smooth_maker *m)
         if (!material) continue;
         s->law[c / SFEMI_LANES] = (unsigned char)material->law;
         sfem_law_lame(material->young, material->poisson, &lambda, &mu);
+        if (star) s->weight[c] = 4 * s->volume[c] * (lambda + 2 * mu);
         if (star) s->mu[c] = s->volume[c] * mu;
         else s->lambda[c] = s->volume[c] * lambda;
-        s->weight[c] = star ? 4 * s->volume[c] * (lambda + 2 * mu) : 0;
+        if (star) continue;
+        s->soft[c] = s->lambda[c];
+        s->poisson = fmax(s->poisson, material->law == SFEM_LINEAR ? material->poisson
+                                                                   : fmin(material->poisson, SFEMI_SMOOTH_POISSON));
+        if (material->law != SFEM_LINEAR && material->poisson > SFEMI_SMOOTH_POISSON)
+            s->soft[c] = s->volume[c] * 2 * mu * SFEMI_SMOOTH_POISSON / (1 - 2 * SFEMI_SMOOTH_POISSON);
     }
 }
 
@@ -14732,6 +14746,7 @@ static sfem_status sfemi_smooth_fill(sfemi_smooth_maker *m, sfemi_pool *own, sfe
     SFEMI_TAKE(sfem_real, s->g, own, 3 * (size_t)s->start[cells]);
     SFEMI_TAKE(sfem_real, s->volume, own, cells);
     SFEMI_TAKE(sfem_real, s->lambda, own, cells);
+    SFEMI_TAKE(sfem_real, s->soft, own, cells);
     SFEMI_TAKE(sfem_real, s->mu, own, cells);
     SFEMI_TAKE(sfem_real, s->stab, own, cells);
     SFEMI_TAKE(sfem_real, s->weight, own, cells);
@@ -14757,7 +14772,7 @@ static sfem_status sfemi_smooth_fill(sfemi_smooth_maker *m, sfemi_pool *own, sfe
     SFEMI_TRY(sfemi_smooth_transpose(m, own, err));
     s->bytes = (size_t)s->start[cells] * (3 * sizeof(sfem_int) + 3 * sizeof(sfem_real)) +
                (size_t)s->ring_start[m->mesh->nodes] * (sizeof(sfem_int) + sizeof(sfem_real)) +
-               cells * (sizeof(sfem_int) + 5 * sizeof(sfem_real)) + (size_t)s->groups +
+               cells * (sizeof(sfem_int) + 6 * sizeof(sfem_real)) + (size_t)s->groups +
                (6 * (size_t)m->mesh->tets + 2 * (size_t)m->mesh->nodes) * sizeof(sfem_int);
 done:
     return status;
@@ -14798,6 +14813,7 @@ typedef struct sfemi_smooth_forces {
     const sfemi_smooth *smooth;
     const sfem_real *u; /* [nodes][3] */
     sfem_real *force;   /* [nodes][3] */
+    const sfem_real *lambda; /* smooth->lambda or soft */
     sfem_real *sum;     /* [nodes][9] the stars' rotations times their weights, or NULL */
     sfem_real *p;       /* [groups][9][SFEMI_LANES] V P */
     sfem_real *r;       /* the same of R, if sum */
@@ -14839,7 +14855,7 @@ static void sfemi_smooth_some_cells(void *data, sfem_int index)
         sfem_real *p = job->p + 9 * first;
         for (l = 0; l < SFEMI_LANES; ++l)
             sfemi_smooth_gradient(s, (sfem_int)first + l, job->u, p + l, SFEMI_LANES);
-        job->energy[group] = job->kernel(s->law[group], s->lambda + first, s->mu + first, s->stab + first, p,
+        job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
                                          job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
     }
 }
@@ -14921,8 +14937,9 @@ static sfem_real sfemi_smooth_run(sfemi_smooth_forces *job, sfem_precision preci
 
 /* ---- matrices ---- */
 
-/* y = K x of the rest pose, a cell after another: needs no memory. */
-static void sfemi_smooth_multiply(const sfemi_smooth *s, sfem_int nodes, const sfem_real *x, sfem_real *y)
+/* y = K x of the rest pose, a cell after another: needs no memory. lambda: s->lambda or s->soft. */
+static void sfemi_smooth_multiply(const sfemi_smooth *s, const sfem_real *lambda, sfem_int nodes, const sfem_real *x,
+                                  sfem_real *y)
 {
     sfem_int c, k, i;
     int r, d;
@@ -14930,7 +14947,7 @@ static void sfemi_smooth_multiply(const sfemi_smooth *s, sfem_int nodes, const s
     for (c = 0; c < s->cells; ++c) {
         sfem_real g[9], p[9], trace;
         sfemi_smooth_gradient(s, c, x, g, 1);
-        trace = s->lambda[c] * (g[0] + g[4] + g[8]);
+        trace = lambda[c] * (g[0] + g[4] + g[8]);
         for (r = 0; r < 3; ++r)
             for (d = 0; d < 3; ++d)
                 p[3 * r + d] = s->mu[c] * (g[3 * r + d] + g[3 * d + r]) - s->stab[c] * g[3 * r + d] + (r == d ? trace : 0);
@@ -14978,17 +14995,19 @@ static sfem_int sfemi_smooth_find(const sfem_int *row, const sfem_int *col, sfem
     return low;
 }
 
-/* val += the Hessian of cell c at displacements u (NULL: at rest), on a pattern that has it. */
-static void sfemi_smooth_add_cell(const sfemi_smooth *s, sfem_int c, const sfem_real *u, sfem_tangent kind,
-                                  const sfem_int *row, const sfem_int *col, sfem_real *val)
+/* to_add += the Hessian of cell c at displacements u (NULL: at rest). */
+static void sfemi_smooth_add_cell(const sfemi_smooth *s, sfem_int c, sfem_real lambda, const sfem_real *u,
+                                  sfem_tangent kind, const sfem_matrix *to_add)
 {
+    const sfem_int *row = to_add->row, *col = to_add->col;
+    sfem_real *val = to_add->val;
     const int law = u ? s->law[c / SFEMI_LANES] : SFEM_LINEAR;
     sfem_real grad[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, df[9], dp[9];
     sfemi_modes modes;
     sfem_int a, b;
     int axis, i;
     if (u) sfemi_smooth_gradient(s, c, u, grad, 1);
-    sfemi_law_modes((sfem_law)law, s->lambda[c], s->mu[c], grad, kind, &modes);
+    sfemi_law_modes((sfem_law)law, lambda, s->mu[c], grad, kind, &modes);
     for (b = s->start[c]; b < s->start[c + 1]; ++b)
         for (axis = 0; axis < 3; ++axis) { /* what moving node b along an axis does */
             memset(df, 0, sizeof df);
@@ -15005,13 +15024,13 @@ static void sfemi_smooth_add_cell(const sfemi_smooth *s, sfem_int c, const sfem_
         }
 }
 
-/* val += the patches' part of K0, of its tangent at u. */
-static void sfemi_smooth_add_patches(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind, const sfem_int *row,
-                                     const sfem_int *col, sfem_real *val)
+/* to_add += the patches' part of K0, of its tangent at u. */
+static void sfemi_smooth_add_patches(const sfemi_smooth *s, const sfem_real *u, sfem_tangent kind,
+                                     const sfem_matrix *to_add)
 {
     sfem_int c;
     for (c = s->star_groups * SFEMI_LANES; c < s->cells; ++c)
-        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, u, kind, row, col, val);
+        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, s->soft[c], u, kind, to_add);
 }
 
 /* val = K, of its tangent at u, on the pattern of sfemi_smooth_pattern. */
@@ -15021,7 +15040,7 @@ static void sfemi_smooth_assemble(const sfemi_smooth *s, const sfem_real *u, sfe
     int r;
     memset(out->val, 0, 9 * (size_t)out->row[out->n] * sizeof *out->val);
     for (c = 0; c < s->cells; ++c)
-        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, u, kind, out->row, out->col, out->val);
+        if (s->start[c] < s->start[c + 1]) sfemi_smooth_add_cell(s, c, s->lambda[c], u, kind, out);
     for (i = 0; i < out->n; ++i)
         for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
             sfem_real *own = out->val + 9 * ((size_t)out->row[i + 1] - 1);
@@ -15638,7 +15657,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
     for (i = 0; i < model->mesh.tets; ++i)
         sfemi_fem_add_tet(model, i, materials + sfemi_fem_material_of(def, i));
     if (model->smooth)
-        sfemi_smooth_add_patches(model->smooth, NULL, SFEM_TANGENT_EXACT, model->row, model->col, model->stiffness.val);
+        sfemi_smooth_add_patches(model->smooth, NULL, SFEM_TANGENT_EXACT, &model->stiffness);
     SFEMI_TRY(sfemi_chunks_build(model, err));
     for (i = 0; i < model->mesh.nodes; ++i) model->total_mass += model->node_mass[i];
     if (def->damping) SFEMI_TRY(sfemi_fem_add_damping(model, def->damping, err));
@@ -15844,7 +15863,7 @@ SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_
                                             const sfem_exec *exec)
 {
     SFEM_ASSERT(model && x && y);
-    if (model->smooth) sfemi_smooth_multiply(model->smooth, model->mesh.nodes, x, y);
+    if (model->smooth) sfemi_smooth_multiply(model->smooth, model->smooth->lambda, model->mesh.nodes, x, y);
     else sfem_matrix_multiply(&model->stiffness, x, y, exec);
 }
 
@@ -15919,6 +15938,7 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
 typedef struct sfemi_forces {
     const sfem_real *u;       /* [nodes][3] displacements, m */
     sfem_precision precision; /* of the kernels */
+    int soft;                 /* smooth tets: with the lambda of steps, see SFEMI_SMOOTH_POISSON */
     sfem_real *force;         /* [nodes][3] N, never NULL */
     sfem_real *rotation;      /* [tets][9] */
     sfem_real *sum;           /* [nodes][9] the tets' rotations times their weights, added up by nodes; with */
@@ -16037,6 +16057,7 @@ static sfem_real sfemi_fem_smooth_forces(const sfem_model *model, const sfemi_fo
     sfemi_smooth_forces job;
     memset(&job, 0, sizeof job);
     job.smooth = model->smooth;
+    job.lambda = ask->soft ? model->smooth->soft : model->smooth->lambda;
     job.u = ask->u;
     job.force = ask->force;
     job.sum = ask->sum;
@@ -16165,7 +16186,7 @@ static void sfemi_fem_tangent(const sfem_model *model, const sfemi_block *block,
         job.chunk = c->color_chunk + c->color_start[n];
         sfemi_run(exec, c->color_start[n + 1] - c->color_start[n], sfemi_tangents_chunk, &job);
     }
-    if (model->smooth) sfemi_smooth_add_patches(model->smooth, u, kind, model->row, model->col, job.val);
+    if (model->smooth) sfemi_smooth_add_patches(model->smooth, u, kind, tangent);
 }
 
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
@@ -21507,7 +21528,8 @@ static void sfemi_rotated_stiffness(sfem_body *b, const sfem_real *u, const sfem
     }
     if (b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(b->model, z, y);
     else if (b->refactor.live) sfem_matrix_multiply(b->refactor.k + b->refactor.live - 1, z, y, &b->exec);
-    else sfem_model_multiply_stiffness(b->model, z, y, &b->exec);
+    else if (b->model->smooth) sfemi_smooth_multiply(b->model->smooth, b->model->smooth->soft, nodes, z, y);
+    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_rotated_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -22381,6 +22403,7 @@ static sfem_real sfemi_safeguard_forces(sfem_body *b, const sfem_real *u, sfem_r
     memset(&ask, 0, sizeof ask);
     ask.u = u;
     ask.precision = b->def.precision;
+    ask.soft = 1;
     ask.force = f;
     ask.work = b->rotated.work;
     ask.exec = &b->exec;
@@ -24376,8 +24399,7 @@ static double sfemi_refactor_tangent(sfem_body *b)
     chunk = job.chunk[r->next];
     sfemi_tangents_chunk(&job, r->next);
     if (++r->next == c->count) {
-        if (b->model->smooth)
-            sfemi_smooth_add_patches(b->model->smooth, r->u, job.kind, b->model->row, b->model->col, job.val);
+        if (b->model->smooth) sfemi_smooth_add_patches(b->model->smooth, r->u, job.kind, r->k + (r->live == 1));
         r->stage = SFEMI_REFACTOR_TURN;
         r->next = 0;
     }
@@ -26055,6 +26077,9 @@ SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *b)
     info.solves = b->state.head->solves;
     info.evaluations = b->state.head->evaluations;
     info.corrections = b->safeguard.corrections;
+    for (i = 0; i < info.tets; ++i)
+        info.poisson = fmax(info.poisson, b->model->lambda[i] / (2 * (b->model->lambda[i] + b->model->mu[i])));
+    if (b->model->smooth && b->scheme.rotates) info.poisson = b->model->smooth->poisson;
     info.body_bytes = (size_t)b->state.head->saved.size + sizeof *b + sfem_workspace_bytes(&b->own) +
                       (size_t)info.nodes * sizeof *b->mask + (size_t)b->pin_count * sizeof *b->pin;
     info.body_bytes += (size_t)b->def.max_handles * ((12 * (size_t)b->def.max_handles + 6) * sizeof(sfem_real) +
