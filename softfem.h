@@ -20892,6 +20892,8 @@ static void sfemi_pqr_predict(sfem_body *b)
     const size_t n = 3 * (size_t)b->model->mesh.nodes;
     const int damped = b->alpha != 0 || b->beta != 0 || b->zd != NULL;
     const sfem_real *base = sfemi_pqr_base(b), *w = sfemi_body_way(b);
+    /* smooth tets: what A's K0 is applied to, which is not what K is; without a factor of K itself */
+    sfem_real *own = b->model->smooth && !b->scheme.newmark ? b->spare : b->zk;
     int with_mass, c;
     sfem_int j;
     size_t i;
@@ -20902,6 +20904,10 @@ static void sfemi_pqr_predict(sfem_body *b)
     for (i = 0; i < n; ++i) {
         const sfem_real dv = damped ? t.cd * w[i] - t.ca * s->a[i] : 0;
         b->zk[i] = s->u[i] - t.ck * w[i] + t.cka * s->a[i] + b->beta * dv;
+        if (own != b->zk) {
+            own[i] = -t.ck * w[i];
+            b->zk[i] = s->u[i] + b->beta * dv;
+        }
         b->zm[i] = b->alpha * dv + t.am * s->a[i];
         if (b->zd) b->zd[i] = dv;
         b->acc[i] = 0;
@@ -20913,13 +20919,16 @@ static void sfemi_pqr_predict(sfem_body *b)
             if (!(b->mask[b->pin[j]] >> c & 1)) continue;
             a = (1 - t.am) * ((s->pin[j].target[c] - b->model->mesh.x[i] - s->u[i]) / h - base[i]) / t.d;
             b->acc[i] = a;
-            b->zk[i] += (b->p * h + b->scheme.q / 2 * b->beta) * h * a;
+            own[i] += (b->p * h + b->scheme.q / 2 * b->beta) * h * a;
             b->zm[i] += (b->scheme.r + b->scheme.q / 2 * h * b->alpha) * a;
             if (b->zd) b->zd[i] += b->scheme.q / 2 * h * a;
             with_mass |= b->model->block_mass != NULL && a != 0;
         }
     }
     sfemi_body_residual(b, t.load, with_mass);
+    if (own == b->zk) return;
+    sfem_matrix_multiply(&b->model->stiffness, own, own + n, &b->exec);
+    for (i = 0; i < n; ++i) b->rhs[i] -= own[n + i];
 }
 
 static void sfemi_pqr_solve(sfem_body *b)
@@ -21527,9 +21536,8 @@ static void sfemi_rotated_stiffness(sfem_body *b, const sfem_real *u, const sfem
         sfemi_rotated_rotate(frame, nodes, 1, both[k], both[k]);
     }
     if (b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(b->model, z, y);
-    else if (b->refactor.live) sfem_matrix_multiply(b->refactor.k + b->refactor.live - 1, z, y, &b->exec);
-    else if (b->model->smooth) sfemi_smooth_multiply(b->model->smooth, b->model->smooth->soft, nodes, z, y);
-    else sfem_matrix_multiply(&b->model->stiffness, z, y, &b->exec);
+    else sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &b->model->stiffness,
+                              z, y, &b->exec);
     if (zd) sfemi_fem_add_damping_rest(b->model, zd, y);
     sfemi_rotated_rotate(frame, nodes, 0, y, y);
     if (!projects) return;
@@ -21638,8 +21646,19 @@ static void sfemi_fracture_multiply(const sfem_body *b, const sfem_real *z, sfem
     }
 }
 
-/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K. z is
- * overwritten. */
+/* sum = (K - what stands for it in A) z of smooth tets. */
+static void sfemi_fracture_smooth(sfem_body *b, const sfem_real *z, sfem_real *sum)
+{
+    const sfem_model *model = b->model;
+    sfem_real *kz = b->safeguard.trial_f;
+    size_t i;
+    sfemi_smooth_multiply(model->smooth, model->smooth->soft, model->mesh.nodes, z, sum);
+    sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, z, kz, &b->exec);
+    for (i = 0; i < 3 * (size_t)model->mesh.nodes; ++i) sum[i] -= kz[i];
+}
+
+/* y += P^T Q (K_frac - K) Q^T P z in the frames of the state: what breaks take from damping by K, or what smooth tets
+ * have less than A. z is overwritten. */
 static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
 {
     const sfem_int nodes = b->model->mesh.nodes;
@@ -21647,15 +21666,16 @@ static void sfemi_fracture_soften(sfem_body *b, sfem_real *z, sfem_real *y)
     const int projects = sfemi_rotated_projects(b);
     sfem_real *sum = b->rotated.v;
     size_t i;
-    if (!b->damage || !b->damage->tets) return;
+    if (!b->model->smooth && (!b->damage || !b->damage->tets)) return;
     if (projects) {
         sfemi_rotated_motion(b, u, z, 1);
         sfemi_rotated_add_motion(b, u, -1, 0, z);
     }
     sfemi_rotated_rotate(frame, nodes, 1, z, z);
     memset(sum, 0, 3 * (size_t)nodes * sizeof *sum);
-    sfemi_fracture_multiply(b, z, sum);
-    if (b->refactor.live) { /* what was left when the factor was made is out already */
+    if (b->model->smooth) sfemi_fracture_smooth(b, z, sum);
+    else sfemi_fracture_multiply(b, z, sum);
+    if (b->refactor.live && !b->model->smooth) { /* what was left when the factor was made is out already */
         sfem_real *kz = b->safeguard.trial_f;
         sfem_matrix_multiply(&b->model->stiffness, z, kz, &b->exec);
         for (i = 0; i < 3 * (size_t)nodes; ++i) sum[i] += kz[i];
@@ -22712,7 +22732,7 @@ static void sfemi_safeguard_predict(sfem_body *b)
             }
         sfemi_rotated_stiffness(b, s->u, s->frame, b->zk, b->zd, b->rhs);
         for (i = 0; i < n; ++i) b->rhs[i] += force[i];
-        for (i = 0; b->damage && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
+        for (i = 0; (b->damage || model->smooth) && i < n; ++i) b->zk[i] = b->beta * t.cd * s->w[i];
         if (b->beta != 0) sfemi_fracture_soften(b, b->zk, b->rhs);
     } else {
         memcpy(b->rhs, force, n * sizeof *b->rhs);
@@ -22997,7 +23017,7 @@ static void sfemi_correct_add_damping(sfem_body *b, const sfemi_equation *q, con
         if (b->zd) b->zd[i] = v;
     }
     sfemi_rotated_stiffness(b, b->state.u, b->state.frame, b->zk, b->zd, force);
-    if (b->damage && b->beta != 0) {
+    if ((b->damage || b->model->smooth) && b->beta != 0) {
         for (i = 0; i < n; ++i) b->zk[i] = b->beta * (q->before * w[i] + q->after * w1[i]);
         sfemi_fracture_soften(b, b->zk, force);
     }
