@@ -1007,6 +1007,12 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
  * NULL. Costs one sfem_law_stress a tet; allocates nothing. */
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
+/* Of smooth tets the stress of a tet is the mean of the shear stresses of its nodes' averaged gradients and the volume
+ * part of its patch. This gives it at the nodes [nodes][6], where surfaces and bending are the better for it: the shear
+ * stress there and the mean volume part of the patches around. pressure [patches] (sfem_model_smooth_patch), Pa, positive
+ * in compression: -tr(stress)/3 of a patch's mean gradient. Either may be NULL. Allocates nothing. */
+SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
+                                       sfem_real *pressure);
 /* 1/2 u.K u, J, summed from the tets' own strains. */
 SFEM_DEF sfem_real sfem_model_elastic_energy(const sfem_model *model, const sfem_real *u);
 
@@ -16196,21 +16202,91 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
     sfemi_fem_tangent(model, model->chunks.block, u, kind, tangent, exec);
 }
 
-/* P F^T / J of a tet. */
-static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
-                             sfem_real s[6])
+/* P F^T / J. */
+static void sfemi_fem_cauchy_of(sfem_law law, sfem_real lambda, sfem_real mu, const sfem_real f[9], sfem_real s[6])
 {
     static const int row[6] = {0, 1, 2, 0, 1, 0}, col[6] = {0, 1, 2, 1, 2, 2};
-    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
-    sfem_real f[9], p[9], n[3], j;
-    int a, i, k;
-    for (i = 0; i < 9; ++i)
-        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
-    (void)sfem_law_stress((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, p);
+    sfem_real p[9], n[3], j;
+    int k;
+    (void)sfem_law_stress(law, lambda, mu, f, p);
     sfemi_cross(f, f + 3, n);
     j = sfemi_dot3(n, f + 6);
     for (k = 0; k < 6; ++k)
         s[k] = sfemi_dot3(p + 3 * row[k], f + 3 * col[k]) / fmax(j, 0.1);
+}
+
+/* The same of a tet. */
+static void sfemi_fem_cauchy(const sfem_model *model, sfem_int e, sfem_real g[4][3], const sfem_real *u,
+                             sfem_real s[6])
+{
+    const sfem_int *t = model->mesh.tet + 4 * (size_t)e;
+    sfem_real f[9];
+    int a, i;
+    for (i = 0; i < 9; ++i)
+        for (f[i] = i % 4 == 0, a = 0; a < 4; ++a) f[i] += u[3 * (size_t)t[a] + (size_t)(i / 3)] * g[a][i % 3];
+    sfemi_fem_cauchy_of((sfem_law)model->law[e], model->lambda[e], model->mu[e], f, s);
+}
+
+/* s += weight times the stress that Lame's parameters make of the gradient of cell c. */
+static void sfemi_fem_add_cell_stress(const sfem_model *model, sfem_int c, const sfem_real *u, sfem_real lambda,
+                                      sfem_real mu, sfem_real weight, sfem_real s[6])
+{
+    const int law = model->smooth->law[c / SFEMI_LANES];
+    sfem_real f[9], own[6];
+    int k;
+    sfemi_smooth_gradient(model->smooth, c, u, f, 1);
+    if (law == SFEM_LINEAR) {
+        const sfem_real strain[6] = {f[0], f[4], f[8], f[1] + f[3], f[5] + f[7], f[2] + f[6]};
+        sfemi_element_hooke(lambda, mu, strain, own);
+    } else {
+        for (k = 0; k < 9; k += 4) f[k] += 1;
+        sfemi_fem_cauchy_of((sfem_law)law, lambda, mu, f, own);
+    }
+    for (k = 0; k < 6; ++k) s[k] += weight * own[k];
+}
+
+/* Of a smooth tet: the mean of its nodes' shear stresses, and the volume part of its patch. */
+static void sfemi_fem_smooth_stress(const sfem_model *model, sfem_int e, const sfem_real *u, sfem_real s[6])
+{
+    const sfem_int *cell = model->smooth->tet_cell + 5 * (size_t)e;
+    int a;
+    memset(s, 0, 6 * sizeof *s);
+    for (a = 0; a < 4; ++a) sfemi_fem_add_cell_stress(model, cell[a], u, 0, model->mu[e], 0.25, s);
+    sfemi_fem_add_cell_stress(model, cell[4], u, model->lambda[e], 0, 1, s);
+}
+
+SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
+                                       sfem_real *pressure)
+{
+    SFEM_ASSERT(model && u && model->smooth);
+    const sfemi_smooth *smooth = model->smooth;
+    sfem_int e, c, i, k;
+    int a, j;
+    for (e = 0; pressure && e < model->mesh.tets; ++e) {
+        sfem_real s[6] = {0, 0, 0, 0, 0, 0};
+        sfemi_fem_add_cell_stress(model, smooth->tet_cell[5 * e + 4], u, model->lambda[e], model->mu[e], 1, s);
+        pressure[smooth->patch[e]] = -(s[0] + s[1] + s[2]) / 3;
+    }
+    if (!node_stress) return;
+    memset(node_stress, 0, 6 * (size_t)model->mesh.nodes * sizeof *node_stress);
+    for (c = 0; c < smooth->star_groups * SFEMI_LANES; ++c)
+        if (smooth->start[c] < smooth->start[c + 1])
+            sfemi_fem_add_cell_stress(model, c, u, 0, smooth->mu[c] / smooth->volume[c], smooth->volume[c],
+                                      node_stress + 6 * (size_t)smooth->node[smooth->start[c]]);
+    for (e = 0; e < model->mesh.tets; ++e) {
+        sfem_real s[6] = {0, 0, 0, 0, 0, 0};
+        sfemi_fem_add_cell_stress(model, smooth->tet_cell[5 * e + 4], u, model->lambda[e], 0, model->volume[e] / 4, s);
+        for (a = 0; a < 4; ++a)
+            for (j = 0; j < 6; ++j) node_stress[6 * (size_t)model->mesh.tet[4 * e + a] + (size_t)j] += s[j];
+    }
+    for (i = 0; i < model->mesh.nodes; ++i) {
+        sfem_real volume = 0;
+        for (k = smooth->in_start[i]; k < smooth->in_start[i + 1]; ++k) {
+            c = smooth->in_cell[k];
+            if (c < smooth->star_groups * SFEMI_LANES && sfemi_smooth_owns(smooth, c, i)) volume += smooth->volume[c];
+        }
+        for (j = 0; j < 6 && volume > 0; ++j) node_stress[6 * (size_t)i + (size_t)j] /= volume;
+    }
 }
 
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
@@ -16220,8 +16296,10 @@ SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfe
     sfem_int e;
     for (e = 0; e < model->mesh.tets; ++e) {
         sfem_real g[4][3], strain[6], s[6];
-        sfemi_element_gradients(&model->mesh, e, g);
-        if (model->law[e] == SFEM_LINEAR) {
+        if (!model->smooth) sfemi_element_gradients(&model->mesh, e, g);
+        if (model->smooth) {
+            sfemi_fem_smooth_stress(model, e, u, s);
+        } else if (model->law[e] == SFEM_LINEAR) {
             sfemi_element_strain(model->mesh.tet + 4 * (size_t)e, g, u, strain);
             sfemi_element_hooke(model->lambda[e], model->mu[e], strain, s);
         } else {

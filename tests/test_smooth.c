@@ -539,6 +539,50 @@ static void threads_leave_the_same_bits(void **state)
     sfem_mesh_free(&mesh);
 }
 
+/* Of a uniform strain every tet, node and patch has the law's stress. */
+static void stress_is_that_of_the_law(void **state)
+{
+    static const sfem_law law[] = {SFEM_LINEAR, SFEM_COROTATIONAL, SFEM_NEOHOOKEAN};
+    static const int row[6] = {0, 1, 2, 0, 1, 0}, col[6] = {0, 1, 2, 1, 2, 2};
+    sfem_mesh mesh = block(3, 2, 2, 3, SFEM_CELL_6_TETS);
+    const size_t n = 3 * (size_t)mesh.nodes;
+    double *u = reals(n), *node = reals(2 * n), *tet = reals(6 * (size_t)mesh.tets), *mises = reals((size_t)mesh.tets);
+    double *pressure = reals((size_t)mesh.tets), lambda, mu;
+    size_t k, i;
+    int j, c;
+    (void)state;
+    jitter(&mesh, 0.1, 9);
+    sfem_law_lame(1e6, 0.45, &lambda, &mu);
+    for (k = 0; k < TEST_COUNT(law); ++k) {
+        sfem_model *model = smooth_model(&mesh, smooth_material(law[k], 0.45));
+        const double small = law[k] == SFEM_LINEAR ? 1e-3 : 1;
+        double f[9] = {1 + 0.1 * small, 0.2 * small, 0, -0.1 * small, 1 - 0.05 * small, 0.1 * small, 0, 0.05 * small, 1 + 0.02 * small};
+        double p[9], q[9], wanted[6], full[6], det;
+        const sfem_int patches = sfem_model_smooth_info(model).patches;
+        for (i = 0; i < n; ++i)
+            for (u[i] = -mesh.x[i], c = 0; c < 3; ++c) u[i] += f[3 * (i % 3) + (size_t)c] * mesh.x[i / 3 * 3 + (size_t)c];
+        (void)sfem_law_stress(law[k], 0, mu, f, p);
+        (void)sfem_law_stress(law[k], lambda, 0, f, q);
+        det = f[0] * (f[4] * f[8] - f[5] * f[7]) - f[1] * (f[3] * f[8] - f[5] * f[6]) + f[2] * (f[3] * f[7] - f[4] * f[6]);
+        for (j = 0; j < 6; ++j)
+            for (wanted[j] = 0, c = 0; c < 3; ++c) wanted[j] += (p[3 * row[j] + c] + q[3 * row[j] + c]) * f[3 * col[j] + c] / det;
+        if (law[k] == SFEM_LINEAR)
+            for (j = 0; j < 6; ++j) wanted[j] = p[3 * row[j] + col[j]] + q[3 * row[j] + col[j]];
+        (void)sfem_law_stress(law[k], lambda, mu, f, p);
+        for (j = 0; j < 6; ++j)
+            for (full[j] = 0, c = 0; c < 3; ++c) full[j] += p[3 * row[j] + c] * f[3 * col[j] + c] / det;
+        sfem_model_stress(model, u, tet, mises);
+        sfem_model_smooth_stress(model, u, node, pressure);
+        for (i = 0; i < 6 * (size_t)mesh.tets; ++i) assert_near(tet[i], wanted[i % 6], 1e-9, 1e-3);
+        for (i = 0; i < 2 * n; ++i) assert_near(node[i], wanted[i % 6], 1e-9, 1e-3);
+        for (i = 0; i < (size_t)patches; ++i)
+            assert_near(pressure[i], -(full[0] + full[1] + full[2]) / 3, law[k] == SFEM_LINEAR ? 2e-3 : 1e-9, 1e-3);
+        sfem_model_free(model);
+    }
+    free(u), free(node), free(tet), free(mises), free(pressure);
+    sfem_mesh_free(&mesh);
+}
+
 /* ---- several stars at a node ---- */
 
 /* Two tets that share an edge are a hinge: seven modes without energy, as with linear tets. */
@@ -870,11 +914,12 @@ static void a_far_swing_follows_newton(void **state)
             swing(&mesh, material, def, 8, fine);
             swing(&mesh, material, def, 2, tip);
             newton = off(tip, fine);
+            assert_true(newton < 0.01);
             def.integrator = SFEM_PQR;
             rejected = swing(&mesh, material, def, 2, tip);
             found = off(tip, fine);
             assert_int_equal(rejected, 0);
-            assert_true(found < 0.025);
+            assert_true(found < 1.3 * newton); /* measured 1.12 to 1.15 */
         }
     sfem_mesh_free(&mesh);
 }
@@ -1136,6 +1181,32 @@ static void a_modal_body_swings_like_the_whole(void **state)
 }
 #endif
 
+/* Pressure in a bent bar at nu = 0.4999, between its ends: a third of the beam's bending stress M z/I, without the
+ * checkerboard of linear tets (whose error is 8.4 times the pressure on this mesh). */
+static void pressure_in_a_bent_bar_is_smooth(void **state)
+{
+    sfem_mesh mesh = block(16, 4, 4, 4, SFEM_CELL_6_TETS);
+    const sfem_material material = smooth_material(SFEM_LINEAR, 0.4999);
+    sfem_model *model = smooth_model(&mesh, material);
+    double *u = reals(3 * (size_t)mesh.nodes), *node = reals(6 * (size_t)mesh.nodes), off2 = 0, all = 0;
+    sfem_int i;
+    (void)state;
+    (void)cantilever(&mesh, material, 0, NULL, u);
+    sfem_model_smooth_stress(model, u, node, NULL);
+    for (i = 0; i < mesh.nodes; ++i) {
+        const double *x = mesh.x + 3 * i, *s = node + 6 * i;
+        const double wanted = -50 * (4 - x[0]) * (x[2] - 0.5) * 12 / 3; /* the top is in tension */
+        if (x[0] < 0.9 || x[0] > 3.1) continue;
+        off2 += pow(-(s[0] + s[1] + s[2]) / 3 - wanted, 2);
+        all += wanted * wanted;
+    }
+    if (getenv("SFEM_SHOW")) print_message("pressure off by %.3f\n", sqrt(off2 / all));
+    assert_true(sqrt(off2 / all) < 0.5);
+    free(u), free(node);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
 static sfem_status make_and_free(sfem_allocator allocator, void *user, sfem_error *err)
 {
     sfem_model_def def = sfem_default_model_def();
@@ -1172,12 +1243,14 @@ int main(void)
         cmocka_unit_test(k0_bounds_k_on_real_meshes),
         cmocka_unit_test(patch_test),
         cmocka_unit_test(forces_are_a_gradient),
+        cmocka_unit_test(stress_is_that_of_the_law),
         cmocka_unit_test(threads_leave_the_same_bits),
         cmocka_unit_test(a_hinge_stays_a_hinge),
         cmocka_unit_test(averages_do_not_cross_materials),
         cmocka_unit_test(what_smooth_tets_cannot_do_is_refused),
         cmocka_unit_test(a_coarse_cantilever_does_not_lock),
         cmocka_unit_test(statics_agree),
+        cmocka_unit_test(pressure_in_a_bent_bar_is_smooth),
         cmocka_unit_test(a_linear_step_is_nearly_that_of_the_exact_factor),
         cmocka_unit_test(a_linear_step_conserves_its_energy),
         cmocka_unit_test(a_linear_body_survives_changes),
