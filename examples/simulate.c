@@ -21,6 +21,8 @@ static const ex_option table[] = {
     {"--cells", "NX,NY,NZ", "20,4,4", "cells of the bar, five tets each"},
     {"--material", "linear|corotational|stvk|neohookean", "corotational",
      "the law of the material"},
+    {"--tet", "linear|smooth", "linear",
+     "linear tets lock in bending and as nu nears 0.5, smooth ones do not"},
     {"--young", "E", "1.5e5", "Young's modulus, Pa"},
     {"--poisson", "NU", "0.3", "Poisson's ratio"},
     {"--density", "RHO", "1000", "kg/m^3"},
@@ -137,6 +139,7 @@ static void make_model(run *r)
     def.material.stiffness_damping = rayleigh[1];
     def.material.law =
         (sfem_law)ex_choice(&r->o, "--material"); /* in the order of the enumeration */
+    def.material.tet = (sfem_tet)ex_choice(&r->o, "--tet"); /* likewise */
     def.mass = ex_choice(&r->o, "--mass") ? SFEM_MASS_CONSISTENT : SFEM_MASS_LUMPED;
     must(sfem_model_create(&def, &r->model, &err), &err);
 }
