@@ -14821,12 +14821,16 @@ typedef struct sfemi_smooth_forces {
     sfem_real *force;   /* [nodes][3] */
     const sfem_real *lambda; /* smooth->lambda or soft */
     sfem_real *sum;     /* [nodes][9] the stars' rotations times their weights, or NULL */
-    sfem_real *p;       /* [groups][9][SFEMI_LANES] V P */
-    sfem_real *r;       /* the same of R, if sum */
+    sfem_real *u4;      /* [nodes][4] u, a vector each */
+    sfem_real *q;       /* [cells][3][4] the columns of V P, a vector each */
+    sfem_real *r;       /* [star_groups][9][SFEMI_LANES] rotations, if sum */
     sfem_real *energy;  /* [groups], then [nodes] of tasks */
     sfem_int nodes;
     sfem_real stiffest; /* what the weights are relative to */
     sfemi_cells_kernel kernel;
+    /* G of a group's cells, by lanes; the force of a node, and the ring's part of the energy */
+    void (*gather)(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p);
+    sfem_real (*node)(const struct sfemi_smooth_forces *job, sfem_int i);
 } sfemi_smooth_forces;
 
 /* G = sum u_j g_j^T of a cell, `apart` from one entry to the next. Differences, so that a translation is only
@@ -14849,40 +14853,39 @@ static void sfemi_smooth_gradient(const sfemi_smooth *s, sfem_int c, const sfem_
     out[6 * apart] = g6, out[7 * apart] = g7, out[8 * apart] = g8;
 }
 
-static void sfemi_smooth_some_cells(void *data, sfem_int index)
+static void sfemi_smooth_gather_portable(const sfemi_smooth *s, sfem_int first, const sfem_real *u4, sfem_real *p)
 {
-    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
-    const sfemi_smooth *s = job->smooth;
-    sfem_int group, end = (index + 1) * SFEMI_CELL_TASK;
-    int l;
-    if (end > s->groups) end = s->groups;
-    for (group = index * SFEMI_CELL_TASK; group < end; ++group) {
-        const size_t first = SFEMI_LANES * (size_t)group;
-        sfem_real *p = job->p + 9 * first;
-        for (l = 0; l < SFEMI_LANES; ++l)
-            sfemi_smooth_gradient(s, (sfem_int)first + l, job->u, p + l, SFEMI_LANES);
-        job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
-                                         job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
+    sfem_int c, k;
+    for (c = first; c < first + SFEMI_LANES; ++c, ++p) {
+        const sfem_real *o = s->start[c] < s->start[c + 1] ? u4 + 4 * (size_t)s->node[s->start[c]] : u4;
+        sfem_real g0 = 0, g1 = 0, g2 = 0, g3 = 0, g4 = 0, g5 = 0, g6 = 0, g7 = 0, g8 = 0;
+        for (k = s->start[c] + 1; k < s->start[c + 1]; ++k) {
+            const sfem_real *g = s->g + 3 * (size_t)k, *v = u4 + 4 * (size_t)s->node[k];
+            const sfem_real x = v[0] - o[0], y = v[1] - o[1], z = v[2] - o[2];
+            g0 += x * g[0], g1 += x * g[1], g2 += x * g[2];
+            g3 += y * g[0], g4 += y * g[1], g5 += y * g[2];
+            g6 += z * g[0], g7 += z * g[1], g8 += z * g[2];
+        }
+        p[0] = g0, p[SFEMI_LANES] = g1, p[2 * SFEMI_LANES] = g2;
+        p[3 * SFEMI_LANES] = g3, p[4 * SFEMI_LANES] = g4, p[5 * SFEMI_LANES] = g5;
+        p[6 * SFEMI_LANES] = g6, p[7 * SFEMI_LANES] = g7, p[8 * SFEMI_LANES] = g8;
     }
 }
 
-/* The force of node i. Returns the ring's part of the energy. */
-static sfem_real sfemi_smooth_node(const sfemi_smooth_forces *job, sfem_int i)
+static sfem_real sfemi_smooth_node_portable(const sfemi_smooth_forces *job, sfem_int i)
 {
     const sfemi_smooth *s = job->smooth;
-    const sfem_real *u = job->u + 3 * (size_t)i;
+    const sfem_real *u = job->u4 + 4 * (size_t)i;
     sfem_real f0 = 0, f1 = 0, f2 = 0, energy = 0;
     sfem_int k;
     for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
-        const sfem_int c = s->in_cell[k];
-        const sfem_real *p = job->p + 9 * SFEMI_LANES * (size_t)(c / SFEMI_LANES) + c % SFEMI_LANES;
-        const sfem_real *g = s->g + 3 * (size_t)s->in_entry[k];
-        f0 += p[0] * g[0] + p[SFEMI_LANES] * g[1] + p[2 * SFEMI_LANES] * g[2];
-        f1 += p[3 * SFEMI_LANES] * g[0] + p[4 * SFEMI_LANES] * g[1] + p[5 * SFEMI_LANES] * g[2];
-        f2 += p[6 * SFEMI_LANES] * g[0] + p[7 * SFEMI_LANES] * g[1] + p[8 * SFEMI_LANES] * g[2];
+        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        f0 += q[0] * g[0] + q[4] * g[1] + q[8] * g[2];
+        f1 += q[1] * g[0] + q[5] * g[1] + q[9] * g[2];
+        f2 += q[2] * g[0] + q[6] * g[1] + q[10] * g[2];
     }
     for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
-        const sfem_real *v = job->u + 3 * (size_t)s->ring[k], w = s->ring_l[k];
+        const sfem_real *v = job->u4 + 4 * (size_t)s->ring[k], w = s->ring_l[k];
         const sfem_real x = v[0] - u[0], y = v[1] - u[1], z = v[2] - u[2];
         f0 += w * x, f1 += w * y, f2 += w * z;
         energy -= w * (x * x + y * y + z * z);
@@ -14891,6 +14894,92 @@ static sfem_real sfemi_smooth_node(const sfemi_smooth_forces *job, sfem_int i)
     job->force[3 * (size_t)i + 1] = f1;
     job->force[3 * (size_t)i + 2] = f2;
     return energy / 4;
+}
+
+#if SFEMI_X86
+SFEMI_AVX2 static void sfemi_smooth_gather_avx2(const sfemi_smooth *s, sfem_int first, const sfem_real *u4,
+                                                sfem_real *p)
+{
+    sfem_real out[12];
+    sfem_int c, k;
+    for (c = first; c < first + SFEMI_LANES; ++c, ++p) {
+        const sfem_int end = s->start[c + 1];
+        const __m256d o = _mm256_loadu_pd(s->start[c] < end ? u4 + 4 * (size_t)s->node[s->start[c]] : u4);
+        __m256d a0 = _mm256_setzero_pd(), a1 = a0, a2 = a0; /* the columns of G */
+        for (k = s->start[c] + 1; k < end; ++k) {
+            const sfem_real *g = s->g + 3 * (size_t)k;
+            const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(u4 + 4 * (size_t)s->node[k]), o);
+            a0 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g), a0);
+            a1 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g + 1), a1);
+            a2 = _mm256_fmadd_pd(d, _mm256_broadcast_sd(g + 2), a2);
+        }
+        _mm256_storeu_pd(out, a0);
+        _mm256_storeu_pd(out + 4, a1);
+        _mm256_storeu_pd(out + 8, a2);
+        p[0] = out[0], p[SFEMI_LANES] = out[4], p[2 * SFEMI_LANES] = out[8];
+        p[3 * SFEMI_LANES] = out[1], p[4 * SFEMI_LANES] = out[5], p[5 * SFEMI_LANES] = out[9];
+        p[6 * SFEMI_LANES] = out[2], p[7 * SFEMI_LANES] = out[6], p[8 * SFEMI_LANES] = out[10];
+    }
+}
+
+SFEMI_AVX2 static sfem_real sfemi_smooth_node_avx2(const sfemi_smooth_forces *job, sfem_int i)
+{
+    const sfemi_smooth *s = job->smooth;
+    const __m256d u = _mm256_loadu_pd(job->u4 + 4 * (size_t)i);
+    __m256d f = _mm256_setzero_pd(), e = f, h = f;
+    sfem_real out[4], energy[4];
+    sfem_int k;
+    for (k = s->in_start[i]; k < s->in_start[i + 1]; ++k) {
+        const sfem_real *q = job->q + 12 * (size_t)s->in_cell[k], *g = s->g + 3 * (size_t)s->in_entry[k];
+        f = _mm256_fmadd_pd(_mm256_loadu_pd(q), _mm256_broadcast_sd(g), f);
+        h = _mm256_fmadd_pd(_mm256_loadu_pd(q + 4), _mm256_broadcast_sd(g + 1), h);
+        f = _mm256_fmadd_pd(_mm256_loadu_pd(q + 8), _mm256_broadcast_sd(g + 2), f);
+    }
+    for (k = s->ring_start[i]; k < s->ring_start[i + 1]; ++k) {
+        const __m256d d = _mm256_sub_pd(_mm256_loadu_pd(job->u4 + 4 * (size_t)s->ring[k]), u);
+        const __m256d wd = _mm256_mul_pd(d, _mm256_broadcast_sd(s->ring_l + k));
+        f = _mm256_add_pd(f, wd);
+        e = _mm256_fnmadd_pd(wd, d, e);
+    }
+    _mm256_storeu_pd(out, _mm256_add_pd(f, h));
+    _mm256_storeu_pd(energy, e);
+    memcpy(job->force + 3 * (size_t)i, out, 3 * sizeof *out);
+    return (energy[0] + energy[1] + energy[2]) / 4;
+}
+#endif
+
+static void sfemi_smooth_spread_u(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    sfem_int i, end = job->nodes;
+    if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
+    for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
+        const sfem_real *u = job->u + 3 * (size_t)i;
+        sfem_real *to = job->u4 + 4 * (size_t)i;
+        to[0] = u[0], to[1] = u[1], to[2] = u[2], to[3] = 0;
+    }
+}
+
+static void sfemi_smooth_some_cells(void *data, sfem_int index)
+{
+    const sfemi_smooth_forces *job = (const sfemi_smooth_forces *)data;
+    const sfemi_smooth *s = job->smooth;
+    sfem_real p[9 * SFEMI_LANES];
+    sfem_int group, end = (index + 1) * SFEMI_CELL_TASK;
+    int l;
+    if (end > s->groups) end = s->groups;
+    for (group = index * SFEMI_CELL_TASK; group < end; ++group) {
+        const size_t first = SFEMI_LANES * (size_t)group;
+        sfem_real *q = job->q + 12 * first;
+        job->gather(s, (sfem_int)first, job->u4, p);
+        job->energy[group] = job->kernel(s->law[group], job->lambda + first, s->mu + first, s->stab + first, p,
+                                         job->sum && group < s->star_groups ? job->r + 9 * first : NULL);
+        for (l = 0; l < SFEMI_LANES; ++l, q += 12) {
+            q[0] = p[l], q[1] = p[3 * SFEMI_LANES + l], q[2] = p[6 * SFEMI_LANES + l], q[3] = 0;
+            q[4] = p[SFEMI_LANES + l], q[5] = p[4 * SFEMI_LANES + l], q[6] = p[7 * SFEMI_LANES + l], q[7] = 0;
+            q[8] = p[2 * SFEMI_LANES + l], q[9] = p[5 * SFEMI_LANES + l], q[10] = p[8 * SFEMI_LANES + l], q[11] = 0;
+        }
+    }
 }
 
 static void sfemi_smooth_some_nodes(void *data, sfem_int index)
@@ -14903,7 +14992,7 @@ static void sfemi_smooth_some_nodes(void *data, sfem_int index)
     int c;
     if (end - index * SFEMI_NODE_TASK > SFEMI_NODE_TASK) end = (index + 1) * SFEMI_NODE_TASK;
     for (i = index * SFEMI_NODE_TASK; i < end; ++i) {
-        energy += sfemi_smooth_node(job, i);
+        energy += job->node(job, i);
         if (!job->sum) continue;
         memset(job->sum + 9 * (size_t)i, 0, 9 * sizeof *job->sum);
         for (k = s->in_start[i]; k < s->in_start[i + 1] && s->in_cell[k] < stars; ++k) {
@@ -14920,7 +15009,8 @@ static void sfemi_smooth_some_nodes(void *data, sfem_int index)
 /* For work: what a job needs of sfem_real. */
 static size_t sfemi_smooth_work_size(const sfemi_smooth *s, sfem_int nodes)
 {
-    return (size_t)s->groups * (2 * 9 * SFEMI_LANES + 1) + (size_t)nodes / SFEMI_NODE_TASK + 1;
+    return SFEMI_LANES * (12 * (size_t)s->groups + 9 * (size_t)s->star_groups) + 4 * (size_t)nodes + (size_t)s->groups +
+           (size_t)nodes / SFEMI_NODE_TASK + 1;
 }
 
 /* Energy and internal force: gathers only, so that any number of threads leaves the same bits. */
@@ -14931,10 +15021,20 @@ static sfem_real sfemi_smooth_run(sfemi_smooth_forces *job, sfem_precision preci
     const sfem_int cells = (s->groups - 1) / SFEMI_CELL_TASK + 1, nodes = (job->nodes - 1) / SFEMI_NODE_TASK + 1;
     sfem_real energy = 0;
     sfem_int k;
-    job->p = work;
-    job->r = job->p + 9 * SFEMI_LANES * (size_t)s->groups;
-    job->energy = job->r + 9 * SFEMI_LANES * (size_t)s->groups;
+    job->u4 = work;
+    job->q = job->u4 + 4 * (size_t)job->nodes;
+    job->r = job->q + 12 * SFEMI_LANES * (size_t)s->groups;
+    job->energy = job->r + 9 * SFEMI_LANES * (size_t)s->star_groups;
     job->kernel = sfemi_cells_pick(precision);
+    job->gather = sfemi_smooth_gather_portable;
+    job->node = sfemi_smooth_node_portable;
+#if SFEMI_X86
+    if (sfemi_path() >= 1) {
+        job->gather = sfemi_smooth_gather_avx2;
+        job->node = sfemi_smooth_node_avx2;
+    }
+#endif
+    sfemi_run(exec, nodes, sfemi_smooth_spread_u, job);
     sfemi_run(exec, cells, sfemi_smooth_some_cells, job);
     sfemi_run(exec, nodes, sfemi_smooth_some_nodes, job);
     for (k = 0; k < s->groups + nodes; ++k) energy += job->energy[k];
