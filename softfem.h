@@ -15109,7 +15109,7 @@ static void sfemi_smooth_add_cell(const sfemi_smooth *s, sfem_int c, sfem_real l
 {
     const sfem_int *row = to_add->row, *col = to_add->col;
     sfem_real *val = to_add->val;
-    const int law = u ? s->law[c / SFEMI_LANES] : SFEM_LINEAR;
+    const int law = u ? (int)s->law[c / SFEMI_LANES] : (int)SFEM_LINEAR;
     sfem_real grad[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0}, df[9], dp[9];
     sfemi_modes modes;
     sfem_int a, b;
@@ -15858,18 +15858,22 @@ static void sfemi_fem_block(const sfem_model *model, sfem_int at, sfem_int i, sf
         for (j = 0; j < 9; ++j) block[j] += cd * model->damping[9 * (size_t)at + (size_t)j];
 }
 
+#ifndef SFEM_NO_BODY
 /* K itself and its pattern; of smooth tets sfemi_fem_widen makes it. */
 static const sfem_matrix *sfemi_fem_exact(const sfem_model *model)
 {
     return model->smooth ? &model->wide : &model->stiffness;
 }
+#endif
 
+#if !defined(SFEM_NO_BODY) || !defined(SFEM_NO_MODES)
 /* The place in the model's pattern of block (i, j) at `at` of that of sfemi_fem_exact; -1: M and the rest of D have
  * nothing there. */
 static sfem_int sfemi_fem_narrow(const sfem_model *model, sfem_int at, sfem_int i, sfem_int j)
 {
     return model->smooth ? sfemi_fem_find(model->row, model->col, i, j) : at;
 }
+#endif
 
 /* Arrays of a matrix of the given size, `size` numbers a block; on failure those made so far are in *a, to be
  * freed. */
@@ -15947,6 +15951,7 @@ done:
     return status;
 }
 
+#ifndef SFEM_NO_BODY
 /* Makes K itself of smooth tets, once for the model. */
 static sfem_status sfemi_fem_widen(sfem_model *model, sfem_error *err)
 {
@@ -15979,6 +15984,7 @@ static sfem_status sfemi_fem_widen(sfem_model *model, sfem_error *err)
     sfem_matrix_upper_free(&upper);
     return SFEM_OK;
 }
+#endif
 
 SFEM_DEF void sfem_model_multiply_stiffness(const sfem_model *model, const sfem_real *x, sfem_real *y,
                                             const sfem_exec *exec)
