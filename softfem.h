@@ -909,7 +909,7 @@ typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
 /* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
 typedef struct sfem_material {
     sfem_real young;   /* Young's modulus, Pa, > 0 */
-    sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5 */
+    sfem_real poisson; /* Poisson's ratio, -1 < nu < 0.5; linear tets lock as nu nears 0.5, see sfem_tet */
     sfem_real density; /* kg/m^3, > 0 */
     sfem_real mass_damping;      /* alpha, 1/s, >= 0 */
     sfem_real stiffness_damping; /* beta, s, >= 0 */
@@ -937,7 +937,7 @@ typedef struct sfem_model_def {
 
 SFEM_DEF sfem_model_def sfem_default_model_def(void);
 
-/* Builds a model of linear tetrahedra, K_e = V B^T C B.
+/* Builds a model of linear tetrahedra, K_e = V B^T C B, or smooth ones (sfem_tet).
  *   errors  SFEM_BAD_MESH (empty, index out of range, flat or left-handed tet), SFEM_NOT_FINITE,
  *           SFEM_BAD_ARGUMENT (material, region, damping pattern), SFEM_OUT_OF_MEMORY,
  *           SFEM_TOO_LARGE; the text names the tet or node
@@ -953,7 +953,7 @@ SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [t
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
 
 /* out = k K + m M + d D, a new matrix on K's pattern; free it with sfem_matrix_free. (k,m,d) = (0,1,0) gives M, (0,0,1)
- * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. */
+ * D, (p h^2, r, q h/2) the matrix that (p,q,r) factors. Of smooth tets K is K0 here, in D too. */
 SFEM_DEF sfem_status sfem_model_combine(const sfem_model *model, sfem_real k, sfem_real m, sfem_real d,
                                         const sfem_allocator *allocator, sfem_matrix *out,
                                         sfem_error *err);
@@ -987,7 +987,8 @@ SFEM_DEF void sfem_model_multiply_damping(const sfem_model *model, const sfem_re
  *   rotation  [tets][3][3] nearest rotation of each F, I for linear tets; or NULL
  *   inverted  how many tets have det F <= 0; or NULL
  *   work      [sfem_model_work_size] reals
- *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19;
+ *   cost      a tet, with AVX2: linear 12 ns, StVK 15, neo-Hookean 20, corotational 24, mixed 19; smooth tets 35, 37
+ *             and 40;
  *             0.7 us for one whose R is almost undetermined. A u that is not finite gives an
  *             energy that is not finite.
  * Allocates nothing. The bits are the same for any number of threads, but differ between vector widths
@@ -999,7 +1000,9 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
                                      const sfem_exec *exec);
 
 /* The derivative of that force, N/m. It overwrites the values of a matrix on K's pattern, such as sfem_model_combine
- * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads. */
+ * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads.
+ * Smooth tets: the derivative itself on the pattern of sfem_model_assemble_stiffness; on that of sfem_model_combine K0 at
+ * u, each tet's shear and each patch's volume in its own rotation. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
@@ -33689,6 +33692,7 @@ static SFEMI_TARGET void SFEMI_KERNEL(sfemi_modes_scale)(const double *factor, c
 
 /* ============================================================================================
  * CHANGES
+ *   next    smooth tets (sfem_material.tet), which do not lock in bending or as nu nears 0.5
  *   0.4.0   the step of nonlinear bodies is corrected by L-BFGS with its factor (accuracy, dissipation in place of
  *           corrections); linear bodies keep their energy where steps, pins or handles change; impulses; damping
  *           forces with (p,q,r); refactorise in place of renew; Medit meshes; surfaces and tets from them; bodies may
