@@ -1317,10 +1317,10 @@ typedef struct sfem_body_def {
                                * comes, even if it makes energy */
     const sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one more correction is
-                               * expected to gain less than this part of the energy in motion (the largest recent
-                               * kinetic energy). 1e-6, the default: within a factor of two of the errors of full
-                               * Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws and of smooth tets, in (0, 1]. A step is corrected until
+                               * one more correction is expected to gain less than this part of the energy in motion (the
+                               * largest recent kinetic energy). 1e-6, the default: within a factor of two of the errors of
+                               * full Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
                                * rounding (velocities are off by the square root, since it is an energy) */
     sfem_real dissipation;    /* of corrected steps, 0 to 1/3: HHT's alpha. 0.1, the default, damps what a step does not
                                * resolve. 0: Newmark(1/4, 1/2), conservative */

@@ -335,7 +335,94 @@ static void k0_bounds_k_with_slivers(void **state)
     sfem_mesh_free(&mesh);
 }
 
-/* the largest and least eigenvalue of (K, K0) of a large mesh, by powers of K0^-1 K; a node's three axes held */
+/* The largest a for which sum V_e/4 (|eps_e - eps_s|^2 - a |grad_e - grad_s|^2) >= 0 over the tets at a node. */
+static double star_limit(const sfem_mesh *mesh, sfem_int node)
+{
+    const size_t n = 3 * (size_t)mesh->nodes;
+    double *a = reals(n * n), *b = reals(n * n), *mean = reals(n), *own = reals(n), *value = reals(n);
+    double volume = 0, g[12], limit;
+    size_t kept = 0, i, j, k, l;
+    sfem_int e;
+    for (e = 0; e < 4 * mesh->tets; ++e)
+        if (mesh->tet[e] == node) volume += tet_gradient(mesh, e / 4, g) / 4;
+    for (e = 0; e < 4 * mesh->tets; ++e)
+        if (mesh->tet[e] == node) add_gradient(mesh, e / 4, tet_gradient(mesh, e / 4, g) / 4 / volume, mean);
+    for (e = 0; e < 4 * mesh->tets; ++e) {
+        if (mesh->tet[e] != node) continue;
+        for (i = 0; i < n; ++i) own[i] = -mean[i];
+        add_gradient(mesh, e / 4, 1, own);
+        add_form(mesh->nodes, own, tet_gradient(mesh, e / 4, g) / 4, 0, 0, 1, a);
+        add_form(mesh->nodes, own, tet_gradient(mesh, e / 4, g) / 4, 1, 0, 0, b);
+    }
+    eigenvalues(n, a, NULL, value); /* vectors over a */
+    while (kept < n && value[n - 1 - kept] > 1e-9 * value[n - 1]) ++kept;
+    if (kept == 0) return 1;
+    {
+        double *small = reals(kept * kept), *least = reals(kept);
+        for (k = 0; k < kept; ++k)
+            for (l = 0; l < kept; ++l) {
+                const double *x = a + (n - 1 - k) * n, *y = a + (n - 1 - l) * n;
+                double sum = 0;
+                for (i = 0; i < n; ++i)
+                    for (j = 0; x[i] != 0 && j < n; ++j) sum += x[i] * b[i * n + j] * y[j];
+                small[k * kept + l] = sum / sqrt(value[n - 1 - k] * value[n - 1 - l]);
+            }
+        eigenvalues(kept, small, NULL, least);
+        limit = least[0];
+        free(small), free(least);
+    }
+    free(a), free(b), free(mean), free(own), free(value);
+    return limit;
+}
+
+/* The same of a mesh with many nodes: in one of the tets at the node alone. */
+static double star_limit_in(const sfem_mesh *mesh, sfem_int node)
+{
+    sfem_int *number = (sfem_int *)calloc((size_t)mesh->nodes, sizeof *number), tet[4 * 200], e, own;
+    double x[3 * 400], limit;
+    sfem_mesh star;
+    int a;
+    memset(&star, 0, sizeof star);
+    star.x = x;
+    star.tet = tet;
+    for (e = 0; e < mesh->tets; ++e) {
+        const sfem_int *t = mesh->tet + 4 * e;
+        if (t[0] != node && t[1] != node && t[2] != node && t[3] != node) continue;
+        assert_true(star.tets < 200);
+        for (a = 0; a < 4; ++a) {
+            if (!number[t[a]]) {
+                memcpy(x + 3 * star.nodes, mesh->x + 3 * t[a], 3 * sizeof *x);
+                number[t[a]] = ++star.nodes;
+            }
+            tet[4 * star.tets + a] = number[t[a]] - 1;
+        }
+        ++star.tets;
+    }
+    own = number[node] - 1;
+    free(number);
+    limit = star_limit(&star, own);
+    return limit;
+}
+
+/* The weight of the stabilisation is what every star allows. */
+static void the_least_weight_is_what_the_stars_allow(void **state)
+{
+    sfem_mesh mesh;
+    sfem_model *model;
+    sfem_error err;
+    double least = 0.12;
+    sfem_int i;
+    (void)state;
+    assert_ok(body_scattered(500, 0.01, 1, &mesh, &err), err);
+    for (i = 0; i < mesh.nodes; ++i) least = fmin(least, star_limit_in(&mesh, i));
+    model = smooth_model(&mesh, smooth_material(SFEM_LINEAR, 0.3));
+    assert_true(least < 0.1);
+    assert_near(sfem_model_smooth_info(model).least, least, 2e-3, 4e-5);
+    sfem_model_free(model);
+    sfem_mesh_free(&mesh);
+}
+
+/* the largest eigenvalue of (K, K0) of a large mesh, by powers of K0^-1 K, both with a little mass */
 static void check_bound_by_powers(const sfem_mesh *mesh, double poisson)
 {
     sfem_model *model = smooth_model(mesh, smooth_material(SFEM_LINEAR, poisson));
@@ -1278,6 +1365,7 @@ int main(void)
         cmocka_unit_test(patches_hang_together),
         cmocka_unit_test(k0_bounds_k),
         cmocka_unit_test(k0_bounds_k_with_slivers),
+        cmocka_unit_test(the_least_weight_is_what_the_stars_allow),
         cmocka_unit_test(k0_bounds_k_on_real_meshes),
         cmocka_unit_test(patch_test),
         cmocka_unit_test(forces_are_a_gradient),
