@@ -897,13 +897,14 @@ typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
 /* How tets are put together.
  *   SFEM_TET_LINEAR  each tet has its own deformation gradient. They lock: too stiff in bending, and the more so as nu
  *                    nears 0.5
- *   SFEM_TET_SMOOTH  shear is that of gradients averaged at the nodes, volume that of patches of about four tets, and a
- *                    part of the difference from the tets' own gradients keeps modes without energy away (>>smooth). For
- *                    any nu from 0 on; not with SFEM_STVK. All materials of a model have the same tets; averages do not
- *                    cross materials that differ in modulus, nu or law. K couples nodes two edges apart; factors are
- *                    made of K0, an upper bound of K on fewer blocks, and solutions with K itself by iteration. In steps
- *                    of (p,q,r) of laws that rotate nu counts as 0.48 at most (sfem_body_info). Not with damage or
- *                    KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet (measured) */
+ *   SFEM_TET_SMOOTH  shear is that of gradients averaged at the nodes, volume that of patches of about four tets, and
+ *                    a part of the difference from the tets' own gradients keeps modes without energy away (>>smooth).
+ *                    For any nu from 0 on; not with SFEM_STVK. All materials of a model have the same tets; averages
+ *                    do not cross materials that differ in modulus, nu or law. K couples nodes two edges apart;
+ *                    factors are made of K0, an upper bound of K on fewer blocks, and solutions with K itself by
+ *                    iteration. In steps of (p,q,r) of laws that rotate nu counts as 0.48 at most (sfem_body_info).
+ *                    Not with damage or KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
+ *                    (measured) */
 typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
 
 /* An isotropic material. The damping matrix of a tet is alpha M_e + beta K_e (Rayleigh). */
@@ -947,7 +948,7 @@ SFEM_DEF sfem_status sfem_model_create(const sfem_model_def *def, sfem_model **o
 SFEM_DEF void sfem_model_free(sfem_model *model); /* NULL allowed; freed with the last body */
 
 SFEM_DEF const sfem_mesh *sfem_model_mesh(const sfem_model *model);
-SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m; of smooth tets K0 >= K, see there */
+SFEM_DEF const sfem_matrix *sfem_model_stiffness(const sfem_model *model); /* K, N/m; of smooth tets K0 >= K */
 SFEM_DEF const sfem_real *sfem_model_node_mass(const sfem_model *model);   /* [nodes] row sums of M, kg */
 SFEM_DEF const sfem_real *sfem_model_tet_volume(const sfem_model *model);  /* [tets] m^3 */
 SFEM_DEF sfem_real sfem_model_total_mass(const sfem_model *model);         /* kg */
@@ -1001,8 +1002,8 @@ SFEM_DEF sfem_real sfem_model_forces(const sfem_model *model, const sfem_real *u
 
 /* The derivative of that force, N/m. It overwrites the values of a matrix on K's pattern, such as sfem_model_combine
  * makes. 0.2 (linear) to 0.8 us a tet. Allocates nothing. The bits are the same for any number of threads.
- * Smooth tets: the derivative itself on the pattern of sfem_model_assemble_stiffness; on that of sfem_model_combine K0 at
- * u, each tet's shear and each patch's volume in its own rotation. */
+ * Smooth tets: the derivative itself on the pattern of sfem_model_assemble_stiffness; on that of sfem_model_combine K0
+ * at u, each tet's shear and each patch's volume in its own rotation. */
 SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sfem_tangent kind,
                                  sfem_matrix *tangent, const sfem_exec *exec);
 
@@ -1013,9 +1014,9 @@ SFEM_DEF void sfem_model_tangent(const sfem_model *model, const sfem_real *u, sf
 SFEM_DEF void sfem_model_stress(const sfem_model *model, const sfem_real *u, sfem_real *stress,
                                 sfem_real *von_mises);
 /* Of smooth tets the stress of a tet is the mean of the shear stresses of its nodes' averaged gradients and the volume
- * part of its patch. This gives it at the nodes [nodes][6], where surfaces and bending are the better for it: the shear
- * stress there and the mean volume part of the patches around. pressure [patches] (sfem_model_smooth_patch), Pa, positive
- * in compression: -tr(stress)/3 of a patch's mean gradient. Either may be NULL. Allocates nothing. */
+ * part of its patch. This gives it at the nodes [nodes][6], where surfaces and bending are the better for it: the
+ * shear stress there and the mean volume part of the patches around. pressure [patches] (sfem_model_smooth_patch), Pa,
+ * positive in compression: -tr(stress)/3 of a patch's mean gradient. Either may be NULL. Allocates nothing. */
 SFEM_DEF void sfem_model_smooth_stress(const sfem_model *model, const sfem_real *u, sfem_real *node_stress,
                                        sfem_real *pressure);
 /* 1/2 u.K u, J, summed from the tets' own strains. */
@@ -1307,9 +1308,9 @@ typedef struct sfem_body_def {
     sfem_real gui_lambda;     /* of Gui's method, > 0; 4. Above 4 the step is limited */
     sfem_real hht_alpha;      /* of HHT, 0 (trapezoidal) to 1/3; 0.1 */
     sfem_newton_def newton;
-    int exact_statics;        /* linear bodies of smooth tets: 0, the default: a static solution is iterated, by conjugate
-                               * gradients with the factor of K0, to newton.tolerance; sfem_body_newton tells how it went.
-                               * 1: K itself is factorised, 8 to 20 times the operations */
+    int exact_statics;        /* linear bodies of smooth tets: 0, the default: a static solution is iterated, by
+                               * conjugate gradients with the factor of K0, to newton.tolerance; sfem_body_newton tells
+                               * how it went. 1: K itself is factorised, 8 to 20 times the operations */
     sfem_damping_force damping_force; /* all zero: none */
     sfem_start start;
     sfem_frame frame;         /* (p,q,r) of nonlinear laws */
@@ -1317,11 +1318,12 @@ typedef struct sfem_body_def {
                                * comes, even if it makes energy */
     const sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws and of smooth tets, in (0, 1]. A step is corrected until
-                               * one more correction is expected to gain less than this part of the energy in motion (the
-                               * largest recent kinetic energy). 1e-6, the default: within a factor of two of the errors of
-                               * full Newton. 1e-4: a third fewer solves. 1: one solve a step, no corrections. 1e-20: to
-                               * rounding (velocities are off by the square root, since it is an energy) */
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws and of smooth tets, in (0, 1]. A step is corrected until one
+                               * more correction is expected to gain less than this part of the energy in motion (the
+                               * largest recent kinetic energy). 1e-6, the default: within a factor of two of the
+                               * errors of full Newton. 1e-4: a third fewer solves. 1: one solve a step, no
+                               * corrections. 1e-20: to rounding (velocities are off by the square root, since it is an
+                               * energy) */
     sfem_real dissipation;    /* of corrected steps, 0 to 1/3: HHT's alpha. 0.1, the default, damps what a step does not
                                * resolve. 0: Newmark(1/4, 1/2), conservative */
     sfem_real refactorise;    /* (p,q,r) of nonlinear laws and of damage: the work a step on a factor of the present
@@ -1483,8 +1485,8 @@ typedef struct sfem_body_info {
     int64_t solves;           /* with the factor, of (p,q,r) bodies that rotate */
     int64_t evaluations;      /* of their forces */
     sfem_int corrections;     /* in the last step */
-    sfem_real poisson;        /* the largest Poisson's ratio that its steps take: of smooth tets whose law rotates at most
-                               * 0.48, except in Newton's methods, statics and modes, which take any */
+    sfem_real poisson;        /* the largest Poisson's ratio that its steps take: of smooth tets whose law rotates at
+                               * most 0.48, except in Newton's methods, statics and modes, which take any */
 } sfem_body_info;
 SFEM_DEF sfem_body_info sfem_body_get_info(const sfem_body *body);
 
@@ -14246,21 +14248,22 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
  *      K0 = linear tets with lambda = 0 + sum_patches V_p lambda (div_p)^2
  *    whose pattern is that of the tets and the patches,
  *      K0 - K = 2 mu sum_s sum_{e in s} V_e/4 (|eps_e - eps_s|^2 - a_s |grad_e - grad_s|^2)
- *    is positive semidefinite where a_s is at most what the star's shape allows, which sfemi_smooth_limit finds for each;
+ *    is positive semidefinite where a_s is at most what the star's shape allows (sfemi_smooth_limit finds it for each);
  *    and |grad| >= |eps| gives a K0 <= K with a the least a_s, for any mesh and any lambda. So A made of K0 bounds that
  *    of K, and conjugate gradients with it as preconditioner need a bounded number of iterations.
  * ============================================================================================ */
 
-/* What a_s is where the star allows it. Measured on cantilevers of 4x1x1, 8x2x2 and 16x4x4 cells, nu 0.3 to 0.499: parts
- * of the converged deflection are 0.87 to 1.06, 1.01 to 1.12, 1.03 to 1.07; with 0.15 0.78 to 0.94, 0.94 to 1.05, 1.01 to
- * 1.05. */
+/* What a_s is where the star allows it. Measured on cantilevers of 4x1x1, 8x2x2 and 16x4x4 cells, nu 0.3 to 0.499:
+ * parts of the converged deflection are 0.87 to 1.06, 1.01 to 1.12, 1.03 to 1.07; with 0.15 0.78 to 0.94, 0.94 to
+ * 1.05, 1.01 to 1.05. */
 #define SFEMI_SMOOTH_A 0.12
-/* Where the law rotates, steps of (p,q,r) and K0 take lambda as of this nu at most: in a bend the rows of K0's volume part,
- * rotated by nodes, are not those of the patches, and lambda multiplies the difference. Bars and bodies that swing, h = 1/60
- * s: nothing rejected at 0.48, 15 % at 0.49, 43 to 81 % at 0.499. Deflections at 0.48 and 0.499 differ by 1 %. */
+/* Where the law rotates, steps of (p,q,r) and K0 take lambda as of this nu at most: in a bend the rows of K0's volume
+ * part, rotated by nodes, are not those of the patches, and lambda multiplies the difference. Bars and bodies that
+ * swing, h = 1/60 s: nothing rejected at 0.48, 15 % at 0.49, 43 to 81 % at 0.499. Deflections at 0.48 and 0.499 differ
+ * by 1 %. */
 #define SFEMI_SMOOTH_POISSON 0.48
-/* Patches are grown to so many tets; they come to 4 in the mean. With 3 bars of six-tet cells lock at nu = 0.499 (0.53),
- * with 5 they are up to 1.19. */
+/* Patches are grown to so many tets; they come to 4 in the mean. With 3 bars of six-tet cells lock at nu = 0.499
+ * (0.53), with 5 they are up to 1.19. */
 #define SFEMI_PATCH_TETS 4
 #define SFEMI_SWEEP 4096     /* bins of an axis in which tets are sorted, at most; as large as */
 #define SFEMI_SWEEP_CELL 5   /* mean tets */
@@ -14268,7 +14271,7 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
 #define SFEMI_NODE_TASK 2048 /* nodes a task */
 
 typedef struct sfemi_smooth {
-    sfem_int cells, groups;    /* cells with the empty ones that fill up groups, in groups of one law; first the stars */
+    sfem_int cells, groups;    /* cells and the empty ones that fill up groups of one law; first the stars */
     sfem_int stars, patches;   /* how many of each */
     sfem_int star_groups;
     sfem_int most;             /* nodes of one cell at most */
@@ -14415,8 +14418,8 @@ static sfem_int sfemi_smooth_next(const sfemi_smooth_maker *m, const sfem_int *m
     return best;
 }
 
-/* Tets by the places of their centres in coarse cells, along the longest axis first: patches that grow in this order leave few tets over, however the
- * mesh is numbered. */
+/* Tets by the places of their centres in coarse cells, along the longest axis first: patches that grow in this order
+ * leave few tets over, however the mesh is numbered. */
 static sfem_status sfemi_smooth_sweep(const sfemi_smooth_maker *m, sfem_int *order, sfemi_pool *pool, sfem_error *err)
 {
     const sfem_mesh *mesh = m->mesh;
@@ -14518,7 +14521,7 @@ static sfem_int sfemi_smooth_merge(sfemi_smooth_maker *m, sfem_int patches, sfem
     return count;
 }
 
-/* Puts stars, then patches, law by law into groups: tet_cell becomes places. number: [stars + patches], law: the same. */
+/* Puts stars, then patches, law by law into groups: tet_cell becomes places. number and law: [stars + patches]. */
 static void sfemi_smooth_group(sfemi_smooth_maker *m, sfem_int *number, unsigned char *law)
 {
     sfemi_smooth *s = m->out;
@@ -14601,7 +14604,8 @@ static sfem_int sfemi_smooth_spread(const sfemi_smooth_maker *m, sfem_int c, sfe
     for (k = m->member_start[c]; k < m->member_start[c + 1]; ++k)
         if (m->tet_volume[m->member[k]] > m->tet_volume[largest]) largest = m->member[k];
     for (i = 0; i < count; ++i) {
-        place[s->node[first + i]] = sfemi_smooth_corner(m->mesh->tet + 4 * (size_t)largest, s->node[first + i]) < 0 ? n++ : -1;
+        const sfem_int node = s->node[first + i];
+        place[node] = sfemi_smooth_corner(m->mesh->tet + 4 * (size_t)largest, node) < 0 ? n++ : -1;
     }
     memset(m->dense, 0, 9 * (size_t)n * (size_t)n * sizeof *m->dense);
     for (k = m->member_start[c]; k <= m->member_start[c + 1]; ++k) {
@@ -14658,7 +14662,8 @@ static void sfemi_smooth_shapes(sfemi_smooth_maker *m)
             material = m->material + m->of[e];
             s->volume[c] += w;
             for (a = 0; a < 4; ++a)
-                for (d = 0; d < 3; ++d) s->g[3 * (size_t)m->mark[t[a]] + (size_t)d] += w * m->tet_g[12 * (size_t)e + (size_t)(3 * a + d)];
+                for (d = 0; d < 3; ++d)
+                    s->g[3 * (size_t)m->mark[t[a]] + (size_t)d] += w * m->tet_g[12 * (size_t)e + (size_t)(3 * a + d)];
         }
         for (i = 3 * first; i < 3 * s->start[c + 1]; ++i) s->g[i] /= s->volume[c];
         if (!material) continue;
@@ -14705,7 +14710,10 @@ static sfem_status sfemi_smooth_transpose(sfemi_smooth_maker *m, sfemi_pool *poo
                 const sfem_real *g = m->tet_g + 12 * (size_t)e;
                 const sfem_real *gi = g + 3 * sfemi_smooth_corner(t, i);
                 sfem_real w = 0;
-                for (a = 0; a < 4; ++a) w += s->stab[s->tet_cell[5 * e + a]] / s->volume[s->tet_cell[5 * e + a]] * m->tet_volume[e] / 4;
+                for (a = 0; a < 4; ++a) {
+                    const sfem_int star = s->tet_cell[5 * e + a];
+                    w += s->stab[star] / s->volume[star] * m->tet_volume[e] / 4;
+                }
                 for (a = 0; a < 4; ++a) {
                     if (t[a] == i) continue;
                     if (m->mark[t[a]] < first) m->mark[t[a]] = at++;
@@ -15061,7 +15069,8 @@ static void sfemi_smooth_multiply(const sfemi_smooth *s, const sfem_real *lambda
         trace = lambda[c] * (g[0] + g[4] + g[8]);
         for (r = 0; r < 3; ++r)
             for (d = 0; d < 3; ++d)
-                p[3 * r + d] = s->mu[c] * (g[3 * r + d] + g[3 * d + r]) - s->stab[c] * g[3 * r + d] + (r == d ? trace : 0);
+                p[3 * r + d] =
+                    s->mu[c] * (g[3 * r + d] + g[3 * d + r]) - s->stab[c] * g[3 * r + d] + (r == d ? trace : 0);
         for (k = s->start[c]; k < s->start[c + 1]; ++k)
             for (r = 0; r < 3; ++r)
                 y[3 * (size_t)s->node[k] + (size_t)r] += sfemi_dot3(p + 3 * r, s->g + 3 * (size_t)k);
@@ -15316,7 +15325,8 @@ static sfem_status sfemi_fem_check_material(const sfem_material *m, sfem_int ind
         return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material %d: there is no tet %d", (int)index, (int)m->tet);
     if (m->tet == SFEM_TET_SMOOTH && m->law == SFEM_STVK)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                          "material %d: smooth tets have no St. Venant-Kirchhoff law: take SFEM_NEOHOOKEAN", (int)index);
+                          "material %d: smooth tets have no St. Venant-Kirchhoff law: take SFEM_NEOHOOKEAN",
+                          (int)index);
     if (m->tet == SFEM_TET_SMOOTH && m->poisson < 0)
         return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                           "material %d: smooth tets need a Poisson's ratio of at least 0, not %g: take SFEM_TET_LINEAR",
@@ -15344,13 +15354,14 @@ static sfem_status sfemi_fem_check(const sfem_model_def *def, sfem_error *err)
     if (count < 1) return sfemi_fail(err, SFEM_BAD_ARGUMENT, "material_count is %d", (int)count);
     for (i = 0; i < count; ++i) {
         const sfem_material *m = def->materials ? def->materials + i : &def->material;
+        const sfem_material *first = def->materials ? def->materials : m;
         status = sfemi_fem_check_material(m, i, err);
         if (status != SFEM_OK) return status;
-        if (m->tet != (def->materials ? def->materials : m)->tet)
+        if (m->tet != first->tet)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                               "materials 0 and %d differ in their tets: all of a model must be linear or all smooth",
                               (int)i);
-        if (m->tet == SFEM_TET_SMOOTH && m->stiffness_damping != (def->materials ? def->materials : m)->stiffness_damping)
+        if (m->tet == SFEM_TET_SMOOTH && m->stiffness_damping != first->stiffness_damping)
             return sfemi_fail(err, SFEM_BAD_ARGUMENT,
                               "materials 0 and %d differ in their stiffness damping: smooth tets need the same",
                               (int)i);
@@ -16170,7 +16181,8 @@ static void sfemi_fem_smooth_tets(const sfem_model *model, const sfemi_forces *a
         sfem_real g[4][3], f[9], c[9];
         int i;
         sfemi_element_gradients(&model->mesh, e, g);
-        sfemi_element_deform(u + 3 * (size_t)t[0], u + 3 * (size_t)t[1], u + 3 * (size_t)t[2], u + 3 * (size_t)t[3], g, f);
+        sfemi_element_deform(u + 3 * (size_t)t[0], u + 3 * (size_t)t[1], u + 3 * (size_t)t[2], u + 3 * (size_t)t[3],
+                             g, f);
         for (i = 0; i < 9; i += 4) f[i] += 1;
         sfemi_cofactor3(f, c);
         turned += sfemi_dot3(f, c) <= 0;
@@ -22001,7 +22013,8 @@ static void sfemi_resume_multiply(sfem_body *b, const sfemi_inertia *t, const sf
     if (bounded && b->def.frame == SFEM_FRAME_ISOTROPIC) sfemi_factor_multiply_upper_bound(model, x, y);
     else if (own == 0) memset(y, 0, n * sizeof *y);
     else if (bounded)
-        sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, x, y, &b->exec);
+        sfem_matrix_multiply(b->refactor.live ? b->refactor.k + b->refactor.live - 1 : &model->stiffness, x, y,
+                             &b->exec);
     else sfem_model_multiply_stiffness(model, x, y, &b->exec);
     for (i = 0; i < n; ++i) y[i] *= own;
     if (bounded) {
@@ -25433,8 +25446,8 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
     }
     if (model->smooth && b->scheme.lagging) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                            "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, whose "
-                            "def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
+                            "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, "
+                            "whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
         goto done;
     }
     if (model->smooth && def->damping_force.tangent) {
@@ -26749,7 +26762,8 @@ SFEM_DEF void sfem_body_fragment_positions(sfem_body *b, const sfem_fragments *f
  * Newton's iteration by load steps, of >>implicit. The body then rests at u; where that fails it is as it was.
  * ============================================================================================ */
 
-/* Conjugate gradients on smooth tets: 25 to 35 iterations to 1e-8 are the rule; this many only where nothing converges. */
+/* Conjugate gradients on smooth tets: 20 to 30 iterations to 1e-8 are the rule; this many only where nothing
+ * converges. */
 #define SFEMI_STATIC_CG 300
 
 /* Is the handle one node's alone? Weights may be negative: a weight of 1 does not say so. */
@@ -26915,8 +26929,8 @@ done:
     return status;
 }
 
-/* Does a static solution take the factor of K itself, not conjugate gradients? With handles between nodes, whose columns
- * would each take as many iterations as the solution. */
+/* Does a static solution take the factor of K itself, not conjugate gradients? With handles between nodes, whose
+ * columns would each take as many iterations as the solution. */
 static int sfemi_body_static_exact(const sfem_body *b)
 {
     sfem_int k;

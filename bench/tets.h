@@ -22,11 +22,12 @@ typedef struct tets_case {
     double *force;       /* [nodes][3], of linear shape functions */
     double *traction;    /* [triangles][3] Pa, of surface triangles */
     sfem_surface surface;
-    double *u, *stress;  /* [nodes][3], [nodes][6] of the last solution */
+    double *u, *stress; /* [nodes][3], [nodes][6] of the last solution */
     sfem_int iterations;
 } tets_case;
 
-static tets_case tets_open(sfem_int nx, sfem_int ny, sfem_int nz, void (*map)(double x[3]), double young, double poisson)
+static tets_case tets_open(sfem_int nx, sfem_int ny, sfem_int nz, void (*map)(double x[3]),
+                           double young, double poisson)
 {
     const sfem_int cells[3] = {nx, ny, nz};
     const sfem_real size[3] = {1, 1, 1};
@@ -60,7 +61,8 @@ static void tets_load(tets_case *c, int (*in)(const double *x), const double *t,
     sfem_int k;
     for (k = 0; k < c->surface.triangles; ++k) {
         const sfem_int *tri = c->surface.tri + 3 * k;
-        const double *x0 = c->mesh.x + 3 * tri[0], *x1 = c->mesh.x + 3 * tri[1], *x2 = c->mesh.x + 3 * tri[2];
+        const double *x0 = c->mesh.x + 3 * tri[0], *x1 = c->mesh.x + 3 * tri[1],
+                     *x2 = c->mesh.x + 3 * tri[2];
         double n[3], size = 0;
         int i;
         if (!in(x0) || !in(x1) || !in(x2)) continue;
@@ -123,7 +125,8 @@ static void tets_solve(tets_case *c, sfem_tet tet)
             for (a = 0; a < 4; ++a) {
                 const double v = sfem_model_tet_volume(model)[e];
                 volume[c->mesh.tet[4 * e + a]] += v;
-                for (k = 0; k < 6; ++k) c->stress[6 * c->mesh.tet[4 * e + a] + k] += v * own[6 * e + k];
+                for (k = 0; k < 6; ++k)
+                    c->stress[6 * c->mesh.tet[4 * e + a] + k] += v * own[6 * e + k];
             }
         for (e = 0; e < c->mesh.nodes; ++e)
             for (k = 0; k < 6; ++k) c->stress[6 * e + k] /= volume[e];
@@ -140,7 +143,8 @@ static sfem_int tets_at(const tets_case *c, double x, double y, double z)
     double least = 1e300;
     for (i = 0; i < c->mesh.nodes; ++i) {
         const double *p = c->mesh.x + 3 * i;
-        const double d = (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y) + (p[2] - z) * (p[2] - z);
+        const double d =
+            (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y) + (p[2] - z) * (p[2] - z);
         if (d < least) least = d, best = i;
     }
     return best;
@@ -164,18 +168,21 @@ static void tets_ccx_mesh(FILE *f, const tets_case *c, const sfem_matrix *k, int
     int a;
     fprintf(f, "*NODE, NSET=ALL\n");
     for (i = 0; i < c->mesh.nodes; ++i)
-        fprintf(f, "%d, %.12g, %.12g, %.12g\n", (int)i + 1, c->mesh.x[3 * i], c->mesh.x[3 * i + 1], c->mesh.x[3 * i + 2]);
+        fprintf(f, "%d, %.12g, %.12g, %.12g\n", (int)i + 1, c->mesh.x[3 * i], c->mesh.x[3 * i + 1],
+                c->mesh.x[3 * i + 2]);
     for (i = 0; quadratic && i < k->n; ++i)
         for (at = k->row[i]; at < k->row[i + 1] - 1; ++at) {
             const double *p = c->mesh.x + 3 * i, *q = c->mesh.x + 3 * k->col[at];
-            fprintf(f, "%d, %.12g, %.12g, %.12g\n", (int)(k->n + at) + 1, (p[0] + q[0]) / 2, (p[1] + q[1]) / 2, (p[2] + q[2]) / 2);
+            fprintf(f, "%d, %.12g, %.12g, %.12g\n", (int)(k->n + at) + 1, (p[0] + q[0]) / 2,
+                    (p[1] + q[1]) / 2, (p[2] + q[2]) / 2);
         }
     fprintf(f, "*ELEMENT, TYPE=%s, ELSET=BODY\n", quadratic ? "C3D10" : "C3D4");
     for (e = 0; e < c->mesh.tets; ++e) {
         const sfem_int *t = c->mesh.tet + 4 * e;
         fprintf(f, "%d", (int)e + 1);
         for (a = 0; a < 4; ++a) fprintf(f, ", %d", (int)t[a] + 1);
-        for (a = 0; quadratic && a < 6; ++a) fprintf(f, ", %d", (int)tets_middle(k, t[edge[a][0]], t[edge[a][1]]) + 1);
+        for (a = 0; quadratic && a < 6; ++a)
+            fprintf(f, ", %d", (int)tets_middle(k, t[edge[a][0]], t[edge[a][1]]) + 1);
         fprintf(f, "\n");
     }
     fprintf(f, "*BOUNDARY\n");
@@ -184,7 +191,8 @@ static void tets_ccx_mesh(FILE *f, const tets_case *c, const sfem_matrix *k, int
             if (c->held[i] >> a & 1) fprintf(f, "%d, %d, %d\n", (int)i + 1, a + 1, a + 1);
         for (at = k->row[i]; quadratic && at < k->row[i + 1] - 1; ++at)
             for (a = 0; a < 3; ++a)
-                if ((c->held[i] & c->held[k->col[at]]) >> a & 1) fprintf(f, "%d, %d, %d\n", (int)(k->n + at) + 1, a + 1, a + 1);
+                if ((c->held[i] & c->held[k->col[at]]) >> a & 1)
+                    fprintf(f, "%d, %d, %d\n", (int)(k->n + at) + 1, a + 1, a + 1);
     }
 }
 
@@ -198,7 +206,8 @@ static int tets_ccx_read(const char *path, const char *block, sfem_int node, int
     while (fgets(line, sizeof line, f)) {
         if (!strncmp(line, " -4", 3)) inside = !strncmp(line + 5, block, strlen(block));
         if (!strncmp(line, " -3", 3)) inside = 0;
-        if (!inside || strncmp(line, " -1", 3) || strlen(line) < (size_t)(13 + 12 * count)) continue;
+        if (!inside || strncmp(line, " -1", 3) || strlen(line) < (size_t)(13 + 12 * count))
+            continue;
         memcpy(number, line + 3, 10);
         number[10] = 0;
         if (atoi(number) != (int)node + 1) continue;
@@ -214,7 +223,8 @@ static int tets_ccx_read(const char *path, const char *block, sfem_int node, int
 }
 
 /* u [3] and stress [6] (xx yy zz xy yz zx) at a node by CalculiX; 0 without it. */
-static int tets_calculix(const tets_case *c, int quadratic, sfem_int node, double *u, double *stress)
+static int tets_calculix(const tets_case *c, int quadratic, sfem_int node, double *u,
+                         double *stress)
 {
     char directory[] = "/tmp/softfem_ccx_XXXXXX", text[400];
     sfem_model *model;
@@ -229,12 +239,16 @@ static int tets_calculix(const tets_case *c, int quadratic, sfem_int node, doubl
     f = fopen(text, "w");
     if (!f) return 0;
     tets_ccx_mesh(f, c, k, quadratic);
-    fprintf(f, "*MATERIAL, NAME=M\n*ELASTIC\n%.16g, %.16g\n*SOLID SECTION, ELSET=BODY, MATERIAL=M\n*STEP\n*STATIC\n*CLOAD\n",
+    fprintf(f,
+            "*MATERIAL, NAME=M\n*ELASTIC\n%.16g, %.16g\n*SOLID SECTION, ELSET=BODY, "
+            "MATERIAL=M\n*STEP\n*STATIC\n*CLOAD\n",
             c->material.young, c->material.poisson);
     for (i = 0; i < c->mesh.nodes && !quadratic; ++i)
         for (a = 0; a < 3; ++a)
-            if (c->force[3 * i + a] != 0) fprintf(f, "%d, %d, %.12g\n", (int)i + 1, a + 1, c->force[3 * i + a]);
-    for (t = 0; t < c->surface.triangles && quadratic; ++t) { /* a third each in the middles of the edges */
+            if (c->force[3 * i + a] != 0)
+                fprintf(f, "%d, %d, %.12g\n", (int)i + 1, a + 1, c->force[3 * i + a]);
+    for (t = 0; t < c->surface.triangles && quadratic;
+         ++t) { /* a third each in the middles of the edges */
         const sfem_int *tri = c->surface.tri + 3 * t;
         double third[9];
         memset(third, 0, sizeof third);
@@ -251,14 +265,16 @@ static int tets_calculix(const tets_case *c, int quadratic, sfem_int node, doubl
         for (i = 0; i < 3; ++i)
             for (a = 0; a < 3; ++a)
                 if (third[a] != 0)
-                    fprintf(f, "%d, %d, %.12g\n", (int)tets_middle(k, tri[i], tri[(i + 1) % 3]) + 1, a + 1, third[a]);
+                    fprintf(f, "%d, %d, %.12g\n", (int)tets_middle(k, tri[i], tri[(i + 1) % 3]) + 1,
+                            a + 1, third[a]);
     }
     fprintf(f, "*NODE FILE\nU\n*EL FILE\nS\n*END STEP\n");
     fclose(f);
     snprintf(text, sizeof text, "cd '%s' && OMP_NUM_THREADS=1 ccx a >a.log 2>&1", directory);
     ok = system(text) == 0;
     snprintf(text, sizeof text, "%s/a.frd", directory);
-    ok = ok && tets_ccx_read(text, "DISP", node, 3, u) && tets_ccx_read(text, "STRESS", node, 6, stress);
+    ok = ok && tets_ccx_read(text, "DISP", node, 3, u) &&
+         tets_ccx_read(text, "STRESS", node, 6, stress);
     snprintf(text, sizeof text, "rm -rf '%s'", directory);
     if (system(text)) printf("    (%s is left)\n", directory);
     sfem_model_free(model);
@@ -285,9 +301,11 @@ static void tets_compare(const tets_reference *r, tets_make make, int n)
     node = tets_at(&c, r->place[0], r->place[1], r->place[2]);
     for (tet = 0; tet < 2; ++tet) {
         tets_solve(&c, (sfem_tet)tet);
-        part[tet] = (r->which < 3 ? c.u[3 * node + r->which] : c.stress[6 * node + r->which - 3]) / r->expected;
+        part[tet] = (r->which < 3 ? c.u[3 * node + r->which] : c.stress[6 * node + r->which - 3]) /
+                    r->expected;
     }
-    row(1, part[1], r->tolerance, "%s, %d nodes, %d solves; linear %.3f", r->name, (int)c.mesh.nodes, (int)c.iterations, part[0]);
+    row(1, part[1], r->tolerance, "%s, %d nodes, %d solves; linear %.3f", r->name,
+        (int)c.mesh.nodes, (int)c.iterations, part[0]);
     if (r->ccx && tets_calculix(&c, 0, node, u, stress))
         printf("    (C3D4 %.3f", (r->which < 3 ? u[r->which] : stress[r->which - 3]) / r->expected);
     else
@@ -296,7 +314,9 @@ static void tets_compare(const tets_reference *r, tets_make make, int n)
     c = make(n / 2);
     node = tets_at(&c, r->place[0], r->place[1], r->place[2]);
     quadratic = r->ccx && tets_calculix(&c, 1, node, u, stress);
-    if (quadratic) printf("; C3D10 on half as many cells a side %.3f", (r->which < 3 ? u[r->which] : stress[r->which - 3]) / r->expected);
+    if (quadratic)
+        printf("; C3D10 on half as many cells a side %.3f",
+               (r->which < 3 ? u[r->which] : stress[r->which - 3]) / r->expected);
     printf(")\n");
     tets_close(&c);
 }
@@ -426,8 +446,9 @@ static void tets_fv32(int n)
         sfem_model_free(model);
     }
     for (k = 0; k < 6; ++k)
-        row(1, found[1][k] / hz[k], 0.03, "NAFEMS FV32, mode %d, %d nodes, over %.2f Hz; linear %.3f", k + 1,
-            (int)c.mesh.nodes, hz[k], found[0][k] / hz[k]);
+        row(1, found[1][k] / hz[k], 0.03,
+            "NAFEMS FV32, mode %d, %d nodes, over %.2f Hz; linear %.3f", k + 1, (int)c.mesh.nodes,
+            hz[k], found[0][k] / hz[k]);
     free(pins), free(axes);
     tets_close(&c);
 }
@@ -542,20 +563,25 @@ static double tets_pad(sfem_tet tet, double poisson)
 
 static void tets(int ccx)
 {
-    const tets_reference cook = {"Cook's membrane, plane stress, over 23.96", 23.96, 0.03, 1, {48, 52, 0}, ccx};
-    const tets_reference rubber = {"Cook's membrane, plane strain, nu 0.4999, over 16.44", 16.44, 0.04, 1, {48, 52, 0}, ccx};
-    const tets_reference le1 = {"NAFEMS LE1, stress at D, over 92.7 MPa", 92.7, 0.08, 4, {2, 0, 0}, ccx};
-    const tets_reference le10 = {"NAFEMS LE10, stress at D, over -5.38 MPa", -5.38, 0.1, 4, {2, 0, 0.6}, ccx};
+    const tets_reference cook = {
+        "Cook's membrane, plane stress, over 23.96", 23.96, 0.03, 1, {48, 52, 0}, ccx};
+    const tets_reference rubber = {
+        "Cook's membrane, plane strain, nu 0.4999, over 16.44", 16.44, 0.04, 1, {48, 52, 0}, ccx};
+    const tets_reference le1 = {
+        "NAFEMS LE1, stress at D, over 92.7 MPa", 92.7, 0.08, 4, {2, 0, 0}, ccx};
+    const tets_reference le10 = {
+        "NAFEMS LE10, stress at D, over -5.38 MPa", -5.38, 0.1, 4, {2, 0, 0.6}, ccx};
     title("smooth tets against references, linear ones beside them: found over expected");
     tets_compare(&cook, tets_cook_stress, 16);
     tets_compare(&rubber, tets_cook_strain, 16);
     tets_compare(&le1, tets_le1, 32);
     tets_compare(&le10, tets_le10, 18);
     tets_fv32(16);
-    row(1, tets_circle(SFEM_TET_SMOOTH, 0.45), 0.05, "beam bent to a circle, nu 0.45, energy over E I (2 pi)^2/(2 L); linear %.3f",
+    row(1, tets_circle(SFEM_TET_SMOOTH, 0.45), 0.05,
+        "beam bent to a circle, nu 0.45, energy over E I (2 pi)^2/(2 L); linear %.3f",
         tets_circle(SFEM_TET_LINEAR, 0.45));
-    row(1, tets_pad(SFEM_TET_SMOOTH, 0.499), 0.1, "rubber pad, nu 0.499, force over Kelly's; linear %.3f",
-        tets_pad(SFEM_TET_LINEAR, 0.499));
+    row(1, tets_pad(SFEM_TET_SMOOTH, 0.499), 0.1,
+        "rubber pad, nu 0.499, force over Kelly's; linear %.3f", tets_pad(SFEM_TET_LINEAR, 0.499));
 }
 
 #endif

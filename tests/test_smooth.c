@@ -49,7 +49,8 @@ static void jitter(sfem_mesh *mesh, double by, uint64_t seed)
     memcpy(old, mesh->x, 3 * (size_t)mesh->nodes * sizeof *old);
     for (tries = 0; tries < 60; ++tries, by *= 0.9) {
         sfem_int i;
-        for (i = 0; i < 3 * mesh->nodes; ++i) mesh->x[i] = old[i] + random_uniform(&random, -by, by);
+        for (i = 0; i < 3 * mesh->nodes; ++i)
+            mesh->x[i] = old[i] + random_uniform(&random, -by, by);
         if (sfem_mesh_check(mesh, &report, NULL) == SFEM_OK) break;
     }
     assert_true(tries < 60);
@@ -67,7 +68,8 @@ static double tet_gradient(const sfem_mesh *mesh, sfem_int e, double *g /* [4][3
     for (a = 0; a < 3; ++a)
         for (i = 0; i < 3; ++i) m[a][i] = mesh->x[3 * t[a + 1] + i] - mesh->x[3 * t[0] + i];
     for (i = 0; i < 3; ++i)
-        det += m[0][i] * (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3]);
+        det += m[0][i] *
+               (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3]);
     for (i = 0; i < 3; ++i) g[i] = 0;
     for (a = 0; a < 3; ++a) {
         const int b = (a + 1) % 3, c = (a + 2) % 3;
@@ -91,7 +93,8 @@ static void add_gradient(const sfem_mesh *mesh, sfem_int e, double weight, doubl
 }
 
 /* K += w (s |eps|^2 + l tr^2 + b |grad|^2 as a quadratic form's matrix) of a gradient given by nodes */
-static void add_form(sfem_int nodes, const double *mean, double w, double s, double l, double b, double *k)
+static void add_form(sfem_int nodes, const double *mean, double w, double s, double l, double b,
+                     double *k)
 {
     sfem_int p, q;
     int i, j;
@@ -103,12 +106,14 @@ static void add_form(sfem_int nodes, const double *mean, double w, double s, dou
             for (i = 0; i < 3; ++i)
                 for (j = 0; j < 3; ++j)
                     k[(3 * (size_t)p + (size_t)i) * n + 3 * (size_t)q + (size_t)j] +=
-                        w * (s * (h[i] * g[j] + (i == j ? dot : 0)) / 2 + l * g[i] * h[j] + (i == j ? b * dot : 0));
+                        w * (s * (h[i] * g[j] + (i == j ? dot : 0)) / 2 + l * g[i] * h[j] +
+                             (i == j ? b * dot : 0));
         }
 }
 
 /* K, or K0, of a model of one material whose stars are all of a node's tets, with one a for all. */
-static double *dense_stiffness(const sfem_model *model, double lambda, double mu, double a, int upper)
+static double *dense_stiffness(const sfem_model *model, double lambda, double mu, double a,
+                               int upper)
 {
     const sfem_mesh *mesh = sfem_model_mesh(model);
     const sfem_int *patch = sfem_model_smooth_patch(model);
@@ -122,13 +127,15 @@ static double *dense_stiffness(const sfem_model *model, double lambda, double mu
         for (e = 0; e < 4 * mesh->tets; ++e)
             if (mesh->tet[e] == i) volume += tet_gradient(mesh, e / 4, g) / 4;
         for (e = 0; e < 4 * mesh->tets; ++e)
-            if (mesh->tet[e] == i) add_gradient(mesh, e / 4, tet_gradient(mesh, e / 4, g) / 4 / volume, mean);
+            if (mesh->tet[e] == i)
+                add_gradient(mesh, e / 4, tet_gradient(mesh, e / 4, g) / 4 / volume, mean);
         add_form(mesh->nodes, mean, volume, 2 * mu, 0, -2 * a * mu, k);
     }
     for (e = 0; e < mesh->tets; ++e) {
         memset(mean, 0, n * sizeof *mean);
         add_gradient(mesh, e, 1, mean);
-        add_form(mesh->nodes, mean, tet_gradient(mesh, e, g), upper ? 2 * mu : 0, 0, upper ? 0 : 2 * a * mu, k);
+        add_form(mesh->nodes, mean, tet_gradient(mesh, e, g), upper ? 2 * mu : 0, 0,
+                 upper ? 0 : 2 * a * mu, k);
     }
     for (i = 0; i < patches; ++i) {
         double volume = 0;
@@ -200,7 +207,8 @@ static void patches_hang_together(void **state)
 {
     sfem_mesh mesh = block(6, 4, 4, 6, SFEM_CELL_6_TETS);
     sfem_model *model = smooth_model(&mesh, smooth_material(SFEM_COROTATIONAL, 0.45));
-    const sfem_int *patch = sfem_model_smooth_patch(model), patches = sfem_model_smooth_info(model).patches;
+    const sfem_int *patch = sfem_model_smooth_patch(model),
+                   patches = sfem_model_smooth_info(model).patches;
     sfem_int *label = (sfem_int *)calloc((size_t)mesh.tets, sizeof *label), k, e, o;
     (void)state;
     assert_true(patches > mesh.tets / 6 && patches < mesh.tets / 3);
@@ -220,7 +228,8 @@ static void patches_hang_together(void **state)
                     int common = 0, a, b;
                     if (patch[o] != k || label[o]) continue;
                     for (a = 0; a < 4; ++a)
-                        for (b = 0; b < 4; ++b) common += mesh.tet[4 * e + a] == mesh.tet[4 * o + b];
+                        for (b = 0; b < 4; ++b)
+                            common += mesh.tet[4 * e + a] == mesh.tet[4 * o + b];
                     if (common < 3) continue;
                     label[o] = changed = 1;
                 }
@@ -255,7 +264,8 @@ static void add_rigid(const sfem_mesh *mesh, double scale, double *a)
         c = (int)(i % 3);
         r[(size_t)c * n + i] = 1;
         for (p = 0; p < 3; ++p) /* e_p x X */
-            r[(size_t)(3 + p) * n + i] = c == p ? 0 : (c == (p + 1) % 3 ? -x[(p + 2) % 3] : x[(p + 1) % 3]);
+            r[(size_t)(3 + p) * n + i] =
+                c == p ? 0 : (c == (p + 1) % 3 ? -x[(p + 2) % 3] : x[(p + 1) % 3]);
     }
     for (p = 0; p < 6; ++p) { /* Gram-Schmidt */
         double *v = r + (size_t)p * n, norm = 0;
@@ -339,14 +349,16 @@ static void k0_bounds_k_with_slivers(void **state)
 static double star_limit(const sfem_mesh *mesh, sfem_int node)
 {
     const size_t n = 3 * (size_t)mesh->nodes;
-    double *a = reals(n * n), *b = reals(n * n), *mean = reals(n), *own = reals(n), *value = reals(n);
+    double *a = reals(n * n), *b = reals(n * n), *mean = reals(n), *own = reals(n),
+           *value = reals(n);
     double volume = 0, g[12], limit;
     size_t kept = 0, i, j, k, l;
     sfem_int e;
     for (e = 0; e < 4 * mesh->tets; ++e)
         if (mesh->tet[e] == node) volume += tet_gradient(mesh, e / 4, g) / 4;
     for (e = 0; e < 4 * mesh->tets; ++e)
-        if (mesh->tet[e] == node) add_gradient(mesh, e / 4, tet_gradient(mesh, e / 4, g) / 4 / volume, mean);
+        if (mesh->tet[e] == node)
+            add_gradient(mesh, e / 4, tet_gradient(mesh, e / 4, g) / 4 / volume, mean);
     for (e = 0; e < 4 * mesh->tets; ++e) {
         if (mesh->tet[e] != node) continue;
         for (i = 0; i < n; ++i) own[i] = -mean[i];
@@ -378,7 +390,8 @@ static double star_limit(const sfem_mesh *mesh, sfem_int node)
 /* The same of a mesh with many nodes: in one of the tets at the node alone. */
 static double star_limit_in(const sfem_mesh *mesh, sfem_int node)
 {
-    sfem_int *number = (sfem_int *)calloc((size_t)mesh->nodes, sizeof *number), tet[4 * 200], e, own;
+    sfem_int *number = (sfem_int *)calloc((size_t)mesh->nodes, sizeof *number), tet[4 * 200], e,
+             own;
     double x[3 * 400], limit;
     sfem_mesh star;
     int a;
@@ -437,7 +450,9 @@ static void check_bound_by_powers(const sfem_mesh *mesh, double poisson)
     size_t i;
     int k;
     for (i = 0, shift = 0; i < n; ++i) /* both with a little mass: K0 + s M, K + s M */
-        shift = fmax(shift, sfem_model_stiffness(model)->val[9 * (size_t)(sfem_model_stiffness(model)->row[i / 3 + 1] - 1)]);
+        shift =
+            fmax(shift, sfem_model_stiffness(model)
+                            ->val[9 * (size_t)(sfem_model_stiffness(model)->row[i / 3 + 1] - 1)]);
     shift *= 1e-6 / (sfem_model_total_mass(model) / mesh->nodes);
     assert_ok(sfem_model_combine(model, 1, shift, 0, NULL, &a, &err), err);
     def.x = mesh->x;
@@ -519,9 +534,12 @@ static void patch_test(void **state)
         for (i = 0; i < n; ++i)
             if (!outer[i / 3]) assert_near(f[i], 0, 0, 1e-12 * size);
         wanted = volume * sfem_law_energy(law[k], lambda, mu, fgrad);
-        if (law[k] != SFEM_NEOHOOKEAN) assert_near(half, wanted, 1e-12, 0);
+        if (law[k] != SFEM_NEOHOOKEAN)
+            assert_near(half, wanted, 1e-12, 0);
         else /* shear at the nodes and volume on patches of the same F: the law splits */
-            assert_near(half, volume * (sfem_law_energy(law[k], 0, mu, fgrad) + sfem_law_energy(law[k], lambda, 0, fgrad)),
+            assert_near(half,
+                        volume * (sfem_law_energy(law[k], 0, mu, fgrad) +
+                                  sfem_law_energy(law[k], lambda, 0, fgrad)),
                         1e-12, 0);
         free(work), free(outer);
         sfem_surface_free(&surface);
@@ -544,19 +562,23 @@ static void forces_are_a_gradient(void **state)
     for (k = 0; k < TEST_COUNT(law); ++k) {
         sfem_model *model = smooth_model(&mesh, smooth_material(law[k], 0.45));
         const size_t n = 3 * (size_t)mesh.nodes;
-        double *u = reals(n), *v = reals(n), *d = reals(n), *f = reals(n), *g = reals(n), *kd = reals(n);
-        double *work = reals(sfem_model_work_size(model)), step = 1e-6, slope = 0, e, e1, e2, size = 0;
+        double *u = reals(n), *v = reals(n), *d = reals(n), *f = reals(n), *g = reals(n),
+               *kd = reals(n);
+        double *work = reals(sfem_model_work_size(model)), step = 1e-6, slope = 0, e, e1, e2,
+               size = 0;
         double sum[3] = {0, 0, 0}, torque[3] = {0, 0, 0};
         sfem_matrix wide;
         test_random random = {k};
         sfem_int inverted = -1;
         size_t i;
         int c;
-        for (i = 0; i < n; ++i) u[i] = random_uniform(&random, -0.01, 0.01) + 0.2 * mesh.x[i / 3 * 3 + (i + 1) % 3];
+        for (i = 0; i < n; ++i)
+            u[i] = random_uniform(&random, -0.01, 0.01) + 0.2 * mesh.x[i / 3 * 3 + (i + 1) % 3];
         for (i = 0; i < n; ++i) d[i] = random_uniform(&random, -1, 1);
         e = sfem_model_forces(model, u, SFEM_DOUBLE, f, NULL, &inverted, work, NULL);
         assert_true(inverted >= 0 && inverted < mesh.tets);
-        for (i = 0; i < n; ++i) slope += f[i] * d[i], size = fmax(size, fabs(f[i])), v[i] = u[i] + step * d[i];
+        for (i = 0; i < n; ++i)
+            slope += f[i] * d[i], size = fmax(size, fabs(f[i])), v[i] = u[i] + step * d[i];
         e1 = sfem_model_forces(model, v, SFEM_DOUBLE, g, NULL, NULL, work, NULL);
         memcpy(kd, g, n * sizeof *kd);
         for (i = 0; i < n; ++i) v[i] = u[i] - step * d[i];
@@ -581,14 +603,17 @@ static void forces_are_a_gradient(void **state)
         for (i = 0; i < n; ++i) { /* x' = Q x + t */
             const size_t node = i / 3 * 3, row = i % 3 * 3;
             v[i] = 5 - mesh.x[i];
-            for (c = 0; c < 3; ++c) v[i] += q[row + (size_t)c] * (mesh.x[node + (size_t)c] + u[node + (size_t)c]);
+            for (c = 0; c < 3; ++c)
+                v[i] += q[row + (size_t)c] * (mesh.x[node + (size_t)c] + u[node + (size_t)c]);
         }
         if (law[k] != SFEM_LINEAR) {
             e1 = sfem_model_forces(model, v, SFEM_DOUBLE, g, NULL, NULL, work, NULL);
             assert_near(e1, e, 1e-10, 0);
             for (i = 0; i < n; ++i) {
                 const size_t node = i / 3 * 3, row = i % 3 * 3;
-                assert_near(g[i], q[row] * f[node] + q[row + 1] * f[node + 1] + q[row + 2] * f[node + 2], 0, 1e-10 * size);
+                assert_near(g[i],
+                            q[row] * f[node] + q[row + 1] * f[node + 1] + q[row + 2] * f[node + 2],
+                            0, 1e-10 * size);
             }
         }
         e1 = sfem_model_forces(model, u, SFEM_MIXED, g, NULL, NULL, work, NULL);
@@ -633,7 +658,8 @@ static void stress_is_that_of_the_law(void **state)
     static const int row[6] = {0, 1, 2, 0, 1, 0}, col[6] = {0, 1, 2, 1, 2, 2};
     sfem_mesh mesh = block(3, 2, 2, 3, SFEM_CELL_6_TETS);
     const size_t n = 3 * (size_t)mesh.nodes;
-    double *u = reals(n), *node = reals(2 * n), *tet = reals(6 * (size_t)mesh.tets), *mises = reals((size_t)mesh.tets);
+    double *u = reals(n), *node = reals(2 * n), *tet = reals(6 * (size_t)mesh.tets),
+           *mises = reals((size_t)mesh.tets);
     double *pressure = reals((size_t)mesh.tets), lambda, mu;
     size_t k, i;
     int j, c;
@@ -643,27 +669,34 @@ static void stress_is_that_of_the_law(void **state)
     for (k = 0; k < TEST_COUNT(law); ++k) {
         sfem_model *model = smooth_model(&mesh, smooth_material(law[k], 0.45));
         const double small = law[k] == SFEM_LINEAR ? 1e-3 : 1;
-        double f[9] = {1 + 0.1 * small, 0.2 * small, 0, -0.1 * small, 1 - 0.05 * small, 0.1 * small, 0, 0.05 * small, 1 + 0.02 * small};
+        double f[9] = {1 + 0.1 * small,  0.2 * small, 0, -0.1 * small,
+                       1 - 0.05 * small, 0.1 * small, 0, 0.05 * small,
+                       1 + 0.02 * small};
         double p[9], q[9], wanted[6], full[6], det;
         const sfem_int patches = sfem_model_smooth_info(model).patches;
         for (i = 0; i < n; ++i)
-            for (u[i] = -mesh.x[i], c = 0; c < 3; ++c) u[i] += f[3 * (i % 3) + (size_t)c] * mesh.x[i / 3 * 3 + (size_t)c];
+            for (u[i] = -mesh.x[i], c = 0; c < 3; ++c)
+                u[i] += f[3 * (i % 3) + (size_t)c] * mesh.x[i / 3 * 3 + (size_t)c];
         (void)sfem_law_stress(law[k], 0, mu, f, p);
         (void)sfem_law_stress(law[k], lambda, 0, f, q);
-        det = f[0] * (f[4] * f[8] - f[5] * f[7]) - f[1] * (f[3] * f[8] - f[5] * f[6]) + f[2] * (f[3] * f[7] - f[4] * f[6]);
+        det = f[0] * (f[4] * f[8] - f[5] * f[7]) - f[1] * (f[3] * f[8] - f[5] * f[6]) +
+              f[2] * (f[3] * f[7] - f[4] * f[6]);
         for (j = 0; j < 6; ++j)
-            for (wanted[j] = 0, c = 0; c < 3; ++c) wanted[j] += (p[3 * row[j] + c] + q[3 * row[j] + c]) * f[3 * col[j] + c] / det;
+            for (wanted[j] = 0, c = 0; c < 3; ++c)
+                wanted[j] += (p[3 * row[j] + c] + q[3 * row[j] + c]) * f[3 * col[j] + c] / det;
         if (law[k] == SFEM_LINEAR)
             for (j = 0; j < 6; ++j) wanted[j] = p[3 * row[j] + col[j]] + q[3 * row[j] + col[j]];
         (void)sfem_law_stress(law[k], lambda, mu, f, p);
         for (j = 0; j < 6; ++j)
-            for (full[j] = 0, c = 0; c < 3; ++c) full[j] += p[3 * row[j] + c] * f[3 * col[j] + c] / det;
+            for (full[j] = 0, c = 0; c < 3; ++c)
+                full[j] += p[3 * row[j] + c] * f[3 * col[j] + c] / det;
         sfem_model_stress(model, u, tet, mises);
         sfem_model_smooth_stress(model, u, node, pressure);
         for (i = 0; i < 6 * (size_t)mesh.tets; ++i) assert_near(tet[i], wanted[i % 6], 1e-9, 1e-3);
         for (i = 0; i < 2 * n; ++i) assert_near(node[i], wanted[i % 6], 1e-9, 1e-3);
         for (i = 0; i < (size_t)patches; ++i)
-            assert_near(pressure[i], -(full[0] + full[1] + full[2]) / 3, law[k] == SFEM_LINEAR ? 2e-3 : 1e-9, 1e-3);
+            assert_near(pressure[i], -(full[0] + full[1] + full[2]) / 3,
+                        law[k] == SFEM_LINEAR ? 2e-3 : 1e-9, 1e-3);
         sfem_model_free(model);
     }
     free(u), free(node), free(tet), free(mises), free(pressure);
@@ -729,7 +762,8 @@ static void averages_do_not_cross_materials(void **state)
     def.tet_material = region;
     assert_ok(sfem_model_create(&def, &model, &err), err);
     assert_true(sfem_model_smooth_info(model).stars == mesh.nodes + 9);
-    for (i = 0; i < n; i += 3) u[i] = mesh.x[i] < 2 ? 0.04 * mesh.x[i] : 0.08 + 0.01 * (mesh.x[i] - 2);
+    for (i = 0; i < n; i += 3)
+        u[i] = mesh.x[i] < 2 ? 0.04 * mesh.x[i] : 0.08 + 0.01 * (mesh.x[i] - 2);
     sfem_model_multiply_stiffness(model, u, f, NULL);
     for (i = 0; i < n; ++i)
         if (mesh.x[i / 3 * 3] > 0 && mesh.x[i / 3 * 3] < 4) assert_near(f[i], 0, 0, 1e-8);
@@ -766,11 +800,16 @@ static void what_smooth_tets_cannot_do_is_refused(void **state)
 /* ---- statics ---- */
 
 /* The work of a load of 50 N on the end of a 4x1x1 m bar over the converged deflection: SFEM_TET_LINEAR by Hooke. */
-static double cantilever(const sfem_mesh *mesh, sfem_material material, int exact, sfem_newton_info *info, double *u)
+static double cantilever(const sfem_mesh *mesh, sfem_material material, int exact,
+                         sfem_newton_info *info, double *u)
 {
     const double poisson = material.poisson, g = 1e6 / (2 * (1 + poisson));
-    const double beam = 50 * 64 / (3 * 1e6 / 12) + 50 * 4 / (10 * (1 + poisson) / (12 + 11 * poisson) * g);
-    const double part = poisson < 0.4 ? 0.9811 : poisson < 0.47 ? 0.9514 : poisson < 0.495 ? 0.9360 : 0.9292;
+    const double beam =
+        50 * 64 / (3 * 1e6 / 12) + 50 * 4 / (10 * (1 + poisson) / (12 + 11 * poisson) * g);
+    const double part = poisson < 0.4     ? 0.9811
+                        : poisson < 0.47  ? 0.9514
+                        : poisson < 0.495 ? 0.9360
+                                          : 0.9292;
     sfem_model *model = smooth_model(mesh, material);
     sfem_body_def def = sfem_default_body_def();
     sfem_int *pin = (sfem_int *)calloc((size_t)mesh->nodes, sizeof *pin), i, k, n = 0;
@@ -807,17 +846,20 @@ static double cantilever(const sfem_mesh *mesh, sfem_material material, int exac
 static void a_coarse_cantilever_does_not_lock(void **state)
 {
     static const double poisson[4] = {0.3, 0.45, 0.49, 0.499};
-    static const double five[4] = {1.068, 1.097, 1.109, 1.115}, six[4] = {1.067, 1.066, 1.054, 1.051};
+    static const double five[4] = {1.068, 1.097, 1.109, 1.115},
+                        six[4] = {1.067, 1.066, 1.054, 1.051};
     sfem_newton_info info;
     int k;
     (void)state;
     for (k = 0; k < 4; ++k) {
         sfem_mesh mesh = block(8, 2, 2, 4, SFEM_CELL_5_TETS);
-        assert_near(cantilever(&mesh, smooth_material(SFEM_LINEAR, poisson[k]), 0, &info, NULL), five[k], 0, 6e-4);
+        assert_near(cantilever(&mesh, smooth_material(SFEM_LINEAR, poisson[k]), 0, &info, NULL),
+                    five[k], 0, 6e-4);
         assert_true(info.converged && info.iterations <= 35 && info.residual <= 1e-8);
         sfem_mesh_free(&mesh);
         mesh = block(8, 2, 2, 4, SFEM_CELL_6_TETS);
-        assert_near(cantilever(&mesh, smooth_material(SFEM_LINEAR, poisson[k]), 0, &info, NULL), six[k], 0, 6e-4);
+        assert_near(cantilever(&mesh, smooth_material(SFEM_LINEAR, poisson[k]), 0, &info, NULL),
+                    six[k], 0, 6e-4);
         assert_true(info.converged && info.iterations <= 35 && info.residual <= 1e-8);
         sfem_mesh_free(&mesh);
     }
@@ -836,7 +878,8 @@ static void statics_agree(void **state)
     assert_near(a, b, 1e-7, 0);
     assert_all_near(u, v, n, 1e-6, 0);
     material.law = SFEM_COROTATIONAL;
-    assert_near(cantilever(&mesh, material, 0, NULL, NULL), a, 1e-4, 0); /* the tip drops by 0.3 % of the length */
+    assert_near(cantilever(&mesh, material, 0, NULL, NULL), a, 1e-4,
+                0); /* the tip drops by 0.3 % of the length */
     material.law = SFEM_NEOHOOKEAN;
     assert_near(cantilever(&mesh, material, 0, NULL, NULL), a, 1e-3, 0);
     free(u), free(v);
@@ -846,7 +889,8 @@ static void statics_agree(void **state)
 /* ---- steps ---- */
 
 /* A 4x1x1 m bar, held at x = 0, under its own weight across it. */
-static sfem_body *hanging_bar(const sfem_mesh *mesh, sfem_material material, sfem_body_def def, sfem_model **model)
+static sfem_body *hanging_bar(const sfem_mesh *mesh, sfem_material material, sfem_body_def def,
+                              sfem_model **model)
 {
     sfem_int *pin = (sfem_int *)calloc((size_t)mesh->nodes, sizeof *pin), i;
     sfem_body *body = NULL;
@@ -864,7 +908,8 @@ static sfem_body *hanging_bar(const sfem_mesh *mesh, sfem_material material, sfe
 enum { SAMPLES = 60 };
 
 /* The place of the last node every 1/30 s, in steps of 1/(30 of) s. Returns the rejected steps. */
-static int64_t swing(const sfem_mesh *mesh, sfem_material material, sfem_body_def def, int of, double *tip)
+static int64_t swing(const sfem_mesh *mesh, sfem_material material, sfem_body_def def, int of,
+                     double *tip)
 {
     sfem_model *model;
     sfem_body *body = hanging_bar(mesh, material, def, &model);
@@ -969,7 +1014,10 @@ static void a_linear_body_survives_changes(void **state)
             if (mesh.x[3 * i] == 0) pins[count++] = i;
         for (i = 0; i < 600; ++i) {
             sfem_energy e;
-            if (i % 40 == 39) assert_ok(sfem_body_set_pins(body, i % 80 == 39 ? count - 1 : count, pins, NULL, &err), err);
+            if (i % 40 == 39)
+                assert_ok(
+                    sfem_body_set_pins(body, i % 80 == 39 ? count - 1 : count, pins, NULL, &err),
+                    err);
             assert_ok(sfem_body_step(body, i % 3 ? 1.0 / 60 : 1.0 / 37, &err), err);
             e = sfem_body_energy(body);
             most = fmax(most, e.kinetic + e.elastic);
@@ -990,7 +1038,8 @@ static void a_far_swing_follows_newton(void **state)
     double fine[3 * SAMPLES], tip[3 * SAMPLES], newton, found;
     int k, law;
     (void)state;
-    for (law = SFEM_COROTATIONAL; law <= SFEM_NEOHOOKEAN; law += SFEM_NEOHOOKEAN - SFEM_COROTATIONAL)
+    for (law = SFEM_COROTATIONAL; law <= SFEM_NEOHOOKEAN;
+         law += SFEM_NEOHOOKEAN - SFEM_COROTATIONAL)
         for (k = law == SFEM_COROTATIONAL ? 0 : 2; k < 3; ++k) {
             sfem_material material = smooth_material((sfem_law)law, poisson[k]);
             sfem_body_def def = sfem_default_body_def();
@@ -1011,7 +1060,8 @@ static void a_far_swing_follows_newton(void **state)
     sfem_mesh_free(&mesh);
 }
 
-static void momenta(const sfem_model *model, const double *x, const double *v, double p[3], double l[3])
+static void momenta(const sfem_model *model, const double *x, const double *v, double p[3],
+                    double l[3])
 {
     const sfem_int nodes = sfem_model_mesh(model)->nodes;
     sfem_int i;
@@ -1032,7 +1082,8 @@ static void a_tumbling_body_keeps_its_momenta(void **state)
 {
     int law, k;
     (void)state;
-    for (law = SFEM_COROTATIONAL; law <= SFEM_NEOHOOKEAN; law += SFEM_NEOHOOKEAN - SFEM_COROTATIONAL) {
+    for (law = SFEM_COROTATIONAL; law <= SFEM_NEOHOOKEAN;
+         law += SFEM_NEOHOOKEAN - SFEM_COROTATIONAL) {
         sfem_mesh mesh;
         sfem_model *model;
         sfem_body *body, *copy;
@@ -1061,12 +1112,14 @@ static void a_tumbling_body_keeps_its_momenta(void **state)
             if (k == 40) {
                 memory = malloc(sfem_body_state_size(body));
                 sfem_body_save_state(body, memory);
-                assert_ok(sfem_body_load_state(copy, memory, sfem_body_state_size(body), &err), err);
+                assert_ok(sfem_body_load_state(copy, memory, sfem_body_state_size(body), &err),
+                          err);
                 free(memory);
             }
             if (k > 40) assert_ok(sfem_body_step(copy, 1.0 / 60, &err), err);
         }
-        assert_true(memcmp(sfem_body_displacement(body), sfem_body_displacement(copy), n * sizeof *v) == 0);
+        assert_true(
+            memcmp(sfem_body_displacement(body), sfem_body_displacement(copy), n * sizeof *v) == 0);
         end = sfem_body_energy(body);
         assert_true(end.total < 1.001 * start.total);
         assert_near(sfem_body_get_info(body).poisson, 0.48, 1e-12, 0);
@@ -1075,7 +1128,8 @@ static void a_tumbling_body_keeps_its_momenta(void **state)
         momenta(model, x, v, p1, l1);
         for (k = 0; k < 3; ++k) size += fabs(l[k]), sizep += fabs(p[k]);
         for (k = 0; k < 3; ++k) assert_near(p1[k], p[k], 0, 1e-11 * sizep);
-        for (k = 0; k < 3 && sfem_body_get_info(body).rejected == 0; ++k) assert_near(l1[k], l[k], 0, 1e-2 * size);
+        for (k = 0; k < 3 && sfem_body_get_info(body).rejected == 0; ++k)
+            assert_near(l1[k], l[k], 0, 1e-2 * size);
         free(v), free(x);
         sfem_body_free(copy);
         sfem_body_free(body);
@@ -1087,7 +1141,8 @@ static void a_tumbling_body_keeps_its_momenta(void **state)
 /* Newton's methods converge as fast as with linear tets: their matrix is the derivative of the forces. */
 static void newtons_methods_converge(void **state)
 {
-    static const sfem_integrator method[] = {SFEM_NEWMARK, SFEM_BACKWARD_EULER, SFEM_HHT, SFEM_GENERALIZED_ALPHA, SFEM_BATHE};
+    static const sfem_integrator method[] = {SFEM_NEWMARK, SFEM_BACKWARD_EULER, SFEM_HHT,
+                                             SFEM_GENERALIZED_ALPHA, SFEM_BATHE};
     sfem_mesh mesh = block(4, 1, 1, 4, SFEM_CELL_6_TETS);
     size_t k;
     int law;
@@ -1104,7 +1159,8 @@ static void newtons_methods_converge(void **state)
             body = hanging_bar(&mesh, smooth_material((sfem_law)law, 0.495), def, &model);
             for (i = 0; i < 20; ++i) {
                 assert_ok(sfem_body_step(body, 1.0 / 60, &err), err);
-                assert_true(sfem_body_newton(body).iterations <= (method[k] == SFEM_BATHE ? 16 : 8));
+                assert_true(sfem_body_newton(body).iterations <=
+                            (method[k] == SFEM_BATHE ? 16 : 8));
             }
             assert_true(sfem_body_displacement(body)[3 * mesh.nodes - 1] < -0.1);
             sfem_body_free(body);
@@ -1139,7 +1195,8 @@ static void handles_hold_and_bodies_sleep(void **state)
         sfem_body_handle_position(body, handle, target);
         target[2] -= 0.2;
         assert_ok(sfem_body_move_handle(body, handle, target, &err), err);
-        for (i = 0; i < 1200 && !sfem_body_is_asleep(body); ++i) assert_ok(sfem_body_step(body, 1.0 / 60, &err), err);
+        for (i = 0; i < 1200 && !sfem_body_is_asleep(body); ++i)
+            assert_ok(sfem_body_step(body, 1.0 / 60, &err), err);
         assert_true(sfem_body_is_asleep(body));
         sfem_body_handle_position(body, handle, x);
         sfem_body_handle_force(body, handle, force);
@@ -1181,7 +1238,9 @@ static void options_of_rotating_bodies_work(void **state)
             if (k == 1 && i == SAMPLES) assert_ok(sfem_body_refactorise(body, NULL, &err), err);
             assert_ok(sfem_body_step(body, 1.0 / 60, &err), err);
             if (k < 2 && i == 2 * SAMPLES) solves[k] = sfem_body_get_info(body).solves;
-            if (i % 4 == 3) memcpy((k ? tip : plain) + 3 * (i / 4), sfem_body_displacement(body) + 3 * (mesh.nodes - 1), 3 * sizeof *tip);
+            if (i % 4 == 3)
+                memcpy((k ? tip : plain) + 3 * (i / 4),
+                       sfem_body_displacement(body) + 3 * (mesh.nodes - 1), 3 * sizeof *tip);
         }
         if (k < 2) solves[k] = sfem_body_get_info(body).solves - solves[k];
         if (k == 1) assert_true(sfem_body_get_refactorisation(body).made > 0);
@@ -1314,7 +1373,8 @@ static void pressure_in_a_bent_bar_is_smooth(void **state)
     sfem_mesh mesh = block(16, 4, 4, 4, SFEM_CELL_6_TETS);
     const sfem_material material = smooth_material(SFEM_LINEAR, 0.4999);
     sfem_model *model = smooth_model(&mesh, material);
-    double *u = reals(3 * (size_t)mesh.nodes), *node = reals(6 * (size_t)mesh.nodes), off2 = 0, all = 0;
+    double *u = reals(3 * (size_t)mesh.nodes), *node = reals(6 * (size_t)mesh.nodes), off2 = 0,
+           all = 0;
     sfem_int i;
     (void)state;
     (void)cantilever(&mesh, material, 0, NULL, u);
