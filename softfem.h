@@ -25411,6 +25411,22 @@ done:
     return status;
 }
 
+/* What bodies of smooth tets cannot do. */
+static sfem_status sfemi_body_check_smooth(const sfem_body *b, const sfem_body_def *def, sfem_error *err)
+{
+    if (!b->model->smooth) return SFEM_OK;
+    if (def->damage)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies of smooth tets cannot break yet: take SFEM_TET_LINEAR");
+    if (b->scheme.lagging)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, "
+                          "whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
+    if (def->damping_force.tangent)
+        return sfemi_fail(err, SFEM_BAD_ARGUMENT,
+                          "with smooth tets a damping force has no tangent: its pattern is not that of the factor");
+    return SFEM_OK;
+}
+
 SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *def, sfem_body **out,
                                       sfem_error *err)
 {
@@ -25440,21 +25456,7 @@ SFEM_DEF sfem_status sfem_body_create(sfem_model *model, const sfem_body_def *de
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps by SFEM_PQR or SFEM_CENTRAL");
         goto done;
     }
-    if (model->smooth && def->damage) {
-        status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "bodies of smooth tets cannot break yet: take SFEM_TET_LINEAR");
-        goto done;
-    }
-    if (model->smooth && b->scheme.lagging) {
-        status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                            "KR-alpha needs the exact K in its factor, which smooth tets do not have: take SFEM_PQR, "
-                            "whose def.dissipation damps fast modes, or SFEM_GENERALIZED_ALPHA");
-        goto done;
-    }
-    if (model->smooth && def->damping_force.tangent) {
-        status = sfemi_fail(err, SFEM_BAD_ARGUMENT,
-                            "with smooth tets a damping force has no tangent: its pattern is not that of the factor");
-        goto done;
-    }
+    SFEMI_TRY(sfemi_body_check_smooth(b, def, err));
     if (def->damage && model->block_mass) {
         status = sfemi_fail(err, SFEM_BAD_ARGUMENT, "a body that breaks steps with lumped mass only");
         goto done;
