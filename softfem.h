@@ -1462,7 +1462,8 @@ typedef struct sfem_energy {
     sfem_real total;                  /* their sum */
     sfem_real conserved; /* J, what the integrator conserves without damping under constant load: exactly for linear
                           * bodies, nearly for others. Motion of the centres of free pieces does not count.
-                          *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2
+                          *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
+                          *                       p h^2 K0 of smooth tets, whose corrected steps are as nonlinear ones
                           *   (p,q,r), nonlinear  1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2 - F.(u+u-)/2;
                           *                       after a rejected step 1/2 w.r M w + E - F.u
                           *   Newmark(beta, 1/2)  total + (beta - 1/4) h^2/2 a.M a */
@@ -25095,7 +25096,8 @@ static void sfemi_method_weigh(const sfem_body_def *d, sfemi_scheme *s)
 static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
 {
     const sfem_body_def *d = &b->def;
-    const int nonlinear = b->model->rotates, braked = d->damping_force.force != NULL, smooth = b->model->smooth != NULL;
+    const int nonlinear = b->model->rotates, braked = d->damping_force.force != NULL;
+    const int smooth = b->model->smooth && !b->model->block_mass; /* corrected, since A has K0 */
     sfemi_scheme *s = &b->scheme;
     s->newmark = d->integrator == SFEM_NEWMARK;
     s->pqr = d->integrator == SFEM_PQR;

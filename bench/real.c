@@ -63,7 +63,10 @@ static int is_newton(const form *f)
 }
 
 /* Smooth tets do not go with KR-alpha. */
-static int applies(const form *f) { return real_tet == SFEM_TET_LINEAR || f->integrator != SFEM_KR_ALPHA; }
+static int applies(const form *f)
+{
+    return real_tet == SFEM_TET_LINEAR || f->integrator != SFEM_KR_ALPHA;
+}
 
 static sfem_body_def def_of(const form *f, const real_scene *s)
 {
@@ -228,7 +231,8 @@ static void table_of_energies(const real_scene *s, const settings *o)
            "", "1/h", "rejected", "solves", "ms");
     for (k = 0; k < o->steps; ++k)
         for (i = 0; i < FORMS; ++i)
-            if ((!o->form || strstr(forms[i].name, o->form)) && applies(forms + i)) swing(s, forms + i, o->h[k], 6);
+            if ((!o->form || strstr(forms[i].name, o->form)) && applies(forms + i))
+                swing(s, forms + i, o->h[k], 6);
 }
 
 /* --------------------------------------------------------------------------------------------

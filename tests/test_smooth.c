@@ -18,12 +18,15 @@ static sfem_material smooth_material(sfem_law law, double poisson)
     return m;
 }
 
+static sfem_mass model_mass = SFEM_MASS_LUMPED; /* of the next models */
+
 static sfem_model *smooth_model(const sfem_mesh *mesh, sfem_material material)
 {
     sfem_model_def def = sfem_default_model_def();
     sfem_model *model = NULL;
     sfem_error err;
     def.mesh = mesh;
+    def.mass = model_mass;
     def.material = material;
     assert_ok(sfem_model_create(&def, &model, &err), err);
     return model;
@@ -968,6 +971,46 @@ static void a_linear_step_is_nearly_that_of_the_exact_factor(void **state)
     sfem_mesh_free(&mesh);
 }
 
+/* A consistent mass: (p,q,r) by one solve, Newmark with the factor of K, modes against dense matrices. */
+static void a_consistent_mass_goes_with_linear_bodies(void **state)
+{
+    sfem_mesh mesh = block(8, 2, 2, 4, SFEM_CELL_6_TETS);
+    const size_t n = 3 * (size_t)mesh.nodes;
+    double newmark[3 * SAMPLES], tip[3 * SAMPLES], *k, *m = NULL, *value = reals(n);
+    sfem_material material = smooth_material(SFEM_LINEAR, 0.45);
+    sfem_body_def def = sfem_default_body_def();
+    sfem_modes_def modes_def = sfem_default_modes_def();
+    sfem_matrix wide, mass;
+    sfem_modes modes;
+    sfem_model *model;
+    sfem_error err;
+    int i;
+    (void)state;
+    material.young = 1e7;
+    model_mass = SFEM_MASS_CONSISTENT;
+    def.integrator = SFEM_NEWMARK;
+    swing(&mesh, material, def, 8, newmark);
+    def.integrator = SFEM_PQR;
+    swing(&mesh, material, def, 8, tip);
+    assert_true(off(tip, newmark) < 0.01);
+    model = smooth_model(&mesh, material);
+    model_mass = SFEM_MASS_LUMPED;
+    assert_ok(sfem_model_assemble_stiffness(model, NULL, &wide, &err), err);
+    assert_ok(sfem_model_combine(model, 0, 1, 0, NULL, &mass, &err), err);
+    k = dense_of(&wide);
+    m = dense_of(&mass);
+    eigenvalues(n, k, m, value);
+    modes_def.modes = 8;
+    assert_ok(sfem_modes_create(model, &modes_def, &modes, &err), err);
+    for (i = 0; i < 8; ++i) assert_near(modes.lambda[i], value[6 + i], 1e-8, 0);
+    sfem_modes_free(&modes);
+    sfem_matrix_free(&wide);
+    sfem_matrix_free(&mass);
+    sfem_model_free(model);
+    free(k), free(m), free(value);
+    sfem_mesh_free(&mesh);
+}
+
 /* What one solve a step conserves, it conserves to rounding. */
 static void a_linear_step_conserves_its_energy(void **state)
 {
@@ -1438,6 +1481,7 @@ int main(void)
         cmocka_unit_test(statics_agree),
         cmocka_unit_test(pressure_in_a_bent_bar_is_smooth),
         cmocka_unit_test(a_linear_step_is_nearly_that_of_the_exact_factor),
+        cmocka_unit_test(a_consistent_mass_goes_with_linear_bodies),
         cmocka_unit_test(a_linear_step_conserves_its_energy),
         cmocka_unit_test(a_linear_body_survives_changes),
         cmocka_unit_test(a_far_swing_follows_newton),
