@@ -902,7 +902,9 @@ typedef enum sfem_mass { SFEM_MASS_LUMPED, SFEM_MASS_CONSISTENT } sfem_mass;
  *                    For any nu from 0 on; not with SFEM_STVK. All materials of a model have the same tets; averages
  *                    do not cross materials that differ in modulus, nu or law. K couples nodes two edges apart;
  *                    factors are made of K0, an upper bound of K on fewer blocks, and solutions with K itself by
- *                    iteration. In steps of (p,q,r) of laws that rotate nu counts as 0.48 at most (sfem_body_info).
+ *                    iteration. A linear body's step of (p,q,r) is one solve with K0: unconditionally stable, with
+ *                    twice the error in time of K itself, which SFEM_NEWMARK takes. In steps of (p,q,r) of laws that
+ *                    rotate nu counts as 0.48 at most (sfem_body_info).
  *                    Not with damage or KR-alpha. Creation takes about 4 us a tet, the structures 250 bytes a tet
  *                    (measured) */
 typedef enum sfem_tet { SFEM_TET_LINEAR, SFEM_TET_SMOOTH } sfem_tet;
@@ -1318,7 +1320,7 @@ typedef struct sfem_body_def {
                                * comes, even if it makes energy */
     const sfem_damage_def *damage; /* the body can break (>>api-damage); (p,q,r) and central differences, lumped mass.
                                * NULL, the default: it cannot, at no cost. Read by create only */
-    sfem_real accuracy;       /* (p,q,r) of nonlinear laws and of smooth tets, in (0, 1]. A step is corrected until one
+    sfem_real accuracy;       /* (p,q,r) of nonlinear laws, in (0, 1]. A step is corrected until one
                                * more correction is expected to gain less than this part of the energy in motion (the
                                * largest recent kinetic energy). 1e-6, the default: within a factor of two of the
                                * errors of full Newton. 1e-4: a third fewer solves. 1: one solve a step, no
@@ -1463,7 +1465,7 @@ typedef struct sfem_energy {
     sfem_real conserved; /* J, what the integrator conserves without damping under constant load: exactly for linear
                           * bodies, nearly for others. Motion of the centres of free pieces does not count.
                           *   (p,q,r), linear     1/2 w.(r M + p h^2 K) w + (E + E-)/2 - (u-u-).(f-f-)/4 - F.(u+u-)/2,
-                          *                       p h^2 K0 of smooth tets, whose corrected steps are as nonlinear ones
+                          *                       with p h^2 K0 of smooth tets
                           *   (p,q,r), nonlinear  1/2 w.r M w + (E + E-)/2 + (p - 1/2)(u-u-).(f-f-)/2 - F.(u+u-)/2;
                           *                       after a rejected step 1/2 w.r M w + E - F.u
                           *   Newmark(beta, 1/2)  total + (beta - 1/4) h^2/2 a.M a */
@@ -25097,7 +25099,6 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
 {
     const sfem_body_def *d = &b->def;
     const int nonlinear = b->model->rotates, braked = d->damping_force.force != NULL;
-    const int smooth = b->model->smooth && !b->model->block_mass; /* corrected, since A has K0 */
     sfemi_scheme *s = &b->scheme;
     s->newmark = d->integrator == SFEM_NEWMARK;
     s->pqr = d->integrator == SFEM_PQR;
@@ -25105,9 +25106,8 @@ static void sfemi_method_choose(sfem_body *b, const sfem_body_def *def)
     s->lagging = d->integrator == SFEM_KR_ALPHA;
     s->mean = s->pqr || s->central || s->lagging;
     s->newton = !s->mean && !(s->newmark && !nonlinear && !braked);
-    if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)) ||
-        (smooth && s->pqr && d->accuracy < 1))
-        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked || smooth) ? SFEMI_CORRECTS : SFEMI_ROTATES;
+    if ((nonlinear && s->mean) || (braked && s->pqr) || (def->damage && (s->pqr || s->central)))
+        s->rotates = s->pqr && d->accuracy < 1 && (nonlinear || braked) ? SFEMI_CORRECTS : SFEMI_ROTATES;
     s->resumes = !nonlinear && s->rotates != SFEMI_CORRECTS && !s->newton;
     s->safeguarded = d->safeguard && !s->central && (nonlinear || s->rotates == SFEMI_CORRECTS);
     s->refactors = s->rotates && d->refactorise > 0 && s->pqr && d->frame != SFEM_FRAME_ISOTROPIC;
