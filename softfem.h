@@ -14262,8 +14262,8 @@ static sfemi_polars_kernel sfemi_polars_pick(void)
 #define SFEMI_SMOOTH_A 0.12
 /* Where the law rotates, steps of (p,q,r) and K0 take lambda as of this nu at most: in a bend the rows of K0's volume
  * part, rotated by nodes, are not those of the patches, and lambda multiplies the difference. Bars and bodies that
- * swing, h = 1/60 s: nothing rejected at 0.48, 15 % at 0.49, 43 to 81 % at 0.499. Deflections at 0.48 and 0.499 differ
- * by 1 %. */
+ * swing, h = 1/60 s, in 2 s: nothing rejected at 0.48, 15 % at 0.49, 43 to 81 % at 0.499. Deflections at 0.48 and 0.499
+ * differ by 1 %. */
 #define SFEMI_SMOOTH_POISSON 0.48
 /* Patches are grown to so many tets; they come to 4 in the mean. With 3 bars of six-tet cells lock at nu = 0.499
  * (0.53), with 5 they are up to 1.19. */
